@@ -1,0 +1,35 @@
+"""Replay a dive through two navigation filters and say whether the change really helped.
+
+This page is the vocabulary. After it any module can be read.
+
+Frames
+------
+n : north-east-down, at the vehicle
+b : body of the vehicle, forward-starboard-down; the IMU's place and axes
+d : DVL, forward-starboard-down of the instrument; turned from b by the mounting rotation
+e : Earth; i : inertial
+
+Names
+-----
+``velocity_n`` is a vector in frame n. ``mat_nb`` takes coordinates in b to coordinates in n.
+``specific_force_b`` [m/s^2] is what accelerometers feel (a resting IMU reads -g along down).
+``angular_rate_b`` [rad/s] is the body's rate against inertial space, what gyros feel.
+``time_ns`` is int64 nanoseconds of validity on the log's clock; ``time_s`` is float seconds from the dive's start.
+``position`` is latitude [rad], longitude [rad], height above the ellipsoid [m], in this order.
+Units stand in names where a name leaves them open (``lever_arm_m``); everything inside is SI.
+Upper case is only for the filter's matrices F G H K P Q R S.
+
+Shapes
+------
+Rows are times: ``velocity_n`` of k times is (k, 3), ``mat_nb`` is (k, 3, 3). The error state has 12 entries, see
+`states`.
+
+Signs
+-----
+Errors are estimated minus true; innovations are predicted minus measured.
+The misalignment phi is in n, with ``mat_nb_estimated = (I + [phi x]) mat_nb_true``.
+Biases are what remains in the readings: ``reading = true + bias``.
+What is missing is NaN with a word that says why, never 0.
+"""
+
+__version__ = "0.1.0"

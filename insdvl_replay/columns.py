@@ -1,0 +1,160 @@
+"""Clean columns of one dive: sorted, unique, in SI units and the project's frames.
+
+The logs room makes them from files, the sim room from nothing; the filters cannot tell which.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.errors import Note
+
+Floats = NDArray[np.float64]
+TimeNs = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ImuColumns:
+    """Readings of the accelerometers and gyros.
+
+    Attributes
+    ----------
+    time_ns : ndarray, shape (k,)
+        Times of validity, strictly increasing.
+    specific_force_b : ndarray, shape (k, 3)
+        Specific force, m/s^2.
+    angular_rate_b : ndarray, shape (k, 3)
+        Angular rate against inertial space, rad/s.
+    """
+
+    time_ns: TimeNs
+    specific_force_b: Floats
+    angular_rate_b: Floats
+
+
+@dataclass(frozen=True)
+class DvlColumns:
+    """Pings of the DVL, either as beams or as velocities.
+
+    Attributes
+    ----------
+    time_ns : ndarray, shape (m,)
+        Times of validity, strictly increasing.
+    beam_velocity_mps : ndarray, shape (m, beams), or None
+        Velocity of the vehicle along each beam's unit vector (positive towards the seabed); NaN where the beam is lost.
+    beam_vectors_d : ndarray, shape (beams, 3), or None
+        Unit vectors of the beams in d, from the instrument towards the seabed.
+    velocity_d : ndarray, shape (m, 3), or None
+        Velocity over ground in d, m/s, NaN where invalid; given when the instrument reports no beams.
+    """
+
+    time_ns: TimeNs
+    beam_velocity_mps: Floats | None = None
+    beam_vectors_d: Floats | None = None
+    velocity_d: Floats | None = None
+
+
+@dataclass(frozen=True)
+class ReferenceColumns:
+    """Another filter's solution, to start from and to compare with. NaN rows where a quantity is not given.
+
+    Attributes
+    ----------
+    time_ns : ndarray, shape (r,)
+        Times of validity, strictly increasing.
+    position : ndarray, shape (r, 3)
+        Latitude rad, longitude rad, height m.
+    velocity_n : ndarray, shape (r, 3)
+        Velocity over ground, m/s.
+    mat_nb : ndarray, shape (r, 3, 3)
+        Attitude, body to north-east-down.
+    """
+
+    time_ns: TimeNs
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+
+    @property
+    def has_position(self) -> bool:
+        """Whether any row has a position."""
+        return bool(np.isfinite(self.position[:, :2]).all(axis=1).any())
+
+    @property
+    def has_velocity(self) -> bool:
+        """Whether any row has a velocity."""
+        return bool(np.isfinite(self.velocity_n).all(axis=1).any())
+
+    @property
+    def has_attitude(self) -> bool:
+        """Whether any row has an attitude."""
+        return bool(np.isfinite(self.mat_nb).all(axis=(1, 2)).any())
+
+
+@dataclass(frozen=True)
+class TruthColumns:
+    """Sensor biases that only a simulation can know.
+
+    Attributes
+    ----------
+    time_ns : ndarray, shape (r,)
+        Times of validity, strictly increasing.
+    accel_bias_b : ndarray, shape (r, 3)
+        Accelerometer bias, m/s^2.
+    gyro_bias_b : ndarray, shape (r, 3)
+        Gyro bias, rad/s.
+    """
+
+    time_ns: TimeNs
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What a log holds on one topic, for the record.
+
+    Attributes
+    ----------
+    topic, type_name, encoding : str
+        As the log names them.
+    role : str
+        ``imu``, ``dvl``, ``reference``, ``truth``, or empty where the replay has no use for it.
+    messages : int
+        How many messages the log holds.
+    """
+
+    topic: str
+    type_name: str
+    encoding: str
+    role: str
+    messages: int
+
+
+@dataclass(frozen=True)
+class Dive:
+    """Everything that is needed to replay a dive.
+
+    Attributes
+    ----------
+    name : str
+        Name of the log without its ending; names the result folder.
+    sha256 : str
+        Digest of the log's bytes; empty for a dive that was never a file.
+    imu, dvl, reference, truth
+        The columns; reference and truth where the log has them.
+    channels : tuple of Channel
+        What the log holds.
+    notes : tuple of Note
+        What was dropped, assumed or found odd while reading.
+    """
+
+    name: str
+    imu: ImuColumns
+    dvl: DvlColumns
+    reference: ReferenceColumns | None = None
+    truth: TruthColumns | None = None
+    sha256: str = ""
+    channels: tuple[Channel, ...] = ()
+    notes: tuple[Note, ...] = field(default=())

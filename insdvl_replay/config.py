@@ -1,0 +1,162 @@
+"""Frozen settings of a replay, each key with its unit; the defaults are the preset ``levy-klein``, the paper's.
+
+`config_file` reads and writes them as TOML.
+"""
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+Vector = tuple[float, float, float]
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+
+
+def Says(comment: str) -> Meta:  # noqa: N802
+    """Hold the comment that `render_toml` writes beside a key."""
+    return Meta(description=comment)
+
+
+class _Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table of the configuration."""
+
+
+class Imu(_Section, frozen=True):
+    """Where the specific force and angular rate come from."""
+
+    topic: Annotated[str | None, Says("left out: found by type")] = None
+    specific_force: Annotated[str | None, Says("field path; left out: by type")] = None
+    angular_rate: Annotated[str | None, Says("field path; left out: by type")] = None
+    specific_force_unit: Annotated[Literal["m/s2", "g", "mg"], Says("m/s2 | g | mg")] = "m/s2"
+    angular_rate_unit: Annotated[Literal["rad/s", "deg/s"], Says("rad/s | deg/s")] = "rad/s"
+    axes: Annotated[str, Says('frd | flu | a signed permutation such as "+x-y-z"')] = "frd"
+    stamp: Annotated[str, Says("header | log_time | publish_time | a field path")] = "header"
+    latency_s: Annotated[float, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
+    max_gap_s: Annotated[Positive, Says("a longer pause between samples is reported as a gap")] = 0.5
+
+
+class Dvl(_Section, frozen=True):
+    """Where the DVL's pings come from, how it is mounted and how good it is."""
+
+    topic: Annotated[str | None, Says("left out: found by type")] = None
+    kind: Annotated[Literal["beams", "velocity"] | None, Says("beams | velocity; left out: by type")] = None
+    beam_velocity: Annotated[str | None, Says('field path such as "beams[*].velocity"; left out: by type')] = None
+    velocity: Annotated[str | None, Says("field path; left out: by type")] = None
+    velocity_unit: Annotated[Literal["m/s", "mm/s", "cm/s"], Says("m/s | mm/s | cm/s")] = "m/s"
+    axes: Annotated[str, Says('frd | flu | a signed permutation such as "+x-y-z"')] = "frd"
+    stamp: Annotated[str, Says("header | log_time | publish_time | a field path")] = "header"
+    latency_s: Annotated[float, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
+    beam_tilt_deg: Annotated[
+        Annotated[float, Meta(gt=0, lt=90)] | None, Says("from the DVL's z axis; left out: by the message, else 30")
+    ] = None
+    beam_azimuth_deg: Annotated[
+        tuple[float, ...] | None,
+        Says("from forward towards starboard; left out: by the message, else 45, 135, 225, 315"),
+    ] = None
+    lever_arm_m: Annotated[Vector, Says("IMU to DVL, forward-starboard-down")] = (0.0, 0.0, 0.0)
+    mounting_rpy_deg: Annotated[Vector, Says("DVL to body, roll, pitch, heading")] = (0.0, 0.0, 0.0)
+    scale: Annotated[Positive, Says("measured over true velocity; readings are divided by it")] = 1.0
+    velocity_sd_mps: Annotated[Positive, Says("noise of a velocity from all beams, each axis")] = 0.02
+    beam_sd_mps: Annotated[Positive | None, Says("noise of one beam; set, it replaces velocity_sd_mps for beams")] = (
+        None
+    )
+    max_beam_residual_mps: Annotated[
+        Positive | None, Says("pings whose beams disagree by more are dropped; left out: none")
+    ] = None
+
+
+class Reference(_Section, frozen=True):
+    """The solution to start from and to compare with; position, velocity and attitude are each optional."""
+
+    topic: Annotated[str | None, Says("left out: found by type")] = None
+    fix: Annotated[str | None, Says("topic of the geographic position; left out: found by type")] = None
+    axes: Annotated[Literal["ned_frd", "enu_flu"] | None, Says("ned_frd | enu_flu; left out: by type")] = None
+    stamp: Annotated[str, Says("header | log_time | publish_time | a field path")] = "header"
+    latency_s: Annotated[float, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
+
+
+class Initial(_Section, frozen=True):
+    """State and uncertainty at the start. The uncertainties are the paper's, reconstructed."""
+
+    source: Annotated[
+        Literal["reference", "level"], Says("reference | level (from gravity, with the angles below)")
+    ] = "reference"
+    heading_deg: Annotated[float | None, Says("needed with source = level")] = None
+    latitude_deg: Annotated[
+        Annotated[float, Meta(ge=-89.9, le=89.9)] | None, Says("needed where the reference has no position")
+    ] = None
+    longitude_deg: Annotated[float, Says("used where the reference has no position")] = 0.0
+    height_m: Annotated[float, Says("used where the reference has no position")] = 0.0
+    velocity_sd_mps: Annotated[Positive, Says("each axis")] = 0.1
+    misalignment_sd_deg: Annotated[tuple[Positive, Positive, Positive], Says("north, east, down")] = (0.5, 0.5, 0.5)
+    accel_bias_sd_mg: Annotated[Positive, Says("each axis")] = 50.0
+    gyro_bias_sd_degph: Annotated[Positive, Says("each axis")] = 10.0
+
+
+class Noise(_Section, frozen=True):
+    """What the filters assume of the inertial sensors."""
+
+    accel_white_mps_rts: Annotated[NotNegative, Says("m/s/sqrt(s)")] = 0.20
+    gyro_white_rad_rts: Annotated[NotNegative, Says("rad/sqrt(s)")] = 3.7e-5
+    accel_bias_walk_mps2_rts: Annotated[NotNegative, Says("m/s^2/sqrt(s)")] = 1e-6
+    gyro_bias_walk_radps_rts: Annotated[NotNegative, Says("rad/s/sqrt(s)")] = 1e-10
+
+
+class Acceleration(_Section, frozen=True):
+    """The acceleration fitted to past DVL velocities, and how the filter uses it."""
+
+    model: Annotated[Literal["windowed", "published"], Says("windowed | published (the paper's, without w x v)")] = (
+        "windowed"
+    )
+    window: Annotated[Annotated[int, Meta(ge=2)], Says("number of velocities, 2 or more")] = 3
+    order: Annotated[Annotated[int, Meta(ge=1)], Says("of the fitted polynomial, below window")] = 1
+    sd_mps2: Annotated[Positive | None, Says("left out: from the DVL's and the accelerometer's noise")] = None
+    max_window_gap_s: Annotated[Positive, Says("a longer pause between pings starts a new window")] = 2.5
+
+
+class Filter(_Section, frozen=True):
+    """One filter. The first of the configuration is the baseline."""
+
+    aiding: Annotated[tuple[Literal["velocity", "acceleration"], ...], Says("measurements, in this order")]
+    gate_probability: Annotated[
+        Annotated[float, Meta(gt=0, le=1)], Says("an innovation outside this share of chi-square is rejected; 1: none")
+    ] = 1.0
+    accel_white_mps_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
+    gyro_white_rad_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
+    accel_bias_walk_mps2_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
+    gyro_bias_walk_radps_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
+    velocity_sd_mps: Annotated[Positive | None, Says("left out: from [dvl]")] = None
+    beam_sd_mps: Annotated[Positive | None, Says("left out: from [dvl]")] = None
+    acceleration: Acceleration | None = None
+
+
+def _default_filters() -> dict[str, Filter]:
+    return {
+        "baseline": Filter(aiding=("velocity",)),
+        "aided": Filter(aiding=("velocity", "acceleration"), acceleration=Acceleration(sd_mps2=0.103)),
+    }
+
+
+class Span(_Section, frozen=True):
+    """The part of the dive to replay."""
+
+    start_s: Annotated[float | None, Says("seconds from the first IMU sample; left out: from the start")] = None
+    end_s: Annotated[float | None, Says("seconds from the first IMU sample; left out: to the end")] = None
+
+
+class Config(_Section, frozen=True):
+    """All settings of a replay."""
+
+    imu: Imu = Imu()
+    dvl: Dvl = Dvl()
+    reference: Reference = Reference()
+    initial: Initial = Initial()
+    noise: Noise = Noise()
+    span: Span = Span()
+    filters: dict[str, Filter] = msgspec.field(default_factory=_default_filters)
+
+    @property
+    def baseline(self) -> str:
+        """Name of the first filter."""
+        return next(iter(self.filters))

@@ -1,0 +1,226 @@
+"""Settings from TOML and back: strict, so that a mistyped key is an error that names the nearest known one.
+
+Precedence: defaults, then preset, then file, then command line.
+"""
+
+import difflib
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import msgspec
+from msgspec import Struct
+
+from insdvl_replay.config import Config
+from insdvl_replay.errors import ConfigError
+
+PRESETS = ("levy-klein", "fog", "tactical", "mems")
+
+
+def load_config(preset: str | None = None, file: Path | None = None, overrides: Sequence[str] = ()) -> Config:
+    """Resolve the settings: defaults < preset < file < overrides.
+
+    Parameters
+    ----------
+    preset : str, optional
+        One of `PRESETS`.
+    file : Path, optional
+        TOML. A file with a ``[filters]`` section names all filters; other keys change one setting each.
+    overrides : sequence of str
+        ``section.key=value`` with a TOML value; a bare word is taken as a string.
+
+    Returns
+    -------
+    Config
+
+    Raises
+    ------
+    ConfigError
+        Unknown preset, unreadable file, unknown key (with the nearest known one), value of the wrong kind or range.
+    """
+    settings: dict[str, Any] = msgspec.to_builtins(Config())
+    settings = _merged(settings, _read_preset(preset or PRESETS[0]))
+    if file is not None:
+        from_file = _read_toml(file)
+        _check_keys(from_file, where=str(file))
+        if "filters" in from_file:
+            settings.pop("filters")
+        settings = _merged(settings, from_file)
+    for text in overrides:
+        override = _parse_override(text)
+        _check_keys(override, where=f"--set {text}")
+        settings = _merged(settings, override)
+    return _converted(settings, where=str(file) if file else "the configuration")
+
+
+def _read_preset(name: str) -> dict[str, Any]:
+    if name not in PRESETS:
+        raise ConfigError(f"preset '{name}' is not known", f"use one of: {', '.join(PRESETS)}")
+    return tomllib.loads(resources.files("insdvl_replay").joinpath("presets", f"{name}.toml").read_text("utf-8"))
+
+
+def _read_toml(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text("utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be read: {error.strerror}", "check the path given to -c") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(
+            f"{file}: is not UTF-8 text (byte {error.start})", "a configuration is a TOML file"
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{file}: is not valid TOML: {error}", "`insdvl-replay config` prints a valid one") from error
+
+
+def _parse_override(text: str) -> dict[str, Any]:
+    path, equals, value = text.partition("=")
+    keys = path.strip().split(".")
+    if not equals or not all(keys) or len(keys) < 2:
+        raise ConfigError(f"--set {text}: is not of the form section.key=value", "for example --set dvl.scale=1.01")
+    try:
+        parsed: Any = tomllib.loads(f"value = {value.strip()}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value.strip()
+    for key in reversed(keys):
+        parsed = {key: parsed}
+    return dict(parsed)
+
+
+def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in changes.items():
+        old = merged.get(key)
+        merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return merged
+
+
+def _section_types(struct: type[Struct]) -> dict[str, type[Struct]]:
+    """Find the tables inside a table, each with the structure of its keys; ``*`` stands for any name."""
+    sections = {}
+    for name, hint in get_type_hints(struct).items():
+        if get_origin(hint) is dict:
+            sections[name] = hint
+        for candidate in (hint, *get_args(hint)):
+            if isinstance(candidate, type) and issubclass(candidate, Struct) and get_origin(hint) is not dict:
+                sections[name] = candidate
+    return sections
+
+
+def _check_keys(settings: Mapping[str, Any], where: str, struct: type[Struct] = Config, path: str = "") -> None:
+    """Refuse unknown keys, naming the nearest known one."""
+    sections = _section_types(struct)
+    known = struct.__struct_fields__
+    for key, value in settings.items():
+        if key not in known:
+            nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+            hint = f"did you mean {path}{nearest[0]}?" if nearest else f"known here: {', '.join(known)}"
+            raise ConfigError(f"{where}: unknown key {path}{key}", hint)
+        inner = sections.get(key)
+        if inner is None:
+            continue
+        if not isinstance(value, Mapping):
+            raise ConfigError(f"{where}: {path}{key} is a section, found {value!r}", f"write [{path}{key}]")
+        if get_origin(inner) is dict:
+            for name, entry in value.items():
+                if isinstance(entry, Mapping):
+                    _check_keys(entry, where, get_args(inner)[1], f"{path}{key}.{name}.")
+        else:
+            _check_keys(value, where, inner, f"{path}{key}.")
+
+
+def _converted(settings: Mapping[str, Any], where: str) -> Config:
+    try:
+        config = msgspec.convert(settings, Config)
+    except msgspec.ValidationError as error:
+        sentence, _, place = str(error).partition(" - at `$.")
+        key = place.rstrip("`") or "the top level"
+        raise ConfigError(
+            f"{where}: {key}: {sentence[0].lower()}{sentence[1:]}{_found(settings, key)}",
+            "`insdvl-replay config` prints every key with its kind and unit",
+        ) from error
+    _check_filters(config, where)
+    return config
+
+
+def _found(settings: Mapping[str, Any], key: str) -> str:
+    value: Any = settings
+    for part in key.replace("[...]", ".*").split("."):
+        if not isinstance(value, Mapping) or part not in value:
+            return ""
+        value = value[part]
+    return f", found {value!r}"
+
+
+def _check_filters(config: Config, where: str) -> None:
+    if not config.filters:
+        raise ConfigError(f"{where}: no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]')
+    for name, filter_ in config.filters.items():
+        if not (name.isascii() and name.isidentifier()):
+            raise ConfigError(
+                f"{where}: filter name '{name}' is not made of letters, digits and _",
+                "the name becomes part of topics and rows",
+            )
+        if not filter_.aiding or len(set(filter_.aiding)) != len(filter_.aiding):
+            raise ConfigError(
+                f"{where}: filters.{name}.aiding names a measurement twice or none", 'aiding = ["velocity"]'
+            )
+        acceleration = filter_.acceleration
+        if "acceleration" in filter_.aiding and acceleration is None:
+            raise ConfigError(
+                f"{where}: filters.{name} is aided by acceleration but does not say how",
+                f'[filters.{name}] acceleration = {{ model = "windowed", window = 3 }}',
+            )
+        if acceleration is not None and acceleration.order >= acceleration.window:
+            raise ConfigError(
+                f"{where}: filters.{name}.acceleration.order = {acceleration.order} needs a window above "
+                f"{acceleration.order}, found {acceleration.window}",
+                f"window = {acceleration.order + 1}",
+            )
+
+
+def render_toml(config: Config) -> str:
+    """Write the settings as commented TOML; reading it back gives the same settings.
+
+    Parameters
+    ----------
+    config : Config
+
+    Returns
+    -------
+    str
+        Keys that are left out stand as comments.
+    """
+    return "\n".join(_toml_lines(config, "")).strip() + "\n"
+
+
+def _toml_lines(section: Struct, path: str) -> Iterator[str]:
+    hints = get_type_hints(type(section), include_extras=True)
+    tables: list[tuple[str, Struct]] = []
+    for name in section.__struct_fields__:
+        value = getattr(section, name)
+        if isinstance(value, Struct):
+            tables.append((f"{path}{name}", value))
+        elif isinstance(value, dict):
+            tables += [(f"{path}{name}.{key}", entry) for key, entry in value.items()]
+        elif name in hints and get_origin(hints[name]) is Annotated:
+            yield _toml_key(name, value, hints[name].__metadata__[-1].description)
+    for table_path, table in tables:
+        yield f"\n[{table_path}]"
+        yield from _toml_lines(table, f"{table_path}.")
+
+
+def _toml_key(name: str, value: object, comment: str) -> str:
+    text = f"# {name} =" if value is None else f"{name} = {_toml_value(value)}"
+    return f"{text:<40}  # {comment}"
+
+
+def _toml_value(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return msgspec.json.encode(value).decode()
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(_toml_value(item) for item in value)}]"
+    return repr(value)

@@ -1,0 +1,74 @@
+"""The WGS-84 Earth: rotation, gravity, radii of curvature.
+
+Written with numpy functions that take numbers and arrays alike; `nav.strapdown` compiles the same text for its loop.
+Source: NIMA TR8350.2, "Department of Defense World Geodetic System 1984", third edition, chapters 3 and 4.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+
+EARTH_RATE: Final = 7.292115e-5
+"""Rotation rate of the Earth, rad/s."""
+SEMI_MAJOR_M: Final = 6378137.0
+"""Semi-major axis of the ellipsoid, m."""
+ECCENTRICITY_2: Final = 6.69437999014e-3
+"""First eccentricity squared."""
+GRAVITY_EQUATOR: Final = 9.7803253359
+"""Normal gravity at the equator, m/s^2."""
+SOMIGLIANA_K: Final = 1.931852652458e-3
+"""Somigliana's constant of normal gravity."""
+FLATTENING: Final = 1.0 / 298.257223563
+"""Flattening of the ellipsoid."""
+GRAVITY_RATIO: Final = 3.449786506841e-3
+"""Ratio of centrifugal acceleration to gravity at the equator, m = w^2 a^2 b / GM."""
+
+
+def normal_gravity(latitude: Any, height_m: Any) -> Any:
+    """Give the magnitude of normal gravity, Somigliana's formula with the second-order height term.
+
+    Parameters
+    ----------
+    latitude : float or ndarray
+        rad
+    height_m : float or ndarray
+        Above the ellipsoid; negative for a dive.
+
+    Returns
+    -------
+    float or ndarray, m/s^2
+    """
+    sin2 = np.sin(latitude) ** 2
+    surface = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA_K * sin2) / np.sqrt(1.0 - ECCENTRICITY_2 * sin2)
+    linear = 2.0 / SEMI_MAJOR_M * (1.0 + FLATTENING + GRAVITY_RATIO - 2.0 * FLATTENING * sin2)
+    return surface * (1.0 - linear * height_m + 3.0 * height_m**2 / SEMI_MAJOR_M**2)
+
+
+def meridian_radius_m(latitude: Any) -> Any:
+    """Give the radius of curvature north-south, R_N.
+
+    Parameters
+    ----------
+    latitude : float or ndarray
+        rad
+
+    Returns
+    -------
+    float or ndarray, m
+    """
+    return SEMI_MAJOR_M * (1.0 - ECCENTRICITY_2) / (1.0 - ECCENTRICITY_2 * np.sin(latitude) ** 2) ** 1.5
+
+
+def transverse_radius_m(latitude: Any) -> Any:
+    """Give the radius of curvature east-west, R_E.
+
+    Parameters
+    ----------
+    latitude : float or ndarray
+        rad
+
+    Returns
+    -------
+    float or ndarray, m
+    """
+    return SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_2 * np.sin(latitude) ** 2)

@@ -1,0 +1,64 @@
+"""What the tool says to its user: errors that end the work, notes that go with the result."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Severity = Literal["info", "warning"]
+
+
+class UserError(Exception):
+    """One sentence with file, place and value, and a hint with something to copy.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong, where, and which value was found.
+    hint : str
+        What to do about it.
+    """
+
+    exit_code = 2
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+    def __reduce__(self) -> tuple[type["UserError"], tuple[str, str]]:
+        """Keep the hint when the error crosses a process boundary."""
+        return type(self), (self.message, self.hint)
+
+
+class ConfigError(UserError):
+    """The command line or the configuration asks for something that cannot be (exit code 2)."""
+
+
+class LogError(UserError):
+    """A log cannot be used (exit code 3)."""
+
+    exit_code = 3
+
+
+@dataclass(frozen=True)
+class Note:
+    """A warning as data: what was dropped, assumed or found odd, how often, and since when.
+
+    Attributes
+    ----------
+    code : str
+        Stable name for scripts, for example ``imu_gaps``.
+    text : str
+        One sentence for people, with values and units.
+    count : int
+        How many samples, messages or places it concerns.
+    severity : {'info', 'warning'}
+        A warning may change how far the tables are to be believed; ``--strict`` makes it an error.
+    hint : str
+        Which configuration key or command helps, if any does.
+    """
+
+    code: str
+    text: str
+    count: int = 1
+    severity: Severity = "info"
+    hint: str = ""

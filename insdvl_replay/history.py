@@ -1,0 +1,85 @@
+"""What one filter believed and when, and each innovation it met."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.columns import Floats, TimeNs
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """All updates of one kind of measurement.
+
+    Attributes
+    ----------
+    measurement : str
+        ``velocity`` or ``acceleration``.
+    unit : str
+        Unit of the innovation.
+    time_ns : ndarray, shape (m,)
+        Time of each update.
+    measured_b : ndarray, shape (m, 3)
+        What the DVL said, in b.
+    innovation_b : ndarray, shape (m, 3)
+        Predicted minus measured, in b.
+    sd_b : ndarray, shape (m, 3)
+        Square roots of the diagonal of S = H P H' + R.
+    nis : ndarray, shape (m,)
+        Normalised innovation squared, z' S^-1 z.
+    used : ndarray of bool, shape (m,)
+        False where the gate rejected it.
+    """
+
+    measurement: str
+    unit: str
+    time_ns: TimeNs
+    measured_b: Floats
+    innovation_b: Floats
+    sd_b: Floats
+    nis: Floats
+    used: NDArray[np.bool_]
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of one innovation."""
+        return int(self.innovation_b.shape[1])
+
+
+@dataclass(frozen=True)
+class History:
+    """States and uncertainties of one filter at the start, after each ping, at each reference time and at the end.
+
+    Attributes
+    ----------
+    filter : str
+        The filter's name in the configuration.
+    time_ns : ndarray, shape (k,)
+        Times, strictly increasing.
+    position : ndarray, shape (k, 3)
+        Latitude rad, longitude rad, height m.
+    velocity_n : ndarray, shape (k, 3)
+        Velocity over ground, m/s.
+    mat_nb : ndarray, shape (k, 3, 3)
+        Attitude.
+    accel_bias_b, gyro_bias_b : ndarray, shape (k, 3)
+        Estimated sensor biases, m/s^2 and rad/s.
+    sd : ndarray, shape (k, 12)
+        Square roots of the diagonal of P, SI units, in the order of `states.STATES`.
+    cov : ndarray, shape (k, 12, 12), or None
+        P itself, where it was asked for.
+    innovations : tuple of Innovations
+        One entry for each kind of aiding, in the filter's order.
+    """
+
+    filter: str
+    time_ns: TimeNs
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+    sd: Floats
+    cov: Floats | None
+    innovations: tuple[Innovations, ...]

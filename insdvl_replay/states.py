@@ -1,0 +1,73 @@
+"""The 12 error states, once: every label, column, axis, unit and gate comes from this table."""
+
+from dataclasses import dataclass
+from typing import Final
+
+DEG: Final = 0.017453292519943295
+"""One degree in rad."""
+MRAD: Final = 1e-3
+"""One milliradian in rad."""
+MG: Final = 9.80665e-3
+"""One thousandth of standard gravity in m/s^2."""
+DEG_PER_HOUR: Final = DEG / 3600.0
+"""One degree per hour in rad/s."""
+
+
+@dataclass(frozen=True)
+class State:
+    """One error state.
+
+    Attributes
+    ----------
+    index : int
+        Row in the error state vector.
+    id : str
+        Name in tables, columns and gates.
+    label : str
+        Name in words.
+    symbol : str
+        The paper's symbol.
+    si_unit, unit : str
+        Unit inside, and unit shown.
+    factor : float
+        One shown unit in SI: ``shown = si / factor``.
+    """
+
+    index: int
+    id: str
+    label: str
+    symbol: str
+    si_unit: str
+    unit: str
+    factor: float
+
+
+DV: Final = slice(0, 3)
+"""Velocity error, in n."""
+PHI: Final = slice(3, 6)
+"""Misalignment, in n."""
+BA: Final = slice(6, 9)
+"""Accelerometer bias, in b."""
+BG: Final = slice(9, 12)
+"""Gyro bias, in b."""
+
+
+def _triplet(
+    first: int, id_: str, label: str, symbol: str, axes: str, si_unit: str, unit: str, factor: float
+) -> list[State]:
+    words = {"n": "north", "e": "east", "d": "down", "x": "x", "y": "y", "z": "z"}
+    return [
+        State(first + i, f"{id_}_{axis}", f"{label}, {words[axis]}", f"{symbol}_{axis}", si_unit, unit, factor)
+        for i, axis in enumerate(axes)
+    ]
+
+
+STATES: Final[tuple[State, ...]] = (
+    *_triplet(0, "dv", "velocity error", "δv", "ned", "m/s", "m/s", 1.0),
+    *_triplet(3, "phi", "misalignment", "φ", "ned", "rad", "mrad", MRAD),
+    *_triplet(6, "ba", "accelerometer bias", "b_a", "xyz", "m/s^2", "mg", MG),
+    *_triplet(9, "bg", "gyro bias", "b_g", "xyz", "rad/s", "deg/h", DEG_PER_HOUR),
+)
+
+NINE: Final[tuple[State, ...]] = STATES[3:]
+"""The nine states whose mean the paper reports: all but the velocity errors, which the DVL measures directly."""
