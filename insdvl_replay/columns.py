@@ -14,6 +14,21 @@ Floats = NDArray[np.float64]
 TimeNs = NDArray[np.int64]
 
 
+def seconds(time_ns: TimeNs, origin_ns: int | TimeNs) -> Floats:
+    """Give the seconds since an origin, exact to the nanosecond for spans of months.
+
+    Parameters
+    ----------
+    time_ns : ndarray of int64
+    origin_ns : int or ndarray of int64
+
+    Returns
+    -------
+    ndarray, s
+    """
+    return (time_ns - origin_ns).astype(np.float64) * 1e-9
+
+
 @dataclass(frozen=True)
 class ImuColumns:
     """Readings of the accelerometers and gyros.

@@ -1,4 +1,4 @@
-"""Frozen settings of a replay, each key with its unit; the defaults are the preset ``levy-klein``, the paper's.
+"""Frozen settings of a replay, each key with its unit. The defaults are the paper's setting, preset ``levy-klein``.
 
 `config_file` reads and writes them as TOML.
 """

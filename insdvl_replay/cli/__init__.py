@@ -1,0 +1,50 @@
+"""The door: it parses, calls, prints and exits. Nothing else prints, and exit codes are made here alone.
+
+0 done; 2 usage or configuration; 3 a log cannot be used; 4 a mistake of ours; 130 interrupted.
+"""
+
+import signal
+import sys
+from types import FrameType
+from typing import NoReturn
+
+INTERRUPTED = 130
+
+
+def main() -> NoReturn:
+    """Run the command line and leave with its exit code."""
+    sys.exit(run_command_line(sys.argv[1:]))
+
+
+def run_command_line(arguments: list[str]) -> int:
+    """Run one command.
+
+    Parameters
+    ----------
+    arguments : list of str
+        What follows the program's name.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
+    try:
+        signal.signal(signal.SIGTERM, _interrupt)
+        # Imported here, so that an interruption during the import is told like any other.
+        from insdvl_replay.cli.app import app
+        from insdvl_replay.cli.messages import tell_failure
+
+        try:
+            code = int(app(arguments, prog_name="insdvl-replay", standalone_mode=False) or 0)
+        except Exception as error:
+            return tell_failure(error)
+    except (KeyboardInterrupt, SystemExit):
+        code = INTERRUPTED
+    if code == INTERRUPTED:
+        print("error: interrupted", file=sys.stderr)
+    return code
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt

@@ -1,0 +1,40 @@
+"""The commands, gathered."""
+
+from typing import Annotated
+
+import typer
+
+from insdvl_replay import __version__
+from insdvl_replay.cli.config import config
+from insdvl_replay.cli.messages import emit
+from insdvl_replay.cli.run import run
+from insdvl_replay.cli.schema import schema
+from insdvl_replay.cli.simulate import simulate
+
+# Plain help: rich would add 0.1 s to it, and cut it where it is piped.
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+for command in (run, simulate, config, schema):
+    app.command()(command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        emit(f"insdvl-replay {__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def insdvl_replay(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Replay a dive through two navigation filters and say whether the change really helped.
+
+    Exit codes: 0 done; 2 usage or configuration; 3 a log cannot be used; 4 a mistake of ours; 130 interrupted.
+
+    \b
+    Example:
+      insdvl-replay simulate straight -o dive.mcap
+      insdvl-replay run dive.mcap
+    """

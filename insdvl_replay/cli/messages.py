@@ -1,0 +1,84 @@
+"""What the tool says: results to stdout, everything else to stderr."""
+
+import os
+import sys
+import traceback
+from collections.abc import Iterable
+
+import typer
+
+from insdvl_replay.errors import Note, UserError
+
+OUR_MISTAKE = 4
+
+# typer exports no UsageError, and keeps click inside itself since 0.20: this finds the class wherever it lives.
+UsageError = typer.BadParameter.__mro__[1]
+
+
+def emit(text: str) -> None:
+    """Write a result to stdout. A reader that went away (``| head``) ends the printing, not the work."""
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def tell(text: str) -> None:
+    """Say something that is not a result."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def tell_notes(notes: Iterable[Note], *, verbose: bool) -> None:
+    """Say the warnings; all notes if verbose."""
+    for note in notes:
+        if verbose or note.severity == "warning":
+            tell(f"{note.severity}: {note.text} [{note.code}]")
+            if note.hint:
+                tell(f"hint: {note.hint}")
+
+
+def tell_failure(error: Exception) -> int:
+    """Say what went wrong, in one sentence and a hint, and with ``-vv`` where.
+
+    Parameters
+    ----------
+    error : Exception
+
+    Returns
+    -------
+    int
+        The exit code that belongs to it.
+    """
+    if verbosity(sys.argv[1:]) >= 2:
+        traceback.print_exception(error)
+    code, message, hint = _explained(error)
+    tell(f"error: {message}")
+    if hint:
+        tell(f"hint: {hint}")
+    return code
+
+
+def verbosity(arguments: Iterable[str]) -> int:
+    """Count ``-v`` as it was typed, for failures that come before the options are parsed."""
+    return sum(len(word) - 1 for word in arguments if word.startswith("-v") and set(word[1:]) == {"v"})
+
+
+def _explained(error: Exception) -> tuple[int, str, str]:
+    if isinstance(error, UserError):
+        return error.exit_code, error.message, error.hint
+    if isinstance(error, UsageError):
+        return _explained_usage(error)
+    return (
+        OUR_MISTAKE,
+        f"this is a mistake in insdvl-replay: {type(error).__name__}: {error}",
+        "run it again with -vv and report what it prints, with the output of `insdvl-replay --version`",
+    )
+
+
+def _explained_usage(error: Exception) -> tuple[int, str, str]:
+    """Bring the parser's errors into the form of all others."""
+    sentence = str(error.format_message()).strip().replace("\n", " ")  # type: ignore[attr-defined]
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context is not None else "insdvl-replay"
+    return 2, sentence[:1].lower() + sentence[1:].rstrip("."), f"`{command} --help` shows what it takes"

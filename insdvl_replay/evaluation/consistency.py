@@ -1,0 +1,87 @@
+"""Whether a filter's innovations are as large as it says: the mean NIS and its chi-square interval."""
+
+import numpy as np
+import pandas as pd
+from scipy.special import chdtri
+
+from insdvl_replay.history import History, Innovations
+
+CONFIDENCE = 0.95
+"""Share of consistent filters whose mean lies inside the interval."""
+FEWEST_UPDATES = 10
+"""With fewer updates the verdict is ``too few``."""
+
+
+def chi_square_quantile(probability: float, dof: float) -> float:
+    """Give the value below which a chi-square variable lies with a probability; infinite for probability 1."""
+    return float("inf") if probability >= 1.0 else float(chdtri(dof, 1.0 - probability))
+
+
+def mean_interval(dof: int, count: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Give the interval in which the mean of chi-square variables lies.
+
+    The sum of ``count`` independent variables with ``dof`` degrees of freedom has ``count * dof`` of them.
+
+    Parameters
+    ----------
+    dof : int
+        Of one variable.
+    count : int
+        How many are averaged.
+    confidence : float
+        Probability of the interval, two-sided.
+
+    Returns
+    -------
+    low, high : float
+    """
+    tail = (1.0 - confidence) / 2.0
+    return (
+        chi_square_quantile(tail, count * dof) / count,
+        chi_square_quantile(1.0 - tail, count * dof) / count,
+    )
+
+
+def verdict(mean: float, low: float, high: float) -> str:
+    """Say what a mean NIS or NEES means for the filter's own uncertainty."""
+    if not np.isfinite(mean):
+        return "not finite"
+    if mean > high:
+        return "over-confident"
+    return "over-cautious" if mean < low else "consistent"
+
+
+def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
+    """Judge each filter's innovations, measurement by measurement.
+
+    Parameters
+    ----------
+    log : str
+        Name of the dive.
+    histories : tuple of History
+        All filters; the baseline has rows of its own.
+
+    Returns
+    -------
+    DataFrame
+        Columns log, filter, measurement, dof, used, rejected, mean_nis, low, high, verdict (``consistent``,
+        ``over-confident``, ``over-cautious``, ``too few``). The mean is over the innovations that the gate let pass.
+    """
+    rows = [
+        (log, history.filter, innovations.measurement, innovations.dof, *_judged(innovations))
+        for history in histories
+        for innovations in history.innovations
+    ]
+    names = ["log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict"]
+    return pd.DataFrame(rows, columns=names)
+
+
+def _judged(innovations: Innovations) -> tuple[int, int, float, float, float, str]:
+    used = int(innovations.used.sum())
+    rejected = len(innovations.used) - used
+    if used < FEWEST_UPDATES:
+        nan = float("nan")
+        return used, rejected, nan, nan, nan, "too few"
+    mean_nis = float(innovations.nis[innovations.used].mean())
+    low, high = mean_interval(innovations.dof, used)
+    return used, rejected, mean_nis, low, high, verdict(mean_nis, low, high)

@@ -1,0 +1,201 @@
+"""Error against the reference, at the reference's own times."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs
+from insdvl_replay.earth import meridian_radius_m, transverse_radius_m
+from insdvl_replay.evaluation.believed import improvement_pct
+from insdvl_replay.history import History
+from insdvl_replay.rotation import rpy_from_mat, vector_from_mat, wrap_angle
+from insdvl_replay.states import DEG
+
+QUANTITIES = {
+    "velocity_n": "m/s",
+    "velocity_e": "m/s",
+    "velocity_d": "m/s",
+    "roll": "deg",
+    "pitch": "deg",
+    "heading": "deg",
+    "position_h": "m",
+    "depth": "m",
+    "position_h_pct": "%",
+}
+"""Rows of the table and their units; ``position_h_pct`` is of the distance travelled."""
+
+
+@dataclass(frozen=True)
+class ReferenceErrors:
+    """Estimated minus reference, at the reference's times after the start. NaN where the reference lacks a quantity.
+
+    Attributes
+    ----------
+    time_ns : ndarray, shape (k,)
+        Reference times inside the replay.
+    position_error_ned_m : ndarray, shape (k, 3)
+        North, east, down, m.
+    velocity_error_n : ndarray, shape (k, 3)
+        m/s
+    attitude_error_rad : ndarray, shape (k, 3)
+        Roll, pitch, heading: the error rotation about the vehicle's level forward, level starboard and down axes, rad.
+    distance_m : float
+        Horizontal distance travelled over the compared positions.
+    """
+
+    time_ns: TimeNs
+    position_error_ned_m: Floats
+    velocity_error_n: Floats
+    attitude_error_rad: Floats
+    distance_m: float
+
+
+def reference_errors(history: History, reference: ReferenceColumns) -> ReferenceErrors:
+    """Compare a history with the reference where the history was recorded at the reference's times.
+
+    Parameters
+    ----------
+    history : History
+        Recorded at every reference time inside the replay.
+    reference : ReferenceColumns
+
+    Returns
+    -------
+    ReferenceErrors
+        Without the start, where the filter was set to the reference.
+    """
+    time_ns, ours, theirs = np.intersect1d(history.time_ns[1:], reference.time_ns, return_indices=True)
+    ours += 1
+    position, truth = history.position[ours], reference.position[theirs]
+    return ReferenceErrors(
+        time_ns,
+        north_east_down_m(position, truth),
+        history.velocity_n[ours] - reference.velocity_n[theirs],
+        attitude_error(history.mat_nb[ours], reference.mat_nb[theirs]),
+        distance_travelled_m(truth),
+    )
+
+
+def north_east_down_m(position: Floats, origin: Floats) -> Floats:
+    """Give the way from one position to a near one, in north-east-down.
+
+    Parameters
+    ----------
+    position, origin : ndarray, shape (k, 3)
+        Latitude rad, longitude rad, height m.
+
+    Returns
+    -------
+    ndarray, shape (k, 3), m
+    """
+    latitude, height_m = origin[:, 0], origin[:, 2]
+    level_m = np.where(np.isfinite(height_m), height_m, 0.0)
+    north = (position[:, 0] - latitude) * (meridian_radius_m(latitude) + level_m)
+    east = wrap_angle(position[:, 1] - origin[:, 1]) * (transverse_radius_m(latitude) + level_m) * np.cos(latitude)
+    return np.column_stack([north, east, height_m - position[:, 2]])
+
+
+def distance_travelled_m(position: Floats) -> float:
+    """Sum the horizontal distances between consecutive known positions.
+
+    Parameters
+    ----------
+    position : ndarray, shape (k, 3)
+        Latitude rad, longitude rad, height m; rows without a position are passed over.
+
+    Returns
+    -------
+    float, m
+    """
+    known = position[np.isfinite(position[:, :2]).all(axis=1)]
+    steps = north_east_down_m(known[1:], known[:-1])
+    return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+
+
+def attitude_error(mat_nb: Floats, mat_nb_reference: Floats) -> Floats:
+    """Give the error rotation as roll, pitch and heading error.
+
+    The rotation vector of ``C_hat C'``, which lies in n, is turned by the reference's heading to the vehicle's level
+    axes. Differences of Euler angles would blow up near the vertical; these do not, and are the same for small errors.
+
+    Parameters
+    ----------
+    mat_nb, mat_nb_reference : ndarray, shape (k, 3, 3)
+
+    Returns
+    -------
+    ndarray, shape (k, 3), rad
+    """
+    known = np.isfinite(mat_nb_reference).all(axis=(1, 2))
+    error = np.full((len(mat_nb), 3), np.nan)
+    vector_n = vector_from_mat(mat_nb[known] @ np.swapaxes(mat_nb_reference[known], 1, 2))
+    heading = rpy_from_mat(mat_nb_reference[known])[:, 2]
+    cos, sin = np.cos(heading), np.sin(heading)
+    error[known, 0] = cos * vector_n[:, 0] + sin * vector_n[:, 1]
+    error[known, 1] = -sin * vector_n[:, 0] + cos * vector_n[:, 1]
+    error[known, 2] = vector_n[:, 2]
+    return error
+
+
+def reference_error_table(log: str, histories: tuple[History, ...], errors: dict[str, ReferenceErrors]) -> pd.DataFrame:
+    """Set the candidates' error against the reference beside the baseline's.
+
+    Parameters
+    ----------
+    log : str
+        Name of the dive.
+    histories : tuple of History
+        The first is the baseline.
+    errors : dict of str to ReferenceErrors
+        By filter name; empty where the dive has no reference.
+
+    Returns
+    -------
+    DataFrame
+        Columns log, filter, quantity, unit, baseline_rmse, rmse, improvement_pct, baseline_final, final, samples,
+        status (``compared``, ``no reference``, ``not in reference``); 9 rows for each candidate. Final errors keep
+        their sign.
+    """
+    names = [
+        "log", "filter", "quantity", "unit", "baseline_rmse", "rmse", "improvement_pct",
+        "baseline_final", "final", "samples", "status",
+    ]  # fmt: skip
+    baseline, *candidates = (history.filter for history in histories)
+    summaries = {name: _summary(error) for name, error in errors.items()}
+    rows = []
+    for candidate in candidates:
+        for quantity, unit in QUANTITIES.items():
+            if not errors:
+                nan = float("nan")
+                rows.append((log, candidate, quantity, unit, nan, nan, nan, nan, nan, 0, "no reference"))
+                continue
+            before_rmse, before_final, samples = summaries[baseline][quantity]
+            rmse, final, _ = summaries[candidate][quantity]
+            status = "compared" if samples else "not in reference"
+            change_pct = improvement_pct(before_rmse, rmse)
+            rows.append(
+                (log, candidate, quantity, unit, before_rmse, rmse, change_pct, before_final, final, samples, status)
+            )
+    return pd.DataFrame(rows, columns=names)
+
+
+def _summary(errors: ReferenceErrors) -> dict[str, tuple[float, float, int]]:
+    """Give rms, final error and number of samples of each quantity, in its shown unit."""
+    horizontal_m = np.hypot(errors.position_error_ned_m[:, 0], errors.position_error_ned_m[:, 1])
+    per_cent = 100.0 / errors.distance_m if errors.distance_m > 0.0 else float("nan")
+    columns = [
+        *errors.velocity_error_n.T,
+        *(errors.attitude_error_rad.T / DEG),
+        horizontal_m,
+        errors.position_error_ned_m[:, 2],
+        horizontal_m * per_cent,
+    ]
+    return {quantity: _rms_final_samples(column) for quantity, column in zip(QUANTITIES, columns, strict=True)}
+
+
+def _rms_final_samples(error: Floats) -> tuple[float, float, int]:
+    known = error[np.isfinite(error)]
+    if not len(known):
+        return float("nan"), float("nan"), 0
+    return float(np.sqrt(np.mean(known**2))), float(known[-1]), len(known)

@@ -1,0 +1,225 @@
+"""Columns of chosen fields, from the bytes of a block of messages.
+
+Messages whose strings and sequences have the same lengths share one `layout`, and are read as the rows of one
+structured array. In most logs all messages of a channel do.
+"""
+
+import difflib
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.errors import LogError
+from insdvl_replay.logs.chunks import Block, gather
+from insdvl_replay.logs.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
+from insdvl_replay.logs.ros2msg import PRIMITIVES, Definition, full_name
+
+Columns = dict[str, NDArray[Any]]
+"""By field path, one row per message and one column per number; int64 where all numbers are whole, else float64."""
+
+_ENCAPSULATIONS: Final = {
+    0x00: "big-endian CDR",
+    0x02: "a big-endian parameter list",
+    0x03: "a parameter list",
+    0x06: "big-endian XCDR2",
+    0x07: "XCDR2",
+    0x08: "big-endian delimited XCDR2",
+    0x09: "delimited XCDR2",
+    0x0A: "a big-endian XCDR2 parameter list",
+    0x0B: "an XCDR2 parameter list",
+}
+_LONGEST_PADDING: Final = 3
+
+
+class CdrReader:
+    """Reads some fields of all messages of one type.
+
+    Parameters
+    ----------
+    definitions : mapping of str to Definition
+        The type and all types in it.
+    type_name : str
+        Type of the messages.
+    paths : sequence of str
+        The fields: dotted names, with ``[2]`` for one element of an array or sequence and ``[*]`` for all. A path that
+        ends at a structure means all numbers in it, in their order.
+    place : str
+        File and topic, for messages to the user.
+
+    Raises
+    ------
+    LogError
+        The type has no such field.
+    """
+
+    def __init__(self, definitions: Mapping[str, Definition], type_name: str, paths: Sequence[str], place: str) -> None:
+        self._definitions = definitions
+        self._type_name = full_name(type_name)
+        self._paths = tuple(paths)
+        self._place = place
+        self._layouts: dict[tuple[int, ...], Layout] = {}
+        self._leaves: dict[tuple[tuple[int, ...], str], list[tuple[str, int | None]]] = {}
+        self._latest: Layout | None = None
+        for path in paths:
+            self._check_path(path)
+
+    def columns(self, block: Block) -> Columns:
+        """Read the fields of all messages of a block.
+
+        Parameters
+        ----------
+        block : Block
+
+        Returns
+        -------
+        dict of str to ndarray, shape (k, n)
+            By path. Messages whose sequences are shorter than others' are filled up with NaN.
+
+        Raises
+        ------
+        LogError
+            A message is not little-endian CDR, or does not fit its definition.
+        """
+        self._check_encapsulation(block)
+        parts: list[tuple[NDArray[np.int64], Columns]] = []
+        left = np.arange(block.offsets.size)
+        while left.size:
+            rows, messages, layout = self._next_group(block, left)
+            parts.append((rows, {path: self._values(messages, layout, path) for path in self._paths}))
+            left = np.setdiff1d(left, rows, assume_unique=True)
+        return {path: _joined([(rows, part[path]) for rows, part in parts]) for path in self._paths}
+
+    def _check_encapsulation(self, block: Block) -> None:
+        if np.any(block.sizes < len(ENCAPSULATION)):
+            raise LogError(f"{self._place}: a message of {block.sizes.min()} bytes is no CDR", "the log is damaged")
+        kinds = gather(block.buffer, block.offsets, np.dtype("u1, u1"))
+        wrong = kinds[(kinds["f0"] != ENCAPSULATION[0]) | (kinds["f1"] != ENCAPSULATION[1])]
+        if wrong.size:
+            first, second = wrong[0].item()
+            name = _ENCAPSULATIONS.get(second, "no CDR") if first == 0 else "no CDR"
+            raise LogError(
+                f"{self._place}: {wrong.size} of {kinds.size} messages are {name} "
+                f"(they start with bytes '{first:02x} {second:02x}'), not little-endian CDR",
+                "record with the default middleware, or convert the log with `ros2 bag convert`",
+            )
+
+    def _next_group(self, block: Block, left: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.void], Layout]:
+        """Read all messages that share a layout: the latest one if any has it, else that of the first message."""
+        if self._latest is not None:
+            rows, messages = _matching(block, left, self._latest)
+            if rows.size:
+                return rows, messages, self._latest
+        layout = self._latest = self._layout(block, int(left[0]))
+        rows, messages = _matching(block, left, layout)
+        if not rows.size:
+            raise LogError(
+                f"{self._place}: a message of {block.sizes[left[0]]} bytes has {layout.size} by its schema "
+                f"({self._type_name})",
+                "the schema in the log is not that of the messages",
+            )
+        return rows, messages, layout
+
+    def _layout(self, block: Block, row: int) -> Layout:
+        start = int(block.offsets[row])
+        message = block.buffer[start : start + int(block.sizes[row])]
+        try:
+            lengths = dynamic_lengths(self._definitions, self._type_name, message)
+            if lengths not in self._layouts:
+                self._layouts[lengths] = layout_of(self._definitions, self._type_name, lengths)
+        except LogError as error:
+            raise LogError(f"{self._place}: {error.message}", error.hint) from error
+        return self._layouts[lengths]
+
+    def _values(self, messages: NDArray[np.void], layout: Layout, path: str) -> NDArray[Any]:
+        key = (layout.lengths, path)
+        if key not in self._leaves:
+            self._leaves[key] = list(_leaves(layout.dtype, path))
+        leaves = self._leaves[key]
+        fields = [messages[name] if index is None else messages[name][:, index] for name, index in leaves]
+        values = [field.reshape(len(messages), -1) for field in fields]
+        whole = all(value.dtype.kind in "biu" for value in values)
+        columns = np.empty((len(messages), sum(value.shape[1] for value in values)), np.int64 if whole else np.float64)
+        return np.concatenate(values, axis=1, out=columns, casting="unsafe") if values else columns
+
+    def _check_path(self, path: str) -> None:
+        known = dict(_known_paths(self._definitions, self._type_name))
+        kind = known.get(re.sub(r"\[\d+\]", "[*]", path))
+        if kind is None:
+            nearest = difflib.get_close_matches(path, known, n=1, cutoff=0.0)
+            raise LogError(
+                f"{self._place}: {self._type_name} has no field '{path}'",
+                f"the nearest one is '{nearest[0]}'" if nearest else "the type has no fields",
+            )
+        if kind in ("string", "wstring"):
+            raise LogError(f"{self._place}: field '{path}' of {self._type_name} is text", "name a field of numbers")
+
+
+def _matching(block: Block, rows: NDArray[np.int64], layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.void]]:
+    """Read those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
+    excess = block.sizes[rows] - layout.size
+    rows = rows[(excess >= 0) & (excess <= _LONGEST_PADDING)]
+    messages = gather(block.buffer, block.offsets[rows], layout.dtype)
+    words: Any = {
+        "names": [f"f{i}" for i in range(len(layout.lengths))],
+        "formats": ["<u4"] * len(layout.lengths),
+        "offsets": layout.length_offsets,
+        "itemsize": layout.size,
+    }
+    found = messages.view(np.dtype(words))
+    fits = np.ones(rows.size, np.bool_)
+    for i, length in enumerate(layout.lengths):
+        fits &= found[f"f{i}"] == length
+    return (rows, messages) if fits.all() else (rows[fits], messages[fits])
+
+
+def _leaves(dtype: np.dtype[np.void], path: str) -> Iterator[tuple[str, int | None]]:
+    """Find the fields of a layout that a path means, each with the element of it that is meant, or None for all."""
+    base, index = _last_index(path)
+    whole, element = _pattern(path), _pattern(base)
+    for name in dtype.names or ():
+        if dtype[name].base.kind not in "biuf":
+            continue
+        if whole.match(name):
+            yield name, None
+        elif index is not None and dtype[name].shape and element.fullmatch(name):
+            if index == "*":
+                yield name, None
+            elif int(index) < dtype[name].shape[0]:
+                yield name, int(index)
+
+
+def _last_index(path: str) -> tuple[str, str | None]:
+    match = re.fullmatch(r"(.*)\[(\d+|\*)\]", path)
+    return (match[1], match[2]) if match else (path, None)
+
+
+def _pattern(path: str) -> re.Pattern[str]:
+    """Match the field that a path names, and every field below it."""
+    return re.compile(re.escape(path).replace(r"\[\*\]", r"\[\d+\]") + r"(?![^.\[])")
+
+
+def _known_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """List every path that a type knows, with the type of what is there."""
+    for field in definitions[type_name].fields:
+        path = f"{prefix}{field.name}"
+        yield path, field.type_name
+        if field.kind != "single":
+            path = f"{path}[*]"
+            yield path, field.type_name
+        if field.type_name not in PRIMITIVES and field.type_name in definitions:
+            yield from _known_paths(definitions, field.type_name, f"{path}.")
+
+
+def _joined(parts: Sequence[tuple[NDArray[np.int64], NDArray[Any]]]) -> NDArray[Any]:
+    """Bring the rows of several layouts into the order of the messages."""
+    if len(parts) == 1:
+        return parts[0][1]
+    count, width = sum(rows.size for rows, _ in parts), max((values.shape[1] for _, values in parts), default=0)
+    same = all(values.shape[1] == width and values.dtype == np.int64 for _, values in parts)
+    joined = np.zeros((count, width), np.int64) if same else np.full((count, width), np.nan)
+    for rows, values in parts:
+        joined[rows, : values.shape[1]] = values
+    return joined

@@ -1,0 +1,119 @@
+"""A dive as a log: what a vehicle's recorder would have written.
+
+``/imu`` sensor_msgs/Imu, ``/dvl`` marine_acoustic_msgs/Dvl or geometry_msgs/TwistWithCovarianceStamped, ``/reference``
+insdvl_msgs/NavSolution, ``/truth/biases`` insdvl_msgs/SensorBiases. Axes are forward, starboard, down.
+"""
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay import __version__
+from insdvl_replay.columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TruthColumns
+from insdvl_replay.logs.messages import DVL, IMU, NED, Batch, Column, missing_xyz, solution, stamped, xyz
+from insdvl_replay.logs.writer import write_log
+
+ALTITUDE_M: Final = 20.0
+"""Height above a flat seabed from which the ranges of the beams follow; no filter uses it."""
+
+_BOTTOM_TRACK: Final = 1
+_BEAMS_FOR_VELOCITY: Final = 3
+_UNKNOWN_VARIANCE: Final = -1.0
+
+
+def write_dive(path: Path, dive: Dive) -> None:
+    """Write a dive as a ROS 2 log.
+
+    Parameters
+    ----------
+    path : Path
+        File to write, replaced if it exists.
+    dive : Dive
+        Beams must be four. What is not there is not written: reference, truth.
+
+    Raises
+    ------
+    LogError
+        A time does not fit a ROS stamp.
+    ConfigError
+        The file cannot be written.
+    ValueError
+        The DVL has neither four beams nor velocities.
+    """
+    batches = [_imu(dive.imu), _dvl(dive.dvl)]
+    if dive.reference is not None:
+        batches.append(_reference(dive.reference))
+    if dive.truth is not None:
+        batches.append(_truth(dive.truth))
+    write_log(path, batches, {"version": __version__, "dive": dive.name})
+
+
+def _imu(imu: ImuColumns) -> Batch:
+    columns = {
+        "orientation_covariance": (_UNKNOWN_VARIANCE, *[0.0] * 8),
+        **xyz("angular_velocity", imu.angular_rate_b),
+        **xyz("linear_acceleration", imu.specific_force_b),
+    }
+    return stamped("/imu", "sensor_msgs/msg/Imu", imu.time_ns, IMU, columns)
+
+
+def _dvl(dvl: DvlColumns) -> Batch:
+    if dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
+        columns = _beam_columns(dvl.beam_velocity_mps, dvl.beam_vectors_d)
+        return stamped("/dvl", "marine_acoustic_msgs/msg/Dvl", dvl.time_ns, DVL, columns)
+    if dvl.velocity_d is None:
+        raise ValueError("the DVL has neither beams nor velocities")
+    columns = {**xyz("twist.twist.linear", dvl.velocity_d), **missing_xyz("twist.twist.angular")}
+    return stamped("/dvl", "geometry_msgs/msg/TwistWithCovarianceStamped", dvl.time_ns, DVL, columns)
+
+
+def _beam_columns(beam_velocity_mps: Floats, beam_vectors_d: Floats) -> dict[str, Column]:
+    if beam_vectors_d.shape != (4, 3):
+        raise ValueError(f"marine_acoustic_msgs/Dvl has 4 beams, found vectors of shape {beam_vectors_d.shape}")
+    good = np.isfinite(beam_velocity_mps)
+    good_beams = good.sum(axis=1)
+    any_good = good_beams > 0
+    velocity_d = _velocity_from_beams(beam_velocity_mps, beam_vectors_d)
+    columns: dict[str, Column] = {
+        "velocity_mode": _BOTTOM_TRACK,
+        **xyz("velocity", velocity_d),
+        "velocity_covar": (_UNKNOWN_VARIANCE,) * 9,
+        "altitude": np.where(any_good, ALTITUDE_M, np.nan),
+        "course_gnd": np.arctan2(velocity_d[:, 1], velocity_d[:, 0]),
+        "speed_gnd": np.hypot(velocity_d[:, 0], velocity_d[:, 1]),
+        "num_good_beams": good_beams,
+        "sound_speed": np.nan,
+        "beam_ranges_valid": any_good,
+        "beam_velocities_valid": any_good,
+        "range": np.where(good, ALTITUDE_M / beam_vectors_d[:, 2], np.nan),
+        "range_covar": (_UNKNOWN_VARIANCE,) * 4,
+        "beam_quality": (np.nan,) * 4,
+        "beam_velocity": beam_velocity_mps,
+        "beam_velocity_covar": (_UNKNOWN_VARIANCE,) * 4,
+    }
+    for i, vector in enumerate(beam_vectors_d.tolist()):
+        columns |= {f"beam_unit_vec[{i}].{axis}": component for axis, component in zip("xyz", vector, strict=True)}
+    return columns
+
+
+def _velocity_from_beams(beam_velocity_mps: Floats, beam_vectors_d: Floats) -> Floats:
+    """Solve the beams for the velocity by least squares, as the instrument would; NaN with fewer than three beams."""
+    good = np.isfinite(beam_velocity_mps)
+    enough = good.sum(axis=1) >= _BEAMS_FOR_VELOCITY
+    weights = good[enough].astype(np.float64)
+    normal = np.einsum("kb,bi,bj->kij", weights, beam_vectors_d, beam_vectors_d)
+    projected = np.where(good[enough], beam_velocity_mps[enough], 0.0) @ beam_vectors_d
+    velocity_d = np.full((len(good), 3), np.nan)
+    velocity_d[enough] = np.linalg.solve(normal, projected[..., None])[..., 0]
+    return velocity_d
+
+
+def _reference(reference: ReferenceColumns) -> Batch:
+    columns = solution(reference.position, reference.velocity_n, reference.mat_nb)
+    return stamped("/reference", "insdvl_msgs/msg/NavSolution", reference.time_ns, NED, columns)
+
+
+def _truth(truth: TruthColumns) -> Batch:
+    columns: dict[str, Column] = {"accel_bias_mps2": truth.accel_bias_b, "gyro_bias_radps": truth.gyro_bias_b}
+    return stamped("/truth/biases", "insdvl_msgs/msg/SensorBiases", truth.time_ns, IMU, columns)

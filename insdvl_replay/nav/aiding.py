@@ -1,0 +1,86 @@
+"""From the configuration of a filter to its measurements and its noise."""
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.config import Config, Filter
+from insdvl_replay.nav.dvl import DvlVelocities
+from insdvl_replay.nav.error_model import noise_density
+from insdvl_replay.nav.measurements import (
+    PUBLISHED,
+    WINDOWED,
+    Measurement,
+    acceleration_measurement,
+    velocity_cov,
+    velocity_measurement,
+)
+
+
+def filter_noise(filter_: Filter, config: Config) -> Floats:
+    """Give a filter's process noise: its own densities, and the common ones where it names none.
+
+    Parameters
+    ----------
+    filter_ : Filter
+    config : Config
+
+    Returns
+    -------
+    ndarray, shape (12,)
+        See `error_model.noise_density`.
+    """
+    return noise_density(**{key: _own_or(filter_, config.noise, key) for key in config.noise.__struct_fields__})
+
+
+def filter_measurements(
+    filter_: Filter, velocities: DvlVelocities, config: Config, gate: float
+) -> tuple[Measurement, ...]:
+    """Prepare what a filter is aided by, in its order.
+
+    Parameters
+    ----------
+    filter_ : Filter
+    velocities : DvlVelocities
+        m pings.
+    config : Config
+    gate : float
+        Largest NIS that is used.
+
+    Returns
+    -------
+    tuple of Measurement
+    """
+    cov_b = velocity_cov(
+        velocities,
+        _own_or(filter_, config.dvl, "velocity_sd_mps"),
+        filter_.beam_sd_mps or config.dvl.beam_sd_mps,
+    )
+    measurements = []
+    for aiding in filter_.aiding:
+        if aiding == "velocity":
+            measurements.append(velocity_measurement(velocities, cov_b, gate))
+        else:
+            measurements.append(_acceleration(filter_, velocities, cov_b, config, gate))
+    return tuple(measurements)
+
+
+def _acceleration(
+    filter_: Filter, velocities: DvlVelocities, cov_b: Floats, config: Config, gate: float
+) -> Measurement:
+    settings = filter_.acceleration
+    if settings is None:
+        raise ValueError("a filter aided by acceleration says how")
+    return acceleration_measurement(
+        velocities,
+        cov_b,
+        kind=WINDOWED if settings.model == "windowed" else PUBLISHED,
+        window=settings.window,
+        order=settings.order,
+        max_gap_s=settings.max_window_gap_s,
+        sd_mps2=settings.sd_mps2,
+        accel_white_mps_rts=_own_or(filter_, config.noise, "accel_white_mps_rts"),
+        gate=gate,
+    )
+
+
+def _own_or(filter_: Filter, common: object, key: str) -> float:
+    own = getattr(filter_, key)
+    return float(getattr(common, key) if own is None else own)

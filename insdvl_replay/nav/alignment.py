@@ -1,0 +1,201 @@
+"""Where and how a filter starts: from the reference, or level from gravity (configuration section ``[initial]``)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from insdvl_replay import earth
+from insdvl_replay.columns import Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.config import Initial
+from insdvl_replay.errors import ConfigError, LogError, Note
+from insdvl_replay.nav.dvl import DvlVelocities
+from insdvl_replay.nav.filter import Start
+from insdvl_replay.rotation import mat_from_rpy
+from insdvl_replay.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
+
+LEVELLING_S = 10.0
+"""Time over which gravity is averaged to level the vehicle."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The start of a replay.
+
+    Attributes
+    ----------
+    start_ns : int
+        When the filters start.
+    start : Start
+        State and uncertainty.
+    notes : tuple of Note
+        What was taken from elsewhere than the reference.
+    """
+
+    start_ns: int
+    start: Start
+    notes: tuple[Note, ...]
+
+
+def align(
+    imu: ImuColumns,
+    velocities: DvlVelocities,
+    reference: ReferenceColumns | None,
+    initial: Initial,
+    lever_arm_b: Floats,
+    start_ns: int,
+    end_ns: int,
+) -> Alignment:
+    """Find the start: the reference's first attitude inside the span, or the first sample when levelling.
+
+    What the reference lacks is taken from gravity (roll, pitch), from the first ping (velocity) and from the
+    configuration (heading, position), each with a note.
+
+    Parameters
+    ----------
+    imu : ImuColumns
+    velocities : DvlVelocities
+        Pings.
+    reference : ReferenceColumns or None
+    initial : Initial
+        Configuration.
+    lever_arm_b : ndarray, shape (3,)
+        IMU to DVL, m.
+    start_ns, end_ns : int
+        Span that IMU and configuration allow.
+
+    Returns
+    -------
+    Alignment
+
+    Raises
+    ------
+    LogError
+        The reference is missing or does not overlap the span.
+    ConfigError
+        Heading or latitude are needed and not configured.
+    """
+    notes: list[Note] = []
+    if initial.source == "level" or reference is None:
+        if initial.source == "reference":
+            raise LogError(
+                "no reference solution was found to start from",
+                "name it with --set reference.topic=..., or start level: --set initial.source=level "
+                "--set initial.heading_deg=... --set initial.latitude_deg=...",
+            )
+        reference = None
+    elif reference.has_attitude:
+        start_ns = _first_attitude_ns(reference, start_ns, end_ns)
+    position = _position(reference, initial, start_ns, notes)
+    mat_nb = _attitude(imu, reference, initial, start_ns, notes)
+    velocity_n = _velocity(imu, velocities, reference, mat_nb, lever_arm_b, start_ns, position, notes)
+    return Alignment(start_ns, Start(position, velocity_n, mat_nb, initial_sd(initial)), tuple(notes))
+
+
+def initial_sd(initial: Initial) -> Floats:
+    """Give the initial standard deviations of the 12 error states.
+
+    Parameters
+    ----------
+    initial : Initial
+
+    Returns
+    -------
+    ndarray, shape (12,), SI units
+    """
+    sd = np.empty(12)
+    sd[DV] = initial.velocity_sd_mps
+    sd[PHI] = np.array(initial.misalignment_sd_deg) * DEG
+    sd[BA] = initial.accel_bias_sd_mg * MG
+    sd[BG] = initial.gyro_bias_sd_degph * DEG_PER_HOUR
+    return sd
+
+
+def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) -> int:
+    has_attitude = np.isfinite(reference.mat_nb).all(axis=(1, 2))
+    inside = has_attitude & (reference.time_ns >= start_ns) & (reference.time_ns < end_ns)
+    if not inside.any():
+        raise LogError(
+            "the reference gives no attitude between the first and the last IMU sample of the span",
+            "check that both are stamped by the same clock (imu.stamp, reference.stamp), or widen --start and --end",
+        )
+    return int(reference.time_ns[np.argmax(inside)])
+
+
+def _position(reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
+    if reference is not None and reference.has_position:
+        return _at(reference.time_ns, reference.position, start_ns)
+    if initial.latitude_deg is None:
+        raise ConfigError(
+            "the latitude is needed for gravity and Earth rate, and no reference gives it",
+            "--set initial.latitude_deg=...",
+        )
+    notes.append(Note("start_position_configured", f"started at the configured latitude {initial.latitude_deg:g} deg"))
+    return np.array([initial.latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
+
+
+def _attitude(
+    imu: ImuColumns, reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note]
+) -> Floats:
+    if reference is not None and reference.has_attitude:
+        there: Floats = reference.mat_nb[np.searchsorted(reference.time_ns, start_ns)]
+        return there
+    if initial.heading_deg is None:
+        raise ConfigError(
+            "the heading at the start is needed, and no reference gives it", "--set initial.heading_deg=..."
+        )
+    rpy = level_from_gravity(imu, start_ns)
+    rpy[2] = initial.heading_deg * DEG
+    notes.append(
+        Note(
+            "start_levelled",
+            f"roll {rpy[0] / DEG:.2f} deg and pitch {rpy[1] / DEG:.2f} deg from gravity over {LEVELLING_S:g} s, "
+            f"heading {initial.heading_deg:g} deg from the configuration",
+        )
+    )
+    return mat_from_rpy(rpy)
+
+
+def level_from_gravity(imu: ImuColumns, start_ns: int) -> Floats:
+    """Give roll and pitch from the mean specific force after the start; the heading is left at zero.
+
+    Parameters
+    ----------
+    imu : ImuColumns
+    start_ns : int
+
+    Returns
+    -------
+    ndarray, shape (3,), rad
+    """
+    rows = (imu.time_ns >= start_ns) & (imu.time_ns <= start_ns + int(LEVELLING_S * 1e9))
+    x, y, z = imu.specific_force_b[rows].mean(axis=0)
+    return np.array([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), 0.0])
+
+
+def _velocity(
+    imu: ImuColumns,
+    velocities: DvlVelocities,
+    reference: ReferenceColumns | None,
+    mat_nb: Floats,
+    lever_arm_b: Floats,
+    start_ns: int,
+    position: Floats,
+    notes: list[Note],
+) -> Floats:
+    if reference is not None and reference.has_velocity:
+        return _at(reference.time_ns, reference.velocity_n, start_ns)
+    nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
+    rate_ib_b = _at(imu.time_ns, imu.angular_rate_b, int(velocities.time_ns[nearest]))
+    rate_ie_n = earth.EARTH_RATE * np.array([np.cos(position[0]), 0.0, -np.sin(position[0])])
+    rate_eb_b = rate_ib_b - mat_nb.T @ rate_ie_n
+    apart_s = abs(int(velocities.time_ns[nearest]) - start_ns) * 1e-9
+    notes.append(Note("start_velocity_dvl", f"velocity at the start from the DVL's ping {apart_s:.2f} s away"))
+    velocity_n: Floats = mat_nb @ (velocities.velocity_b[nearest] - np.cross(rate_eb_b, lever_arm_b))
+    return velocity_n
+
+
+def _at(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:
+    """Interpolate the finite rows of values; outside them the nearest row stands."""
+    finite = np.isfinite(values).all(axis=1)
+    offset_s = seconds(time_ns[finite], at_ns)
+    return np.array([np.interp(0.0, offset_s, column) for column in values[finite].T])

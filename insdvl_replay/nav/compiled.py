@@ -1,0 +1,62 @@
+"""Compile the filter loop with numba, and keep what was compiled on disk.
+
+numba notices a change in the file of a function, but not in the files of the functions that it calls. The cache
+therefore lies in a folder named after the digest of all compiled sources: other sources, other folder.
+
+Environment
+-----------
+INSDVL_REPLAY_CACHE : folder for compiled code; default ``~/.cache/insdvl-replay``. Where it cannot be written, each
+    process compiles for itself.
+NUMBA_DISABLE_JIT=1 : run the same functions as plain Python, to step through them with a debugger.
+"""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar, cast
+
+import numba
+from numba.core import config
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+
+def _digest_of_sources() -> str:
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in sorted([*package.glob("nav/*.py"), package / "earth.py"]):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> str | None:
+    base = os.environ.get("INSDVL_REPLAY_CACHE") or Path.home() / ".cache" / "insdvl-replay"
+    folder = Path(base) / f"compiled-{_digest_of_sources()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return str(folder)
+    except OSError:
+        return None
+
+
+_FOLDER = _cache_folder()
+
+
+def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Compile a function on its first call and keep the machine code on disk."""
+    settings: Any = config  # numba reads the folder while it decorates
+    before = settings.CACHE_DIR
+    settings.CACHE_DIR = _FOLDER or before
+    try:
+        return cast(Callable[_P, _T], numba.njit(cache=_FOLDER is not None, error_model="numpy", nogil=True)(function))
+    finally:
+        settings.CACHE_DIR = before
+
+
+def is_warm() -> bool:
+    """Say whether the compiled filter waits on disk, so that a first run can explain what it waits for."""
+    return _FOLDER is not None and any(Path(_FOLDER).rglob("*.nbc"))

@@ -1,0 +1,291 @@
+"""From the DVL's beams to velocities, and from past velocities to accelerations."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from insdvl_replay.columns import DvlColumns, Floats, TimeNs
+
+
+@dataclass(frozen=True)
+class DvlVelocities:
+    """Velocities over ground, one for each usable ping, in body axes and still at the DVL's place.
+
+    Attributes
+    ----------
+    time_ns : ndarray, shape (m,)
+        Times of validity.
+    velocity_b : ndarray, shape (m, 3)
+        ``C_d^b v_d``, m/s.
+    shape_b : ndarray, shape (m, 3, 3)
+        Covariance for noise of unit variance: of one beam where ``from_beams``, else of each axis.
+    from_beams : bool
+        Whether the velocities were solved from beams.
+    beams_used : ndarray of int, shape (m,)
+        3 or 4 for beams; 0 where the DVL reports velocities.
+    residual_mps : ndarray, shape (m,)
+        Root mean square of the beams' residuals over their degrees of freedom; NaN without redundancy.
+    pings_without_velocity : int
+        Pings left out for having fewer than three beams, beams in a plane, or an invalid velocity.
+    pings_with_bad_residual : int
+        Pings left out because their beams disagree.
+    """
+
+    time_ns: TimeNs
+    velocity_b: Floats
+    shape_b: Floats
+    from_beams: bool
+    beams_used: NDArray[np.int64]
+    residual_mps: Floats
+    pings_without_velocity: int
+    pings_with_bad_residual: int
+
+    def within(self, start_ns: int, end_ns: int) -> "DvlVelocities":
+        """Keep the pings after the start and up to the end."""
+        keep = (self.time_ns > start_ns) & (self.time_ns <= end_ns)
+        return DvlVelocities(
+            self.time_ns[keep],
+            self.velocity_b[keep],
+            self.shape_b[keep],
+            self.from_beams,
+            self.beams_used[keep],
+            self.residual_mps[keep],
+            self.pings_without_velocity,
+            self.pings_with_bad_residual,
+        )
+
+
+def beam_vectors(tilt: float, azimuth: Floats) -> Floats:
+    """Make the unit vectors of Janus beams, from the instrument towards the seabed.
+
+    The paper prints vectors of rank 2 that are not of unit length; see EQUATIONS.md.
+
+    Parameters
+    ----------
+    tilt : float
+        Angle from the DVL's z axis, rad.
+    azimuth : ndarray, shape (beams,)
+        From forward towards starboard, rad.
+
+    Returns
+    -------
+    ndarray, shape (beams, 3)
+    """
+    down = np.full_like(azimuth, np.cos(tilt))
+    return np.column_stack([np.cos(azimuth) * np.sin(tilt), np.sin(azimuth) * np.sin(tilt), down])
+
+
+def solve_beams(
+    beam_velocity_mps: Floats, vectors_d: Floats, weights: Floats | None = None
+) -> tuple[Floats, Floats, Floats]:
+    """Solve velocities from beams by weighted least squares over the beams that are not NaN.
+
+    Parameters
+    ----------
+    beam_velocity_mps : ndarray, shape (m, beams)
+        NaN where a beam is lost.
+    vectors_d : ndarray, shape (beams, 3)
+        Unit vectors.
+    weights : ndarray, shape (beams,), optional
+        Inverse relative variances; all 1 when left out.
+
+    Returns
+    -------
+    velocity_d : ndarray, shape (m, 3)
+        NaN where the valid beams do not span three dimensions.
+    shape_d : ndarray, shape (m, 3, 3)
+        ``(H' W H)^-1``, the covariance for unit variance at weight 1.
+    residual_mps : ndarray, shape (m,)
+        Weighted root mean square residual over its degrees of freedom; NaN where no beam is redundant.
+    """
+    valid = np.isfinite(beam_velocity_mps)
+    weight = valid * (np.ones(len(vectors_d)) if weights is None else weights)
+    measured = np.where(valid, beam_velocity_mps, 0.0)
+    normal = np.einsum("mi,ij,ik->mjk", weight, vectors_d, vectors_d)
+    solvable = np.linalg.cond(normal) < 1e8
+    shape_d = np.full_like(normal, np.nan)
+    shape_d[solvable] = np.linalg.inv(normal[solvable])
+    velocity_d = np.einsum("mjk,mi,ik,mi->mj", shape_d, weight, vectors_d, measured, optimize=True)
+    residuals = measured - velocity_d @ vectors_d.T
+    redundancy = valid.sum(axis=1) - 3
+    squares = np.einsum("mi,mi->m", weight, residuals**2)
+    return (
+        velocity_d,
+        shape_d,
+        np.sqrt(np.divide(squares, redundancy, out=np.full(len(squares), np.nan), where=redundancy > 0)),
+    )
+
+
+def dvl_velocities(
+    dvl: DvlColumns, mounting_bd: Floats, scale: float = 1.0, max_residual_mps: float = np.inf
+) -> DvlVelocities:
+    """Solve the pings for velocities, divide out the scale, and turn them to body axes.
+
+    Parameters
+    ----------
+    dvl : DvlColumns
+        Beams or velocities.
+    mounting_bd : ndarray, shape (3, 3)
+        Mounting rotation C_d^b.
+    scale : float
+        Measured over true velocity.
+    max_residual_mps : float
+        Pings whose beams disagree by more are left out.
+
+    Returns
+    -------
+    DvlVelocities
+        Usable pings only, with the others counted.
+    """
+    if dvl.velocity_d is not None:
+        velocity_d, from_beams = dvl.velocity_d, False
+        shape_d = np.broadcast_to(np.eye(3), (len(velocity_d), 3, 3))
+        residual_mps = np.full(len(velocity_d), np.nan)
+        beams_used = np.zeros(len(velocity_d), dtype=np.int64)
+    elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
+        velocity_d, shape_d, residual_mps = solve_beams(dvl.beam_velocity_mps, dvl.beam_vectors_d)
+        beams_used, from_beams = np.isfinite(dvl.beam_velocity_mps).sum(axis=1), True
+    else:
+        raise ValueError("a DVL gives beams with their vectors, or velocities")
+    solved = np.isfinite(velocity_d).all(axis=1)
+    bad = solved & (residual_mps > max_residual_mps)
+    keep = solved & ~bad
+    return DvlVelocities(
+        time_ns=dvl.time_ns[keep],
+        velocity_b=velocity_d[keep] @ mounting_bd.T / scale,
+        shape_b=mounting_bd @ shape_d[keep] @ mounting_bd.T,
+        from_beams=from_beams,
+        beams_used=beams_used[keep],
+        residual_mps=residual_mps[keep] / scale,
+        pings_without_velocity=int(np.sum(~solved)),
+        pings_with_bad_residual=int(np.sum(bad)),
+    )
+
+
+def taylor_fit(time_s: Floats, velocity: Floats, order: int, at_s: float) -> Floats:
+    """Fit a Taylor polynomial to past velocities (paper eq. V LS): velocity, acceleration, jerk, ... at a chosen time.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+    velocity : ndarray, shape (n, 3)
+        m/s
+    order : int
+        Of the polynomial, below n; 1 is a straight line.
+    at_s : float
+        Time of the expansion, inside the window or, through an outage, after it.
+
+    Returns
+    -------
+    ndarray, shape (order + 1, 3)
+        Row k is the k-th derivative of the velocity, m/s^(k+1).
+    """
+    return derivative_weights(time_s - at_s, order) @ velocity
+
+
+def derivative_weights(offset_s: Floats, order: int) -> Floats:
+    """Give the weights that make derivatives out of values, ``(L' L)^-1 L'`` with ``L_jk = offset_j^k / k!``.
+
+    Parameters
+    ----------
+    offset_s : ndarray, shape (..., n)
+        Times of the values from the time of the expansion.
+    order : int
+        Of the polynomial, below n.
+
+    Returns
+    -------
+    ndarray, shape (..., order + 1, n)
+        Row k gives the k-th derivative.
+
+    Raises
+    ------
+    ValueError
+        The window has not more values than the order.
+    """
+    if not 1 <= order < offset_s.shape[-1]:
+        raise ValueError(f"order {order} needs a window above it, found {offset_s.shape[-1]}")
+    powers = np.arange(order + 1)
+    factorials = np.cumprod(np.maximum(powers, 1))
+    scale = np.max(np.abs(offset_s), axis=-1)[..., None, None]  # keeps powers of long windows near 1
+    L = (offset_s[..., None] / scale) ** powers / factorials
+    weights: Floats = np.linalg.pinv(L) / scale ** powers[:, None]
+    return weights
+
+
+@dataclass(frozen=True)
+class SlopeWindows:
+    """Windows of consecutive velocities, one ending at each ping, with the weights that make a slope of them.
+
+    Attributes
+    ----------
+    complete : ndarray of bool, shape (m,)
+        False while the window still fills, and after a gap.
+    velocity_weights : ndarray, shape (m, n)
+        c: slope = sum_j c_j v_j. The sum over j is 0.
+    interval_weights : ndarray, shape (m, n - 1)
+        W: slope = sum_j W_j (v_j - v_(j-1)), j from 1; W_j = sum of c_i for i >= j.
+    interval_s : ndarray, shape (m, n - 1)
+        Lengths of the intervals.
+    """
+
+    complete: NDArray[np.bool_]
+    velocity_weights: Floats
+    interval_weights: Floats
+    interval_s: Floats
+
+
+def slope_windows(time_s: Floats, window: int, order: int = 1, max_gap_s: float = np.inf) -> SlopeWindows:
+    """Make the weights for the slope at the middle of each window of past velocities.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (m,)
+        Times of the velocities, increasing, at any spacing.
+    window : int
+        Number n of velocities, 2 or more.
+    order : int
+        Of the fitted polynomial; the slope is its first derivative at the mean time of the window.
+    max_gap_s : float
+        A longer pause starts a new window.
+
+    Returns
+    -------
+    SlopeWindows
+    """
+    m = len(time_s)
+    complete = np.zeros(m, dtype=np.bool_)
+    c = np.zeros((m, window))
+    interval_s = np.zeros((m, window - 1))
+    if m >= window:
+        times = sliding_window_view(time_s, window)
+        interval_s[window - 1 :] = np.diff(times, axis=1)
+        complete[window - 1 :] = (interval_s[window - 1 :] <= max_gap_s).all(axis=1)
+        c[window - 1 :] = derivative_weights(times - times.mean(axis=1, keepdims=True), order)[:, 1, :]
+    c[~complete] = 0.0
+    W = np.cumsum(c[:, ::-1], axis=1)[:, ::-1][:, 1:]
+    return SlopeWindows(complete, c, W, interval_s)
+
+
+def windowed_sum(weights: Floats, values: Floats) -> Floats:
+    """Sum the values of each window with its weights: ``sum_j weights[k, j] values[k - n + 1 + j]``.
+
+    Parameters
+    ----------
+    weights : ndarray, shape (m, n)
+        Zero where the window is not complete.
+    values : ndarray, shape (m, ...)
+
+    Returns
+    -------
+    ndarray, shape (m, ...)
+    """
+    n = weights.shape[1]
+    total = np.zeros(values.shape)
+    for j in range(n):
+        lag = n - 1 - j
+        weight = weights[lag:, j].reshape(-1, *[1] * (values.ndim - 1))
+        total[lag:] += weight * values[: len(values) - lag]
+    return total

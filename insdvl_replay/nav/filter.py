@@ -1,0 +1,366 @@
+"""The error-state Kalman filter: propagate to each node of the time line, update at pings, remember what was believed.
+
+One loop for every filter. What a filter is aided by is the tuple of its measurements.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.history import History, Innovations
+from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.nav.error_model import propagate_cov, write_system_matrix
+from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, multiply, standardised, update_cov
+from insdvl_replay.nav.measurements import VELOCITY, InsAtPing, Measurement, linearise
+from insdvl_replay.nav.strapdown import normal_gravity, propagate, rotate_back, rotation_from_vector
+from insdvl_replay.nav.timeline import Timeline
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a filter starts and how sure it is.
+
+    Attributes
+    ----------
+    position : ndarray, shape (3,)
+        Latitude rad, longitude rad, height m.
+    velocity_n : ndarray, shape (3,)
+        m/s
+    mat_nb : ndarray, shape (3, 3)
+        Attitude.
+    sd : ndarray, shape (12,)
+        Standard deviations of the error states, SI units. Both biases start at zero.
+    """
+
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    sd: Floats
+
+
+class _Ins(NamedTuple):
+    """The navigation state, changed in place."""
+
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+    P: Floats
+
+
+class _Memory(NamedTuple):
+    """What windows need of past pings, see `measurements.InsAtPing`, and the body velocity after the last one."""
+
+    rate_nb_b: Floats
+    rate_eb_b: Floats
+    velocity_change_b: Floats
+    velocity_after_b: Floats
+
+
+class _Records(NamedTuple):
+    """The navigation state at the recorded nodes; ``cov`` has no rows unless it is asked for."""
+
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+    sd: Floats
+    cov: Floats
+
+
+class _Updates(NamedTuple):
+    """Innovations, first axis measurement, second axis ping."""
+
+    innovation_b: Floats
+    sd_b: Floats
+    nis: Floats
+    used: NDArray[np.bool_]
+
+
+class _Stack(NamedTuple):
+    """Measurements with a leading axis, so that one compiled loop serves any number of them."""
+
+    kind: NDArray[np.int64]
+    available: NDArray[np.bool_]
+    measured_b: Floats
+    cov_b: Floats
+    velocity_weights: Floats
+    interval_weights: Floats
+    gate: Floats
+
+
+def run_filter(
+    name: str,
+    timeline: Timeline,
+    start: Start,
+    noise_density: Floats,
+    measurements: tuple[Measurement, ...],
+    lever_arm_b: Floats,
+    *,
+    keep_cov: bool = False,
+) -> History:
+    """Run one filter over a dive.
+
+    Parameters
+    ----------
+    name : str
+        The filter's name.
+    timeline : Timeline
+        Nodes with readings, pings and what to record.
+    start : Start
+        State and uncertainty at the first node.
+    noise_density : ndarray, shape (12,)
+        From `error_model.noise_density`.
+    measurements : tuple of Measurement
+        Applied in this order at each ping. At least one.
+    lever_arm_b : ndarray, shape (3,)
+        IMU to DVL, m.
+    keep_cov : bool
+        Whether the history keeps all of P, not only its diagonal.
+
+    Returns
+    -------
+    History
+    """
+    rows, pings = int(timeline.record.sum()), int(timeline.ping.max()) + 1
+    records = _Records(
+        position=np.empty((rows, 3)),
+        velocity_n=np.empty((rows, 3)),
+        mat_nb=np.empty((rows, 3, 3)),
+        accel_bias_b=np.empty((rows, 3)),
+        gyro_bias_b=np.empty((rows, 3)),
+        sd=np.empty((rows, 12)),
+        cov=np.empty((rows if keep_cov else 0, 12, 12)),
+    )
+    updates = _Updates(
+        np.full((len(measurements), pings, 3), np.nan),
+        np.full((len(measurements), pings, 3), np.nan),
+        np.full((len(measurements), pings), np.nan),
+        np.zeros((len(measurements), pings), dtype=np.bool_),
+    )
+    ins = _Ins(
+        start.position.copy(),
+        start.velocity_n.copy(),
+        start.mat_nb.copy(order="C"),
+        np.zeros(3),
+        np.zeros(3),
+        np.diag(start.sd**2),
+    )
+    _run(
+        timeline.time_s,
+        timeline.specific_force_b,
+        timeline.angular_rate_b,
+        timeline.ping,
+        timeline.record,
+        ins,
+        noise_density,
+        _stacked(measurements),
+        lever_arm_b,
+        records,
+        updates,
+    )
+    return _history(name, timeline, measurements, records, updates)
+
+
+@compiled
+def _run(
+    time_s: Floats,
+    specific_force_b: Floats,
+    angular_rate_b: Floats,
+    ping: NDArray[np.int64],
+    record: NDArray[np.bool_],
+    ins: _Ins,
+    noise_density: Floats,
+    measurements: _Stack,
+    lever_arm_b: Floats,
+    records: _Records,
+    updates: _Updates,
+) -> None:
+    """Walk the time line. This is the whole filter."""
+    pings = updates.nis.shape[1]
+    memory = _Memory(np.zeros((pings, 3)), np.zeros((pings, 3)), np.zeros((pings, 3)), np.zeros(3))
+    rate_ie_n, rate_in_n, force_n = np.zeros(3), np.zeros(3), np.zeros(3)
+    force_b, rate_b = np.zeros(3), np.zeros(3)
+    F, FP = np.zeros((12, 12)), np.zeros((6, 12))
+    z, H = np.zeros(3), np.zeros((3, 12))
+
+    _write_record(ins, records, 0)
+    row = 1
+    for k in range(1, len(time_s)):
+        dt = time_s[k] - time_s[k - 1]
+        for i in range(3):
+            force_b[i] = 0.5 * (specific_force_b[k - 1, i] + specific_force_b[k, i]) - ins.accel_bias_b[i]
+            rate_b[i] = 0.5 * (angular_rate_b[k - 1, i] + angular_rate_b[k, i]) - ins.gyro_bias_b[i]
+        propagate(ins.position, ins.velocity_n, ins.mat_nb, force_b, rate_b, dt, rate_ie_n, rate_in_n, force_n)
+        write_system_matrix(rate_ie_n, rate_in_n, force_n, ins.mat_nb, F)
+        propagate_cov(ins.P, F, noise_density, dt, FP)
+
+        if ping[k] >= 0:
+            _note_motion(ins, memory, ping[k], angular_rate_b[k], rate_ie_n, rate_in_n)
+            for m in range(len(measurements.kind)):
+                if measurements.available[m, ping[k]]:
+                    measurement = _unstacked(measurements, m)
+                    linearise(measurement, ping[k], _at_ping(ins, memory, specific_force_b[k], lever_arm_b), z, H)
+                    _update(ins, measurement, m, ping[k], z, H, updates)
+            rotate_back(ins.mat_nb, ins.velocity_n, memory.velocity_after_b)
+        if record[k]:
+            _write_record(ins, records, row)
+            row += 1
+
+
+def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
+    """Give all measurements the longest window; the weights of older pings are zero."""
+    longest = max(measurement.velocity_weights.shape[1] for measurement in measurements)
+
+    def padded(weights: Floats, width: int) -> Floats:
+        return np.pad(weights, ((0, 0), (width - weights.shape[1], 0)))
+
+    return _Stack(
+        np.array([measurement.kind for measurement in measurements]),
+        np.stack([measurement.available for measurement in measurements]),
+        np.stack([measurement.measured_b for measurement in measurements]),
+        np.stack([measurement.cov_b for measurement in measurements]),
+        np.stack([padded(measurement.velocity_weights, longest) for measurement in measurements]),
+        np.stack([padded(measurement.interval_weights, longest - 1) for measurement in measurements]),
+        np.array([measurement.gate for measurement in measurements]),
+    )
+
+
+@compiled
+def _note_motion(
+    ins: _Ins, memory: _Memory, ping: int, reading_b: Floats, rate_ie_n: Floats, rate_in_n: Floats
+) -> None:
+    """Write down the angular rates at a ping, and what the mechanisation added to the body velocity since the last."""
+    velocity_b, rate_ie_b, rate_in_b = np.empty(3), np.empty(3), np.empty(3)
+    rotate_back(ins.mat_nb, ins.velocity_n, velocity_b)
+    rotate_back(ins.mat_nb, rate_ie_n, rate_ie_b)
+    rotate_back(ins.mat_nb, rate_in_n, rate_in_b)
+    for i in range(3):
+        rate_ib = reading_b[i] - ins.gyro_bias_b[i]
+        memory.rate_nb_b[ping, i] = rate_ib - rate_in_b[i]
+        memory.rate_eb_b[ping, i] = rate_ib - rate_ie_b[i]
+        memory.velocity_change_b[ping, i] = velocity_b[i] - memory.velocity_after_b[i]
+
+
+@compiled
+def _at_ping(ins: _Ins, memory: _Memory, reading_b: Floats, lever_arm_b: Floats) -> InsAtPing:
+    specific_force_b = np.empty(3)
+    for i in range(3):
+        specific_force_b[i] = reading_b[i] - ins.accel_bias_b[i]
+    return InsAtPing(
+        ins.velocity_n,
+        ins.mat_nb,
+        specific_force_b,
+        memory.rate_nb_b,
+        memory.rate_eb_b,
+        memory.velocity_change_b,
+        normal_gravity(ins.position[0], ins.position[2]),
+        lever_arm_b,
+    )
+
+
+@compiled
+def _unstacked(stack: _Stack, m: int) -> Measurement:
+    return Measurement(
+        stack.kind[m],
+        stack.available[m],
+        stack.measured_b[m],
+        stack.cov_b[m],
+        stack.velocity_weights[m],
+        stack.interval_weights[m],
+        stack.gate[m],
+    )
+
+
+@compiled
+def _update(ins: _Ins, measurement: Measurement, m: int, ping: int, z: Floats, H: Floats, updates: _Updates) -> None:
+    """Judge an innovation by its gate, use it if it passes, and write down both."""
+    R, PH, S, L = measurement.cov_b[ping], np.empty((12, 3)), np.empty((3, 3)), np.empty((3, 3))
+    innovation_cov(ins.P, H, R, PH, S)
+    cholesky(S, L)
+    nis = 0.0
+    for whitened in standardised(L, z):
+        nis += whitened * whitened
+    updates.nis[m, ping] = nis
+    updates.used[m, ping] = nis <= measurement.gate
+    for i in range(3):
+        updates.innovation_b[m, ping, i] = z[i]
+        updates.sd_b[m, ping, i] = math.sqrt(S[i, i])
+    if updates.used[m, ping]:
+        K = gain(PH, L)
+        update_cov(ins.P, H, R, K)
+        _correct(ins, K, z)
+
+
+@compiled
+def _correct(ins: _Ins, K: Floats, z: Floats) -> None:
+    """Take the estimated errors ``dx = K z`` out of the navigation state; the error state returns to zero."""
+    dx, vector, turn, turned = np.empty(12), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    for i in range(12):
+        dx[i] = K[i, 0] * z[0] + K[i, 1] * z[1] + K[i, 2] * z[2]
+    for i in range(3):
+        ins.velocity_n[i] -= dx[i]
+        vector[i] = -dx[3 + i]
+        ins.accel_bias_b[i] += dx[6 + i]
+        ins.gyro_bias_b[i] += dx[9 + i]
+    rotation_from_vector(vector, turn)
+    multiply(turn, ins.mat_nb, turned)
+    for i in range(3):
+        for j in range(3):
+            ins.mat_nb[i, j] = turned[i, j]
+
+
+@compiled
+def _write_record(ins: _Ins, records: _Records, row: int) -> None:
+    for i in range(3):
+        records.position[row, i] = ins.position[i]
+        records.velocity_n[row, i] = ins.velocity_n[i]
+        records.accel_bias_b[row, i] = ins.accel_bias_b[i]
+        records.gyro_bias_b[row, i] = ins.gyro_bias_b[i]
+        for j in range(3):
+            records.mat_nb[row, i, j] = ins.mat_nb[i, j]
+    for i in range(12):
+        records.sd[row, i] = math.sqrt(ins.P[i, i])
+    if records.cov.shape[0] > 0:
+        for i in range(12):
+            for j in range(12):
+                records.cov[row, i, j] = ins.P[i, j]
+
+
+def _history(
+    name: str, timeline: Timeline, measurements: tuple[Measurement, ...], records: _Records, updates: _Updates
+) -> History:
+    ping_ns = timeline.time_ns[timeline.ping >= 0]
+    innovations = []
+    for m, measurement in enumerate(measurements):
+        rows = measurement.available
+        innovations.append(
+            Innovations(
+                measurement="velocity" if measurement.kind == VELOCITY else "acceleration",
+                unit="m/s" if measurement.kind == VELOCITY else "m/s^2",
+                time_ns=ping_ns[rows],
+                measured_b=measurement.measured_b[rows],
+                innovation_b=updates.innovation_b[m, rows],
+                sd_b=updates.sd_b[m, rows],
+                nis=updates.nis[m, rows],
+                used=updates.used[m, rows],
+            )
+        )
+    return History(
+        filter=name,
+        time_ns=timeline.time_ns[timeline.record],
+        position=records.position,
+        velocity_n=records.velocity_n,
+        mat_nb=records.mat_nb,
+        accel_bias_b=records.accel_bias_b,
+        gyro_bias_b=records.gyro_bias_b,
+        sd=records.sd,
+        cov=records.cov if len(records.cov) else None,
+        innovations=tuple(innovations),
+    )

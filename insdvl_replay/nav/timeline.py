@@ -1,0 +1,89 @@
+"""One time line for the filter: IMU samples, pings and reference times merged, readings interpolated between samples.
+
+A ping falls inside an IMU interval. The time line has a node there, so that the filter propagates to the ping's time of
+validity, updates, and finishes the interval.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.columns import Floats, ImuColumns, TimeNs, seconds
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Nodes between which the filter propagates.
+
+    Attributes
+    ----------
+    time_ns : ndarray, shape (k,)
+        Strictly increasing, from start to end.
+    time_s : ndarray, shape (k,)
+        Seconds from the start.
+    specific_force_b, angular_rate_b : ndarray, shape (k, 3)
+        Readings, linear between samples, m/s^2 and rad/s.
+    ping : ndarray of int, shape (k,)
+        Row of the ping that is valid here, -1 for none.
+    record : ndarray of bool, shape (k,)
+        Whether the history keeps this node.
+    """
+
+    time_ns: TimeNs
+    time_s: Floats
+    specific_force_b: Floats
+    angular_rate_b: Floats
+    ping: NDArray[np.int64]
+    record: NDArray[np.bool_]
+
+
+def build_timeline(imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs, start_ns: int, end_ns: int) -> Timeline:
+    """Merge the IMU's samples with pings and reference times.
+
+    Parameters
+    ----------
+    imu : ImuColumns
+        Covers start to end.
+    ping_ns : ndarray, shape (m,)
+        Times of the velocities, after the start and up to the end.
+    reference_ns : ndarray, shape (r,)
+        Times at which to keep the state for comparison; those outside are left out.
+    start_ns, end_ns : int
+        Span of the replay.
+
+    Returns
+    -------
+    Timeline
+
+    Raises
+    ------
+    ValueError
+        A ping or the span lies outside the IMU's samples.
+    """
+    if start_ns < imu.time_ns[0] or end_ns > imu.time_ns[-1]:
+        raise ValueError("the span lies outside the IMU's samples")
+    if len(ping_ns) and (ping_ns[0] <= start_ns or ping_ns[-1] > end_ns):
+        raise ValueError("a ping lies outside the span")
+    inside = reference_ns[(reference_ns > start_ns) & (reference_ns < end_ns)]
+    kept = np.unique(np.concatenate([[start_ns, end_ns], ping_ns, inside]).astype(np.int64))
+    samples = imu.time_ns[(imu.time_ns > start_ns) & (imu.time_ns < end_ns)]
+    time_ns = np.union1d(samples, kept)
+    ping = np.full(len(time_ns), -1, dtype=np.int64)
+    ping[np.searchsorted(time_ns, ping_ns)] = np.arange(len(ping_ns))
+    record = np.zeros(len(time_ns), dtype=np.bool_)
+    record[np.searchsorted(time_ns, kept)] = True
+    time_s = seconds(time_ns, start_ns)
+    sample_s = seconds(imu.time_ns, start_ns)
+    return Timeline(
+        time_ns,
+        time_s,
+        _interpolated(time_s, sample_s, imu.specific_force_b),
+        _interpolated(time_s, sample_s, imu.angular_rate_b),
+        ping,
+        record,
+    )
+
+
+def _interpolated(time_s: Floats, sample_s: Floats, readings: Floats) -> Floats:
+    return np.column_stack([np.interp(time_s, sample_s, readings[:, axis]) for axis in range(3)])

@@ -1,0 +1,201 @@
+"""The hall: read a dive, run every configured filter over it, and lay what they believe beside what is so."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from insdvl_replay import logs
+from insdvl_replay.columns import Dive
+from insdvl_replay.config import Config
+from insdvl_replay.errors import LogError, Note
+from insdvl_replay.evaluation.believed import convergence_table, improvement_table
+from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table
+from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
+from insdvl_replay.history import History
+from insdvl_replay.nav.aiding import filter_measurements, filter_noise
+from insdvl_replay.nav.alignment import Alignment, align
+from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
+from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.timeline import build_timeline
+from insdvl_replay.rotation import mat_from_rpy
+from insdvl_replay.states import DEG
+
+
+@dataclass(frozen=True)
+class Replay:
+    """One dive, every filter's history, and the tables.
+
+    Attributes
+    ----------
+    dive : Dive
+        The columns that were replayed.
+    config : Config
+        Resolved settings.
+    start_ns, end_ns : int
+        Span of the replay.
+    velocities : DvlVelocities
+        What the DVL measured, inside the span.
+    histories : tuple of History
+        The first is the baseline.
+    errors : dict of str to ReferenceErrors
+        By filter name; empty without a reference.
+    tables : dict of str to DataFrame
+        ``improvement``, ``convergence``, ``reference_error``, ``consistency``.
+    notes : tuple of Note
+        What was dropped, assumed or found odd.
+    """
+
+    dive: Dive
+    config: Config
+    start_ns: int
+    end_ns: int
+    velocities: DvlVelocities
+    histories: tuple[History, ...]
+    errors: dict[str, ReferenceErrors]
+    tables: dict[str, pd.DataFrame]
+    notes: tuple[Note, ...]
+
+
+def replay_log(path: Path, config: Config) -> Replay:
+    """Replay the dive in a log.
+
+    Parameters
+    ----------
+    path : Path
+        An MCAP file.
+    config : Config
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    LogError
+        The log cannot be used.
+    ConfigError
+        The settings do not fit the log.
+    """
+    return replay_dive(logs.read_dive(path, config), config)
+
+
+def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay:
+    """Run every configured filter over a dive, side by side, from the same start, and compare them.
+
+    Parameters
+    ----------
+    dive : Dive
+    config : Config
+    keep_cov : bool
+        Whether the histories keep all of P.
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    LogError
+        Nothing to replay in the span, or no reference to start from.
+    ConfigError
+        The settings do not fit the dive.
+    """
+    velocities, notes = _velocities(dive, config)
+    start_ns, end_ns = _span(dive, velocities, config)
+    alignment = align(
+        dive.imu, velocities, dive.reference, config.initial, np.array(config.dvl.lever_arm_m), start_ns, end_ns
+    )
+    inside = velocities.within(alignment.start_ns, end_ns)
+    notes += alignment.notes + _outside_notes(velocities, inside)
+    histories = _run_filters(dive, inside, alignment, end_ns, config, keep_cov)
+    reference = dive.reference
+    errors = {history.filter: reference_errors(history, reference) for history in histories} if reference else {}
+    tables = {
+        "improvement": improvement_table(dive.name, histories),
+        "convergence": convergence_table(dive.name, histories),
+        "reference_error": reference_error_table(dive.name, histories, errors),
+        "consistency": consistency_table(dive.name, histories),
+    }
+    return Replay(dive, config, alignment.start_ns, end_ns, inside, histories, errors, tables, dive.notes + notes)
+
+
+def _velocities(dive: Dive, config: Config) -> tuple[DvlVelocities, tuple[Note, ...]]:
+    """Solve the pings, and count those that gave no velocity."""
+    velocities = dvl_velocities(
+        dive.dvl,
+        mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG),
+        config.dvl.scale,
+        config.dvl.max_beam_residual_mps or np.inf,
+    )
+    if not len(velocities.time_ns):
+        raise LogError(
+            f"{dive.name}: none of the DVL's {len(dive.dvl.time_ns)} pings has a velocity",
+            "three valid beams, or a finite bottom-track velocity, are needed; was the seabed in range?",
+        )
+    notes = []
+    if lost := velocities.pings_without_velocity:
+        notes.append(
+            Note("dvl_no_velocity", f"{lost} pings have fewer than three valid beams or no finite velocity", lost)
+        )
+    if bad := velocities.pings_with_bad_residual:
+        limit = config.dvl.max_beam_residual_mps
+        notes.append(Note("dvl_bad_residual", f"{bad} pings have beams that disagree by more than {limit:g} m/s", bad))
+    if three := int(np.sum(velocities.beams_used == 3)):
+        notes.append(Note("dvl_three_beams", f"{three} pings are solved from three beams, without a check", three))
+    return velocities, tuple(notes)
+
+
+def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, int]:
+    """Give the span that the IMU covers, the DVL reaches and the configuration wants."""
+    first_ns, last_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
+    start_s, end_s = config.span.start_s, config.span.end_s
+    start_ns = first_ns if start_s is None else max(first_ns, first_ns + round(start_s * 1e9))
+    end_ns = last_ns if end_s is None else min(last_ns, first_ns + round(end_s * 1e9))
+    if start_ns >= end_ns:
+        duration_s = (last_ns - first_ns) * 1e-9
+        raise LogError(
+            f"{dive.name}: nothing lies between --start {start_s or 0:g} s and --end {end_s or duration_s:g} s; "
+            f"the IMU covers 0 to {duration_s:.1f} s",
+            "--start and --end count seconds from the first IMU sample",
+        )
+    if velocities.time_ns[-1] <= start_ns or velocities.time_ns[0] > end_ns:
+        before_s, after_s = ((int(velocities.time_ns[row]) - first_ns) * 1e-9 for row in (0, -1))
+        raise LogError(
+            f"{dive.name}: IMU and DVL do not overlap in time: the replay covers {(start_ns - first_ns) * 1e-9:.1f} to "
+            f"{(end_ns - first_ns) * 1e-9:.1f} s from the first IMU sample, the DVL {before_s:.1f} to {after_s:.1f} s",
+            "are both stamped by the same clock? try --set imu.stamp=log_time --set dvl.stamp=log_time",
+        )
+    return start_ns, end_ns
+
+
+def _outside_notes(velocities: DvlVelocities, inside: DvlVelocities) -> tuple[Note, ...]:
+    if not len(inside.time_ns):
+        raise LogError(
+            "no DVL velocity lies between the start of the replay and its end",
+            "check dvl.stamp and reference.stamp against imu.stamp, or widen --start and --end",
+        )
+    outside = len(velocities.time_ns) - len(inside.time_ns)
+    if not outside:
+        return ()
+    return (Note("dvl_outside_span", f"{outside} pings lie before the start of the replay or after its end", outside),)
+
+
+def _run_filters(
+    dive: Dive, velocities: DvlVelocities, alignment: Alignment, end_ns: int, config: Config, keep_cov: bool
+) -> tuple[History, ...]:
+    reference_ns = dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64)
+    timeline = build_timeline(dive.imu, velocities.time_ns, reference_ns, alignment.start_ns, end_ns)
+    return tuple(
+        run_filter(
+            name,
+            timeline,
+            alignment.start,
+            filter_noise(filter_, config),
+            filter_measurements(filter_, velocities, config, chi_square_quantile(filter_.gate_probability, 3)),
+            np.array(config.dvl.lever_arm_m),
+            keep_cov=keep_cov,
+        )
+        for name, filter_ in config.filters.items()
+    )

@@ -1,0 +1,71 @@
+"""Tables as CSV: UTF-8, LF, numbers in full, empty for what is missing."""
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from typing import get_args, get_type_hints
+
+import msgspec
+import pandas as pd
+
+from insdvl_replay.report.json_report import Report, Tables
+
+
+def table_csv(table: pd.DataFrame) -> bytes:
+    """Write a table as CSV.
+
+    Parameters
+    ----------
+    table : DataFrame
+
+    Returns
+    -------
+    bytes
+        Header and rows. Floats have as many digits as it takes to read them back exactly.
+    """
+    return rows_csv(list(table.columns), table.itertuples(index=False, name=None)).encode()
+
+
+def report_csv(report: Report) -> str:
+    """Write the four tables one after the other, a blank line between them.
+
+    Parameters
+    ----------
+    report : Report
+
+    Returns
+    -------
+    str
+        Every line begins with the column ``table``, the header's too, so that one table is easily cut out.
+    """
+    blocks = []
+    for name, rows_type in get_type_hints(Tables).items():
+        header = ("table", *get_args(rows_type)[0].__struct_fields__)
+        rows = [(name, *msgspec.structs.astuple(row)) for row in getattr(report.tables, name)]
+        blocks.append(rows_csv(header, rows))
+    return "\n".join(blocks)
+
+
+def rows_csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Write rows as CSV.
+
+    Parameters
+    ----------
+    header : sequence of str
+    rows : iterable of sequences
+        None and NaN become empty.
+
+    Returns
+    -------
+    str
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([None if _is_missing(value) else value for value in row] for row in rows)
+    return text.getvalue()
+
+
+def _is_missing(value: object) -> bool:
+    return value is None or (isinstance(value, float) and math.isnan(value))

@@ -1,0 +1,217 @@
+"""The report: one result as data, saved as report.json, read back, and the source of everything that is shown."""
+
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Annotated, Any, Final, TypeVar
+
+import msgspec
+import pandas as pd
+from msgspec import Meta, Struct
+
+from insdvl_replay import __version__
+from insdvl_replay.columns import Channel, Dive
+from insdvl_replay.config import Config
+from insdvl_replay.errors import Note
+from insdvl_replay.states import NINE
+
+NUMERICAL_PACKAGES: Final = ("numpy", "numba", "pandas", "scipy", "mcap")
+"""Packages whose version may move a number."""
+
+
+class ImprovementRow(Struct, frozen=True):
+    """What a candidate believes of one state at the end of the dive, beside the baseline."""
+
+    log: str
+    filter: str
+    state: str
+    unit: str
+    baseline_sd: float | None
+    sd: float | None
+    improvement_pct: float | None
+    status: str
+
+
+class ConvergenceRow(Struct, frozen=True):
+    """When a candidate became, and stayed, as sure of one state as the baseline is at the end."""
+
+    log: str
+    filter: str
+    state: str
+    unit: str
+    target_sd: float | None
+    baseline_s: float | None
+    reached_s: float | None
+    improvement_pct: float | None
+    status: str
+
+
+class ReferenceErrorRow(Struct, frozen=True):
+    """How far a candidate is from the reference in one quantity, beside the baseline."""
+
+    log: str
+    filter: str
+    quantity: str
+    unit: str
+    baseline_rmse: float | None
+    rmse: float | None
+    improvement_pct: float | None
+    baseline_final: float | None
+    final: float | None
+    samples: int
+    status: str
+
+
+class ConsistencyRow(Struct, frozen=True):
+    """Whether a filter's innovations are as large as it says."""
+
+    log: str
+    filter: str
+    measurement: str
+    dof: int
+    used: int
+    rejected: int
+    mean_nis: float | None
+    low: float | None
+    high: float | None
+    verdict: str
+
+
+class Tables(Struct, frozen=True):
+    """The four tables, row for row as in the CSV files; null for what is missing."""
+
+    improvement: list[ImprovementRow]
+    convergence: list[ConvergenceRow]
+    reference_error: list[ReferenceErrorRow]
+    consistency: list[ConsistencyRow]
+
+
+class Means(Struct, frozen=True):
+    """Means over the nine states without the velocity errors; a missing improvement counts as 0."""
+
+    mean_improvement_pct: float | None
+    mean_convergence_improvement_pct: float | None
+
+
+class Log(Struct, frozen=True):
+    """What was replayed."""
+
+    name: str
+    sha256: Annotated[str, Meta(description="of the log's bytes; empty for a dive that was never a file")]
+    start_ns: Annotated[int, Meta(description="on the log's own clock")]
+    end_ns: int
+    duration_s: float
+    channels: list[Channel]
+
+
+class Tool(Struct, frozen=True):
+    """What made the report, and when: the one place where two runs on the same input may differ."""
+
+    name: str = "insdvl-replay"
+    version: str = __version__
+    started_at: Annotated[str | None, Meta(description="UTC, ISO 8601")] = None
+    elapsed_s: float | None = None
+
+
+class Report(Struct, frozen=True):
+    """The result of one replay."""
+
+    tool: Tool
+    versions: Annotated[dict[str, str], Meta(description="of Python and the packages that may move a number")]
+    log: Log
+    baseline: Annotated[str, Meta(description="name of the filter that the candidates are compared with")]
+    filters: Annotated[dict[str, Means], Meta(description="each candidate's headline, believed by its own covariance")]
+    tables: Tables
+    notes: Annotated[list[Note], Meta(description="what was dropped, assumed or found odd")]
+    config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
+
+
+def build_report(
+    dive: Dive,
+    config: Config,
+    tables: Mapping[str, pd.DataFrame],
+    notes: Sequence[Note],
+    start_ns: int,
+    end_ns: int,
+    tool: Tool = Tool(),
+) -> Report:
+    """Gather a result.
+
+    Parameters
+    ----------
+    dive : Dive
+    config : Config
+        Resolved settings.
+    tables : mapping of str to DataFrame
+        ``improvement``, ``convergence``, ``reference_error``, ``consistency``.
+    notes : sequence of Note
+    start_ns, end_ns : int
+        Span of the replay.
+    tool : Tool
+        With the time of day, if that is wanted.
+
+    Returns
+    -------
+    Report
+    """
+    rows = msgspec.convert({name: _records(table) for name, table in tables.items()}, Tables)
+    return Report(
+        tool=tool,
+        versions={"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES},
+        log=Log(dive.name, dive.sha256, start_ns, end_ns, (end_ns - start_ns) * 1e-9, list(dive.channels)),
+        baseline=config.baseline,
+        filters={name: _means(rows, name) for name in list(config.filters)[1:]},
+        tables=rows,
+        notes=list(notes),
+        config=msgspec.to_builtins(config),
+    )
+
+
+def encode_report(report: Report) -> bytes:
+    """Write a report as JSON, indented, with a final newline. The same report gives the same bytes."""
+    return msgspec.json.format(msgspec.json.encode(report)) + b"\n"
+
+
+def decode_report(data: bytes) -> Report:
+    """Read a report back.
+
+    Parameters
+    ----------
+    data : bytes
+        From `encode_report`.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    msgspec.ValidationError
+        The data are something else.
+    """
+    return msgspec.json.decode(data, type=Report)
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{key: _finite_or_none(value) for key, value in row.items()} for row in table.to_dict("records")]
+
+
+def _finite_or_none(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Row = TypeVar("Row", ImprovementRow, ConvergenceRow)
+
+
+def _means(tables: Tables, candidate: str) -> Means:
+    return Means(_mean_over_nine(tables.improvement, candidate), _mean_over_nine(tables.convergence, candidate))
+
+
+def _mean_over_nine(rows: Sequence[Row], candidate: str) -> float | None:
+    """Average the improvement; None where a standard deviation is not finite, for then nothing can be said."""
+    nine = {state.id for state in NINE}
+    chosen = [row for row in rows if row.filter == candidate and row.state in nine]
+    if any(row.status == "not finite" for row in chosen):
+        return None
+    return math.fsum(row.improvement_pct or 0.0 for row in chosen) / len(NINE)

@@ -1,0 +1,32 @@
+"""JSON schemas of the settings and the report, generated from the structures that read and write them."""
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import msgspec
+
+from insdvl_replay.config import Config
+from insdvl_replay.report.json_report import Report
+
+
+def config_schema() -> bytes:
+    """Describe the configuration, once it is read from TOML, as JSON schema (draft 2020-12)."""
+    return _schema(Config, "insdvl-replay configuration")
+
+
+def report_schema() -> bytes:
+    """Describe report.json as JSON schema (draft 2020-12)."""
+    return _schema(Report, "insdvl-replay report")
+
+
+SCHEMAS: Final[dict[str, Callable[[], bytes]]] = {"config": config_schema, "report": report_schema}
+"""By the name that the command line and the files in schemas/ use."""
+
+
+def _schema(root: type, title: str) -> bytes:
+    schema: dict[str, Any] = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": title,
+        **msgspec.json.schema(root),
+    }
+    return msgspec.json.format(msgspec.json.encode(schema)) + b"\n"

@@ -1,0 +1,212 @@
+"""A report as tables for people: titles, units, three to four significant digits. `terminal` and `markup` dress them."""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol, TypeVar
+
+from insdvl_replay.report.json_report import ConsistencyRow, ConvergenceRow, ImprovementRow, ReferenceErrorRow, Report
+from insdvl_replay.states import STATES
+
+MISSING: Final = "-"
+_LABELS: Final = {state.id: state.label for state in STATES}
+_QUANTITIES: Final = {
+    "velocity_n": "velocity, north",
+    "velocity_e": "velocity, east",
+    "velocity_d": "velocity, down",
+    "roll": "roll",
+    "pitch": "pitch",
+    "heading": "heading",
+    "position_h": "position, horiz.",
+    "depth": "depth",
+    "position_h_pct": "  of distance",
+}
+
+
+class _OfFilter(Protocol):
+    @property
+    def filter(self) -> str: ...
+
+
+Row = TypeVar("Row", bound=_OfFilter)
+
+
+@dataclass(frozen=True)
+class ShownTable:
+    """A table ready to be dressed.
+
+    Attributes
+    ----------
+    title : str
+        What it says, in one line.
+    header : tuple of str
+        Column names with units.
+    words : int
+        How many columns from the left hold words; those after hold numbers, up to a last one of words.
+    rows : tuple of tuples of str
+    """
+
+    title: str
+    header: tuple[str, ...]
+    words: int
+    rows: tuple[tuple[str, ...], ...]
+
+    def is_number(self, column: int) -> bool:
+        """Whether a column holds numbers."""
+        return self.words <= column < len(self.header) - 1
+
+
+def shown_tables(report: Report) -> list[ShownTable]:
+    """Turn a report into tables for people, four for each candidate.
+
+    Parameters
+    ----------
+    report : Report
+
+    Returns
+    -------
+    list of ShownTable
+        Tables without rows are left out.
+    """
+    return list(_tables(report))
+
+
+def heading(report: Report) -> str:
+    """Say in one line what was replayed."""
+    filters = " against ".join([", ".join(report.filters), report.baseline] if report.filters else [report.baseline])
+    return f"{report.log.name}: {filters} over {report.log.duration_s:.1f} s"
+
+
+def closing_lines(report: Report) -> list[str]:
+    """Say for each candidate what its mean improvement is, and whose opinion that is."""
+    return [
+        f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)}, converged "
+        f"{percent(means.mean_convergence_improvement_pct)} sooner (believed by the filter's own covariance; see "
+        "reference error and consistency)"
+        for name, means in report.filters.items()
+    ]
+
+
+def number(value: float | None) -> str:
+    """Write a number with four significant digits, without an exponent where that stays short.
+
+    Parameters
+    ----------
+    value : float or None
+
+    Returns
+    -------
+    str
+    """
+    if value is None:
+        return MISSING
+    if value == 0.0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if -4 <= exponent < 7:
+        return f"{value:.{max(3 - exponent, 0)}f}"
+    return f"{value:.2e}"
+
+
+def percent(value: float | None) -> str:
+    """Write a percentage with one digit."""
+    return MISSING if value is None else f"{value:.1f} %"
+
+
+def _tables(report: Report) -> Iterator[ShownTable]:
+    tables = report.tables
+    for name in report.filters:
+        yield from _improvement(report.baseline, name, _of(name, tables.improvement))
+        yield from _convergence(report.baseline, name, _of(name, tables.convergence))
+        yield from _reference_error(report.baseline, name, _of(name, tables.reference_error))
+    yield from _consistency(tables.consistency)
+
+
+def _of(name: str, rows: Iterable[Row]) -> list[Row]:
+    return [row for row in rows if row.filter == name]
+
+
+def _improvement(baseline: str, name: str, rows: Sequence[ImprovementRow]) -> Iterator[ShownTable]:
+    if rows:
+        yield ShownTable(
+            f"Improvement: standard deviations at the end, {name} against {baseline}",
+            ("state", "unit", baseline, name, "improvement", "status"),
+            2,
+            tuple(
+                (
+                    _LABELS[row.state],
+                    row.unit,
+                    number(row.baseline_sd),
+                    number(row.sd),
+                    percent(row.improvement_pct),
+                    row.status,
+                )
+                for row in rows
+            ),
+        )
+
+
+def _convergence(baseline: str, name: str, rows: Sequence[ConvergenceRow]) -> Iterator[ShownTable]:
+    if rows:
+        yield ShownTable(
+            f"Convergence: when {name} is as sure as {baseline} is at the end",
+            ("state", "unit", "target", f"{baseline} [s]", f"{name} [s]", "sooner", "status"),
+            2,
+            tuple(
+                (
+                    _LABELS[row.state],
+                    row.unit,
+                    number(row.target_sd),
+                    number(row.baseline_s),
+                    number(row.reached_s),
+                    percent(row.improvement_pct),
+                    row.status.replace("_", " "),
+                )
+                for row in rows
+            ),
+        )
+
+
+def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]) -> Iterator[ShownTable]:
+    if rows:
+        yield ShownTable(
+            f"Reference error: distance from the reference, {name} against {baseline}",
+            ("quantity", "unit", f"{baseline} rms", f"{name} rms", "better", f"{baseline} final", f"{name} final", "status"),
+            2,
+            tuple(
+                (
+                    _QUANTITIES.get(row.quantity, row.quantity),
+                    row.unit,
+                    number(row.baseline_rmse),
+                    number(row.rmse),
+                    percent(row.improvement_pct),
+                    number(row.baseline_final),
+                    number(row.final),
+                    row.status,
+                )
+                for row in rows
+            ),
+        )
+
+
+def _consistency(rows: Sequence[ConsistencyRow]) -> Iterator[ShownTable]:
+    if rows:
+        yield ShownTable(
+            "Consistency: mean NIS and where 95 % of consistent filters would have it",
+            ("filter", "measurement", "dof", "used", "rejected", "mean NIS", "low", "high", "verdict"),
+            2,
+            tuple(
+                (
+                    row.filter,
+                    row.measurement,
+                    str(row.dof),
+                    str(row.used),
+                    str(row.rejected),
+                    number(row.mean_nis),
+                    number(row.low),
+                    number(row.high),
+                    row.verdict,
+                )
+                for row in rows
+            ),
+        )

@@ -1,0 +1,257 @@
+"""A simulated dive: the exact one, and the one that sensors report of it."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final, TypeVar
+
+import numpy as np
+
+from insdvl_replay.columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, TimeNs, TruthColumns, seconds
+from insdvl_replay.config import Vector
+from insdvl_replay.errors import ConfigError
+from insdvl_replay.rotation import mat_from_rpy
+from insdvl_replay.sim.dvl_errors import BEAM_AZIMUTH_DEG, DvlErrors, LostBeam, add_dvl_errors, beam_vectors_d
+from insdvl_replay.sim.imu_errors import GRADES, ImuErrors, add_imu_errors
+from insdvl_replay.sim.motion import Course
+from insdvl_replay.sim.trajectories import SCENARIOS
+from insdvl_replay.states import DEG
+
+START_NS: Final = 1_704_067_200_000_000_000
+"""Time of the first IMU sample of every dive, 2024-01-01T00:00:00Z."""
+FIRST_PING_S: Final = 0.3717
+"""Time of the first ping: pings fall between IMU samples, as they do at sea."""
+BLOCK: Final = 100_000
+"""IMU samples worked on at once, which bounds the memory that a long dive takes."""
+
+T = TypeVar("T")
+
+
+def simulate_dive(
+    scenario: str,
+    *,
+    seed: int = 1,
+    duration_s: float | None = None,
+    grade: str = "fog",
+    imu_rate_hz: float = 100.0,
+    dvl_rate_hz: float = 1.0,
+    reference_rate_hz: float = 5.0,
+    outages: Sequence[tuple[float, float]] = (),
+    lost_beams: Sequence[LostBeam] = (),
+    imu_errors: ImuErrors | None = None,
+    dvl_errors: DvlErrors | None = None,
+    lever_arm_m: Vector = (0.0, 0.0, 0.0),
+    mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),
+) -> Dive:
+    """Simulate a dive as its sensors report it. The same arguments give the same bytes.
+
+    Parameters
+    ----------
+    scenario : str
+        A name in `trajectories.SCENARIOS`.
+    seed : int
+        Of every error; not negative.
+    grade : str
+        A name in `imu_errors.GRADES`.
+    imu_errors, dvl_errors : optional
+        Instead of the grade's errors, and of the defaults of `DvlErrors`.
+    duration_s, imu_rate_hz, dvl_rate_hz, reference_rate_hz, outages, lost_beams, lever_arm_m, mounting_rpy_deg
+        As in `exact_dive`.
+
+    Returns
+    -------
+    Dive
+        The reference is the exact motion; truth holds the biases.
+
+    Raises
+    ------
+    ConfigError
+        Unknown scenario or grade, or a number that cannot be.
+    """
+    if imu_errors is None:
+        imu_errors = _named("IMU grade", grade, GRADES)
+    exact = exact_dive(
+        scenario,
+        duration_s=duration_s,
+        imu_rate_hz=imu_rate_hz,
+        dvl_rate_hz=dvl_rate_hz,
+        reference_rate_hz=reference_rate_hz,
+        outages=outages,
+        lost_beams=lost_beams,
+        lever_arm_m=lever_arm_m,
+        mounting_rpy_deg=mounting_rpy_deg,
+    )
+    return add_errors(exact, imu_errors, dvl_errors or DvlErrors(), seed)
+
+
+def exact_dive(
+    scenario: str,
+    *,
+    duration_s: float | None = None,
+    imu_rate_hz: float = 100.0,
+    dvl_rate_hz: float = 1.0,
+    reference_rate_hz: float = 5.0,
+    outages: Sequence[tuple[float, float]] = (),
+    lost_beams: Sequence[LostBeam] = (),
+    lever_arm_m: Vector = (0.0, 0.0, 0.0),
+    mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),
+) -> Dive:
+    """Simulate a dive with perfect sensors. A Monte Carlo study needs it once, and `add_errors` for each run.
+
+    Parameters
+    ----------
+    scenario : str
+        A name in `trajectories.SCENARIOS`.
+    duration_s : float, optional
+        Cuts the scenario, or lets the vehicle go straight on; left out: the scenario's own.
+    imu_rate_hz, dvl_rate_hz, reference_rate_hz : float
+        The IMU and the reference start with the dive, the DVL at `FIRST_PING_S`.
+    outages : sequence of (start_s, end_s)
+        Spans in which no beam finds the bottom: such pings are there, and all NaN.
+    lost_beams : sequence of LostBeam
+        Spans in which one beam does not.
+    lever_arm_m : tuple of three floats
+        IMU to DVL, in b.
+    mounting_rpy_deg : tuple of three floats
+        The DVL's mounting rotation, d to b, as roll, pitch, heading.
+
+    Returns
+    -------
+    Dive
+
+    Raises
+    ------
+    ConfigError
+        Unknown scenario, or a number that cannot be.
+    """
+    way = _named("scenario", scenario, SCENARIOS)
+    end_s = way.duration_s if duration_s is None else duration_s
+    _check_positive("duration", "s", end_s)
+    for sensor, rate_hz in (("IMU", imu_rate_hz), ("DVL", dvl_rate_hz), ("reference", reference_rate_hz)):
+        _check_positive(f"{sensor} rate", "Hz", rate_hz)
+    if end_s * imu_rate_hz < 1.0:
+        raise ConfigError(f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples", "--duration 60")
+    every_beam = range(len(BEAM_AZIMUTH_DEG))
+    spans = [*lost_beams, *(LostBeam(beam, *outage) for outage in outages for beam in every_beam)]
+    _check_spans(spans)
+    course = Course(way, end_s)
+    reference = _reference(course, _grid_ns(0.0, reference_rate_hz, end_s))
+    unbiased = np.zeros_like(reference.velocity_n)
+    return Dive(
+        name=scenario,
+        imu=_imu(course, _grid_ns(0.0, imu_rate_hz, end_s)),
+        dvl=_dvl(course, _grid_ns(FIRST_PING_S, dvl_rate_hz, end_s), lever_arm_m, mounting_rpy_deg, spans),
+        reference=reference,
+        truth=TruthColumns(reference.time_ns, unbiased, unbiased),
+    )
+
+
+def add_errors(exact: Dive, imu_errors: ImuErrors, dvl_errors: DvlErrors, seed: int) -> Dive:
+    """Let the sensors of an exact dive err.
+
+    Parameters
+    ----------
+    exact : Dive
+        From `exact_dive`.
+    imu_errors : ImuErrors
+    dvl_errors : DvlErrors
+    seed : int
+        Not negative. Accelerometers, gyros and DVL draw from streams of their own.
+
+    Returns
+    -------
+    Dive
+        With the biases as truth, at the times of the exact dive's truth.
+
+    Raises
+    ------
+    ConfigError
+        The seed is negative.
+    ValueError
+        The dive holds no truth to replace.
+    """
+    if seed < 0:
+        raise ConfigError(f"seed {seed} is negative", f"--seed {-seed}")
+    if exact.truth is None:
+        raise ValueError("errors are added to an exact dive, which holds truth")
+    accel_rng, gyro_rng, dvl_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+    imu, biases = add_imu_errors(exact.imu, imu_errors, accel_rng, gyro_rng)
+    return replace(
+        exact,
+        imu=imu,
+        dvl=add_dvl_errors(exact.dvl, dvl_errors, dvl_rng),
+        truth=_truth_at(exact.truth.time_ns, biases),
+    )
+
+
+def _named(kind: str, name: str, known: Mapping[str, T]) -> T:
+    if name not in known:
+        nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+        hint = f"did you mean {nearest[0]}?" if nearest else f"known: {', '.join(known)}"
+        raise ConfigError(f"{kind} '{name}' is not known", hint)
+    return known[name]
+
+
+def _check_positive(what: str, unit: str, value: float) -> None:
+    if not 0.0 < value < np.inf:
+        raise ConfigError(f"{what} is {value:g} {unit}, and must be above 0", f"give the {what} in {unit}")
+
+
+def _check_spans(spans: Sequence[LostBeam]) -> None:
+    beams = len(BEAM_AZIMUTH_DEG)
+    for span in spans:
+        if not span.start_s < span.end_s:
+            raise ConfigError(
+                f"an outage from {span.start_s:g} s to {span.end_s:g} s does not end after its start",
+                "give its start first, then its end, in seconds from the start of the dive",
+            )
+        if not 0 <= span.beam < beams:
+            raise ConfigError(f"beam {span.beam} cannot be lost", f"beams are counted from 0 to {beams - 1}")
+
+
+def _grid_ns(first_s: float, rate_hz: float, end_s: float) -> TimeNs:
+    """Count evenly from the first sample to the end, the end included whatever its last bit."""
+    count = max(0, int(np.floor((end_s - first_s) * rate_hz + 1e-6)) + 1)
+    return START_NS + np.rint((first_s + np.arange(count) / rate_hz) * 1e9).astype(np.int64)
+
+
+def _imu(course: Course, time_ns: TimeNs) -> ImuColumns:
+    motions = [course.at(block) for block in np.array_split(seconds(time_ns, START_NS), 1 + len(time_ns) // BLOCK)]
+    return ImuColumns(
+        time_ns,
+        np.concatenate([motion.specific_force_b for motion in motions]),
+        np.concatenate([motion.angular_rate_b for motion in motions]),
+    )
+
+
+def _dvl(
+    course: Course, time_ns: TimeNs, lever_arm_m: Vector, mounting_rpy_deg: Vector, spans: Sequence[LostBeam]
+) -> DvlColumns:
+    time_s, vectors_d = seconds(time_ns, START_NS), beam_vectors_d()
+    motion = course.at(time_s)
+    mat_bd = mat_from_rpy(np.array(mounting_rpy_deg) * DEG)
+    velocity_b = np.einsum("kji,kj->ki", motion.mat_nb, motion.velocity_n)
+    velocity_d = (velocity_b + np.cross(motion.turn_rate_b, lever_arm_m)) @ mat_bd
+    beam_velocity_mps = velocity_d @ vectors_d.T
+    for span in spans:
+        beam_velocity_mps[(time_s >= span.start_s) & (time_s < span.end_s), span.beam] = np.nan
+    return DvlColumns(time_ns, beam_velocity_mps, vectors_d)
+
+
+def _reference(course: Course, time_ns: TimeNs) -> ReferenceColumns:
+    """Write the motion down with as many digits as matter: below 0.1 mm, 1 um/s and 1 prad.
+
+    The last bits of a sine differ from machine to machine, and would show in the bytes of a log.
+    """
+    motion = course.at(seconds(time_ns, START_NS))
+    return ReferenceColumns(
+        time_ns,
+        position=np.round(motion.position, 11),
+        velocity_n=np.round(motion.velocity_n, 6),
+        mat_nb=np.round(motion.mat_nb, 12),
+    )
+
+
+def _truth_at(time_ns: TimeNs, biases: TruthColumns) -> TruthColumns:
+    latest = np.searchsorted(biases.time_ns, time_ns, side="right") - 1
+    return TruthColumns(time_ns, np.round(biases.accel_bias_b[latest], 10), np.round(biases.gyro_bias_b[latest], 14))

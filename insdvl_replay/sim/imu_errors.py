@@ -1,0 +1,141 @@
+"""How inertial sensors err: a bias that wanders, white noise, and the steps of their digits."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.columns import Floats, ImuColumns, TruthColumns
+from insdvl_replay.states import DEG, DEG_PER_HOUR, MG
+
+DEG_PER_RT_HOUR: Final = DEG / 60.0
+"""One deg/sqrt(h), the unit of angular random walk on data sheets, in rad/sqrt(s)."""
+
+
+@dataclass(frozen=True)
+class ImuErrors:
+    """Size of the errors of three like accelerometers and three like gyros.
+
+    Attributes
+    ----------
+    accel_white_mps_rts, gyro_white_rad_rts : float
+        White noise density N; one sample at rate f has the standard deviation N sqrt(f), its integral over t has
+        N sqrt(t).
+    accel_bias_sd_mps2, gyro_bias_sd_radps : float
+        Standard deviation of the bias at the start of a dive.
+    accel_bias_walk_mps2_rts, gyro_bias_walk_radps_rts : float
+        Random walk K of the bias: after t it has moved by K sqrt(t).
+    accel_quantum_mps2, gyro_quantum_radps : float
+        Steps to which readings are rounded; 0 for none.
+    """
+
+    accel_white_mps_rts: float = 0.0
+    gyro_white_rad_rts: float = 0.0
+    accel_bias_sd_mps2: float = 0.0
+    gyro_bias_sd_radps: float = 0.0
+    accel_bias_walk_mps2_rts: float = 0.0
+    gyro_bias_walk_radps_rts: float = 0.0
+    accel_quantum_mps2: float = 0.0
+    gyro_quantum_radps: float = 0.0
+
+
+# The quanta are powers of two, which float64 holds exactly: the same bytes on every machine, and short ones in a
+# compressed log. Each is well below the noise of one sample at 100 Hz.
+GRADES: Final[Mapping[str, ImuErrors]] = MappingProxyType(
+    {
+        "fog": ImuErrors(
+            accel_white_mps_rts=1e-4,
+            gyro_white_rad_rts=0.001 * DEG_PER_RT_HOUR,
+            accel_bias_sd_mps2=0.04 * MG,
+            gyro_bias_sd_radps=0.01 * DEG_PER_HOUR,
+            accel_bias_walk_mps2_rts=1e-6,
+            gyro_bias_walk_radps_rts=2e-10,
+            accel_quantum_mps2=2.0**-13,
+            gyro_quantum_radps=2.0**-20,
+        ),
+        "tactical": ImuErrors(
+            accel_white_mps_rts=1e-3,
+            gyro_white_rad_rts=0.1 * DEG_PER_RT_HOUR,
+            accel_bias_sd_mps2=1.0 * MG,
+            gyro_bias_sd_radps=3.0 * DEG_PER_HOUR,
+            accel_bias_walk_mps2_rts=2e-5,
+            gyro_bias_walk_radps_rts=8e-8,
+            accel_quantum_mps2=2.0**-11,
+            gyro_quantum_radps=2.0**-16,
+        ),
+        "mems": ImuErrors(
+            accel_white_mps_rts=2e-3,
+            gyro_white_rad_rts=0.3 * DEG_PER_RT_HOUR,
+            accel_bias_sd_mps2=4.0 * MG,
+            gyro_bias_sd_radps=30.0 * DEG_PER_HOUR,
+            accel_bias_walk_mps2_rts=8e-5,
+            gyro_bias_walk_radps_rts=8e-7,
+            accel_quantum_mps2=2.0**-9,
+            gyro_quantum_radps=2.0**-14,
+        ),
+    }
+)
+"""Typical IMUs: fibre-optic gyros as in a navigator for survey vehicles, tactical grade, and micromechanical."""
+
+
+def quantise(values: Floats, quantum: float) -> Floats:
+    """Round to whole multiples of a quantum; 0 leaves the values as they are.
+
+    Parameters
+    ----------
+    values : ndarray, any shape
+    quantum : float
+        In the unit of the values.
+
+    Returns
+    -------
+    ndarray, the same shape
+    """
+    if quantum == 0.0:
+        return values
+    rounded: Floats = np.rint(values / quantum) * quantum
+    return rounded
+
+
+def add_imu_errors(
+    exact: ImuColumns, errors: ImuErrors, accel_rng: np.random.Generator, gyro_rng: np.random.Generator
+) -> tuple[ImuColumns, TruthColumns]:
+    """Spoil perfect readings.
+
+    Parameters
+    ----------
+    exact : ImuColumns
+        At least two evenly spaced samples.
+    errors : ImuErrors
+    accel_rng, gyro_rng : numpy.random.Generator
+        A stream for each triad, so that changing one leaves the other's draws alone.
+
+    Returns
+    -------
+    imu : ImuColumns
+        What the sensors report.
+    truth : TruthColumns
+        The biases at the same times.
+    """
+    interval_s = float(exact.time_ns[-1] - exact.time_ns[0]) * 1e-9 / (len(exact.time_ns) - 1)
+    shape = exact.specific_force_b.shape
+    accel_bias = _bias(shape, errors.accel_bias_sd_mps2, errors.accel_bias_walk_mps2_rts * interval_s**0.5, accel_rng)
+    gyro_bias = _bias(shape, errors.gyro_bias_sd_radps, errors.gyro_bias_walk_radps_rts * interval_s**0.5, gyro_rng)
+    accel_noise = errors.accel_white_mps_rts / interval_s**0.5 * accel_rng.standard_normal(shape)
+    gyro_noise = errors.gyro_white_rad_rts / interval_s**0.5 * gyro_rng.standard_normal(shape)
+    imu = ImuColumns(
+        exact.time_ns,
+        quantise(exact.specific_force_b + accel_bias + accel_noise, errors.accel_quantum_mps2),
+        quantise(exact.angular_rate_b + gyro_bias + gyro_noise, errors.gyro_quantum_radps),
+    )
+    return imu, TruthColumns(exact.time_ns, accel_bias, gyro_bias)
+
+
+def _bias(shape: tuple[int, ...], start_sd: float, step_sd: float, rng: np.random.Generator) -> Floats:
+    """Draw a bias and let it wander, one step per sample."""
+    steps = step_sd * rng.standard_normal(shape)
+    steps[0] = start_sd * rng.standard_normal(shape[1:])
+    walk: Floats = np.cumsum(steps, axis=0)
+    return walk

@@ -1,0 +1,210 @@
+"""How the vehicle moves: heading, pitch, roll and forward speed as smooth functions of time, with exact derivatives.
+
+Times are seconds from the start of the dive and may be any; after its last segment a vehicle goes straight on.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.states import DEG
+
+HEADING_DEG: Final = 30.0
+"""Heading at the start of every scenario."""
+RAMP_S: Final = 2.0
+"""Time in which a turn rate grows from nothing to its full value."""
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A quantity that swings around its mean: ``mean + amplitude sin(2 pi t / period_s)``.
+
+    Attributes
+    ----------
+    mean, amplitude : float
+        In the unit of the quantity.
+    period_s : float
+        Time of one swing.
+    """
+
+    mean: float = 0.0
+    amplitude: float = 0.0
+    period_s: float = 60.0
+
+    def value(self, time_s: Floats) -> Floats:
+        """Give the quantity at times of shape (k,)."""
+        swing: Floats = self.mean + self.amplitude * np.sin(2.0 * np.pi * time_s / self.period_s)
+        return swing
+
+    def rate(self, time_s: Floats) -> Floats:
+        """Give its derivative, per second, at times of shape (k,)."""
+        frequency = 2.0 * np.pi / self.period_s
+        swing: Floats = self.amplitude * frequency * np.cos(frequency * time_s)
+        return swing
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A part of the way with one turn, or none.
+
+    The turn rate rises in `RAMP_S`, holds, and falls in `RAMP_S`. Both ramps are the polynomial 3u^2 - 2u^3, so that
+    the turn rate has a continuous derivative.
+
+    Attributes
+    ----------
+    duration_s : float
+        Above `RAMP_S` where the heading changes; the full rate is reached from twice `RAMP_S` on.
+    turn_deg : float
+        Change of heading, positive to starboard.
+    """
+
+    duration_s: float
+    turn_deg: float = 0.0
+
+    @property
+    def peak_rate(self) -> float:
+        """Turn rate between the ramps, rad/s."""
+        return self.turn_deg * DEG / (self.duration_s - RAMP_S)
+
+    def heading_change(self, time_s: Floats) -> Floats:
+        """Give the change of heading, rad, at seconds from the segment's start, shape (k,)."""
+        fall_s = time_s - (self.duration_s - RAMP_S)
+        change: Floats = self.peak_rate * RAMP_S * (_ramp_area(time_s / RAMP_S) - _ramp_area(fall_s / RAMP_S))
+        return change
+
+    def heading_rate(self, time_s: Floats) -> Floats:
+        """Give the turn rate, rad/s, at seconds from the segment's start, shape (k,)."""
+        fall_s = time_s - (self.duration_s - RAMP_S)
+        rate: Floats = self.peak_rate * (_ramp(time_s / RAMP_S) - _ramp(fall_s / RAMP_S))
+        return rate
+
+
+def turn(turn_deg: float, peak_rate_degps: float) -> Segment:
+    """Make the segment that turns by an angle at a given rate between its ramps.
+
+    Parameters
+    ----------
+    turn_deg : float
+        Positive to starboard.
+    peak_rate_degps : float
+        Magnitude of the turn rate, deg/s.
+
+    Returns
+    -------
+    Segment
+    """
+    return Segment(abs(turn_deg) / peak_rate_degps + RAMP_S, turn_deg)
+
+
+def _ramp(u: Floats) -> Floats:
+    """Climb smoothly from 0 at u = 0 to 1 at u = 1."""
+    within = np.clip(u, 0.0, 1.0)
+    climb: Floats = within**2 * (3.0 - 2.0 * within)
+    return climb
+
+
+def _ramp_area(u: Floats) -> Floats:
+    """Integrate `_ramp` from 0 to u."""
+    within = np.clip(u, 0.0, 1.0)
+    area: Floats = within**3 * (1.0 - 0.5 * within) + np.maximum(u - 1.0, 0.0)
+    return area
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A way through the water.
+
+    Attributes
+    ----------
+    about : str
+        What it is, in one line.
+    duration_s : float
+        How long the dive is unless it is asked to be shorter or longer.
+    speed_mps : Wave
+        Speed along the body's forward axis; the vehicle neither slips nor heaves.
+    segments : tuple of Segment
+        Legs and turns in their order, from the start.
+    roll_deg, pitch_deg : Wave
+        How the vehicle tilts on its way.
+    """
+
+    about: str
+    duration_s: float
+    speed_mps: Wave
+    segments: tuple[Segment, ...] = ()
+    roll_deg: Wave = Wave()
+    pitch_deg: Wave = Wave()
+
+    def _turns(self, time_s: Floats) -> list[tuple[Segment, Floats]]:
+        """Pair each turn with the seconds since it began."""
+        ends_s = np.cumsum([segment.duration_s for segment in self.segments])
+        return [
+            (segment, time_s - (end_s - segment.duration_s))
+            for segment, end_s in zip(self.segments, ends_s, strict=True)
+            if segment.turn_deg
+        ]
+
+    def rpy(self, time_s: Floats) -> Floats:
+        """Give roll, pitch and heading, rad, shape (k, 3); the heading is not wrapped."""
+        heading = np.full_like(time_s, HEADING_DEG * DEG)
+        for segment, since_s in self._turns(time_s):
+            heading += segment.heading_change(since_s)
+        return np.stack([self.roll_deg.value(time_s) * DEG, self.pitch_deg.value(time_s) * DEG, heading], axis=-1)
+
+    def rpy_rate(self, time_s: Floats) -> Floats:
+        """Give the derivatives of roll, pitch and heading, rad/s, shape (k, 3)."""
+        heading_rate = np.zeros_like(time_s)
+        for segment, since_s in self._turns(time_s):
+            heading_rate += segment.heading_rate(since_s)
+        return np.stack([self.roll_deg.rate(time_s) * DEG, self.pitch_deg.rate(time_s) * DEG, heading_rate], axis=-1)
+
+    def velocity_b(self, time_s: Floats) -> Floats:
+        """Give the velocity over ground in b, m/s, shape (k, 3)."""
+        return _forward(self.speed_mps.value(time_s))
+
+    def velocity_rate_b(self, time_s: Floats) -> Floats:
+        """Give the derivative of the components of `velocity_b`, m/s^2, shape (k, 3)."""
+        return _forward(self.speed_mps.rate(time_s))
+
+
+def _forward(length: Floats) -> Floats:
+    return np.stack([length, np.zeros_like(length), np.zeros_like(length)], axis=-1)
+
+
+def _figure_eight() -> tuple[Segment, ...]:
+    """Make two rounded squares that share the corner in which the way crosses itself.
+
+    Six turns by 92.6 deg, three to each side, are 555 deg in 394 s: 1.41 deg/s in the mean.
+    """
+    side, right, left = Segment(35.0), turn(92.6, 17.0), turn(-92.6, 17.0)
+    starboard_loop = (right, side, right, side, right, side)
+    port_loop = (side, left, side, left, side, left)
+    return (Segment(100.0), *starboard_loop, *port_loop)
+
+
+def _lawnmower() -> tuple[Segment, ...]:
+    """Make legs of 300 s with U-turns between them, to either side in turn, each sharper than the last."""
+    leg = Segment(300.0)
+    return (leg, turn(180.0, 6.0), leg, turn(-180.0, 9.0), leg, turn(180.0, 12.0), leg, turn(-180.0, 15.0))
+
+
+SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
+    {
+        "straight": Scenario("level at constant speed and heading", 424.0, Wave(2.0)),
+        "figure-eight": Scenario(
+            "a long leg, then an eight with sharp turns",
+            394.0,
+            Wave(0.9, 0.05, 39.4),
+            _figure_eight(),
+            roll_deg=Wave(0.0, 1.0, 17.0),
+            pitch_deg=Wave(0.0, 1.0, 31.0),
+        ),
+        "lawnmower": Scenario("legs of 300 s with U-turns, slowly", 1500.0, Wave(0.6 / 3.6), _lawnmower()),
+        "static": Scenario("at rest", 300.0, Wave(0.0)),
+    }
+)
+"""Every scenario by its name on the command line. The first three have the paper's durations, speeds and turn rates."""
