@@ -4,17 +4,21 @@ Precedence: defaults, then preset, then file, then command line.
 """
 
 import difflib
+import math
+import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import Struct
 
-from insdvl_replay.config import Config
+from insdvl_replay.config import Config, Filter
 from insdvl_replay.errors import ConfigError
+
+Section = TypeVar("Section", Config, Filter)
 
 PRESETS = ("levy-klein", "fog", "tactical", "mems")
 
@@ -41,18 +45,27 @@ def load_config(preset: str | None = None, file: Path | None = None, overrides: 
         Unknown preset, unreadable file, unknown key (with the nearest known one), value of the wrong kind or range.
     """
     settings: dict[str, Any] = msgspec.to_builtins(Config())
-    settings = _merged(settings, _read_preset(preset or PRESETS[0]))
+    preset = preset or PRESETS[0]
+    settings = _overlaid(settings, _read_preset(preset), f"preset {preset}")
     if file is not None:
-        from_file = _read_toml(file)
-        _check_keys(from_file, where=str(file))
-        if "filters" in from_file:
-            settings.pop("filters")
-        settings = _merged(settings, from_file)
+        settings = _overlaid(settings, _read_toml(file), str(file))
     for text in overrides:
         override = _parse_override(text)
         _check_keys(override, where=f"--set {text}")
         settings = _merged(settings, override)
-    return _converted(settings, where=str(file) if file else "the configuration")
+        _converted(settings, where=f"--set {text}")
+    config = _converted(settings, where="the configuration")
+    _check_filters(config, where="the configuration")
+    return config
+
+
+def _overlaid(settings: Mapping[str, Any], changes: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Lay a file over the settings; if it names filters, they are all there are."""
+    _check_keys(changes, where)
+    kept = {key: value for key, value in settings.items() if key != "filters" or "filters" not in changes}
+    merged = _merged(kept, changes)
+    _converted(merged, where)
+    return merged
 
 
 def _read_preset(name: str) -> dict[str, Any]:
@@ -131,26 +144,46 @@ def _check_keys(settings: Mapping[str, Any], where: str, struct: type[Struct] = 
 
 
 def _converted(settings: Mapping[str, Any], where: str) -> Config:
+    """Check kinds and ranges. Filters are checked one by one, so that an error can name its filter."""
+    filters = {
+        name: _checked(entry, Filter, where, f"filters.{name}") for name, entry in settings.get("filters", {}).items()
+    }
+    rest = {key: value for key, value in settings.items() if key != "filters"}
+    return msgspec.structs.replace(_checked(rest, Config, where, ""), filters=filters)
+
+
+def _checked(section: object, kind: type[Section], where: str, path: str) -> Section:
     try:
-        config = msgspec.convert(settings, Config)
+        converted = msgspec.convert(section, kind)
     except msgspec.ValidationError as error:
-        sentence, _, place = str(error).partition(" - at `$.")
-        key = place.rstrip("`") or "the top level"
+        sentence, _, place = str(error).partition(" - at `$")
+        place = place.rstrip("`")
+        key = f"{path}{place}".lstrip(".") or "the top level"
         raise ConfigError(
-            f"{where}: {key}: {sentence[0].lower()}{sentence[1:]}{_found(settings, key)}",
+            f"{where}: {key}: {sentence[0].lower()}{sentence[1:]}{_found(section, place)}",
             "`insdvl-replay config` prints every key with its kind and unit",
         ) from error
-    _check_filters(config, where)
-    return config
+    _check_finite(section, where, path)
+    return converted
 
 
-def _found(settings: Mapping[str, Any], key: str) -> str:
-    value: Any = settings
-    for part in key.replace("[...]", ".*").split("."):
-        if not isinstance(value, Mapping) or part not in value:
-            return ""
-        value = value[part]
-    return f", found {value!r}"
+def _found(section: object, place: str) -> str:
+    value: Any = section
+    for part in re.findall(r"\w+", place):
+        value = value[int(part)] if isinstance(value, list | tuple) else value[part]
+    return f", found {value!r}" if place else ""
+
+
+def _check_finite(value: object, where: str, path: str) -> None:
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{where}: {path} must be a finite number, found {value}", "leave out what is not limited")
+    entries: Iterable[tuple[object, object]] = ()
+    if isinstance(value, Mapping):
+        entries = ((f"{path}.{key}".lstrip("."), entry) for key, entry in value.items())
+    elif isinstance(value, list | tuple):
+        entries = ((f"{path}[{index}]", entry) for index, entry in enumerate(value))
+    for entry_path, entry in entries:
+        _check_finite(entry, where, str(entry_path))
 
 
 def _check_filters(config: Config, where: str) -> None:

@@ -14,12 +14,12 @@ def config(
     file: Annotated[
         Path | None, typer.Option("--from", metavar="FILE", help="Settings as TOML, on top of the preset.")
     ] = None,
-    settings: Settings = [],  # noqa: B006 - typer copies it
-    _verbose: Verbose = 0,
+    settings: Settings = [],  # noqa: B006
+    verbose: Verbose = 0,
 ) -> None:
-    """Print the resolved settings as commented TOML, ready to be edited and given to run -c.
+    """Print the resolved settings as commented TOML.
 
-    Precedence: defaults, then preset, then file, then --set.
+    It is ready to be edited and given to `run -c`. Precedence: defaults, then preset, then file, then --set.
 
     \b
     Example:

@@ -5,27 +5,43 @@ from typing import Annotated
 import typer
 
 from insdvl_replay.cli.messages import emit
+from insdvl_replay.cli.options import Verbose
 
 
 def schema(
-    name: Annotated[str, typer.Argument(help="config, report, or a message type such as insdvl_msgs/msg/NavSolution.")],
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="NAME", help="config, report, or a message type. Left out: list the names of the JSON schemas."
+        ),
+    ] = None,
+    verbose: Verbose = 0,
 ) -> None:
-    """Print a schema: JSON schema of the settings or of report.json, or the definition of a ROS 2 message.
+    """Print a JSON schema, or the definition of a ROS 2 message.
 
     \b
     Example:
       insdvl-replay schema report
       insdvl-replay schema insdvl_msgs/msg/NavSolution
     """
-    from insdvl_replay.errors import ConfigError, LogError
-    from insdvl_replay.logs.ros2msg import definition_text
     from insdvl_replay.report.json_schemas import SCHEMAS
 
-    if name in SCHEMAS:
+    if name is None:
+        emit("".join(f"{known}\n" for known in SCHEMAS))
+    elif name in SCHEMAS:
         emit(SCHEMAS[name]().decode())
-        return
+    else:
+        emit(_message_definition(name, ", ".join(SCHEMAS)))
+
+
+def _message_definition(name: str, others: str) -> str:
+    from insdvl_replay.errors import ConfigError, LogError
+    from insdvl_replay.logs.ros2msg import definition_text
+
     try:
-        emit(definition_text(name))
+        return definition_text(name)
     except LogError as error:
-        known = f"known: {', '.join(SCHEMAS)}, and message types such as insdvl_msgs/msg/NavSolution"
-        raise ConfigError(f"schema '{name}' is not known", known) from error
+        raise ConfigError(
+            f"schema '{name}' is not known",
+            f"known: {others}, and message types such as insdvl_msgs/msg/NavSolution",
+        ) from error

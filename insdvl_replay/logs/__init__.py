@@ -1,0 +1,7 @@
+"""Logs: the only room that knows MCAP and ROS 2."""
+
+from insdvl_replay.logs.dive_log import write_dive
+from insdvl_replay.logs.reader import read_dive
+from insdvl_replay.logs.replay_log import write_replay
+
+__all__ = ["read_dive", "write_dive", "write_replay"]

@@ -1,71 +1,14 @@
-"""Which channels play which role: by type where only one can, else as the configuration says.
-
-The tables hold the conventions of the types that are known by name; every other type is read by field paths.
-"""
+"""Which topics play which role: by type where only one can, else as the configuration says."""
 
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, field, replace
 
-from insdvl_replay.columns import Channel
 from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError
+from insdvl_replay.logs import known_types
 from insdvl_replay.logs.container import LogChannel
-
-Fields = Mapping[str, str]
-"""Path of the field by the quantity that it holds."""
-Types = Mapping[str, Fields]
-"""Fields by the name of the type."""
-
-ODOMETRY: Final = "nav_msgs/msg/Odometry"
-NAV_SOLUTION: Final = "insdvl_msgs/msg/NavSolution"
-NAV_SAT_FIX: Final = "sensor_msgs/msg/NavSatFix"
-
-_IMU: Final[Types] = {
-    "sensor_msgs/msg/Imu": {
-        "specific_force": "linear_acceleration",
-        "angular_rate": "angular_velocity",
-        "specific_force_var": "linear_acceleration_covariance[0]",
-        "angular_rate_var": "angular_velocity_covariance[0]",
-    }
-}
-_DVL_BEAMS: Final[Types] = {
-    "marine_acoustic_msgs/msg/Dvl": {
-        "beam_velocity": "beam_velocity",
-        "beams_valid": "beam_velocities_valid",
-        "beam_vectors": "beam_unit_vec",
-        "beam_ranges": "range",
-        "ranges_valid": "beam_ranges_valid",
-        "altitude": "altitude",
-        "mode": "velocity_mode",
-        "good_beams": "num_good_beams",
-        "velocity": "velocity",
-    }
-}
-_DVL_VELOCITY: Final[Types] = {
-    "geometry_msgs/msg/TwistStamped": {"velocity": "twist.linear"},
-    "geometry_msgs/msg/TwistWithCovarianceStamped": {"velocity": "twist.twist.linear"},
-}
-_DVL_IF_NAMED: Final[Types] = {ODOMETRY: {"velocity": "twist.twist.linear"}}
-_SOLUTION: Final[Types] = {
-    NAV_SOLUTION: {
-        "latitude": "latitude_deg",
-        "longitude": "longitude_deg",
-        "height": "height_m",
-        "velocity_n": "velocity_ned_mps",
-        "roll": "roll_deg",
-        "pitch": "pitch_deg",
-        "heading": "heading_deg",
-    }
-}
-_ODOMETRY: Final[Types] = {ODOMETRY: {"quaternion": "pose.pose.orientation", "velocity_b": "twist.twist.linear"}}
-_FIX: Final[Types] = {
-    NAV_SAT_FIX: {"latitude": "latitude", "longitude": "longitude", "height": "altitude", "status": "status.status"}
-}
-_TRUTH: Final[Types] = {
-    "insdvl_msgs/msg/SensorBiases": {"accel_bias": "accel_bias_mps2", "gyro_bias": "gyro_bias_radps"}
-}
+from insdvl_replay.logs.known_types import Fields, Types
 
 
 @dataclass(frozen=True)
@@ -81,7 +24,7 @@ class Source:
     fields : mapping of str to str
         Path of the field by the quantity that it holds.
     stamp : str
-        Where the time of validity stands.
+        ``header``, ``log_time``, ``publish_time`` or a field path.
     latency_s : float
         From validity to stamp.
     """
@@ -91,8 +34,8 @@ class Source:
     type_name: str
     channels: tuple[LogChannel, ...]
     fields: Fields
-    stamp: str = "header"
-    latency_s: float = 0.0
+    stamp: str
+    latency_s: float
 
 
 @dataclass(frozen=True)
@@ -102,36 +45,41 @@ class Roles:
     Attributes
     ----------
     imu, dvl : Source
-    solution : Source or None
-        Velocity and attitude of the reference, perhaps position.
-    fix : Source or None
-        Position of the reference.
+    references : tuple of Source
+        None, one, or two of which the second gives the position.
     truth : Source or None
         True sensor biases.
     """
 
     imu: Source
     dvl: Source
-    solution: Source | None
-    fix: Source | None
+    references: tuple[Source, ...]
     truth: Source | None
 
     @property
     def sources(self) -> tuple[Source, ...]:
         """All topics that are read."""
-        every = (self.imu, self.dvl, self.solution, self.fix, self.truth)
-        return tuple(source for source in every if source is not None)
+        return (self.imu, self.dvl, *self.references, *((self.truth,) if self.truth else ()))
 
 
 @dataclass(frozen=True)
-class _Search:
-    """What one role looks for; of several groups of types, the first that the log has is taken."""
+class _Wish:
+    """What a role needs: of several groups of types, the first that the log has is taken."""
 
     role: str
     key: str
+    topic: str | None
     by_type: Sequence[Types]
-    if_named: Types
-    required: Sequence[str] = ()
+    if_named: Types = field(default_factory=dict)
+    paths: Mapping[str, str | None] = field(default_factory=dict)
+    enough: Sequence[set[str]] = ()
+    stamp: str = "header"
+    latency_s: float = 0.0
+
+    def fields(self, type_name: str) -> Fields:
+        """Give the paths for a type, those of the configuration first."""
+        known = next((types[type_name] for types in (*self.by_type, self.if_named) if type_name in types), {})
+        return {**known, **{quantity: path for quantity, path in self.paths.items() if path is not None}}
 
 
 def assign_roles(place: str, channels: Sequence[LogChannel], config: Config) -> Roles:
@@ -151,19 +99,145 @@ def assign_roles(place: str, channels: Sequence[LogChannel], config: Config) -> 
     Raises
     ------
     LogError
-        No topic is an IMU or a DVL, several are and the configuration names none, a named topic is not there, or its
-        type is not known and the configuration does not say where its fields are.
+        No topic is an IMU or a DVL, several are and the configuration names none, a named topic is not there, its type
+        is not known and the configuration does not say where its fields are, or its messages are not ROS 2's.
     """
     topics = _Topics(place, channels)
-    named = {"specific_force": config.imu.specific_force, "angular_rate": config.imu.angular_rate}
-    imu = topics.find(
-        _Search("imu", "imu.topic", [_IMU], {}, ("specific_force", "angular_rate")), config.imu.topic, named
+    imu = topics.need(_imu_wish(config))
+    dvl = topics.need(_dvl_wish(config))
+    references = _references(topics, config, dvl)
+    truth = topics.find(_Wish("truth", "", None, [known_types.TRUTH], enough=[{"accel_bias", "gyro_bias"}]))
+    return Roles(imu, dvl, references, truth)
+
+
+def _imu_wish(config: Config) -> _Wish:
+    imu = config.imu
+    return _Wish(
+        role="imu",
+        key="imu.topic",
+        topic=imu.topic,
+        by_type=[known_types.IMU],
+        paths={"specific_force": imu.specific_force, "angular_rate": imu.angular_rate},
+        enough=[{"specific_force", "angular_rate"}],
+        stamp=imu.stamp,
+        latency_s=imu.latency_s,
     )
-    named = {"beam_velocity": config.dvl.beam_velocity, "velocity": config.dvl.velocity}
-    dvl = topics.find(
-        _Search("dvl", "dvl.topic", [_DVL_BEAMS, _DVL_VELOCITY], _DVL_IF_NAMED), config.dvl.topic, named
+
+
+def _dvl_wish(config: Config) -> _Wish:
+    dvl = config.dvl
+    return _Wish(
+        role="dvl",
+        key="dvl.topic",
+        topic=dvl.topic,
+        by_type=[known_types.DVL_BEAMS, known_types.DVL_VELOCITY],
+        if_named=known_types.DVL_IF_NAMED,
+        paths={"beam_velocity": dvl.beam_velocity, "velocity": dvl.velocity},
+        enough=[{"beam_velocity"}, {"velocity"}],
+        stamp=dvl.stamp,
+        latency_s=dvl.latency_s,
     )
-    for role, source in (("imu", imu), ("dvl", dvl)):
+
+
+def _references(topics: "_Topics", config: Config, dvl: Source) -> tuple[Source, ...]:
+    reference = config.reference
+    stamp, latency_s = reference.stamp, reference.latency_s
+    solution = topics.find(
+        _Wish(
+            role="reference",
+            key="reference.topic",
+            topic=reference.topic,
+            by_type=[known_types.NAV_SOLUTION, known_types.ODOMETRY],
+            if_named=known_types.FIX,
+            enough=[{"velocity_n"}, {"velocity_b"}, {"latitude"}],
+            stamp=stamp,
+            latency_s=latency_s,
+        ),
+        besides=dvl.topic,
+    )
+    if solution and "latitude" in solution.fields and reference.fix is None:
+        return (solution,)
+    wish = _Wish("reference", "reference.fix", reference.fix, [known_types.FIX], enough=[{"latitude"}])
+    fix = topics.find(replace(wish, stamp=stamp, latency_s=latency_s))
+    return tuple(source for source in (solution, fix) if source is not None)
+
+
+class _Topics:
+    """The topics of a log that have messages."""
+
+    def __init__(self, place: str, channels: Sequence[LogChannel]) -> None:
+        self._place = place
+        self._channels: dict[str, list[LogChannel]] = {}
+        for channel in channels:
+            if channel.messages:
+                self._channels.setdefault(channel.topic, []).append(channel)
+
+    def need(self, wish: _Wish) -> Source:
+        """Find the topic of a role that a replay cannot do without."""
+        source = self.find(wish)
         if source is None:
-            raise topics.missing(role)
-    return Roles(imu, dvl, *_reference(topics, config, dvl), topics.find(_Search("truth", "", [_TRUTH], {}), None))
+            wanted = " or ".join(type_name for types in wish.by_type for type_name in types)
+            found = sorted({channel.type_name for channels in self._channels.values() for channel in channels})
+            raise LogError(
+                f"{self._place}: has no {wish.role.upper()}: no message of type {wanted}; "
+                f"it has {', '.join(found) if found else 'no messages at all'}",
+                _how_to_name(wish),
+            )
+        return source
+
+    def find(self, wish: _Wish, besides: str = "") -> Source | None:
+        """Find the topic of a role, not looking at the topic of another."""
+        topic = self._only_topic(wish, besides) if wish.topic is None else wish.topic
+        if topic is None:
+            return None
+        channels = self._channels_of(topic, wish.key)
+        type_name, fields = channels[0].type_name, wish.fields(channels[0].type_name)
+        if not any(quantities <= fields.keys() for quantities in wish.enough):
+            raise LogError(
+                f"{self._place}: topic '{topic}' is of type {type_name or 'unknown'}, "
+                f"which is not known as a type for {wish.key}",
+                _how_to_name(wish),
+            )
+        for channel in channels:
+            self._check_encoding(channel)
+        return Source(wish.role, topic, type_name, tuple(channels), fields, wish.stamp, wish.latency_s)
+
+    def _only_topic(self, wish: _Wish, besides: str) -> str | None:
+        for types in wish.by_type:
+            topics = [topic for topic, channels in self._channels.items() if channels[0].type_name in types]
+            candidates = [topic for topic in topics if topic != besides]
+            if len(candidates) > 1:
+                hint = f'{wish.key} = "{candidates[0]}"' if wish.key else "keep one of them"
+                raise LogError(
+                    f"{self._place}: {' and '.join(candidates)} could each be the {wish.key or wish.role}", hint
+                )
+            if candidates:
+                return candidates[0]
+        return None
+
+    def _channels_of(self, topic: str, key: str) -> list[LogChannel]:
+        if topic not in self._channels:
+            nearest = difflib.get_close_matches(topic, self._channels, n=1, cutoff=0.0)
+            raise LogError(
+                f"{self._place}: has no messages on topic '{topic}' ({key})",
+                f'the nearest is {key} = "{nearest[0]}"' if nearest else "the log has no messages at all",
+            )
+        return self._channels[topic]
+
+    def _check_encoding(self, channel: LogChannel) -> None:
+        if channel.encoding != "cdr" or channel.schema_encoding not in ("ros2msg", ""):
+            raise LogError(
+                f"{self._place}: messages on '{channel.topic}' are encoded as {channel.encoding or 'nothing'} with "
+                f"{channel.schema_encoding or 'no'} schema; only cdr with ros2msg can be read",
+                "name another topic, or record ROS 2 messages",
+            )
+
+
+def _how_to_name(wish: _Wish) -> str:
+    """Say which keys lead to a topic of an unknown type."""
+    if not wish.paths:
+        return f"known are {', '.join(name for types in (*wish.by_type, wish.if_named) for name in types)}"
+    section = wish.role
+    paths = " and ".join(f'{section}.{quantity} = "field.path"' for quantity in wish.paths)
+    joined = paths if section == "imu" else paths.replace(" and ", " or ")
+    return f'for other types, set {wish.key} = "/topic" with {joined}'

@@ -152,4 +152,4 @@ def update_cov(P: Floats, H: Floats, R: Floats, K: Floats) -> None:
     multiply_transposed(KR, K, noise)
     for i in range(n):
         for j in range(n):
-            P[i, j] = 0.5 * (joseph[i, j] + joseph[j, i] + noise[i, j] + noise[j, i])
+            P[i, j] = 0.5 * ((joseph[i, j] + joseph[j, i]) + (noise[i, j] + noise[j, i]))

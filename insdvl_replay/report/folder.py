@@ -116,7 +116,9 @@ def _beside(target: Path) -> Iterator[Path]:
         finally:
             shutil.rmtree(workspace, ignore_errors=True)
     except OSError as error:
-        raise ConfigError(f"{target}: cannot be written: {error.strerror or error}", "choose another place with -o") from error
+        raise ConfigError(
+            f"{target}: cannot be written: {error.strerror or error}", "choose another place with -o"
+        ) from error
 
 
 def _swap(fresh: Path, target: Path, old: Path) -> None:

@@ -25,7 +25,11 @@ def markdown_report(report: Report) -> str:
     -------
     str
     """
-    parts = [f"## {heading(report)}", *(_markdown_table(table) for table in shown_tables(report)), *closing_lines(report)]
+    parts = [
+        f"## {heading(report)}",
+        *(_markdown_table(table) for table in shown_tables(report)),
+        *closing_lines(report),
+    ]
     return "\n\n".join(parts) + "\n"
 
 

@@ -171,7 +171,16 @@ def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]
     if rows:
         yield ShownTable(
             f"Reference error: distance from the reference, {name} against {baseline}",
-            ("quantity", "unit", f"{baseline} rms", f"{name} rms", "better", f"{baseline} final", f"{name} final", "status"),
+            (
+                "quantity",
+                "unit",
+                f"{baseline} rms",
+                f"{name} rms",
+                "better",
+                f"{baseline} final",
+                f"{name} final",
+                "status",
+            ),
             2,
             tuple(
                 (

@@ -30,7 +30,11 @@ def terminal_report(report: Report) -> Group:
 
 def _dressed(table: ShownTable) -> Table:
     dressed = Table(
-        title=Text(table.title, style="bold"), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
+        title=Text(table.title, style="bold"),
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
     )
     for column, name in enumerate(table.header):
         dressed.add_column(Text(name), justify="right" if table.is_number(column) else "left", overflow="fold")

@@ -1,0 +1,155 @@
+"""Replay one dive after the other, print each result, and go on when one fails."""
+
+import time
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+from insdvl_replay.cli.messages import emit, tell, tell_failure, tell_notes
+from insdvl_replay.cli.run import Format
+from insdvl_replay.cli.screen import patience, rendered
+from insdvl_replay.config import Config
+from insdvl_replay.errors import ConfigError, LogError
+from insdvl_replay.replay import replay_log, save_replay
+from insdvl_replay.report.csv_tables import report_csv
+from insdvl_replay.report.folder import (
+    COMPLETE,
+    refuse_existing_file,
+    refuse_existing_folder,
+    result_file,
+    result_folder,
+)
+from insdvl_replay.report.json_report import Report, Tool, decode_report, encode_report
+from insdvl_replay.report.markup import latex_report, markdown_report
+from insdvl_replay.report.summary import Failure, summary_csv
+
+SUMMARY = "summary.csv"
+
+PRINTED = {
+    Format.TABLE: rendered,
+    Format.JSON: lambda report: encode_report(report).decode(),
+    Format.CSV: report_csv,
+    Format.MARKDOWN: markdown_report,
+    Format.LATEX: latex_report,
+}
+
+
+def result_targets(logs: Sequence[Path], output: Path, *, force: bool) -> dict[Path, Path]:
+    """Name each log's result folder before any work is done.
+
+    Parameters
+    ----------
+    logs : sequence of Path
+    output : Path
+        The folder above.
+    force : bool
+        Results that exist may be replaced.
+
+    Returns
+    -------
+    dict of Path to Path
+        Result folder to log, in the order of the logs.
+
+    Raises
+    ------
+    ConfigError
+        Two logs would share a folder, or a result exists.
+    """
+    targets: dict[Path, Path] = {}
+    for log in logs:
+        target = output / log.resolve().stem
+        if target in targets:
+            raise ConfigError(
+                f"{targets[target]} and {log} would both write {target}", "replay them one by one, each with its own -o"
+            )
+        refuse_existing_folder(target, force=force)
+        targets[target] = log
+    if len(logs) > 1:
+        refuse_existing_file(output / SUMMARY, force=force)
+    return targets
+
+
+def replay_dives(
+    targets: Mapping[Path, Path],
+    config: Config,
+    output: Path,
+    format_: Format,
+    *,
+    strict: bool,
+    force: bool,
+    verbose: bool,
+) -> int:
+    """Replay dives, one result folder each, and a summary if there are several.
+
+    Parameters
+    ----------
+    targets : mapping of Path to Path
+        From `result_targets`.
+    config : Config
+    output : Path
+        Folder of the summary.
+    format_ : Format
+        Of what is printed.
+    strict : bool
+        Warnings make the exit code 3.
+    force : bool
+        Replace older results.
+    verbose : bool
+        Say all notes, not the warnings alone.
+
+    Returns
+    -------
+    int
+        The worst exit code.
+    """
+    outcomes: list[Report | Failure] = []
+    codes: dict[str, int] = {}
+    for target, log in targets.items():
+        try:
+            report = _replayed(log, target, config, force=force)
+            emit(PRINTED[format_](report))
+            tell_notes(report.notes, verbose=verbose)
+            tell(f"wrote {target}")
+            outcomes.append(report)
+            codes[target.name] = _refuse_warnings(report) if strict else 0
+        except Exception as error:
+            outcomes.append(Failure(target.name, str(error)))
+            codes[target.name] = tell_failure(error)
+    if len(targets) > 1:
+        _summarise(outcomes, codes, output / SUMMARY, force=force)
+    return max(codes.values())
+
+
+def _replayed(log: Path, target: Path, config: Config, *, force: bool) -> Report:
+    """Replay one log into its folder. The time of day is added here: what the hall writes depends on the log alone."""
+    started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
+    with patience(f"replaying {log.name}; the first run on a machine also compiles the filter"):
+        replay = replay_log(log, config)
+        with result_folder(target, force=force) as folder:
+            save_replay(replay, folder)
+            tool = Tool(started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3))
+            report = msgspec.structs.replace(decode_report((folder / COMPLETE).read_bytes()), tool=tool)
+            (folder / COMPLETE).write_bytes(encode_report(report))
+    return report
+
+
+def _refuse_warnings(report: Report) -> int:
+    warnings = [note.code for note in report.notes if note.severity == "warning"]
+    if not warnings:
+        return 0
+    return tell_failure(
+        LogError(
+            f"{report.log.name}: --strict allows no warnings, found {', '.join(warnings)}",
+            "the result is written; leave --strict out to accept it",
+        )
+    )
+
+
+def _summarise(outcomes: Sequence[Report | Failure], codes: Mapping[str, int], path: Path, *, force: bool) -> None:
+    with result_file(path, force=force) as file:
+        file.write_bytes(summary_csv(outcomes))
+    tell(f"wrote {path}")
+    if failed := [name for name, code in codes.items() if code]:
+        tell(f"error: {len(failed)} of {len(codes)} logs failed: {', '.join(failed)}")

@@ -1,0 +1,58 @@
+"""``insdvl-replay run``. The work is in `dives`, which is imported only once there is work to do."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from insdvl_replay.cli.options import Force, Preset, Settings, Verbose
+
+
+class Format(StrEnum):
+    """How results are printed."""
+
+    TABLE = "table"
+    JSON = "json"
+    CSV = "csv"
+    MARKDOWN = "md"
+    LATEX = "latex"
+
+
+def run(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded dives, MCAP files.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Where each log gets a folder of its name.")
+    ] = Path("replay"),
+    config: Annotated[
+        Path | None, typer.Option("-c", "--config", metavar="FILE", help="Settings as TOML, on top of the preset.")
+    ] = None,
+    preset: Preset = None,
+    start: Annotated[
+        float | None, typer.Option(metavar="T", help="Start here, in seconds from the first IMU sample.")
+    ] = None,
+    end: Annotated[float | None, typer.Option(metavar="T", help="End here, likewise.")] = None,
+    settings: Settings = [],  # noqa: B006
+    format_: Annotated[Format, typer.Option("--format", help="How the tables are printed.")] = Format.TABLE,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
+    force: Force = False,
+    verbose: Verbose = 0,
+) -> int:
+    """Replay dives through the configured filters.
+
+    What the filters believe is laid beside what is so. Each log gets a folder with CSV tables, report.json, replay.mcap and the settings; several logs also a summary.csv.
+    A log that cannot be used does not stop the others.
+
+    \b
+    Example:
+      insdvl-replay run dive.mcap
+      insdvl-replay run dives/*.mcap -o results -c vehicle.toml --format md
+      insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
+    """
+    from insdvl_replay.cli.dives import replay_dives, result_targets
+    from insdvl_replay.config_file import load_config
+
+    spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
+    resolved = load_config(preset, config, [*settings, *spans])
+    targets = result_targets(logs, output, force=force)
+    return replay_dives(targets, resolved, output, format_, strict=strict, force=force, verbose=verbose > 0)

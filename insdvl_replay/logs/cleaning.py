@@ -1,0 +1,145 @@
+"""Rows made clean: in the order of time, each time once, every number finite; and a note of every loss."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.columns import Floats, TimeNs, seconds
+from insdvl_replay.errors import LogError, Note, Severity
+
+Rows = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass
+class Cleaner:
+    """Chooses the rows of a role that stay, and remembers why the others went.
+
+    Parameters
+    ----------
+    role : str
+        Begins the codes of the notes.
+    time_ns : ndarray, shape (k,)
+        Times of validity in the order of the file.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (kept,)
+        Indices of the rows that stay, in the order of time.
+    notes : list of Note
+    """
+
+    role: str
+    time_ns: TimeNs
+    rows: Rows = field(init=False)
+    notes: list[Note] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.rows = np.argsort(self.time_ns, kind="stable")
+        latest = np.maximum.accumulate(self.time_ns)
+        late = np.flatnonzero(self.time_ns < latest)
+        if late.size:
+            worst_s = float(seconds(latest, self.time_ns).max())
+            self.note("out_of_order", f"messages came after later ones (by up to {worst_s:.3f} s); sorted", late.size)
+
+    @property
+    def times(self) -> TimeNs:
+        """The times of the rows that stay."""
+        return self.time_ns[self.rows]
+
+    def keep(self, good: Mask, code: str, reason: str, severity: Severity = "info") -> None:
+        """Drop the rows that are not good.
+
+        Parameters
+        ----------
+        good : ndarray of bool, shape (k,)
+            For each row of the file.
+        code, reason : str
+            End of the note's code, and what the dropped messages are like.
+        severity : {'info', 'warning'}
+        """
+        self._keep_rows(good[self.rows], code, reason, severity)
+
+    def keep_finite(self, *values: Floats) -> None:
+        """Drop the rows in which a number is missing.
+
+        Parameters
+        ----------
+        *values : ndarray, shape (k, n)
+            For each row of the file.
+        """
+        finite = np.ones(self.time_ns.size, np.bool_)
+        for array in values:
+            finite &= np.isfinite(array).all(axis=1)
+        self.keep(finite, "not_finite", "messages hold a number that is not finite")
+
+    def require_rows(self, place: str) -> None:
+        """Refuse a role of which nothing stays.
+
+        Parameters
+        ----------
+        place : str
+            File and topic.
+
+        Raises
+        ------
+        LogError
+        """
+        if not self.rows.size:
+            reasons = "; ".join(note.text for note in self.notes)
+            raise LogError(f"{place}: no message of {self.time_ns.size} can be used: {reasons}", "see `inspect`")
+
+    def drop_repeated_times(self) -> None:
+        """Keep the first of several rows with the same time."""
+        times = self.times
+        first = np.ones(times.size, np.bool_)
+        first[1:] = times[1:] != times[:-1]
+        self._keep_rows(first, "repeats", "messages repeat the time of the one before", "info")
+
+    def drop_repeated_values(self, values: Floats) -> None:
+        """Keep the first of consecutive rows with identical values, as a recorder writes that publishes faster.
+
+        Parameters
+        ----------
+        values : ndarray, shape (k, n)
+            For each row of the file.
+        """
+        ordered = values[self.rows]
+        same = (ordered[1:] == ordered[:-1]) | (np.isnan(ordered[1:]) & np.isnan(ordered[:-1]))
+        first = np.ones(len(ordered), np.bool_)
+        first[1:] = ~same.all(axis=1)
+        self._keep_rows(first, "same_values", "messages repeat the values of the one before", "info")
+
+    def note_gaps(self, max_gap_s: float) -> None:
+        """Note pauses between rows.
+
+        Parameters
+        ----------
+        max_gap_s : float
+            A longer pause is a gap.
+        """
+        pauses_s = seconds(self.times[1:], self.times[:-1])
+        gaps = pauses_s[pauses_s > max_gap_s]
+        if gaps.size:
+            longest = f"gaps are longer than {max_gap_s:g} s, the longest is {gaps.max():.3f} s"
+            self.note("gaps", longest, gaps.size, "warning")
+
+    def note(self, code: str, text: str, count: int, severity: Severity = "info", hint: str = "") -> None:
+        """Add a note about some of the rows.
+
+        Parameters
+        ----------
+        code, text : str
+            Without the role and the count, which stand in front of them.
+        count : int
+        severity : {'info', 'warning'}
+        hint : str
+        """
+        self.notes.append(Note(f"{self.role}_{code}", f"{self.role}: {count} {text}", count, severity, hint))
+
+    def _keep_rows(self, good: Mask, code: str, reason: str, severity: Severity) -> None:
+        dropped = int(np.count_nonzero(~good))
+        if dropped:
+            self.note(code, f"{reason}; dropped", dropped, severity)
+            self.rows = self.rows[good]

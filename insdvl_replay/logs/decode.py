@@ -1,0 +1,127 @@
+"""Tables become the columns of roles: SI units, the project's axes, clean rows."""
+
+import re
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.columns import Floats, ImuColumns, TruthColumns
+from insdvl_replay.config import Imu
+from insdvl_replay.errors import ConfigError, Note
+from insdvl_replay.logs.cleaning import Cleaner
+from insdvl_replay.logs.tables import Table
+from insdvl_replay.states import DEG, MG
+
+SPECIFIC_FORCE_UNITS: Final = {"m/s2": 1.0, "g": 1000.0 * MG, "mg": MG}
+"""m/s^2 of one unit."""
+ANGULAR_RATE_UNITS: Final = {"rad/s": 1.0, "deg/s": DEG}
+"""rad/s of one unit."""
+VELOCITY_UNITS: Final = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}
+"""m/s of one unit."""
+
+GRAVITY_MPS2: Final = 9.81
+"""Near enough to tell a unit by."""
+
+_GRAVITY_TOLERANCE_MPS2: Final = 1.0
+_NAMED_AXES: Final = {"frd": "+x+y+z", "flu": "+x-y-z"}
+
+
+def axes_matrix(axes: str, key: str) -> Floats:
+    """Give the matrix that takes coordinates in the log's axes to forward-starboard-down.
+
+    Parameters
+    ----------
+    axes : str
+        ``frd``, ``flu``, or a signed permutation whose i-th part is the reading along the i-th of the axes forward,
+        starboard, down. An odd number of turned signs is allowed: some instruments report the opposite of a vector.
+    key : str
+        The configuration's key, for messages to the user.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+
+    Raises
+    ------
+    ConfigError
+        It is neither.
+    """
+    text = _NAMED_AXES.get(axes, axes)
+    parts = re.findall(r"([+-])([xyz])", text)
+    if len(text) != 6 or sorted(axis for _, axis in parts) != ["x", "y", "z"]:
+        raise ConfigError(f'{key} = "{axes}" is no set of axes', f'{key} = "frd", "flu" or for example "+y+x-z"')
+    matrix = np.zeros((3, 3))
+    for row, (sign, axis) in enumerate(parts):
+        matrix[row, "xyz".index(axis)] = 1.0 if sign == "+" else -1.0
+    return matrix
+
+
+def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
+    """Make the columns of the IMU.
+
+    Parameters
+    ----------
+    table : Table
+    settings : Imu
+
+    Returns
+    -------
+    ImuColumns
+    list of Note
+
+    Raises
+    ------
+    LogError
+        No reading is finite, or a field is not a vector.
+    ConfigError
+        The axes are none.
+    """
+    axes = axes_matrix(settings.axes, "imu.axes")
+    specific_force_b = _measured(table, "specific_force") @ axes.T * SPECIFIC_FORCE_UNITS[settings.specific_force_unit]
+    angular_rate_b = _measured(table, "angular_rate") @ axes.T * ANGULAR_RATE_UNITS[settings.angular_rate_unit]
+    cleaner = Cleaner("imu", table.time_ns())
+    cleaner.keep_finite(specific_force_b, angular_rate_b)
+    cleaner.drop_repeated_times()
+    cleaner.require_rows(table.place)
+    cleaner.note_gaps(settings.max_gap_s)
+    imu = ImuColumns(cleaner.times, specific_force_b[cleaner.rows], angular_rate_b[cleaner.rows])
+    return imu, [*cleaner.notes, *_gravity_notes(imu)]
+
+
+def _measured(table: Table, quantity: str) -> Floats:
+    """Give a vector, NaN where its message says by a negative variance that it is not measured."""
+    values = table.values(quantity, 3)
+    if f"{quantity}_var" in table:
+        values[table.column(f"{quantity}_var") < 0.0] = np.nan
+    return values
+
+
+def _gravity_notes(imu: ImuColumns) -> list[Note]:
+    """Compare the specific force with gravity: a wrong unit or turned axes show at once."""
+    size = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1)))
+    down = float(np.median(imu.specific_force_b[:, 2]))
+    if abs(size - GRAVITY_MPS2) > _GRAVITY_TOLERANCE_MPS2:
+        text = f"the median specific force is {size:.3f} m/s^2, where gravity is {GRAVITY_MPS2:.1f}"
+        return [Note("imu_gravity", text, len(imu.time_ns), "warning", 'imu.specific_force_unit = "g", "mg" or "m/s2"')]
+    if down > 0.0:
+        text = f"the median specific force along down is {down:+.3f} m/s^2, where a level vehicle has -9.8"
+        return [Note("imu_upside_down", text, len(imu.time_ns), "warning", 'imu.axes = "flu" turns y and z')]
+    return []
+
+
+def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:
+    """Make the columns of the true sensor biases.
+
+    Parameters
+    ----------
+    table : Table
+
+    Returns
+    -------
+    TruthColumns
+    list of Note
+    """
+    accel_bias_b, gyro_bias_b = table.values("accel_bias", 3), table.values("gyro_bias", 3)
+    cleaner = Cleaner("truth", table.time_ns())
+    cleaner.drop_repeated_times()
+    return TruthColumns(cleaner.times, accel_bias_b[cleaner.rows], gyro_bias_b[cleaner.rows]), cleaner.notes

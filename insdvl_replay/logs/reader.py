@@ -1,0 +1,79 @@
+"""A log becomes a dive."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from insdvl_replay.columns import Channel, Dive
+from insdvl_replay.config import Config
+from insdvl_replay.errors import Note
+from insdvl_replay.logs.container import Log, LogChannel
+from insdvl_replay.logs.decode import decode_imu, decode_truth
+from insdvl_replay.logs.pings import decode_dvl
+from insdvl_replay.logs.reference import decode_reference
+from insdvl_replay.logs.roles import Roles, assign_roles
+from insdvl_replay.logs.tables import Table, count_notes, read_tables, schema_notes
+
+
+def read_dive(path: Path, config: Config) -> Dive:
+    """Read everything that is needed to replay a dive.
+
+    Parameters
+    ----------
+    path : Path
+        An MCAP file with ROS 2 messages.
+    config : Config
+        Names topics, fields, units and axes where the types do not tell them.
+
+    Returns
+    -------
+    Dive
+        Clean columns; every loss is a note. The span of the configuration is not applied.
+
+    Raises
+    ------
+    LogError
+        The file cannot be read or is damaged, has no IMU or DVL, or is not clear about which topic is which.
+    ConfigError
+        The axes or the beam geometry of the configuration cannot be.
+    """
+    log = Log(path)
+    roles = assign_roles(str(path), log.channels, config)
+    imu_table, dvl_table, *others = tables = read_tables(log, roles.sources)
+    truth_table = others.pop() if roles.truth else None
+    imu, imu_notes = decode_imu(imu_table, config.imu)
+    dvl, dvl_notes = decode_dvl(dvl_table, config.dvl)
+    reference, reference_notes = decode_reference(others, config.reference)
+    truth, truth_notes = decode_truth(truth_table) if truth_table else (None, [])
+    return Dive(
+        name=path.stem,
+        imu=imu,
+        dvl=dvl,
+        reference=reference,
+        truth=truth,
+        sha256=log.sha256(),
+        channels=_channels(log.channels, roles),
+        notes=(*_table_notes(roles, tables), *imu_notes, *dvl_notes, *reference_notes, *truth_notes),
+    )
+
+
+def _table_notes(roles: Roles, tables: Sequence[Table]) -> list[Note]:
+    stamps = [note for table in tables for note in table.stamp_notes()]
+    return [*schema_notes(roles.sources), *count_notes(tables), *stamps]
+
+
+def _channels(channels: Sequence[LogChannel], roles: Roles) -> tuple[Channel, ...]:
+    """List the topics, each once, with their roles."""
+    role_of = {source.topic: source.role for source in reversed(roles.sources)}
+    by_topic: dict[str, list[LogChannel]] = {}
+    for channel in channels:
+        by_topic.setdefault(channel.topic, []).append(channel)
+    return tuple(
+        Channel(
+            topic=topic,
+            type_name=same[0].type_name,
+            encoding=same[0].encoding,
+            role=role_of.get(topic, ""),
+            messages=sum(channel.messages for channel in same),
+        )
+        for topic, same in sorted(by_topic.items())
+    )

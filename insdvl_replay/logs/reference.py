@@ -1,0 +1,104 @@
+"""The reference solution: positions, velocities and attitudes of one or two topics, on the union of their times."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs
+from insdvl_replay.config import Reference
+from insdvl_replay.errors import Note
+from insdvl_replay.logs.cleaning import Cleaner
+from insdvl_replay.logs.tables import Table
+from insdvl_replay.rotation import mat_from_quat, mat_from_rpy, wrap_angle
+from insdvl_replay.states import DEG
+
+FRD_FROM_FLU: Final = np.diag([1.0, -1.0, -1.0])
+"""Takes coordinates forward-port-up to forward-starboard-down, and back."""
+NED_FROM_ENU: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""Takes coordinates east-north-up to north-east-down, and back."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What one topic tells."""
+
+    time_ns: TimeNs
+    position: Floats | None
+    velocity_n: Floats | None
+    mat_nb: Floats | None
+
+
+def decode_reference(tables: list[Table], settings: Reference) -> tuple[ReferenceColumns | None, list[Note]]:
+    """Make the columns of the reference.
+
+    Parameters
+    ----------
+    tables : list of Table
+        None, one or two; where two give the same quantity the later one counts.
+    settings : Reference
+
+    Returns
+    -------
+    ReferenceColumns or None
+    list of Note
+    """
+    notes: list[Note] = []
+    parts = []
+    for table in tables:
+        part, found = _part(table, settings)
+        parts.append(part)
+        notes += found
+    return (_union(parts) if parts else None), notes
+
+
+def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
+    cleaner = Cleaner("reference", table.time_ns())
+    if "fix_status" in table:
+        cleaner.keep(table.column("fix_status") >= 0.0, "no_fix", "positions have no fix")
+    cleaner.drop_repeated_times()
+    rows = cleaner.rows
+    mat_nb, velocity_n = _attitude(table, settings), _velocity_n(table, settings)
+    position = _position(table) if "latitude" in table else None
+    chosen = (None if values is None else values[rows] for values in (position, velocity_n, mat_nb))
+    return _Part(cleaner.times, *chosen), cleaner.notes
+
+
+def _position(table: Table) -> Floats:
+    latitude, longitude, height_m = (table.column(quantity) for quantity in ("latitude", "longitude", "height"))
+    # The wrapped negative lies in [-pi, pi), so that its negative lies in (-pi, pi].
+    return np.stack([latitude * DEG, -wrap_angle(-longitude * DEG), height_m], axis=1)
+
+
+def _attitude(table: Table, settings: Reference) -> Floats | None:
+    if "quaternion" in table:
+        mat = mat_from_quat(table.values("quaternion", 4))
+        return mat if settings.axes == "ned_frd" else np.asarray(NED_FROM_ENU @ mat @ FRD_FROM_FLU)
+    if "roll" in table:
+        rpy = np.stack([table.column(angle) for angle in ("roll", "pitch", "heading")], axis=1)
+        return mat_from_rpy(rpy * DEG)
+    return None
+
+
+def _velocity_n(table: Table, settings: Reference) -> Floats | None:
+    if "velocity_n" in table:
+        return table.values("velocity_n", 3)
+    if "velocity_b" not in table:
+        return None
+    velocity_b = table.values("velocity_b", 3)
+    if settings.axes != "ned_frd":
+        velocity_b = velocity_b @ FRD_FROM_FLU
+    mat_nb = _attitude(table, settings)
+    return None if mat_nb is None else np.einsum("kij,kj->ki", mat_nb, velocity_b)
+
+
+def _union(parts: list[_Part]) -> ReferenceColumns:
+    time_ns = np.unique(np.concatenate([part.time_ns for part in parts]))
+    position, velocity_n = np.full((time_ns.size, 3), np.nan), np.full((time_ns.size, 3), np.nan)
+    mat_nb = np.full((time_ns.size, 3, 3), np.nan)
+    for part in parts:
+        rows = np.searchsorted(time_ns, part.time_ns)
+        for column, values in ((position, part.position), (velocity_n, part.velocity_n), (mat_nb, part.mat_nb)):
+            if values is not None:
+                column[rows] = values
+    return ReferenceColumns(time_ns, position, velocity_n, mat_nb)

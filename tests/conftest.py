@@ -1,0 +1,25 @@
+"""What several tests share."""
+
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def snapir() -> Path:
+    """Folder of real dives of the AUV Snapir, beside the project where someone has them."""
+    return _shared("data/snapir", "real dives")
+
+
+@pytest.fixture(scope="session")
+def paper() -> Path:
+    """Folder with the paper's tables."""
+    return _shared("paper", "the paper's tables")
+
+
+def _shared(folder: str, what: str) -> Path:
+    if not (SHARED / folder).is_dir():
+        pytest.skip(f"needs ../shared/{folder} ({what})")
+    return SHARED / folder

@@ -1,0 +1,69 @@
+"""F against finite differences of the nonlinear equations; the covariance against plain matrices."""
+
+import numpy as np
+import pytest
+from jacobian import assert_jacobian
+from scipy.spatial.transform import Rotation
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
+from insdvl_replay.nav.error_model import noise_density, propagate_cov, write_system_matrix
+from insdvl_replay.rotation import skew
+
+LATITUDE, HEIGHT_M = 0.57, -20.0
+VELOCITY_N = np.array([1.2, -0.7, 0.3])
+FORCE_B, RATE_B = np.array([0.4, -0.3, -9.7]), np.array([0.02, -0.1, 0.3])
+MAT_NB = Rotation.from_euler("ZYX", [0.8, 0.1, -0.3]).as_matrix()
+W_IE = EARTH_RATE * np.array([np.cos(LATITUDE), 0.0, -np.sin(LATITUDE)])
+
+
+def transport_rate(velocity_n: Floats) -> Floats:
+    r_n, r_e = meridian_radius_m(LATITUDE) + HEIGHT_M, transverse_radius_m(LATITUDE) + HEIGHT_M
+    return np.array([velocity_n[1] / r_e, -velocity_n[0] / r_n, -velocity_n[1] * np.tan(LATITUDE) / r_e])
+
+
+def system_matrix() -> Floats:
+    F = np.zeros((12, 12))
+    write_system_matrix(W_IE, W_IE + transport_rate(VELOCITY_N), MAT_NB @ FORCE_B, MAT_NB, F)
+    return F
+
+
+def error_rate(dx: Floats) -> Floats:
+    """How an error grows: the equations at the estimate minus the equations at the truth, with the position known."""
+    velocity, mat = VELOCITY_N + dx[:3], Rotation.from_rotvec(dx[3:6]).as_matrix() @ MAT_NB
+    w_en = transport_rate(velocity)
+    gravity = np.array([0.0, 0.0, normal_gravity(LATITUDE, HEIGHT_M)])
+    velocity_dot = mat @ (FORCE_B + dx[6:9]) + gravity - np.cross(2 * W_IE + w_en, velocity)
+    rate_true = MAT_NB @ RATE_B - W_IE - transport_rate(VELOCITY_N)
+    rate = mat @ (RATE_B + dx[9:12]) - W_IE - w_en
+    # C_hat = exp([phi x]) C: its rate is the difference of the rates of n against b, seen from the turned frame.
+    phi_dot = rate - Rotation.from_rotvec(dx[3:6]).as_matrix() @ rate_true
+    return np.concatenate([velocity_dot, phi_dot, np.zeros(6)])
+
+
+def test_system_matrix_is_the_jacobian_of_the_equations() -> None:
+    # What F leaves out is the change of transport rate with velocity: 1/R = 1.6e-7.
+    assert_jacobian(system_matrix(), error_rate, np.zeros(12), atol=3e-7, step=1e-5)
+
+
+def test_the_gyro_output_in_place_of_earth_rate_would_be_found() -> None:
+    printed = system_matrix()
+    printed[3:6, 3:6] = skew(MAT_NB @ RATE_B)
+    with pytest.raises(AssertionError):
+        assert_jacobian(printed, error_rate, np.zeros(12), atol=3e-7, step=1e-5)
+
+
+def test_covariance_is_propagated_as_the_matrices_say() -> None:
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(12, 12))
+    P, F, dt = root @ root.T, system_matrix(), 0.01
+    density = noise_density(0.2, 3.7e-5, 1e-6, 1e-10)
+    Phi = np.eye(12) + F * dt
+    expected = Phi @ P @ Phi.T + np.diag(density) * dt
+    propagate_cov(P, F, density, dt, np.zeros((6, 12)))
+    np.testing.assert_allclose(P, expected, rtol=1e-13)
+    np.testing.assert_array_equal(P, P.T)
+
+
+def test_noise_density_is_the_square_of_each_sensors_noise() -> None:
+    np.testing.assert_allclose(noise_density(2.0, 3.0, 4.0, 5.0), np.repeat([4.0, 9.0, 16.0, 25.0], 3))

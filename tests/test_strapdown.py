@@ -1,0 +1,80 @@
+"""The mechanisation against the differential equations, integrated by scipy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
+from insdvl_replay.nav.strapdown import propagate
+
+START = np.array([0.57, 0.61, -20.0, 1.1, -0.4, 0.2])
+
+
+@dataclass
+class Motion:
+    """Smooth readings of a vehicle that turns, rolls and speeds up."""
+
+    def force_b(self, t: float) -> Floats:
+        return np.array([0.3 * np.sin(0.4 * t), 0.2 * np.cos(0.3 * t), -9.79 + 0.1 * np.sin(t)])
+
+    def rate_b(self, t: float) -> Floats:
+        return np.array([0.05 * np.sin(t), 0.03 * np.cos(0.7 * t), 0.3 * np.sin(0.2 * t)])
+
+
+def derivative(t: float, state: Floats, motion: Motion) -> Floats:
+    """The equations as a textbook prints them, in vector notation and with numpy's cross product."""
+    (latitude, _, height), velocity, mat = state[:3], state[3:6], state[6:].reshape(3, 3)
+    r_n, r_e = meridian_radius_m(latitude) + height, transverse_radius_m(latitude) + height
+    w_ie = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
+    w_en = np.array([velocity[1] / r_e, -velocity[0] / r_n, -velocity[1] * np.tan(latitude) / r_e])
+    gravity = np.array([0.0, 0.0, normal_gravity(latitude, height)])
+    velocity_dot = mat @ motion.force_b(t) + gravity - np.cross(2 * w_ie + w_en, velocity)
+    mat_dot = np.cross(motion.rate_b(t), mat, axisa=0, axisb=1, axisc=1) * -1.0 - np.cross(w_ie + w_en, mat.T).T
+    position_dot = [velocity[0] / r_n, velocity[1] / (r_e * np.cos(latitude)), -velocity[2]]
+    return np.concatenate([position_dot, velocity_dot, mat_dot.ravel()])
+
+
+def mechanised(motion: Motion, mat: Floats, rate_hz: float, duration_s: float) -> tuple[Floats, Floats, Floats]:
+    position, velocity, mat = START[:3].copy(), START[3:].copy(), mat.copy()
+    work = [np.zeros(3) for _ in range(3)]
+    time_s = np.arange(int(duration_s * rate_hz) + 1) / rate_hz
+    for before, after in zip(time_s[:-1], time_s[1:], strict=True):
+        force = 0.5 * (motion.force_b(before) + motion.force_b(after))
+        rate = 0.5 * (motion.rate_b(before) + motion.rate_b(after))
+        propagate(position, velocity, mat, force, rate, after - before, *work)
+    return position, velocity, mat
+
+
+def test_mechanisation_follows_the_differential_equations_with_second_order() -> None:
+    motion, mat = Motion(), Rotation.from_euler("ZYX", [1.0, 0.1, -0.2]).as_matrix()
+    start = np.concatenate([START, mat.ravel()])
+    truth = solve_ivp(derivative, (0.0, 40.0), start, args=(motion,), rtol=1e-12, atol=1e-13, max_step=0.05).y[:, -1]
+    errors = {}
+    for rate_hz in (50.0, 100.0):
+        position, velocity, attitude = mechanised(motion, mat, rate_hz, 40.0)
+        np.testing.assert_allclose(position[:2], truth[:2], rtol=0.0, atol=0.03 / 6.4e6)  # 3 cm
+        np.testing.assert_allclose(position[2], truth[2], rtol=0.0, atol=0.03)
+        np.testing.assert_allclose(attitude, truth[6:].reshape(3, 3), rtol=0.0, atol=2e-5)
+        errors[rate_hz] = np.linalg.norm(velocity - truth[3:6])
+    assert errors[100.0] < 1e-3
+    assert 3.0 < errors[50.0] / errors[100.0] < 5.0
+
+
+def test_attitude_stays_a_rotation() -> None:
+    _, _, mat = mechanised(Motion(), np.eye(3), 50.0, 60.0)
+    np.testing.assert_allclose(mat @ mat.T, np.eye(3), rtol=0.0, atol=1e-12)
+
+
+def test_a_resting_imu_stays_at_rest() -> None:
+    latitude = 0.57
+    gravity = normal_gravity(latitude, 0.0)
+    position, velocity, mat = np.array([latitude, 0.0, 0.0]), np.zeros(3), np.eye(3)
+    rate = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
+    work = [np.zeros(3) for _ in range(3)]
+    for _ in range(10_000):
+        propagate(position, velocity, mat, np.array([0.0, 0.0, -gravity]), rate, 0.01, *work)
+    np.testing.assert_allclose(velocity, 0.0, atol=1e-9)
+    np.testing.assert_allclose(mat, np.eye(3), atol=1e-10)
