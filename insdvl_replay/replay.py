@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from insdvl_replay import logs
-from insdvl_replay.columns import Dive
+from insdvl_replay import __version__, logs
+from insdvl_replay.columns import Dive, Floats, TimeNs
 from insdvl_replay.config import Config
+from insdvl_replay.config_file import render_toml
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table
 from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table
@@ -19,6 +20,9 @@ from insdvl_replay.nav.alignment import Alignment, align
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.timeline import build_timeline
+from insdvl_replay.report.csv_tables import table_csv
+from insdvl_replay.report.json_report import build_report, encode_report
+from insdvl_replay.report.run_log import run_log
 from insdvl_replay.rotation import mat_from_rpy
 from insdvl_replay.states import DEG
 
@@ -108,7 +112,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         dive.imu, velocities, dive.reference, config.initial, np.array(config.dvl.lever_arm_m), start_ns, end_ns
     )
     inside = velocities.within(alignment.start_ns, end_ns)
-    notes += alignment.notes + _outside_notes(velocities, inside)
+    notes += alignment.notes + _outside_notes(dive.name, velocities, inside)
     histories = _run_filters(dive, inside, alignment, end_ns, config, keep_cov)
     reference = dive.reference
     errors = {history.filter: reference_errors(history, reference) for history in histories} if reference else {}
@@ -155,8 +159,9 @@ def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, i
     end_ns = last_ns if end_s is None else min(last_ns, first_ns + round(end_s * 1e9))
     if start_ns >= end_ns:
         duration_s = (last_ns - first_ns) * 1e-9
+        wanted_end_s = duration_s if end_s is None else end_s
         raise LogError(
-            f"{dive.name}: nothing lies between --start {start_s or 0:g} s and --end {end_s or duration_s:g} s; "
+            f"{dive.name}: nothing lies between --start {start_s or 0:g} s and --end {wanted_end_s:g} s; "
             f"the IMU covers 0 to {duration_s:.1f} s",
             "--start and --end count seconds from the first IMU sample",
         )
@@ -170,10 +175,10 @@ def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, i
     return start_ns, end_ns
 
 
-def _outside_notes(velocities: DvlVelocities, inside: DvlVelocities) -> tuple[Note, ...]:
+def _outside_notes(name: str, velocities: DvlVelocities, inside: DvlVelocities) -> tuple[Note, ...]:
     if not len(inside.time_ns):
         raise LogError(
-            "no DVL velocity lies between the start of the replay and its end",
+            f"{name}: no DVL velocity lies between the start of the replay and its end",
             "check dvl.stamp and reference.stamp against imu.stamp, or widen --start and --end",
         )
     outside = len(velocities.time_ns) - len(inside.time_ns)
@@ -199,3 +204,41 @@ def _run_filters(
         )
         for name, filter_ in config.filters.items()
     )
+
+
+def save_replay(replay: Replay, folder: Path) -> None:
+    """Write a replay's files into an empty folder; the same replay gives the same bytes.
+
+    Parameters
+    ----------
+    replay : Replay
+    folder : Path
+        Exists; its other files are left alone.
+    """
+    settings = render_toml(replay.config)
+    report = build_report(replay.dive, replay.config, replay.tables, replay.notes, replay.start_ns, replay.end_ns)
+    for name, table in replay.tables.items():
+        (folder / f"{name}.csv").write_bytes(table_csv(table))
+    logs.write_replay(
+        folder / "replay.mcap",
+        dive=replay.dive,
+        histories=replay.histories,
+        dvl=_measured(replay.histories),
+        errors=replay.errors,
+        tables=replay.tables,
+        notes=replay.notes,
+        config_toml=settings,
+        version=__version__,
+    )
+    (folder / "config.toml").write_text(settings, "utf-8")
+    (folder / "run.log").write_text(run_log(report), "utf-8")
+    (folder / "report.json").write_bytes(encode_report(report))
+
+
+def _measured(histories: tuple[History, ...]) -> dict[str, tuple[TimeNs, Floats]]:
+    """Give the DVL's velocity and derived acceleration as the first filter that is aided by each met them."""
+    measured: dict[str, tuple[TimeNs, Floats]] = {}
+    for history in histories:
+        for innovations in history.innovations:
+            measured.setdefault(innovations.measurement, (innovations.time_ns, innovations.measured_b))
+    return measured

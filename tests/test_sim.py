@@ -71,12 +71,12 @@ def test_figure_eight_is_two_loops_that_meet_at_the_crossing() -> None:
     turning = np.abs(scenario.rpy_rate(time_s)[:, 2]) > 1.0 * DEG
     assert time_s[turning][0] == pytest.approx(100.0, abs=1.0)
     heading_degps = scenario.rpy_rate(time_s)[:, 2] / DEG
-    assert 0.1 * heading_degps[time_s < 230.0].sum() == pytest.approx(277.8, abs=0.1)
-    assert 0.1 * heading_degps[time_s >= 230.0].sum() == pytest.approx(-277.8, abs=0.1)
-    first = (time_s > 60.0) & (time_s < 70.0)
-    halfway = (time_s > 220.0) & (time_s < 240.0)
+    assert 0.1 * heading_degps[time_s < 178.0].sum() == pytest.approx(277.8, abs=0.1)
+    assert 0.1 * heading_degps[time_s >= 178.0].sum() == pytest.approx(-277.8, abs=0.1)
+    first = (time_s > 50.0) & (time_s < 95.0)
+    halfway = (time_s > 160.0) & (time_s < 196.0)
     apart_m = np.hypot(north_m[first][:, None] - north_m[halfway], east_m[first][:, None] - east_m[halfway])
-    assert apart_m.min() < 0.1, "the second diagonal crosses the first leg"
+    assert apart_m.min() < 0.1, "the way from one loop to the other crosses the first leg"
 
 
 def test_lawnmower_turns_ever_sharper() -> None:

@@ -13,6 +13,7 @@ INTERRUPTED = 130
 
 def main() -> NoReturn:
     """Run the command line and leave with its exit code."""
+    signal.signal(signal.SIGTERM, _interrupt)
     sys.exit(run_command_line(sys.argv[1:]))
 
 
@@ -30,15 +31,14 @@ def run_command_line(arguments: list[str]) -> int:
         The exit code.
     """
     try:
-        signal.signal(signal.SIGTERM, _interrupt)
         # Imported here, so that an interruption during the import is told like any other.
         from insdvl_replay.cli.app import app
-        from insdvl_replay.cli.messages import tell_failure
+        from insdvl_replay.cli.messages import tell_failure, typed_verbosity
 
         try:
             code = int(app(arguments, prog_name="insdvl-replay", standalone_mode=False) or 0)
         except Exception as error:
-            return tell_failure(error)
+            return tell_failure(error, typed_verbosity(arguments))
     except (KeyboardInterrupt, SystemExit):
         code = INTERRUPTED
     if code == INTERRUPTED:

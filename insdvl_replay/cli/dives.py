@@ -79,7 +79,7 @@ def replay_dives(
     *,
     strict: bool,
     force: bool,
-    verbose: bool,
+    verbosity: int,
 ) -> int:
     """Replay dives, one result folder each, and a summary if there are several.
 
@@ -96,8 +96,8 @@ def replay_dives(
         Warnings make the exit code 3.
     force : bool
         Replace older results.
-    verbose : bool
-        Say all notes, not the warnings alone.
+    verbosity : int
+        1: say all notes, not the warnings alone; 2: also where in the code an error arose.
 
     Returns
     -------
@@ -110,13 +110,13 @@ def replay_dives(
         try:
             report = _replayed(log, target, config, force=force)
             emit(PRINTED[format_](report))
-            tell_notes(report.notes, verbose=verbose)
+            tell_notes(report.notes, verbose=verbosity > 0)
             tell(f"wrote {target}")
             outcomes.append(report)
-            codes[target.name] = _refuse_warnings(report) if strict else 0
+            codes[target.name] = _refuse_warnings(report, verbosity) if strict else 0
         except Exception as error:
             outcomes.append(Failure(target.name, str(error)))
-            codes[target.name] = tell_failure(error)
+            codes[target.name] = tell_failure(error, verbosity)
     if len(targets) > 1:
         _summarise(outcomes, codes, output / SUMMARY, force=force)
     return max(codes.values())
@@ -135,7 +135,7 @@ def _replayed(log: Path, target: Path, config: Config, *, force: bool) -> Report
     return report
 
 
-def _refuse_warnings(report: Report) -> int:
+def _refuse_warnings(report: Report, verbosity: int) -> int:
     warnings = [note.code for note in report.notes if note.severity == "warning"]
     if not warnings:
         return 0
@@ -143,7 +143,8 @@ def _refuse_warnings(report: Report) -> int:
         LogError(
             f"{report.log.name}: --strict allows no warnings, found {', '.join(warnings)}",
             "the result is written; leave --strict out to accept it",
-        )
+        ),
+        verbosity,
     )
 
 

@@ -38,19 +38,21 @@ def tell_notes(notes: Iterable[Note], *, verbose: bool) -> None:
                 tell(f"hint: {note.hint}")
 
 
-def tell_failure(error: Exception) -> int:
-    """Say what went wrong, in one sentence and a hint, and with ``-vv`` where.
+def tell_failure(error: Exception, verbosity: int) -> int:
+    """Say what went wrong, in one sentence and a hint, and with ``-vv`` where in the code it arose.
 
     Parameters
     ----------
     error : Exception
+    verbosity : int
+        How often ``-v`` was given.
 
     Returns
     -------
     int
         The exit code that belongs to it.
     """
-    if verbosity(sys.argv[1:]) >= 2:
+    if verbosity >= 2:
         traceback.print_exception(error)
     code, message, hint = _explained(error)
     tell(f"error: {message}")
@@ -59,8 +61,8 @@ def tell_failure(error: Exception) -> int:
     return code
 
 
-def verbosity(arguments: Iterable[str]) -> int:
-    """Count ``-v`` as it was typed, for failures that come before the options are parsed."""
+def typed_verbosity(arguments: Iterable[str]) -> int:
+    """Count ``-v`` as it was typed, for failures outside a command."""
     return sum(len(word) - 1 for word in arguments if word.startswith("-v") and set(word[1:]) == {"v"})
 
 

@@ -40,7 +40,8 @@ def run(
 ) -> int:
     """Replay dives through the configured filters.
 
-    What the filters believe is laid beside what is so. Each log gets a folder with CSV tables, report.json, replay.mcap and the settings; several logs also a summary.csv.
+    What the filters believe is laid beside what is so. Each log gets a folder with CSV tables, report.json, replay.mcap
+    and the settings; several logs also a summary.csv.
     A log that cannot be used does not stop the others.
 
     \b
@@ -55,4 +56,4 @@ def run(
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
     resolved = load_config(preset, config, [*settings, *spans])
     targets = result_targets(logs, output, force=force)
-    return replay_dives(targets, resolved, output, format_, strict=strict, force=force, verbose=verbose > 0)
+    return replay_dives(targets, resolved, output, format_, strict=strict, force=force, verbosity=verbose)

@@ -223,7 +223,7 @@ def _decompressed(packed: memoryview, compression: str, size: int, offset: int) 
             return memoryview(zstandard.ZstdDecompressor().decompress(packed, max_output_size=size))
         if compression == "lz4":
             return memoryview(lz4.frame.decompress(packed))
-    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
+    except (zstandard.ZstdError, RuntimeError, MemoryError, OverflowError) as error:
         raise DamageError(offset, f"a {compression} chunk cannot be decompressed ({error})") from error
     raise DamageError(offset, f"a chunk is compressed with '{compression}', which is none of zstd, lz4 and nothing")
 

@@ -1,6 +1,7 @@
 """Rows made clean: in the order of time, each time once, every number finite; and a note of every loss."""
 
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from insdvl_replay.errors import LogError, Note, Severity
 
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 @dataclass
@@ -46,7 +48,23 @@ class Cleaner:
     @property
     def times(self) -> TimeNs:
         """The times of the rows that stay."""
-        return self.time_ns[self.rows]
+        return self.kept(self.time_ns)
+
+    def kept(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
+        """Give the rows that stay, in the order of time.
+
+        Parameters
+        ----------
+        values : ndarray, shape (k, ...)
+            For each row of the file.
+
+        Returns
+        -------
+        ndarray, shape (kept, ...)
+            The very same array where all rows stay in place, which spares large logs a copy.
+        """
+        # No row is dropped or moved without a note.
+        return values[self.rows] if self.notes else values
 
     def keep(self, good: Mask, code: str, reason: str, severity: Severity = "info") -> None:
         """Drop the rows that are not good.
@@ -70,8 +88,8 @@ class Cleaner:
             For each row of the file.
         """
         finite = np.ones(self.time_ns.size, np.bool_)
-        for array in values:
-            finite &= np.isfinite(array).all(axis=1)
+        for column in (column for array in values for column in array.T):
+            finite &= np.isfinite(column)
         self.keep(finite, "not_finite", "messages hold a number that is not finite")
 
     def require_rows(self, place: str) -> None:

@@ -102,7 +102,8 @@ class Log:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._data = _mapped(path)
+        self._map = _mapped(path)
+        self._data = memoryview(self._map)
         try:
             self._survey = _surveyed(self._data)
         except DamageError as damage:
@@ -111,7 +112,9 @@ class Log:
 
     def sha256(self) -> str:
         """Give the digest of the file's bytes."""
-        return hashlib.sha256(self._data).hexdigest()
+        digest = hashlib.sha256(self._data).hexdigest()
+        self._release_pages()
+        return digest
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the messages of some channels, a chunk at a time; chunks without them stay closed.
@@ -132,9 +135,15 @@ class Log:
         try:
             for chunk in self._survey.chunks:
                 yield from chunk_blocks(self._data, chunk, channel_ids)
+                self._release_pages()
             yield from blocks_of(self._data, np.array(self._survey.loose_messages, np.int64), channel_ids)
         except DamageError as damage:
             raise self._refusal(damage) from damage
+
+    def _release_pages(self) -> None:
+        """Keep what was read from counting as memory of this process; the system reads it again if need be."""
+        if hasattr(mmap, "MADV_DONTNEED"):
+            self._map.madvise(mmap.MADV_DONTNEED)
 
     def _refusal(self, damage: DamageError) -> LogError:
         return LogError(
@@ -143,7 +152,7 @@ class Log:
         )
 
 
-def _mapped(path: Path) -> memoryview:
+def _mapped(path: Path) -> mmap.mmap:
     if path.is_dir():
         inside = sorted(path.glob("*.mcap"))
         raise LogError(f"{path}: is a folder", f"name the log in it: {inside[0]}" if inside else "it has no .mcap file")
@@ -152,7 +161,7 @@ def _mapped(path: Path) -> memoryview:
             start = file.read(16)
             if not start:
                 raise LogError(f"{path}: is empty (0 bytes)", "the recording never began, or the copy failed")
-            data = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}", "check the path") from error
     if not start.startswith(MAGIC):

@@ -23,37 +23,41 @@ GRAVITY_MPS2: Final = 9.81
 """Near enough to tell a unit by."""
 
 _GRAVITY_TOLERANCE_MPS2: Final = 1.0
+_ENOUGH_SAMPLES: Final = 10_000
 _NAMED_AXES: Final = {"frd": "+x+y+z", "flu": "+x-y-z"}
 
 
-def axes_matrix(axes: str, key: str) -> Floats:
-    """Give the matrix that takes coordinates in the log's axes to forward-starboard-down.
+def in_frd(vectors: Floats, axes: str, key: str, unit: float = 1.0) -> Floats:
+    """Bring vectors from the log's axes and unit to forward-starboard-down and SI.
 
     Parameters
     ----------
+    vectors : ndarray, shape (k, 3)
     axes : str
         ``frd``, ``flu``, or a signed permutation whose i-th part is the reading along the i-th of the axes forward,
         starboard, down. An odd number of turned signs is allowed: some instruments report the opposite of a vector.
     key : str
-        The configuration's key, for messages to the user.
+        The configuration's key of the axes, for messages to the user.
+    unit : float
+        One unit of the log in SI.
 
     Returns
     -------
-    ndarray, shape (3, 3)
+    ndarray, shape (k, 3)
 
     Raises
     ------
     ConfigError
-        It is neither.
+        The axes are none.
     """
     text = _NAMED_AXES.get(axes, axes)
-    parts = re.findall(r"([+-])([xyz])", text)
-    if len(text) != 6 or sorted(axis for _, axis in parts) != ["x", "y", "z"]:
+    readings = re.findall(r"([+-])([xyz])", text)
+    if len(text) != 6 or sorted(axis for _, axis in readings) != ["x", "y", "z"]:
         raise ConfigError(f'{key} = "{axes}" is no set of axes', f'{key} = "frd", "flu" or for example "+y+x-z"')
-    matrix = np.zeros((3, 3))
-    for row, (sign, axis) in enumerate(parts):
-        matrix[row, "xyz".index(axis)] = 1.0 if sign == "+" else -1.0
-    return matrix
+    turned = np.empty_like(vectors)
+    for i, (sign, axis) in enumerate(readings):
+        np.multiply(vectors[:, "xyz".index(axis)], unit if sign == "+" else -unit, out=turned[:, i])
+    return turned
 
 
 def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
@@ -76,35 +80,38 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     ConfigError
         The axes are none.
     """
-    axes = axes_matrix(settings.axes, "imu.axes")
-    specific_force_b = _measured(table, "specific_force") @ axes.T * SPECIFIC_FORCE_UNITS[settings.specific_force_unit]
-    angular_rate_b = _measured(table, "angular_rate") @ axes.T * ANGULAR_RATE_UNITS[settings.angular_rate_unit]
+    force_unit = SPECIFIC_FORCE_UNITS[settings.specific_force_unit]
+    rate_unit = ANGULAR_RATE_UNITS[settings.angular_rate_unit]
+    specific_force_b = in_frd(_measured(table, "specific_force"), settings.axes, "imu.axes", force_unit)
+    angular_rate_b = in_frd(_measured(table, "angular_rate"), settings.axes, "imu.axes", rate_unit)
     cleaner = Cleaner("imu", table.time_ns())
     cleaner.keep_finite(specific_force_b, angular_rate_b)
     cleaner.drop_repeated_times()
     cleaner.require_rows(table.place)
     cleaner.note_gaps(settings.max_gap_s)
-    imu = ImuColumns(cleaner.times, specific_force_b[cleaner.rows], angular_rate_b[cleaner.rows])
+    imu = ImuColumns(cleaner.times, cleaner.kept(specific_force_b), cleaner.kept(angular_rate_b))
     return imu, [*cleaner.notes, *_gravity_notes(imu)]
 
 
 def _measured(table: Table, quantity: str) -> Floats:
     """Give a vector, NaN where its message says by a negative variance that it is not measured."""
     values = table.values(quantity, 3)
-    if f"{quantity}_var" in table:
-        values[table.column(f"{quantity}_var") < 0.0] = np.nan
-    return values
+    if f"{quantity}_var" not in table:
+        return values
+    unmeasured = table.column(f"{quantity}_var") < 0.0
+    return np.where(unmeasured[:, None], np.nan, values) if unmeasured.any() else values
 
 
 def _gravity_notes(imu: ImuColumns) -> list[Note]:
     """Compare the specific force with gravity: a wrong unit or turned axes show at once."""
-    size = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1)))
-    down = float(np.median(imu.specific_force_b[:, 2]))
+    some = imu.specific_force_b[:: 1 + len(imu.time_ns) // _ENOUGH_SAMPLES]
+    forward, starboard, down = some.T
+    size, along_down = float(np.median(np.hypot(np.hypot(forward, starboard), down))), float(np.median(down))
     if abs(size - GRAVITY_MPS2) > _GRAVITY_TOLERANCE_MPS2:
         text = f"the median specific force is {size:.3f} m/s^2, where gravity is {GRAVITY_MPS2:.1f}"
         return [Note("imu_gravity", text, len(imu.time_ns), "warning", 'imu.specific_force_unit = "g", "mg" or "m/s2"')]
-    if down > 0.0:
-        text = f"the median specific force along down is {down:+.3f} m/s^2, where a level vehicle has -9.8"
+    if along_down > 0.0:
+        text = f"the median specific force along down is {along_down:+.3f} m/s^2, where a level vehicle has -9.8"
         return [Note("imu_upside_down", text, len(imu.time_ns), "warning", 'imu.axes = "flu" turns y and z')]
     return []
 
@@ -124,4 +131,4 @@ def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:
     accel_bias_b, gyro_bias_b = table.values("accel_bias", 3), table.values("gyro_bias", 3)
     cleaner = Cleaner("truth", table.time_ns())
     cleaner.drop_repeated_times()
-    return TruthColumns(cleaner.times, accel_bias_b[cleaner.rows], gyro_bias_b[cleaner.rows]), cleaner.notes
+    return TruthColumns(cleaner.times, cleaner.kept(accel_bias_b), cleaner.kept(gyro_bias_b)), cleaner.notes

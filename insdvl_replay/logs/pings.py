@@ -11,7 +11,7 @@ from insdvl_replay.columns import DvlColumns, Floats
 from insdvl_replay.config import Dvl
 from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.logs.cleaning import Cleaner, Mask
-from insdvl_replay.logs.decode import VELOCITY_UNITS, axes_matrix
+from insdvl_replay.logs.decode import VELOCITY_UNITS, in_frd
 from insdvl_replay.logs.tables import Table
 from insdvl_replay.states import DEG
 
@@ -69,25 +69,27 @@ def _reads_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> bool:
         return "beam_velocity" in table
     if bool(_has_beams(table).any()):
         return True
-    cleaner.note("no_beams", "pings, all there are, have no valid beam; their velocities are used", len(table.log_time))
+    cleaner.note("no_beams", "pings, all there are, have no valid beam; their velocities are used", len(table))
     return False
 
 
 def _has_beams(table: Table) -> Mask:
     """Tell which pings have a beam that counts."""
-    finite: Mask = np.isfinite(table.values("beam_velocity")).any(axis=1)
-    return finite & (table.column("beams_valid") != 0.0) if "beams_valid" in table else finite
+    lost = np.isnan(table.values("beam_velocity")).all(axis=1)
+    if "beams_valid" in table:
+        lost |= table.column("beams_valid") == 0.0
+    return np.asarray(~lost)
 
 
 def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, list[Note]]:
-    axes = axes_matrix(settings.axes, "dvl.axes")
-    velocity_d = table.values("velocity", 3) @ axes.T * VELOCITY_UNITS[settings.velocity_unit]
+    unit = VELOCITY_UNITS[settings.velocity_unit]
+    velocity_d = in_frd(table.values("velocity", 3), settings.axes, "dvl.axes", unit)
     if "good_beams" in table and table.column("good_beams").any():
         enough = table.column("good_beams") >= _BEAMS_FOR_VELOCITY
         cleaner.keep(enough, "invalid", "pings have fewer than three good beams")
     cleaner.keep_finite(velocity_d)
     _drop_repeats(table, cleaner, velocity_d)
-    return DvlColumns(cleaner.times, velocity_d=velocity_d[cleaner.rows]), cleaner.notes
+    return DvlColumns(cleaner.times, velocity_d=cleaner.kept(velocity_d)), cleaner.notes
 
 
 def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, list[Note]]:
@@ -101,9 +103,8 @@ def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, l
             "dvl.beam_azimuth_deg lists one angle for each beam",
         )
     # A reading along a beam that is infinite is as lost as one that is NaN.
-    kept = beam_velocity_mps[cleaner.rows]
-    kept[~np.isfinite(kept)] = np.nan
-    return DvlColumns(cleaner.times, beam_velocity_mps=kept, beam_vectors_d=vectors_d), cleaner.notes
+    finite = np.where(np.isfinite(beam_velocity_mps), beam_velocity_mps, np.nan)
+    return DvlColumns(cleaner.times, cleaner.kept(finite), vectors_d), cleaner.notes
 
 
 def _drop_repeats(table: Table, cleaner: Cleaner, values: Floats) -> None:
@@ -117,10 +118,10 @@ def _beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
     configured = settings.beam_tilt_deg is not None or settings.beam_azimuth_deg is not None
     if configured or "beam_vectors" not in table:
         return _geometry(settings)
-    vectors = np.median(table.values("beam_vectors", 12)[cleaner.rows], axis=0).reshape(-1, 3)
+    vectors = np.median(cleaner.kept(table.values("beam_vectors", 12)), axis=0).reshape(-1, 3)
     doubt = _doubt(vectors, table, cleaner)
     if not doubt:
-        return np.asarray(vectors @ axes_matrix(settings.axes, "dvl.axes").T / np.linalg.norm(vectors, axis=1)[:, None])
+        return in_frd(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), settings.axes, "dvl.axes")
     cleaner.note(
         "beam_geometry",
         f"pings have beam vectors that cannot be true ({doubt}); a tilt of {TILT_DEG:g} deg and azimuths of "
@@ -144,7 +145,7 @@ def _doubt(vectors: Floats, table: Table, cleaner: Cleaner) -> str:
     lengths = np.linalg.norm(vectors, axis=1)
     if not np.all(np.abs(lengths - 1.0) < _UNIT_LENGTH_TOLERANCE):
         return f"their lengths are {', '.join(f'{length:.3f}' for length in lengths)}"
-    altitude, ranges = table.column("altitude")[cleaner.rows], table.values("beam_ranges", 4)[cleaner.rows]
+    altitude, ranges = cleaner.kept(table.column("altitude")), cleaner.kept(table.values("beam_ranges", 4))
     measured = np.isfinite(ranges).all(axis=1) & (ranges > 0.0).all(axis=1) & np.isfinite(altitude) & (altitude > 0.0)
     if not measured.any():
         return ""

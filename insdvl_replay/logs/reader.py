@@ -5,13 +5,12 @@ from pathlib import Path
 
 from insdvl_replay.columns import Channel, Dive
 from insdvl_replay.config import Config
-from insdvl_replay.errors import Note
 from insdvl_replay.logs.container import Log, LogChannel
 from insdvl_replay.logs.decode import decode_imu, decode_truth
 from insdvl_replay.logs.pings import decode_dvl
 from insdvl_replay.logs.reference import decode_reference
 from insdvl_replay.logs.roles import Roles, assign_roles
-from insdvl_replay.logs.tables import Table, count_notes, read_tables, schema_notes
+from insdvl_replay.logs.tables import count_notes, read_tables, schema_notes, stamp_notes
 
 
 def read_dive(path: Path, config: Config) -> Dive:
@@ -38,12 +37,13 @@ def read_dive(path: Path, config: Config) -> Dive:
     """
     log = Log(path)
     roles = assign_roles(str(path), log.channels, config)
-    imu_table, dvl_table, *others = tables = read_tables(log, roles.sources)
-    truth_table = others.pop() if roles.truth else None
-    imu, imu_notes = decode_imu(imu_table, config.imu)
-    dvl, dvl_notes = decode_dvl(dvl_table, config.dvl)
-    reference, reference_notes = decode_reference(others, config.reference)
-    truth, truth_notes = decode_truth(truth_table) if truth_table else (None, [])
+    tables = read_tables(log, roles.sources)
+    notes = [*schema_notes(roles.sources), *count_notes(tables), *stamp_notes(tables)]
+    # The raw columns of a long dive are large, and let go one by one.
+    imu, imu_notes = decode_imu(tables.pop(0), config.imu)
+    dvl, dvl_notes = decode_dvl(tables.pop(0), config.dvl)
+    truth, truth_notes = decode_truth(tables.pop()) if roles.truth else (None, [])
+    reference, reference_notes = decode_reference(tables, config.reference)
     return Dive(
         name=path.stem,
         imu=imu,
@@ -52,13 +52,8 @@ def read_dive(path: Path, config: Config) -> Dive:
         truth=truth,
         sha256=log.sha256(),
         channels=_channels(log.channels, roles),
-        notes=(*_table_notes(roles, tables), *imu_notes, *dvl_notes, *reference_notes, *truth_notes),
+        notes=(*notes, *imu_notes, *dvl_notes, *reference_notes, *truth_notes),
     )
-
-
-def _table_notes(roles: Roles, tables: Sequence[Table]) -> list[Note]:
-    stamps = [note for table in tables for note in table.stamp_notes()]
-    return [*schema_notes(roles.sources), *count_notes(tables), *stamps]
 
 
 def _channels(channels: Sequence[LogChannel], roles: Roles) -> tuple[Channel, ...]:

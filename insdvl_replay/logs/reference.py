@@ -57,10 +57,10 @@ def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     if "fix_status" in table:
         cleaner.keep(table.column("fix_status") >= 0.0, "no_fix", "positions have no fix")
     cleaner.drop_repeated_times()
-    rows = cleaner.rows
-    mat_nb, velocity_n = _attitude(table, settings), _velocity_n(table, settings)
+    mat_nb = _attitude(table, settings)
+    velocity_n = _velocity_n(table, settings, mat_nb)
     position = _position(table) if "latitude" in table else None
-    chosen = (None if values is None else values[rows] for values in (position, velocity_n, mat_nb))
+    chosen = (None if values is None else cleaner.kept(values) for values in (position, velocity_n, mat_nb))
     return _Part(cleaner.times, *chosen), cleaner.notes
 
 
@@ -80,16 +80,15 @@ def _attitude(table: Table, settings: Reference) -> Floats | None:
     return None
 
 
-def _velocity_n(table: Table, settings: Reference) -> Floats | None:
+def _velocity_n(table: Table, settings: Reference, mat_nb: Floats | None) -> Floats | None:
     if "velocity_n" in table:
         return table.values("velocity_n", 3)
-    if "velocity_b" not in table:
+    if "velocity_b" not in table or mat_nb is None:
         return None
     velocity_b = table.values("velocity_b", 3)
     if settings.axes != "ned_frd":
         velocity_b = velocity_b @ FRD_FROM_FLU
-    mat_nb = _attitude(table, settings)
-    return None if mat_nb is None else np.einsum("kij,kj->ki", mat_nb, velocity_b)
+    return np.asarray(np.einsum("kij,kj->ki", mat_nb, velocity_b))
 
 
 def _union(parts: list[_Part]) -> ReferenceColumns:

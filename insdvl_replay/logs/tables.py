@@ -16,6 +16,7 @@ from insdvl_replay.logs.roles import Source
 from insdvl_replay.logs.ros2msg import definition_text, parse_definitions
 
 _NS_PER_S: Final = 1_000_000_000
+_RECORDER_STAMPS: Final = ("log_time", "publish_time")
 _UNIX_UNITS: Final = ((1e17, 1, "nanoseconds"), (1e14, 10**3, "microseconds"), (1e11, 10**6, "milliseconds"))
 """From this size on a number of a stamp is taken to count these since 1970."""
 
@@ -29,17 +30,17 @@ class Table:
     place : str
         File and topic, for messages to the user.
     source : Source
-    log_time, publish_time : ndarray, shape (k,)
-        ns
     columns : dict of str to ndarray, shape (k, n)
-        By field path.
+        By field path; ``log_time`` and ``publish_time`` are the recorder's.
     """
 
     place: str
     source: Source
-    log_time: TimeNs
-    publish_time: TimeNs
     columns: Columns
+
+    def __len__(self) -> int:
+        """Give the number of messages."""
+        return len(next(iter(self.columns.values())))
 
     def __contains__(self, quantity: str) -> bool:
         """Tell whether the topic holds a quantity."""
@@ -65,7 +66,7 @@ class Table:
             The field does not hold that many numbers.
         """
         path = self.source.fields[quantity]
-        values = self.columns[path].astype(np.float64)
+        values = self.columns[path].astype(np.float64, copy=False)
         if width is not None and values.shape[1] != width:
             raise LogError(
                 f"{self.place}: field '{path}' holds {values.shape[1]} numbers where {width} are needed",
@@ -105,10 +106,7 @@ class Table:
             The stamp's field is no time, or the same in every message.
         """
         stamp = self.source.stamp
-        if stamp in ("log_time", "publish_time"):
-            time_ns = self.log_time if stamp == "log_time" else self.publish_time
-        else:
-            time_ns = self._stamped(_stamp_path(stamp))
+        time_ns = self.columns[stamp][:, 0] if stamp in _RECORDER_STAMPS else self._stamped(_stamp_path(stamp))
         if time_ns.size > 1 and time_ns.min() == time_ns.max():
             raise LogError(
                 f"{self.place}: stamp '{stamp}' is {time_ns[0] / _NS_PER_S:.9f} s in each of {time_ns.size} messages",
@@ -125,17 +123,13 @@ class Table:
                 f"{self.place}: field '{path}' holds {values.shape[1]} numbers and is no time",
                 f"{self.source.role}.stamp names a builtin_interfaces/Time or one number",
             )
-        factor, _ = _unit_of(values)
-        whole = values.dtype == np.int64
-        return values[:, 0] * factor if whole else np.rint(values[:, 0] * factor).astype(np.int64)
-
-    def stamp_notes(self) -> tuple[Note, ...]:
-        """Say how a stamp that is a mere number was understood."""
-        values = self.columns.get(_stamp_path(self.source.stamp))
-        if values is None or values.shape[1] != 1:
-            return ()
-        role, unit = self.source.role, _unit_of(values)[1]
-        return (Note(f"{role}_stamp_unit", f"{self.source.topic}: stamp '{self.source.stamp}' was read as {unit}"),)
+        if not np.isfinite(values).all():
+            raise LogError(
+                f"{self.place}: stamp '{path}' is no number in {np.count_nonzero(~np.isfinite(values))} messages",
+                f'{self.source.role}.stamp = "log_time"',
+            )
+        counted = values[:, 0] * _unit_of(values)[0]
+        return counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
 
 
 def read_tables(log: Log, sources: Sequence[Source]) -> list[Table]:
@@ -194,10 +188,31 @@ def count_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
     """
     notes = []
     for table in tables:
-        announced, found = sum(channel.messages for channel in table.source.channels), table.log_time.size
+        announced, found = sum(channel.messages for channel in table.source.channels), len(table)
         if announced != found:
             text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
             notes.append(Note("messages_missing", text, abs(announced - found), "warning"))
+    return tuple(notes)
+
+
+def stamp_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
+    """Say how stamps that are mere numbers were understood.
+
+    Parameters
+    ----------
+    tables : iterable of Table
+
+    Returns
+    -------
+    tuple of Note
+    """
+    notes = []
+    for table in tables:
+        source = table.source
+        values = table.columns[_stamp_path(source.stamp)]
+        if source.stamp not in _RECORDER_STAMPS and values.shape[1] == 1:
+            text = f"{source.topic}: stamp '{source.stamp}' was read as {_unit_of(values)[1]}"
+            notes.append(Note(f"{source.role}_stamp_unit", text))
     return tuple(notes)
 
 
@@ -208,13 +223,12 @@ class _Builder:
     log: Log
     source: Source
     readers: dict[int, CdrReader] = field(init=False)
-    blocks: list[tuple[TimeNs, TimeNs, Columns]] = field(default_factory=list)
+    parts: dict[str, list[NDArray[Any]]] = field(init=False)
 
     def __post_init__(self) -> None:
         self.place = f"{self.log.path}: {self.source.topic}"
-        self.paths = list(self.source.fields.values())
-        if self.source.stamp not in ("log_time", "publish_time"):
-            self.paths.append(_stamp_path(self.source.stamp))
+        paths = dict.fromkeys([_stamp_path(self.source.stamp), *self.source.fields.values()])
+        self.parts = {path: [] for path in paths}
         self.readers = {channel.id: self._reader(channel) for channel in self.source.channels}
 
     def _reader(self, channel: LogChannel) -> CdrReader:
@@ -223,26 +237,24 @@ class _Builder:
             definitions = parse_definitions(channel.type_name, text)
         except LogError as error:
             raise LogError(f"{self.place}: {error.message}", error.hint) from error
-        return CdrReader(definitions, channel.type_name, self.paths, self.place)
+        paths = [path for path in self.parts if path not in _RECORDER_STAMPS]
+        return CdrReader(definitions, channel.type_name, paths, self.place)
 
     def add(self, block: Block) -> None:
         """Read a block if it is of this topic."""
         reader = self.readers.get(block.channel_id)
-        if reader is not None:
-            self.blocks.append((block.log_time, block.publish_time, reader.columns(block)))
+        if reader is None:
+            return
+        recorder = {"log_time": block.log_time[:, None], "publish_time": block.publish_time[:, None]}
+        columns = recorder | reader.columns(block)
+        for path, parts in self.parts.items():
+            parts.append(columns[path])
 
     def table(self) -> Table:
-        """Put the blocks together."""
-        if not self.blocks:
+        """Put the blocks together, letting go of each column's parts as it goes."""
+        if not all(self.parts.values()):
             raise LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
-        log_times, publish_times, columns = zip(*self.blocks, strict=True)
-        return Table(
-            self.place,
-            self.source,
-            np.concatenate(log_times),
-            np.concatenate(publish_times),
-            {path: _stacked([part[path] for part in columns]) for path in self.paths},
-        )
+        return Table(self.place, self.source, {path: _stacked(self.parts.pop(path)) for path in list(self.parts)})
 
 
 def _stamp_path(stamp: str) -> str:

@@ -10,7 +10,7 @@ from insdvl_replay.config import Initial
 from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.filter import Start
-from insdvl_replay.rotation import mat_from_rpy
+from insdvl_replay.rotation import mat_from_rpy, wrap_angle
 from insdvl_replay.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
 
 LEVELLING_S = 10.0
@@ -123,7 +123,7 @@ def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) 
 
 def _position(reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
     if reference is not None and reference.has_position:
-        return _at(reference.time_ns, reference.position, start_ns)
+        return _reference_position(reference, initial, start_ns, notes)
     if initial.latitude_deg is None:
         raise ConfigError(
             "the latitude is needed for gravity and Earth rate, and no reference gives it",
@@ -131,6 +131,19 @@ def _position(reference: ReferenceColumns | None, initial: Initial, start_ns: in
         )
     notes.append(Note("start_position_configured", f"started at the configured latitude {initial.latitude_deg:g} deg"))
     return np.array([initial.latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
+
+
+def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
+    horizontal, height_m = reference.position[:, :2].copy(), reference.position[:, 2:]
+    first_longitude = horizontal[np.argmax(np.isfinite(horizontal).all(axis=1)), 1]
+    horizontal[:, 1] = wrap_angle(horizontal[:, 1] - first_longitude)  # so that 180 deg lies between no two rows
+    latitude, longitude = _at(reference.time_ns, horizontal, start_ns)
+    if np.isfinite(height_m).any():
+        start_height_m = _at(reference.time_ns, height_m, start_ns)[0]
+    else:
+        start_height_m = initial.height_m
+        notes.append(Note("start_height_configured", f"started at the configured height {initial.height_m:g} m"))
+    return np.array([latitude, float(wrap_angle(longitude + first_longitude)), start_height_m])
 
 
 def _attitude(

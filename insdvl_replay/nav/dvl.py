@@ -287,5 +287,5 @@ def windowed_sum(weights: Floats, values: Floats) -> Floats:
     for j in range(n):
         lag = n - 1 - j
         weight = weights[lag:, j].reshape(-1, *[1] * (values.ndim - 1))
-        total[lag:] += weight * values[: len(values) - lag]
+        total[lag:] += weight * values[: max(0, len(values) - lag)]
     return total

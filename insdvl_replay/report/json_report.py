@@ -194,7 +194,7 @@ def decode_report(data: bytes) -> Report:
 
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    return [{key: _finite_or_none(value) for key, value in row.items()} for row in table.to_dict("records")]
+    return [{str(key): _finite_or_none(value) for key, value in row.items()} for row in table.to_dict("records")]
 
 
 def _finite_or_none(value: object) -> object:

@@ -50,26 +50,28 @@ def latex_report(report: Report) -> str:
 
 
 def _markdown_table(table: ShownTable) -> str:
-    rule = ["---:" if table.is_number(column) else "---" for column in range(len(table.header))]
-    rows = [table.header, rule, *table.rows]
-    lines = [f"| {' | '.join(cell.strip().replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
-    return f"**{table.title}**\n\n" + "\n".join(lines)
+    rule = ["---:" if letter == "r" else "---" for letter in table.alignment]
+    header = [name.replace("\n", " ") for name in table.header]
+    rows = [header, rule, *table.rows]
+    lines = [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
+    footnote = f"\n\n{table.footnote}" if table.footnote else ""
+    return f"**{table.title}**\n\n" + "\n".join(lines) + footnote
 
 
 def _latex_table(table: ShownTable) -> str:
-    alignment = "".join("r" if table.is_number(column) else "l" for column in range(len(table.header)))
-    rows = [" & ".join(_latex(cell.strip()) for cell in row) + r" \\" for row in table.rows]
+    rows = [" & ".join(_latex(cell) for cell in row) + r" \\" for row in table.rows]
     return "\n".join(
         [
             r"\begin{table}",
             rf"\caption{{{_latex(table.title)}}}",
-            rf"\begin{{tabular}}{{{alignment}}}",
+            rf"\begin{{tabular}}{{{table.alignment}}}",
             r"\toprule",
-            " & ".join(_latex(name) for name in table.header) + r" \\",
+            " & ".join(_latex(name.replace("\n", " ")) for name in table.header) + r" \\",
             r"\midrule",
             *rows,
             r"\bottomrule",
             r"\end{tabular}",
+            *([rf"\par {_latex(table.footnote)}"] if table.footnote else []),
             r"\end{table}",
         ]
     )

@@ -1,4 +1,4 @@
-"""A report as tables for people: titles, units, three to four significant digits. `terminal` and `markup` dress them."""
+"""A report as tables for people: titles, units, four significant digits. `terminal` and `markup` dress them."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -17,9 +17,9 @@ _QUANTITIES: Final = {
     "roll": "roll",
     "pitch": "pitch",
     "heading": "heading",
-    "position_h": "position, horiz.",
+    "position_h": "position",
     "depth": "depth",
-    "position_h_pct": "  of distance",
+    "position_h_pct": "pos. / distance",
 }
 
 
@@ -40,20 +40,19 @@ class ShownTable:
     title : str
         What it says, in one line.
     header : tuple of str
-        Column names with units.
-    words : int
-        How many columns from the left hold words; those after hold numbers, up to a last one of words.
+        Column names with units; a line break is a good place to fold.
+    alignment : str
+        One letter for each column: l for words, r for numbers.
     rows : tuple of tuples of str
+    footnote : str
+        What the rows cannot say.
     """
 
     title: str
     header: tuple[str, ...]
-    words: int
+    alignment: str
     rows: tuple[tuple[str, ...], ...]
-
-    def is_number(self, column: int) -> bool:
-        """Whether a column holds numbers."""
-        return self.words <= column < len(self.header) - 1
+    footnote: str = ""
 
 
 def shown_tables(report: Report) -> list[ShownTable]:
@@ -80,9 +79,9 @@ def heading(report: Report) -> str:
 def closing_lines(report: Report) -> list[str]:
     """Say for each candidate what its mean improvement is, and whose opinion that is."""
     return [
-        f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)}, converged "
-        f"{percent(means.mean_convergence_improvement_pct)} sooner (believed by the filter's own covariance; see "
-        "reference error and consistency)"
+        f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (believed by the filter's "
+        "own covariance; see reference error and consistency), "
+        f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner"
         for name, means in report.filters.items()
     ]
 
@@ -131,7 +130,7 @@ def _improvement(baseline: str, name: str, rows: Sequence[ImprovementRow]) -> It
         yield ShownTable(
             f"Improvement: standard deviations at the end, {name} against {baseline}",
             ("state", "unit", baseline, name, "improvement", "status"),
-            2,
+            "llrrrl",
             tuple(
                 (
                     _LABELS[row.state],
@@ -150,8 +149,8 @@ def _convergence(baseline: str, name: str, rows: Sequence[ConvergenceRow]) -> It
     if rows:
         yield ShownTable(
             f"Convergence: when {name} is as sure as {baseline} is at the end",
-            ("state", "unit", "target", f"{baseline} [s]", f"{name} [s]", "sooner", "status"),
-            2,
+            ("state", "unit", "target", f"{baseline}\n[s]", f"{name}\n[s]", "sooner", "status"),
+            "llrrrrl",
             tuple(
                 (
                     _LABELS[row.state],
@@ -174,14 +173,13 @@ def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]
             (
                 "quantity",
                 "unit",
-                f"{baseline} rms",
-                f"{name} rms",
+                f"{baseline}\nrms",
+                f"{name}\nrms",
                 "better",
-                f"{baseline} final",
-                f"{name} final",
-                "status",
+                f"{baseline}\nfinal",
+                f"{name}\nfinal",
             ),
-            2,
+            "llrrrrr",
             tuple(
                 (
                     _QUANTITIES.get(row.quantity, row.quantity),
@@ -191,24 +189,34 @@ def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]
                     percent(row.improvement_pct),
                     number(row.baseline_final),
                     number(row.final),
-                    row.status,
                 )
                 for row in rows
             ),
+            _not_compared(rows),
         )
+
+
+def _not_compared(rows: Sequence[ReferenceErrorRow]) -> str:
+    """Say why numbers are missing; the word alone where it holds for all rows."""
+    quantities: dict[str, list[str]] = {}
+    for row in rows:
+        quantities.setdefault(row.status, []).append(_QUANTITIES.get(row.quantity, row.quantity))
+    quantities.pop("compared", None)
+    return "; ".join(
+        status if len(names) == len(rows) else f"{status}: {', '.join(names)}" for status, names in quantities.items()
+    )
 
 
 def _consistency(rows: Sequence[ConsistencyRow]) -> Iterator[ShownTable]:
     if rows:
         yield ShownTable(
             "Consistency: mean NIS and where 95 % of consistent filters would have it",
-            ("filter", "measurement", "dof", "used", "rejected", "mean NIS", "low", "high", "verdict"),
-            2,
+            ("filter", "measurement", "used", "rejected", "NIS", "low", "high", "verdict"),
+            "llrrrrrl",
             tuple(
                 (
                     row.filter,
                     row.measurement,
-                    str(row.dof),
                     str(row.used),
                     str(row.rejected),
                     number(row.mean_nis),

@@ -1,12 +1,16 @@
 """A report on a terminal: calm tables that fit 80 columns."""
 
+from typing import Final
+
 from rich import box
-from rich.console import Group, RenderableType
+from rich.console import Group, JustifyMethod, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from insdvl_replay.report.json_report import Report
 from insdvl_replay.report.shown import ShownTable, closing_lines, heading, shown_tables
+
+_JUSTIFY: Final[dict[str, JustifyMethod]] = {"l": "left", "r": "right"}
 
 
 def terminal_report(report: Report) -> Group:
@@ -31,13 +35,16 @@ def terminal_report(report: Report) -> Group:
 def _dressed(table: ShownTable) -> Table:
     dressed = Table(
         title=Text(table.title, style="bold"),
+        caption=Text(table.footnote) if table.footnote else None,
         title_justify="left",
+        caption_justify="left",
         box=box.SIMPLE_HEAD,
+        show_edge=False,
         pad_edge=False,
         padding=(0, 1, 0, 0),
     )
-    for column, name in enumerate(table.header):
-        dressed.add_column(Text(name), justify="right" if table.is_number(column) else "left", overflow="fold")
+    for name, letter in zip(table.header, table.alignment, strict=True):
+        dressed.add_column(Text(name), justify=_JUSTIFY[letter], overflow="fold")
     for row in table.rows:
         dressed.add_row(*(Text(cell) for cell in row))
     return dressed

@@ -1,0 +1,45 @@
+# `make demo` and `make test` need nothing but Python 3.11 or newer and make; all installs go to .venv.
+
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
+
+.PHONY: demo test quick lint samples schemas clean
+
+demo: .venv/run.stamp
+	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force
+
+test: .venv/test.stamp lint
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+
+quick: .venv/test.stamp
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m "not slow"
+
+lint: .venv/test.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+# Made anew only when the simulation or the writer changes; tests hold them to SHA256SUMS.
+samples: .venv/run.stamp
+	sh sample_logs/make.sh $(BIN)/insdvl-replay
+
+schemas: .venv/run.stamp
+	$(BIN)/insdvl-replay schema config > schemas/config.schema.json
+	$(BIN)/insdvl-replay schema report > schemas/report.schema.json
+
+clean:
+	rm -rf .venv replay build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+.venv/pyvenv.cfg:
+	$(PYTHON) -m venv .venv
+
+.venv/run.stamp: .venv/pyvenv.cfg pyproject.toml constraints.txt
+	$(PIP) --editable .
+	touch $@
+
+.venv/test.stamp: .venv/run.stamp
+	$(PIP) --editable ".[test]"
+	touch $@

@@ -1,0 +1,131 @@
+"""Nodes stand at the times of validity, to the nanosecond, and readings between samples lie on the line through them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import make_interp_spline
+
+from insdvl_replay.columns import Floats, ImuColumns, TimeNs
+from insdvl_replay.nav.timeline import Timeline, build_timeline
+
+EPOCH_NS = 1_704_067_200_000_000_001
+"""A date in nanoseconds, which a float would round to multiples of 256."""
+MS = 1_000_000
+NONE = np.empty(0, dtype=np.int64)
+
+
+def imu_at(time_ns: TimeNs, seed: int = 1) -> ImuColumns:
+    rng = np.random.default_rng(seed)
+    return ImuColumns(time_ns, rng.normal(size=(len(time_ns), 3)), rng.normal(size=(len(time_ns), 3)))
+
+
+def imu_100_hz(samples: int = 11) -> ImuColumns:
+    return imu_at(EPOCH_NS + 10 * MS * np.arange(samples))
+
+
+def ns(*offsets: int) -> TimeNs:
+    return EPOCH_NS + np.array(offsets, dtype=np.int64)
+
+
+def whole(imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs = NONE) -> Timeline:
+    return build_timeline(imu, ping_ns, reference_ns, int(imu.time_ns[0]), int(imu.time_ns[-1]))
+
+
+def integral(timeline: Timeline) -> Floats:
+    return np.trapezoid(timeline.specific_force_b, timeline.time_s, axis=0)
+
+
+@pytest.mark.parametrize(
+    ("offset_ns", "nodes"),
+    [
+        (20 * MS, 11),
+        (20 * MS + 1, 12),
+        (25 * MS, 12),
+        (30 * MS - 1, 12),
+        (1, 12),
+        (100 * MS - 1, 12),
+        (100 * MS, 11),
+    ],
+    ids=["on a sample", "just after", "between", "just before", "first nanosecond", "last but one", "at the end"],
+)
+def test_ping_has_its_own_node_at_its_own_nanosecond(offset_ns: int, nodes: int) -> None:
+    timeline = whole(imu_100_hz(), ns(offset_ns))
+    assert len(timeline.time_ns) == nodes
+    row = int(np.flatnonzero(timeline.ping >= 0).item())
+    assert timeline.ping[row] == 0
+    assert timeline.time_ns[row] == EPOCH_NS + offset_ns
+    assert timeline.record[row]
+    assert timeline.time_s[row] == pytest.approx(offset_ns * 1e-9, abs=1e-15)
+
+
+@pytest.mark.parametrize("imu_hz", [50, 100, 400])
+@pytest.mark.parametrize("dvl_hz", [1, 3, 10])
+def test_every_sample_ping_and_reference_has_one_node(imu_hz: int, dvl_hz: int) -> None:
+    imu = imu_at(EPOCH_NS + np.rint(np.arange(5 * imu_hz + 1) * 1e9 / imu_hz).astype(np.int64))
+    ping_ns = EPOCH_NS + np.rint((0.0137 + np.arange(4 * dvl_hz)) * 1e9 / dvl_hz).astype(np.int64)
+    reference_ns = EPOCH_NS + np.rint(np.arange(21) * 0.25e9).astype(np.int64)
+    timeline = whole(imu, ping_ns, reference_ns)
+    assert set(timeline.time_ns.tolist()) == {*imu.time_ns.tolist(), *ping_ns.tolist(), *reference_ns.tolist()}
+    assert (np.diff(timeline.time_ns) > 0).all()
+    np.testing.assert_array_equal(timeline.time_ns[timeline.ping >= 0], ping_ns)
+    np.testing.assert_array_equal(timeline.ping[timeline.ping >= 0], np.arange(len(ping_ns)))
+    assert set(timeline.time_ns[timeline.record].tolist()) == {*ping_ns.tolist(), *reference_ns.tolist()}
+
+
+def test_reference_at_the_time_of_a_ping_shares_its_node() -> None:
+    timeline = whole(imu_100_hz(), ns(33 * MS), ns(33 * MS, 66 * MS))
+    assert (timeline.time_ns[timeline.record] - EPOCH_NS).tolist() == [0, 33 * MS, 66 * MS, 100 * MS]
+    assert (timeline.time_ns[timeline.ping >= 0] - EPOCH_NS).tolist() == [33 * MS]
+
+
+def test_reference_outside_the_span_is_left_out() -> None:
+    reference_ns = ns(-1, 0, 14 * MS, 15 * MS, 50 * MS, 85 * MS, 86 * MS, 101 * MS)
+    timeline = build_timeline(imu_100_hz(), NONE, reference_ns, *ns(15 * MS, 85 * MS).tolist())
+    assert (timeline.time_ns[timeline.record] - EPOCH_NS).tolist() == [15 * MS, 50 * MS, 85 * MS]
+
+
+def test_span_may_begin_and_end_between_samples() -> None:
+    timeline = build_timeline(imu_100_hz(), ns(85 * MS), NONE, *ns(15 * MS, 85 * MS).tolist())
+    assert (timeline.time_ns[[0, 1, -2, -1]] - EPOCH_NS).tolist() == [15 * MS, 20 * MS, 80 * MS, 85 * MS]
+    assert timeline.time_s[0] == 0.0
+    assert timeline.record[[0, -1]].all()
+    assert timeline.ping[-1] == 0
+
+
+def test_readings_lie_on_the_line_between_samples() -> None:
+    imu = imu_100_hz()
+    ping_ns = ns(1, 5 * MS, 10 * MS, 37 * MS, 100 * MS - 1)
+    timeline = whole(imu, ping_ns)
+    at_s, sample_s = (ping_ns - EPOCH_NS) * 1e-9, (imu.time_ns - EPOCH_NS) * 1e-9
+    pinged = timeline.ping >= 0
+    for made, readings in (
+        (timeline.specific_force_b, imu.specific_force_b),
+        (timeline.angular_rate_b, imu.angular_rate_b),
+    ):
+        np.testing.assert_allclose(made[pinged], make_interp_spline(sample_s, readings, k=1)(at_s), atol=1e-12)
+        np.testing.assert_array_equal(made[np.isin(timeline.time_ns, imu.time_ns)], readings)
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.sets(st.integers(1, 100 * MS), max_size=30))
+def test_pings_do_not_change_what_the_readings_add_up_to(offsets_ns: set[int]) -> None:
+    imu = imu_100_hz()
+    np.testing.assert_allclose(integral(whole(imu, ns(*sorted(offsets_ns)))), integral(whole(imu, NONE)), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("ping_offset_ns", "start_offset_ns", "end_offset_ns", "message"),
+    [
+        (50 * MS, -1, 100 * MS, "the span lies outside"),
+        (50 * MS, 0, 100 * MS + 1, "the span lies outside"),
+        (20 * MS, 20 * MS, 80 * MS, "a ping lies outside"),
+        (80 * MS + 1, 20 * MS, 80 * MS, "a ping lies outside"),
+    ],
+    ids=["starts before the samples", "ends after them", "ping at the start", "ping after the end"],
+)
+def test_one_nanosecond_outside_is_refused(
+    ping_offset_ns: int, start_offset_ns: int, end_offset_ns: int, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        build_timeline(imu_100_hz(), ns(ping_offset_ns), NONE, *ns(start_offset_ns, end_offset_ns).tolist())
