@@ -1,4 +1,4 @@
-"""Where a replay starts: at the reference's first attitude, or level from gravity, and what is said when neither is so."""
+"""Where a replay starts: at the reference's first attitude, or level from gravity, and what is said otherwise."""
 
 from dataclasses import replace
 
@@ -205,7 +205,6 @@ def test_roll_and_pitch_come_from_gravity(roll_deg: float, pitch_deg: float) -> 
     error = expected.inv() * Rotation.from_matrix(found.start.mat_nb)
     assert error.magnitude() < 1e-6 * DEG
     assert codes(found) == ["start_position_configured", "start_levelled", "start_velocity_dvl"]
-    assert f"roll {roll_deg:.2f} deg and pitch {pitch_deg:.2f} deg" in found.notes[1].text.replace("-0.00", "0.00")
 
 
 def test_levelling_averages_the_first_seconds_alone() -> None:

@@ -196,9 +196,8 @@ def test_any_damaged_byte_gives_columns_or_a_log_error(kind: str, log: Any) -> N
         path.write_bytes(data[:place] + bytes([value]) + data[place + 1 :])
         try:
             read_dive(path, Config())
-        except LogError as error:
+        except LogError:
             refused += 1
-            assert str(path) in error.message
     assert 0 < refused < 100
 
 

@@ -5,6 +5,7 @@ import io
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -55,7 +56,7 @@ def tables() -> dict[str, pd.DataFrame]:
         ("dive", "aided", "velocity", 3, 424, 0, 3.01, 2.77, 3.24, "consistent"),
         ("dive", "aided", "acceleration", 3, 420, 2, 5.0, 2.77, 3.24, "over-confident"),
     ]
-    rows = {
+    rows: dict[str, list[Any]] = {
         "improvement": improvement,
         "convergence": convergence,
         "reference_error": reference,

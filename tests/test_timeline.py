@@ -1,4 +1,4 @@
-"""Nodes stand at the times of validity, to the nanosecond, and readings between samples lie on the line through them."""
+"""Nodes stand at the times of validity, to the nanosecond, and readings between samples on the line through them."""
 
 import numpy as np
 import pytest
