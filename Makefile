@@ -5,7 +5,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: demo test quick lint samples schemas clean
+.PHONY: demo test quick lint samples schemas readme clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force
@@ -29,6 +29,9 @@ samples: .venv/run.stamp
 schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema config > schemas/config.schema.json
 	$(BIN)/insdvl-replay schema report > schemas/report.schema.json
+
+readme: .venv/test.stamp
+	$(BIN)/python tests/readme.py
 
 clean:
 	rm -rf .venv replay build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

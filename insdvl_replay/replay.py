@@ -11,8 +11,8 @@ from insdvl_replay.columns import Dive, Floats, TimeNs
 from insdvl_replay.config import Config
 from insdvl_replay.config_file import render_toml
 from insdvl_replay.errors import LogError, Note
-from insdvl_replay.evaluation.believed import convergence_table, improvement_table
-from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table
+from insdvl_replay.evaluation.believed import convergence_table, improvement_table, mean_over_nine
+from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table, gate_notes
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
 from insdvl_replay.history import History
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
@@ -114,6 +114,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     inside = velocities.within(alignment.start_ns, end_ns)
     notes += alignment.notes + _outside_notes(dive.name, velocities, inside)
     histories = _run_filters(dive, inside, alignment, end_ns, config, keep_cov)
+    notes += gate_notes(histories)
     reference = dive.reference
     errors = {history.filter: reference_errors(history, reference) for history in histories} if reference else {}
     tables = {
@@ -216,7 +217,15 @@ def save_replay(replay: Replay, folder: Path) -> None:
         Exists; its other files are left alone.
     """
     settings = render_toml(replay.config)
-    report = build_report(replay.dive, replay.config, replay.tables, replay.notes, replay.start_ns, replay.end_ns)
+    report = build_report(
+        replay.dive,
+        replay.config,
+        replay.tables,
+        {history.filter: _means(replay.tables, history.filter) for history in replay.histories[1:]},
+        replay.notes,
+        replay.start_ns,
+        replay.end_ns,
+    )
     for name, table in replay.tables.items():
         (folder / f"{name}.csv").write_bytes(table_csv(table))
     logs.write_replay(
@@ -233,6 +242,10 @@ def save_replay(replay: Replay, folder: Path) -> None:
     (folder / "config.toml").write_text(settings, "utf-8")
     (folder / "run.log").write_text(run_log(report), "utf-8")
     (folder / "report.json").write_bytes(encode_report(report))
+
+
+def _means(tables: dict[str, pd.DataFrame], candidate: str) -> tuple[float, float]:
+    return mean_over_nine(tables["improvement"], candidate), mean_over_nine(tables["convergence"], candidate)
 
 
 def _measured(histories: tuple[History, ...]) -> dict[str, tuple[TimeNs, Floats]]:

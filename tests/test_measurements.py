@@ -134,7 +134,7 @@ def test_windowed_prediction_is_the_slope_of_what_the_ins_adds_and_its_jacobian_
 
     slope(np.zeros(12))
     H = slope.H  # type: ignore[attr-defined]
-    # The errors stand at the window's start here and grow to its middle: a gyro bias makes a misalignment of half its length.
+    # The errors stand at the window's start here and grow to its middle: a gyro bias turns into misalignment meanwhile.
     H[:, 9:12] += MAT_NB.T @ skew(np.array([0.0, 0.0, GRAVITY])) @ MAT_NB * times_s[-1] / 2.0
     # Over 0.03 s at 17 deg/s the attitude turns by 0.5 deg; H stands at the window's end and is off by that much of g.
     assert_jacobian(H, slope, np.zeros(12), atol=0.3 * times_s[-1] * GRAVITY, step=1e-5)

@@ -14,6 +14,7 @@ from rich.console import Console
 from insdvl_replay.columns import Channel, Dive, DvlColumns, ImuColumns
 from insdvl_replay.config import Config
 from insdvl_replay.errors import ConfigError, Note
+from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.report.csv_tables import report_csv, table_csv
 from insdvl_replay.report.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.report.json_report import Report, Tool, build_report, decode_report, encode_report
@@ -75,7 +76,9 @@ def report(name: str = "dive", **changes: pd.DataFrame) -> Report:
         channels=(Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "imu", 42400),),
     )
     notes = [Note("imu_gaps", "the IMU pauses 3 times", 3, "warning", "imu.max_gap_s")]
-    return build_report(dive, Config(), {**tables(), **changes}, notes, 1_000_000_000, 425_000_000_000)
+    used = {**tables(), **changes}
+    means = {"aided": (mean_over_nine(used["improvement"], "aided"), mean_over_nine(used["convergence"], "aided"))}
+    return build_report(dive, Config(), used, means, notes, 1_000_000_000, 425_000_000_000)
 
 
 def test_csv_numbers_are_read_back_exactly_and_missing_ones_are_empty() -> None:

@@ -1,6 +1,7 @@
 """The mechanisation against the differential equations, integrated by scipy."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -41,7 +42,7 @@ def mechanised(motion: Motion, mat: Floats, rate_hz: float, duration_s: float) -
     position, velocity, mat = START[:3].copy(), START[3:].copy(), mat.copy()
     work = [np.zeros(3) for _ in range(3)]
     time_s = np.arange(int(duration_s * rate_hz) + 1) / rate_hz
-    for before, after in zip(time_s[:-1], time_s[1:], strict=True):
+    for before, after in pairwise(time_s):
         force = 0.5 * (motion.force_b(before) + motion.force_b(after))
         rate = 0.5 * (motion.rate_b(before) + motion.rate_b(after))
         propagate(position, velocity, mat, force, rate, after - before, *work)

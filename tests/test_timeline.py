@@ -33,7 +33,7 @@ def whole(imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs = NONE) -> Time
 
 
 def integral(timeline: Timeline) -> Floats:
-    return np.trapezoid(timeline.specific_force_b, timeline.time_s, axis=0)
+    return np.array(np.trapezoid(timeline.specific_force_b, timeline.time_s, axis=0))
 
 
 @pytest.mark.parametrize(

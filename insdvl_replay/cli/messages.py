@@ -33,9 +33,7 @@ def tell_notes(notes: Iterable[Note], *, verbose: bool) -> None:
     """Say the warnings; all notes if verbose."""
     for note in notes:
         if verbose or note.severity == "warning":
-            tell(f"{note.severity}: {note.text} [{note.code}]")
-            if note.hint:
-                tell(f"hint: {note.hint}")
+            tell(f"{note.severity}: {note.text} [{note.code}]{_hinted(note.hint)}")
 
 
 def tell_failure(error: Exception, verbosity: int) -> int:
@@ -55,10 +53,13 @@ def tell_failure(error: Exception, verbosity: int) -> int:
     if verbosity >= 2:
         traceback.print_exception(error)
     code, message, hint = _explained(error)
-    tell(f"error: {message}")
-    if hint:
-        tell(f"hint: {hint}")
+    tell(f"error: {message}{_hinted(hint)}")
     return code
+
+
+def _hinted(hint: str) -> str:
+    """Put the hint on the sentence's own line, since scripts take the last line of stderr for the reason."""
+    return f"; hint: {hint}" if hint else ""
 
 
 def typed_verbosity(arguments: Iterable[str]) -> int:

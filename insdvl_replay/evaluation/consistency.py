@@ -4,12 +4,15 @@ import numpy as np
 import pandas as pd
 from scipy.special import chdtri
 
+from insdvl_replay.errors import Note
 from insdvl_replay.history import History, Innovations
 
 CONFIDENCE = 0.95
 """Share of consistent filters whose mean lies inside the interval."""
 FEWEST_UPDATES = 10
 """With fewer updates the verdict is ``too few``."""
+MANY_REJECTED = 0.1
+"""A gate that rejects a larger share does not keep outliers out but the DVL."""
 
 
 def chi_square_quantile(probability: float, dof: float) -> float:
@@ -85,3 +88,28 @@ def _judged(innovations: Innovations) -> tuple[int, int, float, float, float, st
     mean_nis = float(innovations.nis[innovations.used].mean())
     low, high = mean_interval(innovations.dof, used)
     return used, rejected, mean_nis, low, high, verdict(mean_nis, low, high)
+
+
+def gate_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
+    """Warn of filters whose gate rejects more than outliers; their tables are those of an INS left alone.
+
+    Parameters
+    ----------
+    histories : tuple of History
+
+    Returns
+    -------
+    tuple of Note
+    """
+    return tuple(
+        Note(
+            "gate_rejects_many",
+            f"filter {history.filter} rejected {rejected} of {total} {innovations.measurement} innovations",
+            rejected,
+            "warning",
+            f"raise its noise, check lever arm and mounting, or --set filters.{history.filter}.gate_probability=1.0",
+        )
+        for history in histories
+        for innovations in history.innovations
+        if (rejected := int(np.sum(~innovations.used))) > MANY_REJECTED * (total := len(innovations.used))
+    )

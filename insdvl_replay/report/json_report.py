@@ -4,7 +4,7 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Annotated, Any, Final, TypeVar
+from typing import Annotated, Any, Final
 
 import msgspec
 import pandas as pd
@@ -14,7 +14,6 @@ from insdvl_replay import __version__
 from insdvl_replay.columns import Channel, Dive
 from insdvl_replay.config import Config
 from insdvl_replay.errors import Note
-from insdvl_replay.states import NINE
 
 NUMERICAL_PACKAGES: Final = ("numpy", "numba", "pandas", "scipy", "mcap")
 """Packages whose version may move a number."""
@@ -131,6 +130,7 @@ def build_report(
     dive: Dive,
     config: Config,
     tables: Mapping[str, pd.DataFrame],
+    means: Mapping[str, tuple[float, float]],
     notes: Sequence[Note],
     start_ns: int,
     end_ns: int,
@@ -145,6 +145,8 @@ def build_report(
         Resolved settings.
     tables : mapping of str to DataFrame
         ``improvement``, ``convergence``, ``reference_error``, ``consistency``.
+    means : mapping of str to (float, float)
+        Mean improvement and mean convergence improvement of each candidate, percent.
     notes : sequence of Note
     start_ns, end_ns : int
         Span of the replay.
@@ -161,7 +163,7 @@ def build_report(
         versions={"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES},
         log=Log(dive.name, dive.sha256, start_ns, end_ns, (end_ns - start_ns) * 1e-9, list(dive.channels)),
         baseline=config.baseline,
-        filters={name: _means(rows, name) for name in list(config.filters)[1:]},
+        filters={name: Means(*map(_finite_or_none, pair)) for name, pair in means.items()},
         tables=rows,
         notes=list(notes),
         config=msgspec.to_builtins(config),
@@ -197,21 +199,5 @@ def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(key): _finite_or_none(value) for key, value in row.items()} for row in table.to_dict("records")]
 
 
-def _finite_or_none(value: object) -> object:
+def _finite_or_none(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-Row = TypeVar("Row", ImprovementRow, ConvergenceRow)
-
-
-def _means(tables: Tables, candidate: str) -> Means:
-    return Means(_mean_over_nine(tables.improvement, candidate), _mean_over_nine(tables.convergence, candidate))
-
-
-def _mean_over_nine(rows: Sequence[Row], candidate: str) -> float | None:
-    """Average the improvement; None where a standard deviation is not finite, for then nothing can be said."""
-    nine = {state.id for state in NINE}
-    chosen = [row for row in rows if row.filter == candidate and row.state in nine]
-    if any(row.status == "not finite" for row in chosen):
-        return None
-    return math.fsum(row.improvement_pct or 0.0 for row in chosen) / len(NINE)

@@ -1,0 +1,208 @@
+"""Intervals of the mean NIS against scipy's chi-square, the words of the verdict, and filters that are honest or not."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from insdvl_replay.columns import Dive, Floats
+from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Noise
+from insdvl_replay.evaluation.consistency import (
+    FEWEST_UPDATES,
+    chi_square_quantile,
+    consistency_table,
+    mean_interval,
+    verdict,
+)
+from insdvl_replay.history import History, Innovations
+from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.sim.dvl_errors import DvlErrors
+from insdvl_replay.sim.imu_errors import ImuErrors
+
+BEAM_SD_MPS = 0.005
+WHITE = ImuErrors(accel_white_mps_rts=2e-3, gyro_white_rad_rts=1e-5)
+NOISE = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=1e-5)
+
+
+def history(
+    name: str, nis: Floats, used: Floats | NDArray[np.bool_] | None = None, measurement: str = "velocity"
+) -> History:
+    m = len(nis)
+    nothing = np.zeros((m, 3))
+    kept = np.ones(m, dtype=bool) if used is None else used.astype(bool)
+    innovations = Innovations(
+        measurement, "m/s", np.arange(m, dtype=np.int64), nothing, nothing, np.ones((m, 3)), nis, kept
+    )
+    one = np.zeros((1, 3))
+    return History(
+        name, np.zeros(1, dtype=np.int64), one, one, np.eye(3)[None], one, one, np.ones((1, 12)), None, (innovations,)
+    )
+
+
+def judged(nis: Floats, used: Floats | NDArray[np.bool_] | None = None) -> Any:
+    return consistency_table("dive", (history("baseline", nis, used),)).squeeze(axis=0)
+
+
+# --- Chi-square.
+
+
+@pytest.mark.parametrize("dof", [1, 3, 12, 400])
+@pytest.mark.parametrize("probability", [0.025, 0.5, 0.975, 0.999, 0.99999])
+def test_quantile_is_scipys(probability: float, dof: int) -> None:
+    assert chi_square_quantile(probability, dof) == pytest.approx(stats.chi2.ppf(probability, dof), rel=1e-9)
+
+
+def test_probability_one_lets_everything_pass() -> None:
+    assert chi_square_quantile(1.0, 3) == np.inf
+
+
+@pytest.mark.parametrize("count", [1, 10, 424, 30_000])
+@pytest.mark.parametrize("confidence", [0.95, 0.99])
+def test_interval_of_the_mean_is_scipys(count: int, confidence: float) -> None:
+    expected = np.array(stats.chi2.interval(confidence, 3 * count)) / count
+    np.testing.assert_allclose(mean_interval(3, count, confidence), expected, rtol=1e-9)
+
+
+def test_interval_holds_the_mean_of_19_in_20_honest_filters() -> None:
+    draws = np.random.default_rng(11).chisquare(3, (2000, 50))
+    low, high = mean_interval(3, 50)
+    inside = np.mean((draws.mean(axis=1) >= low) & (draws.mean(axis=1) <= high))
+    # 2000 draws scatter by 0.5 %; three of these.
+    assert inside == pytest.approx(0.95, abs=0.015)
+
+
+# --- The table.
+
+
+@pytest.mark.parametrize(
+    ("mean", "word"),
+    [
+        (2.0, "consistent"),
+        (3.0, "consistent"),
+        (4.0, "consistent"),
+        (4.001, "over-confident"),
+        (1.999, "over-cautious"),
+        (np.inf, "not finite"),
+        (np.nan, "not finite"),
+    ],
+)
+def test_verdict_between_2_and_4(mean: float, word: str) -> None:
+    assert verdict(mean, 2.0, 4.0) == word
+
+
+@pytest.mark.parametrize(
+    ("mean_nis", "word"), [(3.0, "consistent"), (6.0, "over-confident"), (1.0, "over-cautious"), (np.nan, "not finite")]
+)
+def test_verdict_of_a_filter(mean_nis: float, word: str) -> None:
+    row = judged(np.full(100, mean_nis))
+    assert row["mean_nis"] == pytest.approx(mean_nis, nan_ok=True)
+    assert row["verdict"] == word
+    np.testing.assert_allclose([row["low"], row["high"]], np.array(stats.chi2.interval(0.95, 300)) / 100, rtol=1e-9)
+
+
+def test_every_filter_and_measurement_has_a_row() -> None:
+    baseline, other = (
+        history("baseline", np.full(20, 3.0)),
+        history("aided", np.full(30, 3.0), measurement="acceleration"),
+    )
+    aided = replace(other, innovations=baseline.innovations + other.innovations)
+    table = consistency_table("dive", (baseline, aided))
+    assert table.columns.tolist() == [
+        "log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict",
+    ]  # fmt: skip
+    assert table[["filter", "measurement", "used"]].to_numpy().tolist() == [
+        ["baseline", "velocity", 20], ["aided", "velocity", 20], ["aided", "acceleration", 30],
+    ]  # fmt: skip
+    assert set(table["log"]) == {"dive"}
+    assert set(table["dof"]) == {3}
+
+
+def test_rejected_innovations_are_counted_and_not_averaged() -> None:
+    nis, used = np.full(100, 3.0), np.ones(100)
+    nis[[7, 50]], used[[7, 50]] = 1e4, 0.0
+    row = judged(nis, used)
+    assert (row["used"], row["rejected"]) == (98, 2)
+    assert row["mean_nis"] == pytest.approx(3.0)
+    assert (row["low"], row["high"]) == pytest.approx(mean_interval(3, 98))
+
+
+@pytest.mark.parametrize("used", [0, FEWEST_UPDATES - 1])
+def test_too_few_updates_are_not_judged(used: int) -> None:
+    row = judged(np.full(20, 3.0), np.arange(20) < used)
+    assert (row["used"], row["rejected"], row["verdict"]) == (used, 20 - used, "too few")
+    assert row[["mean_nis", "low", "high"]].isna().all()
+    assert judged(np.full(FEWEST_UPDATES, 3.0))["verdict"] == "consistent"
+
+
+# --- Filters on simulated dives.
+
+
+@pytest.fixture(scope="module")
+def dive() -> Dive:
+    """White noise alone, of a size that the filters can be told."""
+    noise = DvlErrors(beam_sd_mps=BEAM_SD_MPS, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0)
+    return simulate_dive("straight", duration_s=200.0, imu_rate_hz=20.0, seed=5, imu_errors=WHITE, dvl_errors=noise)
+
+
+def replayed(dive: Dive, *, beam_sd_mps: float = BEAM_SD_MPS, gate_probability: float = 1.0) -> Replay:
+    filters = {
+        "baseline": Filter(aiding=("velocity",), gate_probability=gate_probability),
+        "aided": Filter(
+            aiding=("velocity", "acceleration"), gate_probability=gate_probability, acceleration=Acceleration()
+        ),
+    }
+    return replay_dive(dive, Config(noise=NOISE, dvl=Dvl(beam_sd_mps=beam_sd_mps), filters=filters))
+
+
+def rows(replay: Replay) -> Any:
+    return replay.tables["consistency"].set_index(["filter", "measurement"])
+
+
+@pytest.mark.parametrize(
+    ("factor", "word"), [(1.0, "consistent"), (0.5, "over-confident"), (2.0, "over-cautious")], ids=str
+)
+def test_filter_that_knows_its_noise_is_consistent_and_one_that_does_not_is_found_out(
+    dive: Dive, factor: float, word: str
+) -> None:
+    row = rows(replayed(dive, beam_sd_mps=factor * BEAM_SD_MPS)).loc["baseline", "velocity"]
+    assert row["verdict"] == word
+    assert row["used"] == 200
+
+
+def test_outlier_is_rejected_counted_and_leaves_no_trace(dive: Dive) -> None:
+    beams = dive.dvl.beam_velocity_mps
+    vectors_d = dive.dvl.beam_vectors_d
+    assert beams is not None
+    assert vectors_d is not None
+    spoilt, others = beams.copy(), np.arange(len(beams)) != 100
+    spoilt[100] += vectors_d @ [1.0, 0.0, 0.0]
+    with_outlier = replayed(replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=spoilt)), gate_probability=0.99999)
+    left_out = replace(dive.dvl, time_ns=dive.dvl.time_ns[others], beam_velocity_mps=beams[others])
+    without = replayed(replace(dive, dvl=left_out), gate_probability=0.99999)
+
+    counted = rows(with_outlier)[["used", "rejected"]]
+    assert counted.loc["baseline", "velocity"].tolist() == [199, 1]
+    assert counted.loc["aided", "velocity"].tolist() == [199, 1]
+    # Three windows hold the outlier; at 1 Hz the one that has it in its middle gives it no weight.
+    assert counted.loc["aided", "acceleration"].tolist() == [196, 2]
+    assert rows(without)["rejected"].tolist() == [0, 0, 0]
+
+    ours, theirs = with_outlier.histories[0], without.histories[0]
+    np.testing.assert_allclose(ours.velocity_n[-1], theirs.velocity_n[-1], atol=1e-6)
+    np.testing.assert_allclose(ours.sd[-1], theirs.sd[-1], rtol=1e-6)
+    aided, aided_without = with_outlier.histories[1], without.histories[1]
+    np.testing.assert_array_less(np.abs(aided.velocity_n[-1] - aided_without.velocity_n[-1]), 0.1 * aided.sd[-1, :3])
+
+
+def test_outlier_without_a_gate_is_used(dive: Dive) -> None:
+    beams = dive.dvl.beam_velocity_mps
+    assert beams is not None
+    spoilt = beams.copy()
+    spoilt[100] += 0.5
+    ungated = rows(replayed(replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=spoilt))))
+    assert ungated.loc["baseline", "velocity"]["rejected"] == 0
+    assert ungated.loc["baseline", "velocity"]["verdict"] == "over-confident"
