@@ -1,6 +1,7 @@
 """Rotations as numpy formulae over rows: matrices, quaternions, roll-pitch-heading and rotation vectors.
 
 All functions take arrays with any leading dimensions.
+Source: Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", second edition, chapter 2.
 """
 
 import numpy as np
@@ -89,6 +90,7 @@ def quat_from_mat(mat: Floats) -> Floats:
     """Turn matrices into quaternions x, y, z, w with w >= 0.
 
     Takes the largest of the four squared components first, so that no division is by a small number.
+    Source: Shepperd, "Quaternion from Rotation Matrix", 1978.
 
     Parameters
     ----------

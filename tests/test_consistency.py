@@ -1,4 +1,4 @@
-"""Intervals of the mean NIS against scipy's chi-square, the words of the verdict, and filters that are honest or not."""
+"""Intervals of the mean NIS against scipy's chi-square, and the verdict on filters that are honest or are not."""
 
 from dataclasses import replace
 from typing import Any
@@ -14,6 +14,7 @@ from insdvl_replay.evaluation.consistency import (
     FEWEST_UPDATES,
     chi_square_quantile,
     consistency_table,
+    gate_notes,
     mean_interval,
     verdict,
 )
@@ -136,6 +137,15 @@ def test_too_few_updates_are_not_judged(used: int) -> None:
     assert (row["used"], row["rejected"], row["verdict"]) == (used, 20 - used, "too few")
     assert row[["mean_nis", "low", "high"]].isna().all()
     assert judged(np.full(FEWEST_UPDATES, 3.0))["verdict"] == "consistent"
+
+
+def test_gate_that_rejects_more_than_outliers_is_a_warning() -> None:
+    kept = np.arange(100)
+    few, many = history("few", np.full(100, 3.0), kept >= 10), history("many", np.full(100, 3.0), kept >= 11)
+    (warning,) = gate_notes((few, many))
+    assert (warning.code, warning.severity, warning.count) == ("gate_rejects_many", "warning", 11)
+    assert "filter many rejected 11 of 100 velocity innovations" in warning.text
+    assert "filters.many.gate_probability" in warning.hint
 
 
 # --- Filters on simulated dives.

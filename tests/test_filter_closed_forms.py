@@ -1,7 +1,7 @@
 """The paper's setting on a straight line: formulae that fit on a line, and the numbers of the paper's tables.
 
-Straight and level, a DVL velocity every second is an observation of acceleration with the accelerometer's white noise N.
-The mean of it gives the vertical bias, its slope the gyro bias times g; the acceleration aiding makes N smaller.
+Straight and level, the DVL's velocities observe the acceleration with the accelerometer's white noise N. Its mean gives
+the vertical bias, its slope the gyro bias times g; the acceleration aiding makes N smaller.
 """
 
 from pathlib import Path

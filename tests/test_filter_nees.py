@@ -1,4 +1,4 @@
-"""Whether the filter is as good as it says, on worlds drawn from its own model: noise, biases and start errors alike."""
+"""Whether the filter is as good as it says, on worlds drawn from its own model: noise, biases and start."""
 
 from dataclasses import dataclass, replace
 from functools import partial

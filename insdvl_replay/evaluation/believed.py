@@ -1,7 +1,7 @@
 """What a filter believes of itself: improvement and convergence time from the diagonal of P.
 
-Any further measurement shrinks P. These tables say how sure a filter is, never how right; `reference` and `consistency`
-do.
+The two tables of Levy and Klein. Any further measurement shrinks P: they say how sure a filter is, never how right;
+`reference` and `consistency` do.
 """
 
 import numpy as np

@@ -1,4 +1,7 @@
-"""Whether a filter's innovations are as large as it says: the mean NIS and its chi-square interval."""
+"""Whether a filter's innovations are as large as it says: the mean NIS and its chi-square interval.
+
+Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
+"""
 
 import numpy as np
 import pandas as pd

@@ -171,6 +171,8 @@ def _attitude(
 def level_from_gravity(imu: ImuColumns, start_ns: int) -> Floats:
     """Give roll and pitch from the mean specific force after the start; the heading is left at zero.
 
+    Levelling as in Groves, chapter 5.
+
     Parameters
     ----------
     imu : ImuColumns

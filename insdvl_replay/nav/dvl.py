@@ -60,7 +60,7 @@ class DvlVelocities:
 def beam_vectors(tilt: float, azimuth: Floats) -> Floats:
     """Make the unit vectors of Janus beams, from the instrument towards the seabed.
 
-    The paper prints vectors of rank 2 that are not of unit length; see EQUATIONS.md.
+    Equation (4) of Levy and Klein prints vectors of rank 2 that are not of unit length; see EQUATIONS.md.
 
     Parameters
     ----------
@@ -81,6 +81,8 @@ def solve_beams(
     beam_velocity_mps: Floats, vectors_d: Floats, weights: Floats | None = None
 ) -> tuple[Floats, Floats, Floats]:
     """Solve velocities from beams by weighted least squares over the beams that are not NaN.
+
+    Equations (6) to (8) of Levy and Klein, with weights.
 
     Parameters
     ----------
@@ -165,7 +167,9 @@ def dvl_velocities(
 
 
 def taylor_fit(time_s: Floats, velocity: Floats, order: int, at_s: float) -> Floats:
-    """Fit a Taylor polynomial to past velocities (paper eq. V LS): velocity, acceleration, jerk, ... at a chosen time.
+    """Fit a Taylor polynomial to past velocities: velocity, acceleration, jerk, ... at a chosen time.
+
+    Equations (10) to (17) of Levy and Klein.
 
     Parameters
     ----------
@@ -239,6 +243,8 @@ class SlopeWindows:
 
 def slope_windows(time_s: Floats, window: int, order: int = 1, max_gap_s: float = np.inf) -> SlopeWindows:
     """Make the weights for the slope at the middle of each window of past velocities.
+
+    Equations (21) to (23) of Levy and Klein, with the two-row B that they mean; see EQUATIONS.md.
 
     Parameters
     ----------

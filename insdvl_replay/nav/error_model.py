@@ -4,6 +4,8 @@ F = [ -[(2 w_ie + w_en) x]   -[f_n x]     C   0 ]
     [          0            -[w_in x]     0   C ]
     [          0                0         0   0 ]
     [          0                0         0   0 ]
+
+Equations (26) to (32) of Levy and Klein, with the rates of n where they print the gyro's output; see EQUATIONS.md.
 """
 
 import numpy as np
@@ -50,7 +52,7 @@ def write_system_matrix(rate_ie_n: Floats, rate_in_n: Floats, force_n: Floats, m
 
 @compiled
 def propagate_cov(P: Floats, F: Floats, noise_density: Floats, dt: float, FP: Floats) -> None:
-    """Advance the covariance: ``P <- Phi P Phi' + Q`` with ``Phi = I + F dt`` (paper eq. p), in place.
+    """Advance the covariance: ``P <- Phi P Phi' + Q`` with ``Phi = I + F dt``, in place.
 
     Multiplied out, ``P + (F P dt) + (F P dt)' + (F P dt) F' dt``, where only the first six rows of F are not zero; of
     these the upper three have columns 0 to 8, the lower three 3 to 5 and 9 to 11. P stays symmetric to the last bit.

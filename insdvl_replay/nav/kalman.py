@@ -1,6 +1,8 @@
 """The Kalman update in Joseph form. It knows neither time nor sensors.
 
 The loops are written out: the matrices are small, and the compiler makes less of library calls.
+Source: Groves, chapter 3; for NIS, Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
+Navigation", chapter 5.
 """
 
 import math

@@ -1,6 +1,7 @@
 """Strapdown mechanisation in north-east-down on the rotating WGS-84 Earth.
 
 The functions work on small arrays in place, since the filter calls them once for each IMU sample.
+Source: equations (24) and (25) of Levy and Klein; Groves, chapter 5.
 """
 
 import math

@@ -1,4 +1,7 @@
-"""How inertial sensors err: a bias that wanders, white noise, and the steps of their digits."""
+"""How inertial sensors err: a bias that wanders, white noise, and the steps of their digits.
+
+White noise and random walk as IEEE Std 952, annex C, defines them by their Allan variance.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
