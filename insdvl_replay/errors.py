@@ -1,5 +1,7 @@
 """What the tool says to its user: errors that end the work, notes that go with the result."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
@@ -37,6 +39,15 @@ class LogError(UserError):
     """A log cannot be used (exit code 3)."""
 
     exit_code = 3
+
+
+@contextmanager
+def about(place: str) -> Iterator[None]:
+    """Begin the sentence of any user error inside with the place it concerns."""
+    try:
+        yield
+    except UserError as error:
+        raise type(error)(f"{place}: {error.message}", error.hint) from error
 
 
 @dataclass(frozen=True)

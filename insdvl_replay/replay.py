@@ -10,7 +10,7 @@ from insdvl_replay import __version__, logs
 from insdvl_replay.columns import Dive, Floats, TimeNs
 from insdvl_replay.config import Config
 from insdvl_replay.config_file import render_toml
-from insdvl_replay.errors import LogError, Note
+from insdvl_replay.errors import LogError, Note, about
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table, mean_over_nine
 from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table, gate_notes
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
@@ -108,9 +108,9 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     """
     velocities, notes = _velocities(dive, config)
     start_ns, end_ns = _span(dive, velocities, config)
-    alignment = align(
-        dive.imu, velocities, dive.reference, config.initial, np.array(config.dvl.lever_arm_m), start_ns, end_ns
-    )
+    lever_arm_b = np.array(config.dvl.lever_arm_m)
+    with about(dive.name):
+        alignment = align(dive.imu, velocities, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
     inside = velocities.within(alignment.start_ns, end_ns)
     notes += alignment.notes + _outside_notes(dive.name, velocities, inside)
     histories = _run_filters(dive, inside, alignment, end_ns, config, keep_cov)

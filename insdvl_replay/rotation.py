@@ -1,7 +1,7 @@
 """Rotations as numpy formulae over rows: matrices, quaternions, roll-pitch-heading and rotation vectors.
 
 All functions take arrays with any leading dimensions.
-Source: Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", second edition, chapter 2.
+Source: Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", 2nd edition, chapter 2.
 """
 
 import numpy as np

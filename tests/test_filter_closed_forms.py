@@ -55,7 +55,9 @@ def test_vertical_accelerometer_bias_is_a_mean(straight: Replay) -> None:
     assert row.sd == pytest.approx(N_EFF / np.sqrt(T) / MG, rel=0.02)
 
 
-@pytest.mark.parametrize(("state", "share_of_east"), [("bg_x", np.sin(HEADING)), ("bg_y", np.cos(HEADING))])
+@pytest.mark.parametrize(
+    ("state", "share_of_east"), [("bg_x", np.sin(HEADING)), ("bg_y", np.cos(HEADING))], ids=["bg_x", "bg_y"]
+)
 def test_horizontal_gyro_bias_is_a_slope(straight: Replay, state: str, share_of_east: float) -> None:
     row = table_of(straight, "improvement").loc[state]
     closed_forms = [horizontal_gyro_bias_sd(noise, share_of_east) / DEG_PER_HOUR for noise in (N_A, N_EFF)]

@@ -47,10 +47,14 @@ def assert_same(history: History, expected: History) -> None:
 
 def test_the_clock_does_not_matter(dive: Dive, replayed: Replay) -> None:
     later_ns = 86_400_000_000_007
-    imu, dvl, reference = (
-        replace(columns, time_ns=columns.time_ns + later_ns) for columns in (dive.imu, dive.dvl, reference_of(dive))
+    reference = reference_of(dive)
+    later = replace(
+        dive,
+        imu=replace(dive.imu, time_ns=dive.imu.time_ns + later_ns),
+        dvl=replace(dive.dvl, time_ns=dive.dvl.time_ns + later_ns),
+        reference=replace(reference, time_ns=reference.time_ns + later_ns),
     )
-    shifted = replay_dive(replace(dive, imu=imu, dvl=dvl, reference=reference), CONFIG)
+    shifted = replay_dive(later, CONFIG)
     for history, expected in zip(shifted.histories, replayed.histories, strict=True):
         np.testing.assert_array_equal(history.time_ns, expected.time_ns + later_ns)
         assert_same(history, expected)

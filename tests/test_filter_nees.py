@@ -21,25 +21,20 @@ from insdvl_replay.states import DEG_PER_HOUR, DV, MG, PHI
 RUNS, SEED = 50, 1
 TIMES_S = np.array([10.0, 60.0, 105.0, 150.0])  # settled, at the end of the long leg, in a turn, after two turns
 
-IMU_ERRORS = ImuErrors(
-    accel_white_mps_rts=5e-3,
-    gyro_white_rad_rts=4.4e-5,
-    accel_bias_sd_mps2=3.0 * MG,
-    gyro_bias_sd_radps=10.0 * DEG_PER_HOUR,
-    accel_bias_walk_mps2_rts=2e-5,
-    gyro_bias_walk_radps_rts=8e-8,
-)
-DVL_ERRORS = DvlErrors(beam_sd_mps=0.0042, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0)
+BEAM_SD_MPS = 0.0042
+DENSITIES = {
+    "accel_white_mps_rts": 5e-3,
+    "gyro_white_rad_rts": 4.4e-5,
+    "accel_bias_walk_mps2_rts": 2e-5,
+    "gyro_bias_walk_radps_rts": 8e-8,
+}
+IMU_ERRORS = ImuErrors(accel_bias_sd_mps2=3.0 * MG, gyro_bias_sd_radps=10.0 * DEG_PER_HOUR, **DENSITIES)
+DVL_ERRORS = DvlErrors(beam_sd_mps=BEAM_SD_MPS, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0)
 AIDED = partial(Filter, aiding=("velocity", "acceleration"))
 CONFIG = Config(
-    noise=Noise(
-        accel_white_mps_rts=5e-3,
-        gyro_white_rad_rts=4.4e-5,
-        accel_bias_walk_mps2_rts=2e-5,
-        gyro_bias_walk_radps_rts=8e-8,
-    ),
+    noise=Noise(**DENSITIES),
     initial=Initial(velocity_sd_mps=0.1, accel_bias_sd_mg=3.0, gyro_bias_sd_degph=10.0),
-    dvl=Dvl(beam_sd_mps=0.0042),
+    dvl=Dvl(beam_sd_mps=BEAM_SD_MPS),
     filters={
         "baseline": Filter(aiding=("velocity",)),
         "windowed": AIDED(acceleration=Acceleration(model="windowed")),

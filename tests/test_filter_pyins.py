@@ -29,15 +29,16 @@ from insdvl_replay.states import BA, BG, DEG, DEG_PER_HOUR, MG, PHI
 
 START_S, END_S = 93.0, 153.0  # level at the start, so that roll, pitch and heading are as sure as phi; two turns
 BEAM_SD_MPS = 0.0042
-NOISE = Noise(
-    accel_white_mps_rts=0.01,
-    gyro_white_rad_rts=4.4e-5,
-    accel_bias_walk_mps2_rts=2e-5,
-    gyro_bias_walk_radps_rts=8e-8,
-)
+DENSITIES = {
+    "accel_white_mps_rts": 0.01,
+    "gyro_white_rad_rts": 4.4e-5,
+    "accel_bias_walk_mps2_rts": 2e-5,
+    "gyro_bias_walk_radps_rts": 8e-8,
+}
+NOISE = Noise(**DENSITIES)
 INITIAL = Initial(velocity_sd_mps=0.1, accel_bias_sd_mg=3.0, gyro_bias_sd_degph=10.0)
-IMU_ERRORS = ImuErrors(0.01, 4.4e-5, 3.0 * MG, 10.0 * DEG_PER_HOUR, 2e-5, 8e-8)
-DVL_ERRORS = DvlErrors(BEAM_SD_MPS, 0.0, 0.0, 0.0)
+IMU_ERRORS = ImuErrors(accel_bias_sd_mps2=3.0 * MG, gyro_bias_sd_radps=10.0 * DEG_PER_HOUR, **DENSITIES)
+DVL_ERRORS = DvlErrors(beam_sd_mps=BEAM_SD_MPS, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0)
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,8 @@ def histories() -> tuple[History, ...]:
 
 def save(path: Path) -> None:
     assert isfunction(propagate), "the filter was compiled all the same"
-    np.savez(
-        path, **{f"{history.filter}.{name}": getattr(history, name) for history in histories() for name in COLUMNS}
-    )
+    columns = {f"{history.filter}.{name}": getattr(history, name) for history in histories() for name in COLUMNS}
+    np.savez(path, **columns)
 
 
 def test_plain_python_gives_what_the_compiled_filter_gives(tmp_path: Path) -> None:

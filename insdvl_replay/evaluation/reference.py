@@ -154,8 +154,8 @@ def reference_error_table(log: str, histories: tuple[History, ...], errors: dict
     -------
     DataFrame
         Columns log, filter, quantity, unit, baseline_rmse, rmse, improvement_pct, baseline_final, final, samples,
-        status (``compared``, ``no reference``, ``not in reference``); 9 rows for each candidate. Final errors keep
-        their sign.
+        status (``compared``, ``no reference``, ``not in reference``, ``no distance``); 9 rows for each candidate. Final
+        errors keep their sign.
     """
     names = [
         "log", "filter", "quantity", "unit", "baseline_rmse", "rmse", "improvement_pct",
@@ -172,12 +172,19 @@ def reference_error_table(log: str, histories: tuple[History, ...], errors: dict
                 continue
             before_rmse, before_final, samples = summaries[baseline][quantity]
             rmse, final, _ = summaries[candidate][quantity]
-            status = "compared" if samples else "not in reference"
+            status = _status(quantity, samples, errors[candidate])
             change_pct = improvement_pct(before_rmse, rmse)
             rows.append(
                 (log, candidate, quantity, unit, before_rmse, rmse, change_pct, before_final, final, samples, status)
             )
     return pd.DataFrame(rows, columns=names)
+
+
+def _status(quantity: str, samples: int, errors: ReferenceErrors) -> str:
+    if samples:
+        return "compared"
+    known = np.isfinite(errors.position_error_ned_m[:, :2]).all(axis=1).any()
+    return "no distance" if quantity == "position_h_pct" and known else "not in reference"
 
 
 def _summary(errors: ReferenceErrors) -> dict[str, tuple[float, float, int]]:

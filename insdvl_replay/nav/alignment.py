@@ -15,6 +15,8 @@ from insdvl_replay.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
 
 LEVELLING_S = 10.0
 """Time over which gravity is averaged to level the vehicle."""
+FAR_S = 1.0
+"""A reference row further than this from the start deserves a note: a vehicle moves on."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,7 @@ def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns:
     first_longitude = horizontal[np.argmax(np.isfinite(horizontal).all(axis=1)), 1]
     horizontal[:, 1] = wrap_angle(horizontal[:, 1] - first_longitude)  # so that 180 deg lies between no two rows
     latitude, longitude = _at(reference.time_ns, horizontal, start_ns)
+    _note_if_far("position", reference.time_ns, horizontal, start_ns, notes)
     if np.isfinite(height_m).any():
         start_height_m = _at(reference.time_ns, height_m, start_ns)[0]
     else:
@@ -198,6 +201,7 @@ def _velocity(
     notes: list[Note],
 ) -> Floats:
     if reference is not None and reference.has_velocity:
+        _note_if_far("velocity", reference.time_ns, reference.velocity_n, start_ns, notes)
         return _at(reference.time_ns, reference.velocity_n, start_ns)
     nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
     rate_ib_b = _at(imu.time_ns, imu.angular_rate_b, int(velocities.time_ns[nearest]))
@@ -207,6 +211,16 @@ def _velocity(
     notes.append(Note("start_velocity_dvl", f"velocity at the start from the DVL's ping {apart_s:.2f} s away"))
     velocity_n: Floats = mat_nb @ (velocities.velocity_b[nearest] - np.cross(rate_eb_b, lever_arm_b))
     return velocity_n
+
+
+def _note_if_far(quantity: str, time_ns: TimeNs, values: Floats, start_ns: int, notes: list[Note]) -> None:
+    finite = np.isfinite(values).all(axis=1)
+    apart_s = float(np.abs(seconds(time_ns[finite], start_ns)).min())
+    if apart_s > FAR_S:
+        text = f"{quantity} at the start from the reference's nearest row, {apart_s:.1f} s away"
+        notes.append(
+            Note(f"start_{quantity}_far", text, severity="warning", hint="choose --start near a reference row")
+        )
 
 
 def _at(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:

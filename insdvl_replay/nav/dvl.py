@@ -1,6 +1,6 @@
 """From the DVL's beams to velocities, and from past velocities to accelerations."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -21,6 +21,8 @@ class DvlVelocities:
         ``C_d^b v_d``, m/s.
     shape_b : ndarray, shape (m, 3, 3)
         Covariance for noise of unit variance: of one beam where ``from_beams``, else of each axis.
+    full_shape_b : ndarray, shape (3, 3)
+        The same for a ping with all beams.
     from_beams : bool
         Whether the velocities were solved from beams.
     beams_used : ndarray of int, shape (m,)
@@ -36,6 +38,7 @@ class DvlVelocities:
     time_ns: TimeNs
     velocity_b: Floats
     shape_b: Floats
+    full_shape_b: Floats
     from_beams: bool
     beams_used: NDArray[np.int64]
     residual_mps: Floats
@@ -45,15 +48,13 @@ class DvlVelocities:
     def within(self, start_ns: int, end_ns: int) -> "DvlVelocities":
         """Keep the pings after the start and up to the end."""
         keep = (self.time_ns > start_ns) & (self.time_ns <= end_ns)
-        return DvlVelocities(
-            self.time_ns[keep],
-            self.velocity_b[keep],
-            self.shape_b[keep],
-            self.from_beams,
-            self.beams_used[keep],
-            self.residual_mps[keep],
-            self.pings_without_velocity,
-            self.pings_with_bad_residual,
+        return replace(
+            self,
+            time_ns=self.time_ns[keep],
+            velocity_b=self.velocity_b[keep],
+            shape_b=self.shape_b[keep],
+            beams_used=self.beams_used[keep],
+            residual_mps=self.residual_mps[keep],
         )
 
 
@@ -143,12 +144,14 @@ def dvl_velocities(
     """
     if dvl.velocity_d is not None:
         velocity_d, from_beams = dvl.velocity_d, False
+        full_shape_d: Floats = np.eye(3)
         shape_d = np.broadcast_to(np.eye(3), (len(velocity_d), 3, 3))
         residual_mps = np.full(len(velocity_d), np.nan)
         beams_used = np.zeros(len(velocity_d), dtype=np.int64)
     elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
         velocity_d, shape_d, residual_mps = solve_beams(dvl.beam_velocity_mps, dvl.beam_vectors_d)
-        beams_used, from_beams = np.isfinite(dvl.beam_velocity_mps).sum(axis=1), True
+        full_shape_d, from_beams = np.linalg.pinv(dvl.beam_vectors_d.T @ dvl.beam_vectors_d), True
+        beams_used = np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
     else:
         raise ValueError("a DVL gives beams with their vectors, or velocities")
     solved = np.isfinite(velocity_d).all(axis=1)
@@ -158,6 +161,7 @@ def dvl_velocities(
         time_ns=dvl.time_ns[keep],
         velocity_b=velocity_d[keep] @ mounting_bd.T / scale,
         shape_b=mounting_bd @ shape_d[keep] @ mounting_bd.T,
+        full_shape_b=mounting_bd @ full_shape_d @ mounting_bd.T,
         from_beams=from_beams,
         beams_used=beams_used[keep],
         residual_mps=residual_mps[keep] / scale,

@@ -18,6 +18,7 @@ from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, multiply, s
 from insdvl_replay.nav.measurements import VELOCITY, InsAtPing, Measurement, linearise
 from insdvl_replay.nav.strapdown import normal_gravity, propagate, rotate_back, rotation_from_vector
 from insdvl_replay.nav.timeline import Timeline
+from insdvl_replay.rotation import wrap_angle
 
 
 @dataclass(frozen=True)
@@ -352,6 +353,7 @@ def _history(
                 used=updates.used[m, rows],
             )
         )
+    records.position[:, 1] = wrap_angle(records.position[:, 1])
     return History(
         filter=name,
         time_ns=timeline.time_ns[timeline.record],

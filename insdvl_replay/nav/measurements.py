@@ -104,12 +104,11 @@ def velocity_cov(velocities: DvlVelocities, velocity_sd_mps: float, beam_sd_mps:
     -------
     ndarray, shape (m, 3, 3), m^2/s^2
     """
-    if not velocities.from_beams or not len(velocities.time_ns):
+    if not velocities.from_beams:
         return velocity_sd_mps**2 * velocities.shape_b
     if beam_sd_mps is not None:
         return beam_sd_mps**2 * velocities.shape_b
-    full = velocities.shape_b[np.argmax(velocities.beams_used)]
-    values, vectors = np.linalg.eigh(full)
+    values, vectors = np.linalg.eigh(velocities.full_shape_b)
     whiten = vectors / np.sqrt(values) @ vectors.T
     cov: Floats = velocity_sd_mps**2 * (whiten @ velocities.shape_b @ whiten)
     return cov
