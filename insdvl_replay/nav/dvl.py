@@ -121,6 +121,11 @@ def solve_beams(
     )
 
 
+def _shape_d(vectors_d: Floats) -> Floats:
+    """Give the covariance of a velocity from all beams, each with unit variance."""
+    return np.linalg.pinv(vectors_d.T @ vectors_d).astype(np.float64)
+
+
 def dvl_velocities(
     dvl: DvlColumns, mounting_bd: Floats, scale: float = 1.0, max_residual_mps: float = np.inf
 ) -> DvlVelocities:
@@ -143,14 +148,13 @@ def dvl_velocities(
         Usable pings only, with the others counted.
     """
     if dvl.velocity_d is not None:
-        velocity_d, from_beams = dvl.velocity_d, False
-        full_shape_d: Floats = np.eye(3)
+        velocity_d, full_shape_d, from_beams = dvl.velocity_d, _shape_d(np.eye(3)), False
         shape_d = np.broadcast_to(np.eye(3), (len(velocity_d), 3, 3))
         residual_mps = np.full(len(velocity_d), np.nan)
         beams_used = np.zeros(len(velocity_d), dtype=np.int64)
     elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
         velocity_d, shape_d, residual_mps = solve_beams(dvl.beam_velocity_mps, dvl.beam_vectors_d)
-        full_shape_d, from_beams = np.linalg.pinv(dvl.beam_vectors_d.T @ dvl.beam_vectors_d), True
+        full_shape_d, from_beams = _shape_d(dvl.beam_vectors_d), True
         beams_used = np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
     else:
         raise ValueError("a DVL gives beams with their vectors, or velocities")
