@@ -11,6 +11,7 @@ from msgspec import Meta, Struct
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
+Latency = Annotated[float, Meta(ge=-3600, le=3600)]
 
 
 def Says(comment: str) -> Meta:  # noqa: N802
@@ -22,18 +23,37 @@ class _Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A table of the configuration."""
 
 
+_AXES = 'frd | flu | a signed permutation such as "+x-y-z"; left out: by type, else frd'
+_STAMP = "header | log_time | publish_time | a field path; left out: by type, else header"
+
+
 class Imu(_Section, frozen=True):
     """Where the specific force and angular rate come from."""
 
     topic: Annotated[str | None, Says("left out: found by type")] = None
     specific_force: Annotated[str | None, Says("field path; left out: by type")] = None
     angular_rate: Annotated[str | None, Says("field path; left out: by type")] = None
-    specific_force_unit: Annotated[Literal["m/s2", "g", "mg"], Says("m/s2 | g | mg")] = "m/s2"
-    angular_rate_unit: Annotated[Literal["rad/s", "deg/s"], Says("rad/s | deg/s")] = "rad/s"
-    axes: Annotated[str, Says('frd | flu | a signed permutation such as "+x-y-z"')] = "frd"
-    stamp: Annotated[str, Says("header | log_time | publish_time | a field path")] = "header"
-    latency_s: Annotated[float, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
-    max_gap_s: Annotated[Positive, Says("a longer pause between samples is reported as a gap")] = 0.5
+    specific_force_unit: Annotated[
+        Literal["m/s2", "g", "mg"] | None, Says("m/s2 | g | mg; left out: by type, else m/s2")
+    ] = None
+    angular_rate_unit: Annotated[
+        Literal["rad/s", "deg/s"] | None, Says("rad/s | deg/s; left out: by type, else rad/s")
+    ] = None
+    specific_force_scale: Annotated[Positive, Says("measured over true force; readings are divided by it")] = 1.0
+    angular_rate_scale: Annotated[Positive, Says("measured over true rate; readings are divided by it")] = 1.0
+    axes: Annotated[str | None, Says(_AXES)] = None
+    specific_force_axes: Annotated[str | None, Says("where they differ; left out: by type, else as axes")] = None
+    stamp: Annotated[str | None, Says(_STAMP)] = None
+    latency_s: Annotated[Latency, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
+    min_rate_hz: Annotated[NotNegative, Says("a slower IMU is refused")] = 20.0
+    max_gap_s: Annotated[Positive, Says("pauses up to this are bridged as if nothing happened in them")] = 0.5
+    long_gaps: Annotated[
+        Literal["grow", "split"], Says("longer ones: grow the uncertainty | split off the longest part without")
+    ] = "grow"
+    gap_accel_mps2: Annotated[NotNegative, Says("sd of the acceleration that nobody saw in a long gap, each axis")] = (
+        0.5
+    )
+    gap_rate_degps: Annotated[NotNegative, Says("sd of the turn rate that nobody saw in a long gap, each axis")] = 5.0
 
 
 class Dvl(_Section, frozen=True):
@@ -42,11 +62,15 @@ class Dvl(_Section, frozen=True):
     topic: Annotated[str | None, Says("left out: found by type")] = None
     kind: Annotated[Literal["beams", "velocity"] | None, Says("beams | velocity; left out: by type")] = None
     beam_velocity: Annotated[str | None, Says('field path such as "beams[*].velocity"; left out: by type')] = None
+    beam_valid: Annotated[str | None, Says("field path, 0 where a beam is lost; left out: by type")] = None
     velocity: Annotated[str | None, Says("field path; left out: by type")] = None
-    velocity_unit: Annotated[Literal["m/s", "mm/s", "cm/s"], Says("m/s | mm/s | cm/s")] = "m/s"
-    axes: Annotated[str, Says('frd | flu | a signed permutation such as "+x-y-z"')] = "frd"
-    stamp: Annotated[str, Says("header | log_time | publish_time | a field path")] = "header"
-    latency_s: Annotated[float, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
+    valid: Annotated[str | None, Says("field path, 0 where a ping is invalid; left out: by type")] = None
+    velocity_unit: Annotated[
+        Literal["m/s", "mm/s", "cm/s"] | None, Says("m/s | mm/s | cm/s; left out: by type, else m/s")
+    ] = None
+    axes: Annotated[str | None, Says(_AXES)] = None
+    stamp: Annotated[str | None, Says(_STAMP)] = None
+    latency_s: Annotated[Latency, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
     beam_tilt_deg: Annotated[
         Annotated[float, Meta(gt=0, lt=90)] | None, Says("from the DVL's z axis; left out: by the message, else 30")
     ] = None
@@ -72,8 +96,8 @@ class Reference(_Section, frozen=True):
     topic: Annotated[str | None, Says("left out: found by type")] = None
     fix: Annotated[str | None, Says("topic of the geographic position; left out: found by type")] = None
     axes: Annotated[Literal["ned_frd", "enu_flu"] | None, Says("ned_frd | enu_flu; left out: by type")] = None
-    stamp: Annotated[str, Says("header | log_time | publish_time | a field path")] = "header"
-    latency_s: Annotated[float, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
+    stamp: Annotated[str | None, Says(_STAMP)] = None
+    latency_s: Annotated[Latency, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
 
 
 class Initial(_Section, frozen=True):
@@ -82,12 +106,14 @@ class Initial(_Section, frozen=True):
     source: Annotated[
         Literal["reference", "level"], Says("reference | level (from gravity, with the angles below)")
     ] = "reference"
-    heading_deg: Annotated[float | None, Says("needed with source = level")] = None
+    heading_deg: Annotated[float | None, Says("needed where the reference has no attitude, or source = level")] = None
     latitude_deg: Annotated[
         Annotated[float, Meta(ge=-89.9, le=89.9)] | None, Says("needed where the reference has no position")
     ] = None
     longitude_deg: Annotated[float, Says("used where the reference has no position")] = 0.0
-    height_m: Annotated[float, Says("used where the reference has no position")] = 0.0
+    height_m: Annotated[float, Says("used where the reference has no height")] = 0.0
+    accel_bias_mg: Annotated[Vector, Says("forward, starboard, down")] = (0.0, 0.0, 0.0)
+    gyro_bias_degph: Annotated[Vector, Says("forward, starboard, down")] = (0.0, 0.0, 0.0)
     velocity_sd_mps: Annotated[Positive, Says("each axis")] = 0.1
     misalignment_sd_deg: Annotated[tuple[Positive, Positive, Positive], Says("north, east, down")] = (0.5, 0.5, 0.5)
     accel_bias_sd_mg: Annotated[Positive, Says("each axis")] = 50.0
@@ -109,7 +135,7 @@ class Acceleration(_Section, frozen=True):
     model: Annotated[Literal["windowed", "published"], Says("windowed | published (the paper's, without w x v)")] = (
         "windowed"
     )
-    window: Annotated[Annotated[int, Meta(ge=2)], Says("number of velocities, 2 or more")] = 3
+    window: Annotated[Annotated[int, Meta(ge=2, le=1000)], Says("number of velocities, 2 to 1000")] = 3
     order: Annotated[Annotated[int, Meta(ge=1)], Says("of the fitted polynomial, below window")] = 1
     sd_mps2: Annotated[Positive | None, Says("left out: from the DVL's and the accelerometer's noise")] = None
     max_window_gap_s: Annotated[Positive, Says("a longer pause between pings starts a new window")] = 2.5
@@ -138,6 +164,14 @@ def _default_filters() -> dict[str, Filter]:
     }
 
 
+class Clocks(_Section, frozen=True):
+    """How far the clocks that stamp the roles may lie apart."""
+
+    max_disagreement_s: Annotated[
+        NotNegative, Says("two roles whose log time minus stamp differs by more, beyond their spreads, are refused")
+    ] = 1.0
+
+
 class Span(_Section, frozen=True):
     """The part of the dive to replay."""
 
@@ -153,6 +187,7 @@ class Config(_Section, frozen=True):
     reference: Reference = Reference()
     initial: Initial = Initial()
     noise: Noise = Noise()
+    clocks: Clocks = Clocks()
     span: Span = Span()
     filters: dict[str, Filter] = msgspec.field(default_factory=_default_filters)
 

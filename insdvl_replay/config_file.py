@@ -49,14 +49,26 @@ def load_config(preset: str | None = None, file: Path | None = None, overrides: 
     settings = _overlaid(settings, _read_preset(preset), f"preset {preset}")
     if file is not None:
         settings = _overlaid(settings, _read_toml(file), str(file))
-    for text in overrides:
-        override = _parse_override(text)
-        _check_keys(override, where=f"--set {text}")
-        settings = _merged(settings, override)
-        _converted(settings, where=f"--set {text}")
-    config = _converted(settings, where="the configuration")
+    changes = [_parse_override(text) for text in overrides]
+    for text, change in zip(overrides, changes, strict=True):
+        _check_keys(change, where=f"--set {text}")
+    config = _with_overrides(settings, dict(zip(overrides, changes, strict=True)))
     _check_filters(config, where="the configuration")
     return config
+
+
+def _with_overrides(settings: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]]) -> Config:
+    """Apply all overrides, then convert: two of them may make a filter that neither makes alone."""
+    changed = dict(settings)
+    for change in changes.values():
+        changed = _merged(changed, change)
+    try:
+        return _converted(changed, where="the configuration")
+    except ConfigError:
+        for text, change in changes.items():  # says which one it was
+            settings = _merged(settings, change)
+            _converted(settings, where=f"--set {text}")
+        raise
 
 
 def _overlaid(settings: Mapping[str, Any], changes: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -192,7 +204,7 @@ def _check_filters(config: Config, where: str) -> None:
     for name, filter_ in config.filters.items():
         if not (name.isascii() and name.isidentifier()):
             raise ConfigError(
-                f"{where}: filter name '{name}' is not made of letters, digits and _",
+                f"{where}: filter name '{name}' is not a letter followed by letters, digits and _",
                 "the name becomes part of topics and rows",
             )
         if not filter_.aiding or len(set(filter_.aiding)) != len(filter_.aiding):

@@ -20,6 +20,8 @@ class Innovations:
         Unit of the innovation.
     time_ns : ndarray, shape (m,)
         Time of each update.
+    valid_ns : ndarray, shape (m,)
+        Time of validity of what was measured: a slope's lies in the middle of its window.
     measured_b : ndarray, shape (m, 3)
         What the DVL said, in b.
     innovation_b : ndarray, shape (m, 3)
@@ -35,6 +37,7 @@ class Innovations:
     measurement: str
     unit: str
     time_ns: TimeNs
+    valid_ns: TimeNs
     measured_b: Floats
     innovation_b: Floats
     sd_b: Floats
@@ -57,6 +60,9 @@ class History:
         The filter's name in the configuration.
     time_ns : ndarray, shape (k,)
         Times, strictly increasing.
+    updated : ndarray of bool, shape (k,)
+        Whether a ping was used here. The first row is the start, the last updated one is the end of what a filter
+        learnt.
     position : ndarray, shape (k, 3)
         Latitude rad, longitude rad, height m.
     velocity_n : ndarray, shape (k, 3)
@@ -75,6 +81,7 @@ class History:
 
     filter: str
     time_ns: TimeNs
+    updated: NDArray[np.bool_]
     position: Floats
     velocity_n: Floats
     mat_nb: Floats

@@ -12,13 +12,14 @@ from insdvl_replay.config import Config
 from insdvl_replay.config_file import render_toml
 from insdvl_replay.errors import LogError, Note, about
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table, mean_over_nine
-from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table, gate_notes
+from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table, update_notes
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
 from insdvl_replay.history import History
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.alignment import Alignment, align
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.gaps import find_gaps, settle_gaps
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.report.csv_tables import table_csv
 from insdvl_replay.report.json_report import build_report, encode_report
@@ -106,15 +107,9 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     ConfigError
         The settings do not fit the dive.
     """
-    velocities, notes = _velocities(dive, config)
-    start_ns, end_ns = _span(dive, velocities, config)
-    lever_arm_b = np.array(config.dvl.lever_arm_m)
-    with about(dive.name):
-        alignment = align(dive.imu, velocities, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
-    inside = velocities.within(alignment.start_ns, end_ns)
-    notes += alignment.notes + _outside_notes(dive.name, velocities, inside)
+    inside, alignment, end_ns, notes = prepare_dive(dive, config)
     histories = _run_filters(dive, inside, alignment, end_ns, config, keep_cov)
-    notes += gate_notes(histories)
+    notes += update_notes(histories)
     reference = dive.reference
     errors = {history.filter: reference_errors(history, reference) for history in histories} if reference else {}
     tables = {
@@ -124,6 +119,41 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         "consistency": consistency_table(dive.name, histories),
     }
     return Replay(dive, config, alignment.start_ns, end_ns, inside, histories, errors, tables, dive.notes + notes)
+
+
+def prepare_dive(dive: Dive, config: Config) -> tuple[DvlVelocities, Alignment, int, tuple[Note, ...]]:
+    """Do everything that comes before the filters: solve the pings, find the span, and align.
+
+    Parameters
+    ----------
+    dive : Dive
+    config : Config
+
+    Returns
+    -------
+    DvlVelocities
+        Inside the span.
+    Alignment
+    int
+        End of the span, ns.
+    tuple of Note
+
+    Raises
+    ------
+    LogError, ConfigError
+        As of `replay_dive`.
+    """
+    velocities, notes = _velocities(dive, config)
+    start_ns, end_ns = _span(dive, velocities, config)
+    lever_arm_b = np.array(config.dvl.lever_arm_m)
+    with about(dive.name):
+        start_ns, end_ns, gap_notes = settle_gaps(
+            find_gaps(dive.imu.time_ns, config.imu), config.imu, start_ns, end_ns, int(dive.imu.time_ns[0])
+        )
+        alignment = align(dive.imu, velocities, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
+    inside = velocities.within(alignment.start_ns, end_ns)
+    notes += gap_notes + alignment.notes
+    return inside, alignment, end_ns, notes + _outside_notes(dive.name, velocities, inside)
 
 
 def _velocities(dive: Dive, config: Config) -> tuple[DvlVelocities, tuple[Note, ...]]:
@@ -192,14 +222,15 @@ def _run_filters(
     dive: Dive, velocities: DvlVelocities, alignment: Alignment, end_ns: int, config: Config, keep_cov: bool
 ) -> tuple[History, ...]:
     reference_ns = dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64)
-    timeline = build_timeline(dive.imu, velocities.time_ns, reference_ns, alignment.start_ns, end_ns)
+    gaps = find_gaps(dive.imu.time_ns, config.imu)
+    timeline = build_timeline(dive.imu, velocities.time_ns, reference_ns, alignment.start_ns, end_ns, gaps)
     return tuple(
         run_filter(
             name,
             timeline,
             alignment.start,
             filter_noise(filter_, config),
-            filter_measurements(filter_, velocities, config, chi_square_quantile(filter_.gate_probability, 3)),
+            filter_measurements(filter_, velocities, config, chi_square_quantile(filter_.gate_probability, 3), gaps),
             np.array(config.dvl.lever_arm_m),
             keep_cov=keep_cov,
         )
@@ -253,5 +284,5 @@ def _measured(histories: tuple[History, ...]) -> dict[str, tuple[TimeNs, Floats]
     measured: dict[str, tuple[TimeNs, Floats]] = {}
     for history in histories:
         for innovations in history.innovations:
-            measured.setdefault(innovations.measurement, (innovations.time_ns, innovations.measured_b))
+            measured.setdefault(innovations.measurement, (innovations.valid_ns, innovations.measured_b))
     return measured

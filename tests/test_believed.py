@@ -29,7 +29,8 @@ def history(name: str, sd: Floats, interval_s: float = 1.0) -> History:
     wide = np.broadcast_to(sd[:, None] if sd.ndim == 1 else sd, (k, 12))
     times = 7 * SECOND + np.rint(np.arange(k) * interval_s * SECOND).astype(np.int64)
     nothing = np.zeros((k, 3))
-    return History(name, times, nothing, nothing, np.tile(np.eye(3), (k, 1, 1)), nothing, nothing, wide, None, ())
+    attitudes = np.tile(np.eye(3), (k, 1, 1))
+    return History(name, times, np.ones(k, dtype=bool), nothing, nothing, attitudes, nothing, nothing, wide, None, ())
 
 
 def row(table: pd.DataFrame, state: str) -> Any:

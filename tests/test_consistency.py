@@ -14,8 +14,8 @@ from insdvl_replay.evaluation.consistency import (
     FEWEST_UPDATES,
     chi_square_quantile,
     consistency_table,
-    gate_notes,
     mean_interval,
+    update_notes,
     verdict,
 )
 from insdvl_replay.history import History, Innovations
@@ -36,11 +36,29 @@ def history(
     nothing = np.zeros((m, 3))
     kept = np.ones(m, dtype=bool) if used is None else used.astype(bool)
     innovations = Innovations(
-        measurement, "m/s", np.arange(m, dtype=np.int64), nothing, nothing, np.ones((m, 3)), nis, kept
+        measurement,
+        "m/s",
+        np.arange(m, dtype=np.int64),
+        np.arange(m, dtype=np.int64),
+        nothing,
+        nothing,
+        np.ones((m, 3)),
+        nis,
+        kept,
     )
     one = np.zeros((1, 3))
     return History(
-        name, np.zeros(1, dtype=np.int64), one, one, np.eye(3)[None], one, one, np.ones((1, 12)), None, (innovations,)
+        name,
+        np.zeros(1, dtype=np.int64),
+        np.ones(1, dtype=bool),
+        one,
+        one,
+        np.eye(3)[None],
+        one,
+        one,
+        np.ones((1, 12)),
+        None,
+        (innovations,),
     )
 
 
@@ -142,7 +160,7 @@ def test_too_few_updates_are_not_judged(used: int) -> None:
 def test_gate_that_rejects_more_than_outliers_is_a_warning() -> None:
     kept = np.arange(100)
     few, many = history("few", np.full(100, 3.0), kept >= 10), history("many", np.full(100, 3.0), kept >= 11)
-    (warning,) = gate_notes((few, many))
+    (warning,) = update_notes((few, many))
     assert (warning.code, warning.severity, warning.count) == ("gate_rejects_many", "warning", 11)
     assert "filter many rejected 11 of 100 velocity innovations" in warning.text
     assert "filters.many.gate_probability" in warning.hint

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay import __version__
 from insdvl_replay.columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, TruthColumns
-from insdvl_replay.errors import ConfigError, LogError, Note
+from insdvl_replay.errors import LogError, Note
 from insdvl_replay.history import History, Innovations
 from insdvl_replay.logs.dive_log import write_dive
 from insdvl_replay.logs.messages import Batch, stamp
@@ -74,6 +74,7 @@ def make_history(name: str, seed: int) -> History:
             measurement,
             unit,
             START_NS + np.arange(m) * S,
+            START_NS + np.arange(m) * S - S // 2,
             *rng.normal(size=(2, m, 3)),
             rng.uniform(0.1, 1.0, size=(m, 3)),
             rng.chisquare(3, size=m),
@@ -84,6 +85,7 @@ def make_history(name: str, seed: int) -> History:
     return History(
         name,
         START_NS + np.arange(k) * S,
+        np.ones(k, dtype=bool),
         np.array([0.57, 0.61, -3.0]) + rng.normal(scale=1e-5, size=(k, 3)),
         rng.normal(size=(k, 3)),
         mat_from_rpy(rng.uniform(-1.0, 1.0, size=(k, 3))),
@@ -256,10 +258,10 @@ def test_logs_carry_all_that_viewers_need(log: str, request: pytest.FixtureReque
     assert len({schema.name for schema in summary.schemas.values()}) == len(summary.schemas)
 
 
-def test_a_log_that_cannot_be_written_is_the_users_mistake(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_written_is_told_to_the_caller(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "nowhere" / "dive.mcap", tmp_path / "file" / "dive.mcap"):
-        with pytest.raises(ConfigError, match="cannot be written"):
+        with pytest.raises(OSError, match="directory"):
             write_dive(path, DIVE)
 
 

@@ -34,6 +34,7 @@ def measurement(kind: int, window: int = 1) -> Measurement:
     return Measurement(
         kind,
         np.ones(window, dtype=bool),
+        np.arange(window),
         np.zeros((window, 3)),
         np.tile(np.eye(3), (window, 1, 1)),
         np.zeros((window, window)),

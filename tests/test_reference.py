@@ -63,6 +63,7 @@ def history_like(
     return History(
         name,
         reference.time_ns,
+        np.ones(k, dtype=bool),
         shifted(reference.position, np.broadcast_to(north_east_down, (k, 3))),
         reference.velocity_n + velocity,
         Rotation.from_rotvec(rotation_n).as_matrix() @ reference.mat_nb,
@@ -106,17 +107,21 @@ def test_position_error_crosses_the_antimeridian(ours_deg: float, theirs_deg: fl
     assert apart_m == pytest.approx(2e-4 * 1852.0 * 60.0 * np.cos(17.0 * DEG), rel=0.01)
 
 
-def test_distance_is_the_sum_of_horizontal_steps() -> None:
+def test_distance_is_the_integral_of_horizontal_speed() -> None:
     reference = going_north()
-    assert distance_travelled_m(reference.position) == pytest.approx(100.0, abs=1e-3)
-    diving = reference.position - np.outer(np.arange(11.0), [0.0, 0.0, 50.0])
-    assert distance_travelled_m(diving) == pytest.approx(100.0, abs=1e-2)
-    gappy = reference.position.copy()
-    gappy[[2, 3, 7]] = np.nan
-    assert distance_travelled_m(gappy) == pytest.approx(100.0, abs=1e-3)
-    assert distance_travelled_m(np.full((4, 3), np.nan)) == 0.0
-    there_and_back = np.vstack([reference.position, reference.position[::-1]])
-    assert distance_travelled_m(there_and_back) == pytest.approx(200.0, abs=1e-3)
+    history = history_like(reference)
+    assert distance_travelled_m(history, reference.time_ns) == pytest.approx(100.0, abs=1e-9)
+    assert distance_travelled_m(history, reference.time_ns[:6]) == pytest.approx(50.0, abs=1e-9)
+    assert distance_travelled_m(history, reference.time_ns[:0]) == 0.0
+    diving = history_like(reference, velocity=(0.0, 0.0, 50.0))
+    assert distance_travelled_m(diving, reference.time_ns) == pytest.approx(100.0, abs=1e-9)
+
+
+def test_noise_of_the_reference_travels_no_distance() -> None:
+    reference = going_north()
+    noise = np.random.default_rng(1).normal(scale=5.0, size=(11, 3))
+    noisy = replace(reference, position=shifted(reference.position, noise))
+    assert reference_errors(history_like(reference), noisy).distance_m == pytest.approx(100.0, abs=1e-9)
 
 
 # --- Attitude.
@@ -176,8 +181,9 @@ def test_known_errors_come_out_with_their_size_and_sign() -> None:
         assert table.loc[quantity, "rmse"] == pytest.approx(abs(error), abs=1e-4), quantity
         assert table.loc[quantity, "final"] == pytest.approx(error, abs=1e-4), quantity
     assert table.loc["position_h", "rmse"] == pytest.approx(5.0, abs=1e-4)
-    # The way is counted from the first compared position: 90 m.
-    assert table.loc["position_h_pct", "final"] == pytest.approx(100.0 * 5.0 / 90.0, abs=1e-2)
+    # The way is what the filter's own velocity makes of 10 s.
+    way_m = 10.0 * np.hypot(10.1, 0.2)
+    assert table.loc["position_h_pct", "final"] == pytest.approx(100.0 * 5.0 / way_m, abs=1e-4)
     assert (table["samples"] == 10).all(), "the start, where a filter is set to the reference, does not count"
     assert set(table["status"]) == {"compared"}
 
@@ -265,10 +271,10 @@ def test_only_the_references_own_times_are_compared() -> None:
     thin = ReferenceColumns(
         reference.time_ns[every], reference.position[every], reference.velocity_n[every], reference.mat_nb[every]
     )
-    errors = reference_errors(history_like(reference, velocity=np.outer(np.arange(11.0), [1, 0, 0])), thin)
+    errors = reference_errors(history_like(reference, velocity=np.outer(np.arange(11.0), [0, 0, 1])), thin)
     assert errors.time_ns.tolist() == [3 * SECOND, 6 * SECOND, 9 * SECOND]
-    np.testing.assert_allclose(errors.velocity_error_n[:, 0], [3.0, 6.0, 9.0])
-    assert errors.distance_m == pytest.approx(60.0, abs=1e-3)
+    np.testing.assert_allclose(errors.velocity_error_n[:, 2], [3.0, 6.0, 9.0])
+    assert errors.distance_m == pytest.approx(90.0, abs=1e-3)
 
 
 def test_reference_that_never_meets_the_replay_is_compared_with_nothing() -> None:

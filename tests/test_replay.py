@@ -273,7 +273,9 @@ def test_span_is_replayed_from_the_references_next_row(
     replay = replay_dive(straight, config(span=span))
     assert (replay.start_ns - START_NS, replay.end_ns - START_NS) == (round(start_s * SECOND), round(end_s * SECOND))
     assert replay.histories[0].time_ns[[0, -1]].tolist() == [replay.start_ns, replay.end_ns]
-    assert replay.tables["convergence"]["baseline_s"].unique().tolist() == pytest.approx([end_s - start_s])
+    pings_ns = straight.dvl.time_ns[straight.dvl.time_ns <= replay.end_ns]
+    last_ping_s = (pings_ns[-1] - replay.start_ns) / SECOND
+    assert replay.tables["convergence"]["baseline_s"].unique().tolist() == pytest.approx([last_ping_s])
     assert [note.count for note in replay.notes if note.code == "dvl_outside_span"] == [outside] * bool(outside)
 
 
@@ -435,3 +437,36 @@ def test_dvl_that_reports_velocities_replays_like_one_that_reports_beams(turning
 def test_notes_of_the_log_stay_with_the_result(straight: Dive) -> None:
     noted = replace(straight, notes=(Note("imu_gaps", "two gaps", 2, "warning"),))
     assert replay_dive(noted, config()).notes == noted.notes
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 20.0])
+def test_what_a_filter_believes_does_not_depend_on_the_references_rate(rate_hz: float) -> None:
+    tables = [
+        replay_dive(
+            exact_dive("figure-eight", duration_s=130.0, imu_rate_hz=50.0, reference_rate_hz=rate), config()
+        ).tables
+        for rate in (5.0, rate_hz)
+    ]
+    for name in ("improvement", "convergence"):
+        # A node at each reference time divides the intervals otherwise, which moves the fifth digit.
+        pd.testing.assert_frame_equal(tables[0][name], tables[1][name], rtol=1e-4, atol=1e-3)
+
+
+def test_believed_end_is_the_last_ping_wherever_the_log_ends() -> None:
+    dive = exact_dive("straight", duration_s=30.9, imu_rate_hz=50.0)
+    tables = [replay_dive(dive, config(span=Span(end_s=end_s))).tables["improvement"] for end_s in (30.4, 30.9)]
+    pd.testing.assert_frame_equal(tables[0], tables[1], rtol=1e-6)
+
+
+def test_aiding_that_never_happens_is_a_warning() -> None:
+    dive = exact_dive("straight", duration_s=60.0, imu_rate_hz=50.0, dvl_rate_hz=0.2)
+    replay = replay_dive(dive, config())
+    assert note(replay, "aiding_without_updates").severity == "warning"
+    assert "max_window_gap_s" in note(replay, "aiding_without_updates").hint
+
+
+def test_breakdown_of_a_filter_is_told_as_such_and_not_as_rejection(straight: Dive) -> None:
+    replay = replay_dive(straight, config(initial=Initial(accel_bias_sd_mg=1e155)))
+    assert {found.code for found in replay.notes if found.severity == "warning"} == {"filter_not_finite"}
+    assert (replay.tables["consistency"]["rejected"] == 0).all()
+    assert set(replay.tables["improvement"]["status"]) == {"not finite", "same"}, "nothing is called improved"

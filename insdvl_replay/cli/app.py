@@ -6,6 +6,7 @@ import typer
 
 from insdvl_replay import __version__
 from insdvl_replay.cli.config import config
+from insdvl_replay.cli.inspection import inspect
 from insdvl_replay.cli.messages import emit
 from insdvl_replay.cli.run import run
 from insdvl_replay.cli.schema import schema
@@ -13,7 +14,7 @@ from insdvl_replay.cli.simulate import simulate
 
 # Plain help: rich would add 0.1 s to it, and cut it where it is piped.
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-for command in (run, simulate, config, schema):
+for command in (run, inspect, simulate, config, schema):
     app.command()(command)
 
 

@@ -12,6 +12,7 @@ from insdvl_replay.cli.run import Format
 from insdvl_replay.cli.screen import patience, rendered
 from insdvl_replay.config import Config
 from insdvl_replay.errors import ConfigError, LogError
+from insdvl_replay.nav.compiled import is_warm
 from insdvl_replay.replay import replay_log, save_replay
 from insdvl_replay.report.csv_tables import report_csv
 from insdvl_replay.report.folder import (
@@ -21,7 +22,7 @@ from insdvl_replay.report.folder import (
     result_file,
     result_folder,
 )
-from insdvl_replay.report.json_report import Report, Tool, decode_report, encode_report
+from insdvl_replay.report.json_report import Report, Tool, decode_report, encode_report, encode_reports
 from insdvl_replay.report.markup import latex_report, markdown_report
 from insdvl_replay.report.summary import Failure, summary_csv
 
@@ -59,7 +60,9 @@ def result_targets(logs: Sequence[Path], output: Path, *, force: bool) -> dict[P
     """
     targets: dict[Path, Path] = {}
     for log in logs:
-        target = output / log.resolve().stem
+        target = output / log.absolute().stem
+        if len(logs) > 1 and target.name == SUMMARY:
+            raise ConfigError(f"{log}: its results would bear the name of the summary", "rename it, or replay it alone")
         if target in targets:
             raise ConfigError(
                 f"{targets[target]} and {log} would both write {target}", "replay them one by one, each with its own -o"
@@ -106,17 +109,22 @@ def replay_dives(
     """
     outcomes: list[Report | Failure] = []
     codes: dict[str, int] = {}
+    together = format_ is Format.JSON and len(targets) > 1
     for target, log in targets.items():
         try:
             report = _replayed(log, target, config, force=force)
-            emit(PRINTED[format_](report))
-            tell_notes(report.notes, verbose=verbosity > 0)
-            tell(f"wrote {target}")
-            outcomes.append(report)
-            codes[target.name] = _refuse_warnings(report, verbosity) if strict else 0
         except Exception as error:
             outcomes.append(Failure(target.name, str(error)))
             codes[target.name] = tell_failure(error, verbosity)
+            continue
+        if not together:
+            emit(PRINTED[format_](report))
+        tell_notes(report.notes, verbose=verbosity > 0)
+        tell(f"wrote {target}")
+        outcomes.append(report)
+        codes[target.name] = _refuse_warnings(report, verbosity) if strict else 0
+    if together:
+        emit(encode_reports([outcome for outcome in outcomes if isinstance(outcome, Report)]).decode())
     if len(targets) > 1:
         _summarise(outcomes, codes, output / SUMMARY, force=force)
     return max(codes.values())
@@ -125,7 +133,8 @@ def replay_dives(
 def _replayed(log: Path, target: Path, config: Config, *, force: bool) -> Report:
     """Replay one log into its folder. The time of day is added here: what the hall writes depends on the log alone."""
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
-    with patience(f"replaying {log.name}; the first run on a machine also compiles the filter"):
+    compiling = "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
+    with patience(f"replaying {log.name}{compiling}"):
         replay = replay_log(log, config)
         with result_folder(target, force=force) as folder:
             save_replay(replay, folder)
@@ -153,4 +162,6 @@ def _summarise(outcomes: Sequence[Report | Failure], codes: Mapping[str, int], p
         file.write_bytes(summary_csv(outcomes))
     tell(f"wrote {path}")
     if failed := [name for name, code in codes.items() if code]:
-        tell(f"error: {len(failed)} of {len(codes)} logs failed: {', '.join(failed)}")
+        reasons = [outcome.reason for outcome in outcomes if isinstance(outcome, Failure)]
+        first = f"; the first: {reasons[0]}" if reasons else ""
+        tell(f"error: {len(failed)} of {len(codes)} logs failed: {', '.join(failed)}{first}")

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import typer
 
-from insdvl_replay.errors import Note, UserError
+from insdvl_replay.errors import ConfigError, Note, UserError
 
 OUR_MISTAKE = 4
 
@@ -16,12 +16,27 @@ UsageError = typer.BadParameter.__mro__[1]
 
 
 def emit(text: str) -> None:
-    """Write a result to stdout. A reader that went away (``| head``) ends the printing, not the work."""
+    """Write a result to stdout. A reader that went away (``| head``) ends the printing, not the work.
+
+    Parameters
+    ----------
+    text : str
+
+    Raises
+    ------
+    ConfigError
+        Stdout cannot be written, as on a full disk.
+    """
+    if sys.stdout is None:  # closed by whoever started the program
+        return
     try:
         sys.stdout.write(text)
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise ConfigError(f"stdout: cannot be written: {error.strerror}", "the results are in the folder") from error
 
 
 def tell(text: str) -> None:
@@ -64,7 +79,8 @@ def _hinted(hint: str) -> str:
 
 def typed_verbosity(arguments: Iterable[str]) -> int:
     """Count ``-v`` as it was typed, for failures outside a command."""
-    return sum(len(word) - 1 for word in arguments if word.startswith("-v") and set(word[1:]) == {"v"})
+    short = (len(word) - 1 for word in arguments if word.startswith("-v") and set(word[1:]) == {"v"})
+    return sum(short) + sum(word == "--verbose" for word in arguments)
 
 
 def _explained(error: Exception) -> tuple[int, str, str]:

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 
 from insdvl_replay.report.json_report import Report
 from insdvl_replay.report.terminal import terminal_report
@@ -14,10 +14,15 @@ PIPED_COLUMNS = 1000
 
 
 def rendered(report: Report) -> str:
-    """Lay a report out for stdout: as wide as the terminal, or as wide as it takes."""
+    """Lay a report out for stdout."""
+    return printed(terminal_report(report))
+
+
+def printed(content: RenderableType) -> str:
+    """Lay tables out for stdout: as wide as the terminal, or as wide as it takes."""
     console = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     with console.capture() as capture:
-        console.print(terminal_report(report))
+        console.print(content)
     return "\n".join(line.rstrip() for line in capture.get().split("\n"))
 
 

@@ -1,7 +1,8 @@
-"""What a filter believes of itself: improvement and convergence time from the diagonal of P.
+"""What a filter believes of itself: improvement and convergence time from the square roots of P's diagonal.
 
-The two tables of Levy and Klein. Any further measurement shrinks P: they say how sure a filter is, never how right;
-`reference` and `consistency` do.
+Any further measurement shrinks P. These tables say how sure a filter is, never how right; `reference` and `consistency`
+do. Both are read where a filter has just used a ping: between pings the uncertainty grows, so that a look at any other
+time would measure the time since the last ping. The end of the dive is its last ping.
 """
 
 import numpy as np
@@ -35,13 +36,19 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
     rows = []
     for candidate in candidates:
         for state in STATES:
-            before, after = (history.sd[-1, state.index] / state.factor for history in (baseline, candidate))
+            before, after = (_final_sd(history)[state.index] / state.factor for history in (baseline, candidate))
             change_pct = improvement_pct(before, after)
             status = _improvement_status(change_pct)
             rows.append((log, candidate.filter, state.id, state.unit, before, after, change_pct, status))
     return pd.DataFrame(
         rows, columns=["log", "filter", "state", "unit", "baseline_sd", "sd", "improvement_pct", "status"]
     )
+
+
+def _final_sd(history: History) -> Floats:
+    """Give the standard deviations after the last ping."""
+    sd: Floats = history.sd[np.flatnonzero(history.updated)[-1]]
+    return sd
 
 
 def improvement_pct(before: float, after: float) -> float:
@@ -73,19 +80,21 @@ def convergence_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
     -------
     DataFrame
         Columns log, filter, state, unit, target_sd, baseline_s, reached_s, improvement_pct, status (``reached``,
-        ``at_start``, ``never``); 12 rows for each candidate. Times are seconds from the start.
+        ``at_start``, ``never``); 12 rows for each candidate. Times are seconds from the start, the
+        baseline's that of the last ping.
     """
     baseline, *candidates = histories
-    duration_s = float(seconds(baseline.time_ns[-1:], baseline.time_ns[0])[0])
+    baseline_s = float(seconds(baseline.time_ns[baseline.updated], baseline.time_ns[0])[-1])
     rows = []
     for candidate in candidates:
-        time_s = seconds(candidate.time_ns, candidate.time_ns[0])
+        read = candidate.updated | (candidate.time_ns == candidate.time_ns[0])
+        time_s = seconds(candidate.time_ns[read], candidate.time_ns[0])
         for state in STATES:
-            target = float(baseline.sd[-1, state.index])
-            reached_s, status = time_to_stay_below(time_s, candidate.sd[:, state.index], target)
-            faster_pct = improvement_pct(duration_s, reached_s) if status == "reached" else float("nan")
+            target = float(_final_sd(baseline)[state.index])
+            reached_s, status = time_to_stay_below(time_s, candidate.sd[read, state.index], target)
+            faster_pct = improvement_pct(baseline_s, reached_s) if status == "reached" else float("nan")
             shown = target / state.factor
-            rows.append((log, candidate.filter, state.id, state.unit, shown, duration_s, reached_s, faster_pct, status))
+            rows.append((log, candidate.filter, state.id, state.unit, shown, baseline_s, reached_s, faster_pct, status))
     names = ["log", "filter", "state", "unit", "target_sd", "baseline_s", "reached_s", "improvement_pct", "status"]
     return pd.DataFrame(rows, columns=names)
 

@@ -84,7 +84,7 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
 
 def _judged(innovations: Innovations) -> tuple[int, int, float, float, float, str]:
     used = int(innovations.used.sum())
-    rejected = len(innovations.used) - used
+    rejected = _rejected(innovations)
     if used < FEWEST_UPDATES:
         nan = float("nan")
         return used, rejected, nan, nan, nan, "too few"
@@ -93,8 +93,8 @@ def _judged(innovations: Innovations) -> tuple[int, int, float, float, float, st
     return used, rejected, mean_nis, low, high, verdict(mean_nis, low, high)
 
 
-def gate_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
-    """Warn of filters whose gate rejects more than outliers; their tables are those of an INS left alone.
+def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
+    """Warn of filters whose aiding did not happen as configured: their tables say less than they seem to.
 
     Parameters
     ----------
@@ -103,16 +103,34 @@ def gate_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     Returns
     -------
     tuple of Note
+        Aiding without any update, innovations that are not finite, and gates that reject more than outliers.
     """
-    return tuple(
-        Note(
-            "gate_rejects_many",
-            f"filter {history.filter} rejected {rejected} of {total} {innovations.measurement} innovations",
-            rejected,
-            "warning",
-            f"raise its noise, check lever arm and mounting, or --set filters.{history.filter}.gate_probability=1.0",
+    notes = []
+    for history in histories:
+        for innovations in history.innovations:
+            notes += _judged_updates(history.filter, innovations)
+    return tuple(notes)
+
+
+def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
+    kind, total = innovations.measurement, len(innovations.used)
+    if total == 0:
+        text, hint = f"filter {name} had no {kind} to use", f"filters.{name}.acceleration.max_window_gap_s or window"
+        return [Note("aiding_without_updates", text, 0, "warning", hint)]
+    lost = int(np.sum(~np.isfinite(innovations.nis)))
+    if lost:
+        first = int(np.argmax(~np.isfinite(innovations.nis)))
+        text = (
+            f"filter {name} broke down: {lost} of {total} {kind} innovations are not finite, from number {first + 1} on"
         )
-        for history in histories
-        for innovations in history.innovations
-        if (rejected := int(np.sum(~innovations.used))) > MANY_REJECTED * (total := len(innovations.used))
-    )
+        return [Note("filter_not_finite", text, lost, "warning", "check the units and sizes of [noise] and [initial]")]
+    rejected = _rejected(innovations)
+    if rejected > MANY_REJECTED * total:
+        text = f"filter {name} rejected {rejected} of {total} {kind} innovations"
+        hint = f"check lever arm and mounting, raise [noise], or --set filters.{name}.gate_probability=1.0"
+        return [Note("gate_rejects_many", text, rejected, "warning", hint)]
+    return []
+
+
+def _rejected(innovations: Innovations) -> int:
+    return int(np.sum(~innovations.used & np.isfinite(innovations.nis)))

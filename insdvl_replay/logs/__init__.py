@@ -3,5 +3,6 @@
 from insdvl_replay.logs.dive_log import write_dive
 from insdvl_replay.logs.reader import read_dive
 from insdvl_replay.logs.replay_log import write_replay
+from insdvl_replay.logs.survey import survey_log
 
-__all__ = ["read_dive", "write_dive", "write_replay"]
+__all__ = ["read_dive", "survey_log", "write_dive", "write_replay"]

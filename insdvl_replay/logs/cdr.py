@@ -4,7 +4,6 @@ Messages whose strings and sequences have the same lengths share one `layout`, a
 structured array. In most logs all messages of a channel do.
 """
 
-import difflib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
@@ -14,11 +13,9 @@ from numpy.typing import NDArray
 
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs.chunks import Block, gather
+from insdvl_replay.logs.field_paths import Columns, check_path
 from insdvl_replay.logs.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
 from insdvl_replay.logs.ros2msg import PRIMITIVES, Definition, full_name
-
-Columns = dict[str, NDArray[Any]]
-"""By field path, one row per message and one column per number; int64 where all numbers are whole, else float64."""
 
 _ENCAPSULATIONS: Final = {
     0x00: "big-endian CDR",
@@ -44,8 +41,7 @@ class CdrReader:
     type_name : str
         Type of the messages.
     paths : sequence of str
-        The fields: dotted names, with ``[2]`` for one element of an array or sequence and ``[*]`` for all. A path that
-        ends at a structure means all numbers in it, in their order.
+        The fields, as `field_paths` says.
     place : str
         File and topic, for messages to the user.
 
@@ -63,8 +59,9 @@ class CdrReader:
         self._layouts: dict[tuple[int, ...], Layout] = {}
         self._leaves: dict[tuple[tuple[int, ...], str], list[tuple[str, int | None]]] = {}
         self._latest: Layout | None = None
+        known = dict(cdr_paths(definitions, self._type_name))
         for path in paths:
-            self._check_path(path)
+            check_path(path, known, self._type_name, place)
 
     def columns(self, block: Block) -> Columns:
         """Read the fields of all messages of a block.
@@ -144,18 +141,6 @@ class CdrReader:
         columns = np.empty((len(messages), sum(value.shape[1] for value in values)), np.int64 if whole else np.float64)
         return np.concatenate(values, axis=1, out=columns, casting="unsafe") if values else columns
 
-    def _check_path(self, path: str) -> None:
-        known = dict(_known_paths(self._definitions, self._type_name))
-        kind = known.get(re.sub(r"\[\d+\]", "[*]", path))
-        if kind is None:
-            nearest = difflib.get_close_matches(path, known, n=1, cutoff=0.0)
-            raise LogError(
-                f"{self._place}: {self._type_name} has no field '{path}'",
-                f"the nearest one is '{nearest[0]}'" if nearest else "the type has no fields",
-            )
-        if kind in ("string", "wstring"):
-            raise LogError(f"{self._place}: field '{path}' of {self._type_name} is text", "name a field of numbers")
-
 
 def _matching(block: Block, rows: NDArray[np.int64], layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.void]]:
     """Read those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
@@ -201,8 +186,23 @@ def _pattern(path: str) -> re.Pattern[str]:
     return re.compile(re.escape(path).replace(r"\[\*\]", r"\[\d+\]") + r"(?![^.\[])")
 
 
-def _known_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """List every path that a type knows, with the type of what is there."""
+def cdr_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """List every path that a type knows.
+
+    Parameters
+    ----------
+    definitions : mapping of str to Definition
+        The type and all types in it.
+    type_name : str
+        Full name of the type.
+    prefix : str
+        Path of the structure, with a dot behind it.
+
+    Yields
+    ------
+    path, kind : str
+        The kind is the name of a primitive or of a type.
+    """
     for field in definitions[type_name].fields:
         path = f"{prefix}{field.name}"
         yield path, field.type_name
@@ -210,7 +210,7 @@ def _known_paths(definitions: Mapping[str, Definition], type_name: str, prefix: 
             path = f"{path}[*]"
             yield path, field.type_name
         if field.type_name not in PRIMITIVES and field.type_name in definitions:
-            yield from _known_paths(definitions, field.type_name, f"{path}.")
+            yield from cdr_paths(definitions, field.type_name, f"{path}.")
 
 
 def _joined(parts: Sequence[tuple[NDArray[np.int64], NDArray[Any]]]) -> NDArray[Any]:

@@ -255,12 +255,45 @@ def chunk_blocks(data: memoryview, chunk: Chunk, channel_ids: Collection[int]) -
         yield from blocks_of(content, np.array(found, np.int64), channel_ids)
         return
     indexes = [_index(data, *place) for place in chunk.indexes]
-    wanted = [(channel_id, starts) for channel_id, starts in indexes if channel_id in channel_ids and starts.size]
+    wanted = [(channel_id, starts) for channel_id, _, starts in indexes if channel_id in channel_ids and starts.size]
     if wanted:
         content = open_chunk(data, chunk)
         for channel_id, starts in wanted:
             _check_index(content, chunk, channel_id, starts)
             yield _block(content, channel_id, np.sort(starts))
+
+
+def chunk_times(data: memoryview, chunk: Chunk) -> Iterator[tuple[int, TimeNs]]:
+    """Find the log times of a chunk's messages; one with an index stays closed.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    chunk : Chunk
+
+    Yields
+    ------
+    int
+        A channel.
+    ndarray, shape (k,)
+        ns
+
+    Raises
+    ------
+    DamageError
+        The index, or the chunk without one, is damaged.
+    """
+    if chunk.indexes:
+        for place in chunk.indexes:
+            channel_id, log_time, _ = _index(data, *place)
+            yield channel_id, log_time
+        return
+    content = open_chunk(data, chunk)
+    found = [start - RECORD_HEADER_SIZE for opcode, start, _ in walk_chunk(content, chunk) if opcode == Opcode.MESSAGE]
+    headers = gather(content, np.array(found, np.int64), _MESSAGE)
+    for channel_id in np.unique(headers["channel_id"]).tolist():
+        yield channel_id, headers["log_time"][headers["channel_id"] == channel_id]
 
 
 def blocks_of(buffer: memoryview, starts: NDArray[np.int64], channel_ids: Collection[int]) -> Iterator[Block]:
@@ -284,13 +317,13 @@ def blocks_of(buffer: memoryview, starts: NDArray[np.int64], channel_ids: Collec
             yield _block(buffer, channel_id, starts[found == channel_id])
 
 
-def _index(data: memoryview, offset: int, length: int) -> tuple[int, NDArray[np.int64]]:
-    """Read an index record: a channel, and where its messages start in the chunk."""
+def _index(data: memoryview, offset: int, length: int) -> tuple[int, TimeNs, NDArray[np.int64]]:
+    """Read an index record: a channel, the log times of its messages, and where they start in the chunk."""
     channel_id, size = _INDEX.unpack_from(data, offset) if length >= _INDEX.size else (0, length)
     if size > length - _INDEX.size or size % 16:
         raise DamageError(offset, f"an index record of {length} bytes says it has {size} bytes of entries")
     times_and_starts = np.frombuffer(data, "<i8", size // 8, offset + _INDEX.size)
-    return channel_id, times_and_starts[1::2]
+    return channel_id, times_and_starts[::2], times_and_starts[1::2]
 
 
 def _check_index(content: memoryview, chunk: Chunk, channel_id: int, starts: NDArray[np.int64]) -> None:

@@ -1,13 +1,16 @@
 """Rows made clean: in the order of time, each time once, every number finite; and a note of every loss."""
 
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, TimeNs, seconds
 from insdvl_replay.errors import LogError, Note, Severity
+
+GAP_STEPS: Final = 5.0
+"""A pause of this many steps is more than the jitter of stamps that come in bursts."""
 
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -130,18 +133,28 @@ class Cleaner:
         self._keep_rows(first, "same_values", "messages repeat the values of the one before", "info")
 
     def note_gaps(self, max_gap_s: float) -> None:
-        """Note pauses between rows.
+        """Note pauses between rows in which several are missing.
 
         Parameters
         ----------
         max_gap_s : float
-            A longer pause is a gap.
+            Pauses up to this count as harmless.
         """
-        pauses_s = seconds(self.times[1:], self.times[:-1])
-        gaps = pauses_s[pauses_s > max_gap_s]
-        if gaps.size:
-            longest = f"gaps are longer than {max_gap_s:g} s, the longest is {gaps.max():.3f} s"
-            self.note("gaps", longest, gaps.size, "warning")
+        times = self.times
+        pauses_s = seconds(times[1:], times[:-1])
+        short_s = pauses_s[pauses_s <= max_gap_s]
+        least_s = min(GAP_STEPS * float(short_s.mean()), max_gap_s) if short_s.size else max_gap_s
+        gaps = np.flatnonzero(pauses_s > least_s)
+        if not gaps.size:
+            return
+        long = int(np.count_nonzero(pauses_s > max_gap_s))
+        text = (
+            f"gaps are longer than {least_s:.3g} s, the first at {float(seconds(times[gaps[:1]], times[0])[0]):.3f} s, "
+            f"the longest of {pauses_s.max():.3f} s, {pauses_s[gaps].sum():.3f} s in all; "
+            f"{long} longer than {max_gap_s:g} s"
+        )
+        hint = f"{self.role}.max_gap_s says which are harmless" if long else ""
+        self.note("gaps", text, gaps.size, "warning" if long else "info", hint)
 
     def note(self, code: str, text: str, count: int, severity: Severity = "info", hint: str = "") -> None:
         """Add a note about some of the rows.

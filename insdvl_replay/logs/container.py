@@ -21,6 +21,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
+from insdvl_replay.columns import TimeNs
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs.chunks import (
     RECORD_HEADER_SIZE,
@@ -29,6 +30,7 @@ from insdvl_replay.logs.chunks import (
     DamageError,
     blocks_of,
     chunk_blocks,
+    chunk_times,
     open_chunk,
     walk,
     walk_chunk,
@@ -59,6 +61,8 @@ class LogChannel:
         The schema; may be empty.
     messages : int
         How many messages the log says or is found to hold.
+    schema_data : bytes
+        The schema as it stands in the log; protobuf's are no text.
     """
 
     id: int
@@ -68,6 +72,7 @@ class LogChannel:
     schema_encoding: str
     schema_text: str
     messages: int
+    schema_data: bytes = b""
 
 
 @dataclass
@@ -139,6 +144,30 @@ class Log:
             yield from blocks_of(self._data, np.array(self._survey.loose_messages, np.int64), channel_ids)
         except DamageError as damage:
             raise self._refusal(damage) from damage
+
+    def log_times(self) -> dict[int, TimeNs]:
+        """Give the log times of all messages from the indexes; only chunks without one are opened.
+
+        Returns
+        -------
+        dict of int to ndarray, shape (k,)
+            By channel, in the order of the file; ns.
+
+        Raises
+        ------
+        LogError
+            An index, or a chunk without one, is damaged.
+        """
+        parts: dict[int, list[TimeNs]] = {channel.id: [np.empty(0, np.int64)] for channel in self.channels}
+        try:
+            for chunk in self._survey.chunks:
+                for channel_id, times in chunk_times(self._data, chunk):
+                    parts.setdefault(channel_id, []).append(times)
+            for block in blocks_of(self._data, np.array(self._survey.loose_messages, np.int64), parts.keys()):
+                parts[block.channel_id].append(block.log_time)
+        except DamageError as damage:
+            raise self._refusal(damage) from damage
+        return {channel_id: np.concatenate(times) for channel_id, times in parts.items()}
 
     def _release_pages(self) -> None:
         """Keep what was read from counting as memory of this process; the system reads it again if need be."""
@@ -236,4 +265,5 @@ def _log_channel(channel: records.Channel, survey: _Survey) -> LogChannel:
         schema_encoding=schema.encoding if schema else "",
         schema_text=schema.data.decode("utf-8", "replace") if schema else "",
         messages=survey.counts[channel.id],
+        schema_data=schema.data if schema else b"",
     )

@@ -19,6 +19,8 @@ ANGULAR_RATE_UNITS: Final = {"rad/s": 1.0, "deg/s": DEG}
 VELOCITY_UNITS: Final = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}
 """m/s of one unit."""
 
+FRD: Final = "frd"
+"""The project's axes, which are assumed where nothing tells them."""
 GRAVITY_MPS2: Final = 9.81
 """Near enough to tell a unit by."""
 
@@ -80,10 +82,14 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     ConfigError
         The axes are none.
     """
-    force_unit = SPECIFIC_FORCE_UNITS[settings.specific_force_unit]
-    rate_unit = ANGULAR_RATE_UNITS[settings.angular_rate_unit]
-    specific_force_b = in_frd(_measured(table, "specific_force"), settings.axes, "imu.axes", force_unit)
-    angular_rate_b = in_frd(_measured(table, "angular_rate"), settings.axes, "imu.axes", rate_unit)
+    force_unit = SPECIFIC_FORCE_UNITS[settings.specific_force_unit or "m/s2"] / settings.specific_force_scale
+    rate_unit = ANGULAR_RATE_UNITS[settings.angular_rate_unit or "rad/s"] / settings.angular_rate_scale
+    axes = settings.axes or FRD
+    force_axes, force_key = axes, "imu.axes"
+    if settings.specific_force_axes is not None:
+        force_axes, force_key = settings.specific_force_axes, "imu.specific_force_axes"
+    specific_force_b = in_frd(_measured(table, "specific_force"), force_axes, force_key, force_unit)
+    angular_rate_b = in_frd(_measured(table, "angular_rate"), axes, "imu.axes", rate_unit)
     cleaner = Cleaner("imu", table.time_ns())
     cleaner.keep_finite(specific_force_b, angular_rate_b)
     cleaner.drop_repeated_times()

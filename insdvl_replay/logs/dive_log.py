@@ -36,7 +36,7 @@ def write_dive(path: Path, dive: Dive) -> None:
     ------
     LogError
         A time does not fit a ROS stamp.
-    ConfigError
+    OSError
         The file cannot be written.
     ValueError
         The DVL has neither four beams nor velocities.

@@ -11,7 +11,7 @@ from insdvl_replay.columns import DvlColumns, Floats
 from insdvl_replay.config import Dvl
 from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.logs.cleaning import Cleaner, Mask
-from insdvl_replay.logs.decode import VELOCITY_UNITS, in_frd
+from insdvl_replay.logs.decode import FRD, VELOCITY_UNITS, in_frd
 from insdvl_replay.logs.tables import Table
 from insdvl_replay.states import DEG
 
@@ -82,8 +82,8 @@ def _has_beams(table: Table) -> Mask:
 
 
 def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, list[Note]]:
-    unit = VELOCITY_UNITS[settings.velocity_unit]
-    velocity_d = in_frd(table.values("velocity", 3), settings.axes, "dvl.axes", unit)
+    unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
+    velocity_d = in_frd(table.values("velocity", 3), settings.axes or FRD, "dvl.axes", unit)
     if "good_beams" in table and table.column("good_beams").any():
         enough = table.column("good_beams") >= _BEAMS_FOR_VELOCITY
         cleaner.keep(enough, "invalid", "pings have fewer than three good beams")
@@ -93,7 +93,7 @@ def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColum
 
 
 def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, list[Note]]:
-    beam_velocity_mps = table.values("beam_velocity") * VELOCITY_UNITS[settings.velocity_unit]
+    beam_velocity_mps = table.values("beam_velocity") * VELOCITY_UNITS[settings.velocity_unit or "m/s"]
     cleaner.keep(_has_beams(table), "invalid", "pings have no valid beam")
     _drop_repeats(table, cleaner, beam_velocity_mps)
     vectors_d = _beam_vectors(table, settings, cleaner)
@@ -121,7 +121,7 @@ def _beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
     vectors = np.median(cleaner.kept(table.values("beam_vectors", 12)), axis=0).reshape(-1, 3)
     doubt = _doubt(vectors, table, cleaner)
     if not doubt:
-        return in_frd(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), settings.axes, "dvl.axes")
+        return in_frd(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), settings.axes or FRD, "dvl.axes")
     cleaner.note(
         "beam_geometry",
         f"pings have beam vectors that cannot be true ({doubt}); a tilt of {TILT_DEG:g} deg and azimuths of "

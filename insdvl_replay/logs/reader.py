@@ -5,6 +5,7 @@ from pathlib import Path
 
 from insdvl_replay.columns import Channel, Dive
 from insdvl_replay.config import Config
+from insdvl_replay.logs.clocks import clock_notes
 from insdvl_replay.logs.container import Log, LogChannel
 from insdvl_replay.logs.decode import decode_imu, decode_truth
 from insdvl_replay.logs.pings import decode_dvl
@@ -39,6 +40,7 @@ def read_dive(path: Path, config: Config) -> Dive:
     roles = assign_roles(str(path), log.channels, config)
     tables = read_tables(log, roles.sources)
     notes = [*schema_notes(roles.sources), *count_notes(tables), *stamp_notes(tables)]
+    notes += clock_notes(str(path), [table.clock() for table in tables], config.clocks.max_disagreement_s)
     # The raw columns of a long dive are large, and let go one by one.
     imu, imu_notes = decode_imu(tables.pop(0), config.imu)
     dvl, dvl_notes = decode_dvl(tables.pop(0), config.dvl)

@@ -97,7 +97,7 @@ def write_replay(
     ------
     LogError
         A time does not fit a ROS stamp.
-    ConfigError
+    OSError
         The file cannot be written.
     ValueError
         A table does not have the columns of its message type.

@@ -1,41 +1,14 @@
 """Which topics play which role: by type where only one can, else as the configuration says."""
 
 import difflib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 
 from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError
-from insdvl_replay.logs import known_types
 from insdvl_replay.logs.container import LogChannel
-from insdvl_replay.logs.known_types import Fields, Types
-
-
-@dataclass(frozen=True)
-class Source:
-    """A topic that plays a role.
-
-    Attributes
-    ----------
-    role : {'imu', 'dvl', 'reference', 'truth'}
-    topic, type_name : str
-    channels : tuple of LogChannel
-        The channels of the topic that have messages.
-    fields : mapping of str to str
-        Path of the field by the quantity that it holds.
-    stamp : str
-        ``header``, ``log_time``, ``publish_time`` or a field path.
-    latency_s : float
-        From validity to stamp.
-    """
-
-    role: str
-    topic: str
-    type_name: str
-    channels: tuple[LogChannel, ...]
-    fields: Fields
-    stamp: str
-    latency_s: float
+from insdvl_replay.logs.wishes import TRUTH_WISH, Source, Wish, dvl_wish, fix_wish, imu_wish, solution_wish
 
 
 @dataclass(frozen=True)
@@ -62,26 +35,6 @@ class Roles:
         return (self.imu, self.dvl, *self.references, *((self.truth,) if self.truth else ()))
 
 
-@dataclass(frozen=True)
-class _Wish:
-    """What a role needs: of several groups of types, the first that the log has is taken."""
-
-    role: str
-    key: str
-    topic: str | None
-    by_type: Sequence[Types]
-    if_named: Types = field(default_factory=dict)
-    paths: Mapping[str, str | None] = field(default_factory=dict)
-    enough: Sequence[set[str]] = ()
-    stamp: str = "header"
-    latency_s: float = 0.0
-
-    def fields(self, type_name: str) -> Fields:
-        """Give the paths for a type, those of the configuration first."""
-        known = next((types[type_name] for types in (*self.by_type, self.if_named) if type_name in types), {})
-        return {**known, **{quantity: path for quantity, path in self.paths.items() if path is not None}}
-
-
 def assign_roles(place: str, channels: Sequence[LogChannel], config: Config) -> Roles:
     """Find the topic for each role.
 
@@ -103,62 +56,82 @@ def assign_roles(place: str, channels: Sequence[LogChannel], config: Config) -> 
         is not known and the configuration does not say where its fields are, or its messages are not ROS 2's.
     """
     topics = _Topics(place, channels)
-    imu = topics.need(_imu_wish(config))
-    dvl = topics.need(_dvl_wish(config))
-    references = _references(topics, config, dvl)
-    truth = topics.find(_Wish("truth", "", None, [known_types.TRUTH], enough=[{"accel_bias", "gyro_bias"}]))
+    imu = topics.need(imu_wish(config))
+    dvl = topics.need(dvl_wish(config))
+    references = _references(topics, config, dvl.topic)
+    truth = topics.find(TRUTH_WISH)
     return Roles(imu, dvl, references, truth)
 
 
-def _imu_wish(config: Config) -> _Wish:
-    imu = config.imu
-    return _Wish(
-        role="imu",
-        key="imu.topic",
-        topic=imu.topic,
-        by_type=[known_types.IMU],
-        paths={"specific_force": imu.specific_force, "angular_rate": imu.angular_rate},
-        enough=[{"specific_force", "angular_rate"}],
-        stamp=imu.stamp,
-        latency_s=imu.latency_s,
-    )
+@dataclass(frozen=True)
+class Finding:
+    """What was found for one role, for a person who asks.
+
+    Attributes
+    ----------
+    role : {'imu', 'dvl', 'reference', 'truth'}
+    sources : tuple of Source
+        Those that a replay reads; none, or, for a reference, up to two.
+    reason : str
+        Why these.
+    error : LogError or None
+        Why a replay would stop here.
+    candidates : tuple of Source
+        Where several topics could each play the role, each of them.
+    """
+
+    role: str
+    sources: tuple[Source, ...]
+    reason: str
+    error: LogError | None = None
+    candidates: tuple[Source, ...] = ()
 
 
-def _dvl_wish(config: Config) -> _Wish:
-    dvl = config.dvl
-    return _Wish(
-        role="dvl",
-        key="dvl.topic",
-        topic=dvl.topic,
-        by_type=[known_types.DVL_BEAMS, known_types.DVL_VELOCITY],
-        if_named=known_types.DVL_IF_NAMED,
-        paths={"beam_velocity": dvl.beam_velocity, "velocity": dvl.velocity},
-        enough=[{"beam_velocity"}, {"velocity"}],
-        stamp=dvl.stamp,
-        latency_s=dvl.latency_s,
-    )
+def explain_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tuple[Finding, ...]:
+    """Find the topic for each role as `assign_roles` does, but go on where it would stop, and say why.
+
+    Parameters
+    ----------
+    place : str
+        The file, for messages to the user.
+    channels : sequence of LogChannel
+    config : Config
+
+    Returns
+    -------
+    tuple of Finding
+        IMU, DVL, reference, and truth where the log has it.
+    """
+    topics = _Topics(place, channels)
+    imu = _explained(topics, imu_wish(config), lambda: (topics.need(imu_wish(config)),))
+    dvl = _explained(topics, dvl_wish(config), lambda: (topics.need(dvl_wish(config)),))
+    besides = dvl.sources[0].topic if dvl.sources else ""
+    wish = solution_wish(config)
+    reference = _explained(topics, wish, lambda: _references(topics, config, besides), besides)
+    truth = _explained(topics, TRUTH_WISH, lambda: tuple(filter(None, [topics.find(TRUTH_WISH)])))
+    return (imu, dvl, reference, truth) if truth.sources or truth.error else (imu, dvl, reference)
 
 
-def _references(topics: "_Topics", config: Config, dvl: Source) -> tuple[Source, ...]:
-    reference = config.reference
-    stamp, latency_s = reference.stamp, reference.latency_s
-    solution = topics.find(
-        _Wish(
-            role="reference",
-            key="reference.topic",
-            topic=reference.topic,
-            by_type=[known_types.NAV_SOLUTION, known_types.ODOMETRY],
-            if_named=known_types.FIX,
-            enough=[{"velocity_n"}, {"velocity_b"}, {"latitude"}],
-            stamp=stamp,
-            latency_s=latency_s,
-        ),
-        besides=dvl.topic,
-    )
-    if solution and "latitude" in solution.fields and reference.fix is None:
+def _explained(topics: "_Topics", wish: Wish, look: Callable[[], tuple[Source, ...]], besides: str = "") -> Finding:
+    try:
+        sources = look()
+    except LogError as error:
+        candidates = tuple(topics.alternatives(wish, besides))
+        names = ", ".join(source.topic for source in candidates)
+        reason = f"{names} could each be it" if names else error.message
+        return Finding(wish.role, (), reason, error, candidates)
+    if not sources:
+        return Finding(wish.role, (), "no topic is of a type that could be it")
+    if wish.topic is not None:
+        return Finding(wish.role, sources, f"named by {wish.key}")
+    return Finding(wish.role, sources, f"the only one of type {' and '.join(source.type_name for source in sources)}")
+
+
+def _references(topics: "_Topics", config: Config, dvl_topic: str) -> tuple[Source, ...]:
+    solution = topics.find(solution_wish(config), besides=dvl_topic)
+    if solution and "latitude" in solution.fields and config.reference.fix is None:
         return (solution,)
-    wish = _Wish("reference", "reference.fix", reference.fix, [known_types.FIX], enough=[{"latitude"}])
-    fix = topics.find(replace(wish, stamp=stamp, latency_s=latency_s))
+    fix = topics.find(fix_wish(config))
     return tuple(source for source in (solution, fix) if source is not None)
 
 
@@ -172,48 +145,62 @@ class _Topics:
             if channel.messages:
                 self._channels.setdefault(channel.topic, []).append(channel)
 
-    def need(self, wish: _Wish) -> Source:
+    def need(self, wish: Wish) -> Source:
         """Find the topic of a role that a replay cannot do without."""
         source = self.find(wish)
         if source is None:
-            wanted = " or ".join(type_name for types in wish.by_type for type_name in types)
+            wanted = ", ".join(type_name for types in wish.by_type for type_name in types)
             found = sorted({channel.type_name for channels in self._channels.values() for channel in channels})
             raise LogError(
-                f"{self._place}: has no {wish.role.upper()}: no message of type {wanted}; "
+                f"{self._place}: has no {wish.role.upper()}: no message is of a type known for one ({wanted}); "
                 f"it has {', '.join(found) if found else 'no messages at all'}",
-                _how_to_name(wish),
+                wish.how_to_name(),
             )
         return source
 
-    def find(self, wish: _Wish, besides: str = "") -> Source | None:
+    def find(self, wish: Wish, besides: str = "") -> Source | None:
         """Find the topic of a role, not looking at the topic of another."""
         topic = self._only_topic(wish, besides) if wish.topic is None else wish.topic
-        if topic is None:
-            return None
-        channels = self._channels_of(topic, wish.key)
-        type_name, fields = channels[0].type_name, wish.fields(channels[0].type_name)
-        if not any(quantities <= fields.keys() for quantities in wish.enough):
-            raise LogError(
-                f"{self._place}: topic '{topic}' is of type {type_name or 'unknown'}, "
-                f"which is not known as a type for {wish.key}",
-                _how_to_name(wish),
-            )
-        for channel in channels:
-            self._check_encoding(channel)
-        return Source(wish.role, topic, type_name, tuple(channels), fields, wish.stamp, wish.latency_s)
+        return None if topic is None else self.source(wish, topic)
 
-    def _only_topic(self, wish: _Wish, besides: str) -> str | None:
+    def source(self, wish: Wish, topic: str) -> Source:
+        """Make a topic the source of a role."""
+        return wish.source(topic, self._channels_of(topic, wish.key), self._place)
+
+    def candidates(self, wish: Wish, besides: str) -> list[str]:
+        """Name the topics of the first group of types that the log has, the better types first."""
         for types in wish.by_type:
-            topics = [topic for topic, channels in self._channels.items() if channels[0].type_name in types]
-            candidates = [topic for topic in topics if topic != besides]
-            if len(candidates) > 1:
-                hint = f'{wish.key} = "{candidates[0]}"' if wish.key else "keep one of them"
-                raise LogError(
-                    f"{self._place}: {' and '.join(candidates)} could each be the {wish.key or wish.role}", hint
-                )
-            if candidates:
-                return candidates[0]
-        return None
+            order = list(types)
+            type_of = {topic: channels[0].type_name for topic, channels in self._channels.items() if topic != besides}
+            if found := [topic for topic, type_name in type_of.items() if type_name in types]:
+                return sorted(found, key=lambda topic: order.index(type_of[topic]))
+        return []
+
+    def alternatives(self, wish: Wish, besides: str) -> Iterator[Source]:
+        """Make sources of the topics between which the configuration has to choose; those that cannot be are left out.
+
+        Parameters
+        ----------
+        wish : Wish
+        besides : str
+            A topic that has another role.
+
+        Yields
+        ------
+        Source
+        """
+        candidates = self.candidates(wish, besides) if wish.topic is None else []
+        for topic in candidates if len(candidates) > 1 else []:
+            with suppress(LogError):
+                yield self.source(wish, topic)
+
+    def _only_topic(self, wish: Wish, besides: str) -> str | None:
+        candidates = self.candidates(wish, besides)
+        if len(candidates) > 1:
+            named = " or ".join(f'{wish.key} = "{topic}"' for topic in candidates)
+            hint = named if wish.key else "keep one of them"
+            raise LogError(f"{self._place}: {' and '.join(candidates)} could each be the {wish.key or wish.role}", hint)
+        return next(iter(candidates), None)
 
     def _channels_of(self, topic: str, key: str) -> list[LogChannel]:
         if topic not in self._channels:
@@ -223,21 +210,3 @@ class _Topics:
                 f'the nearest is {key} = "{nearest[0]}"' if nearest else "the log has no messages at all",
             )
         return self._channels[topic]
-
-    def _check_encoding(self, channel: LogChannel) -> None:
-        if channel.encoding != "cdr" or channel.schema_encoding not in ("ros2msg", ""):
-            raise LogError(
-                f"{self._place}: messages on '{channel.topic}' are encoded as {channel.encoding or 'nothing'} with "
-                f"{channel.schema_encoding or 'no'} schema; only cdr with ros2msg can be read",
-                "name another topic, or record ROS 2 messages",
-            )
-
-
-def _how_to_name(wish: _Wish) -> str:
-    """Say which keys lead to a topic of an unknown type."""
-    if not wish.paths:
-        return f"known are {', '.join(name for types in (*wish.by_type, wish.if_named) for name in types)}"
-    section = wish.role
-    paths = " and ".join(f'{section}.{quantity} = "field.path"' for quantity in wish.paths)
-    joined = paths if section == "imu" else paths.replace(" and ", " or ")
-    return f'for other types, set {wish.key} = "/topic" with {joined}'

@@ -9,16 +9,15 @@ from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.errors import LogError, Note
-from insdvl_replay.logs.cdr import CdrReader, Columns
 from insdvl_replay.logs.chunks import Block
+from insdvl_replay.logs.clocks import Clock, measure_clock, stamp_unit
 from insdvl_replay.logs.container import Log, LogChannel
-from insdvl_replay.logs.roles import Source
-from insdvl_replay.logs.ros2msg import definition_text, parse_definitions
+from insdvl_replay.logs.encodings import open_reader
+from insdvl_replay.logs.field_paths import Columns, FieldReader, split_paths
+from insdvl_replay.logs.wishes import Source
 
 _NS_PER_S: Final = 1_000_000_000
 _RECORDER_STAMPS: Final = ("log_time", "publish_time")
-_UNIX_UNITS: Final = ((1e17, 1, "nanoseconds"), (1e14, 10**3, "microseconds"), (1e11, 10**6, "milliseconds"))
-"""From this size on a number of a stamp is taken to count these since 1970."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,8 @@ class Table:
             The field does not hold that many numbers.
         """
         path = self.source.fields[quantity]
-        values = self.columns[path].astype(np.float64, copy=False)
+        parts = [self.columns[part].astype(np.float64, copy=False) for part in split_paths(path)]
+        values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
         if width is not None and values.shape[1] != width:
             raise LogError(
                 f"{self.place}: field '{path}' holds {values.shape[1]} numbers where {width} are needed",
@@ -114,6 +114,21 @@ class Table:
             )
         return time_ns - round(self.source.latency_s * _NS_PER_S)
 
+    def clock(self) -> Clock:
+        """Compare the times of validity with the times of recording.
+
+        Returns
+        -------
+        Clock
+
+        Raises
+        ------
+        LogError
+            As of `time_ns`.
+        """
+        source = self.source
+        return measure_clock(source.role, source.topic, source.stamp, self.time_ns(), self.columns["log_time"][:, 0])
+
     def _stamped(self, path: str) -> TimeNs:
         values = self.columns[path]
         if values.shape[1] == 2:
@@ -128,7 +143,7 @@ class Table:
                 f"{self.place}: stamp '{path}' is no number in {np.count_nonzero(~np.isfinite(values))} messages",
                 f'{self.source.role}.stamp = "log_time"',
             )
-        counted = values[:, 0] * _unit_of(values)[0]
+        counted = values[:, 0] * stamp_unit(values[:, 0], self.columns["log_time"][:, 0])[0]
         return counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
 
 
@@ -157,6 +172,34 @@ def read_tables(log: Log, sources: Sequence[Source]) -> list[Table]:
     return [builder.table() for builder in builders]
 
 
+def read_sample(log: Log, source: Source, enough: int) -> Table:
+    """Read the columns of a topic's first messages.
+
+    Parameters
+    ----------
+    log : Log
+    source : Source
+    enough : int
+        Stop after the block with which there are that many.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    LogError
+        A field is not there, or a message cannot be read.
+    """
+    builder, messages = _Builder(log, source), 0
+    for block in log.blocks({channel.id for channel in source.channels}):
+        builder.add(block)
+        messages += block.offsets.size
+        if messages >= enough:
+            break
+    return builder.table()
+
+
 def schema_notes(sources: Iterable[Source]) -> tuple[Note, ...]:
     """Say for which topics the log has no schema, so that a definition that comes with the tool was used.
 
@@ -171,7 +214,7 @@ def schema_notes(sources: Iterable[Source]) -> tuple[Note, ...]:
     return tuple(
         Note("builtin_definition", f"{source.topic}: the log has no schema; that of {source.type_name} was assumed")
         for source in sources
-        if not all(channel.schema_text.strip() for channel in source.channels)
+        if source.channels[0].encoding == "cdr" and not all(channel.schema_text.strip() for channel in source.channels)
     )
 
 
@@ -211,7 +254,8 @@ def stamp_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
         source = table.source
         values = table.columns[_stamp_path(source.stamp)]
         if source.stamp not in _RECORDER_STAMPS and values.shape[1] == 1:
-            text = f"{source.topic}: stamp '{source.stamp}' was read as {_unit_of(values)[1]}"
+            unit = stamp_unit(values[:, 0], table.columns["log_time"][:, 0])[1]
+            text = f"{source.topic}: stamp '{source.stamp}' was read as {unit}"
             notes.append(Note(f"{source.role}_stamp_unit", text))
     return tuple(notes)
 
@@ -222,23 +266,18 @@ class _Builder:
 
     log: Log
     source: Source
-    readers: dict[int, CdrReader] = field(init=False)
+    readers: dict[int, FieldReader] = field(init=False)
     parts: dict[str, list[NDArray[Any]]] = field(init=False)
 
     def __post_init__(self) -> None:
         self.place = f"{self.log.path}: {self.source.topic}"
-        paths = dict.fromkeys([_stamp_path(self.source.stamp), *self.source.fields.values()])
+        fields = (path for paths in self.source.fields.values() for path in split_paths(paths))
+        paths = dict.fromkeys([_stamp_path(self.source.stamp), "log_time", *fields])
         self.parts = {path: [] for path in paths}
         self.readers = {channel.id: self._reader(channel) for channel in self.source.channels}
 
-    def _reader(self, channel: LogChannel) -> CdrReader:
-        try:
-            text = channel.schema_text if channel.schema_text.strip() else definition_text(channel.type_name)
-            definitions = parse_definitions(channel.type_name, text)
-        except LogError as error:
-            raise LogError(f"{self.place}: {error.message}", error.hint) from error
-        paths = [path for path in self.parts if path not in _RECORDER_STAMPS]
-        return CdrReader(definitions, channel.type_name, paths, self.place)
+    def _reader(self, channel: LogChannel) -> FieldReader:
+        return open_reader(channel, [path for path in self.parts if path not in _RECORDER_STAMPS], self.place)
 
     def add(self, block: Block) -> None:
         """Read a block if it is of this topic."""
@@ -259,12 +298,6 @@ class _Builder:
 
 def _stamp_path(stamp: str) -> str:
     return "header.stamp" if stamp == "header" else stamp
-
-
-def _unit_of(values: NDArray[Any]) -> tuple[int, str]:
-    """Guess in which unit numbers count the time since 1970; small ones are seconds since anything."""
-    size = float(np.nanmedian(np.abs(values)))
-    return next(((factor, unit) for least, factor, unit in _UNIX_UNITS if size >= least), (_NS_PER_S, "seconds"))
 
 
 def _stacked(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:

@@ -15,7 +15,7 @@ import numpy as np
 from mcap.writer import Writer
 from numpy.typing import NDArray
 
-from insdvl_replay.errors import ConfigError, LogError
+from insdvl_replay.errors import LogError
 from insdvl_replay.logs.layout import layout_for_texts
 from insdvl_replay.logs.messages import FRAMES, Batch
 from insdvl_replay.logs.ros2msg import Definition, definition_text, parse_definitions
@@ -50,7 +50,7 @@ def write_log(
     ------
     LogError
         A time does not fit the 32-bit seconds of a ROS stamp.
-    ConfigError
+    OSError
         The file cannot be written.
     ValueError
         The times of a batch decrease, or it names a field that its type does not have.
@@ -62,8 +62,6 @@ def write_log(
         with part.open("wb") as stream:
             _write(stream, batches, metadata, attachments or {})
         part.replace(path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}", "choose another place with -o") from error
     finally:
         with suppress(OSError):
             part.unlink()

@@ -1,9 +1,12 @@
 """From the configuration of a filter to its measurements and its noise."""
 
-from insdvl_replay.columns import Floats
+import numpy as np
+
+from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.config import Config, Filter
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.error_model import noise_density
+from insdvl_replay.nav.gaps import NO_GAPS, Gaps
 from insdvl_replay.nav.measurements import (
     PUBLISHED,
     WINDOWED,
@@ -12,6 +15,8 @@ from insdvl_replay.nav.measurements import (
     velocity_cov,
     velocity_measurement,
 )
+from insdvl_replay.rotation import skew
+from insdvl_replay.states import DEG
 
 
 def filter_noise(filter_: Filter, config: Config) -> Floats:
@@ -31,7 +36,7 @@ def filter_noise(filter_: Filter, config: Config) -> Floats:
 
 
 def filter_measurements(
-    filter_: Filter, velocities: DvlVelocities, config: Config, gate: float
+    filter_: Filter, velocities: DvlVelocities, config: Config, gate: float, gaps: Gaps = NO_GAPS
 ) -> tuple[Measurement, ...]:
     """Prepare what a filter is aided by, in its order.
 
@@ -43,6 +48,8 @@ def filter_measurements(
     config : Config
     gate : float
         Largest NIS that is used.
+    gaps : Gaps
+        The IMU's long gaps. In one the lever arm swings unseen, and no window of accelerations spans any part of one.
 
     Returns
     -------
@@ -53,13 +60,29 @@ def filter_measurements(
         _own_or(filter_, config.dvl, "velocity_sd_mps"),
         filter_.beam_sd_mps or config.dvl.beam_sd_mps,
     )
+    cov_b = cov_b + _swing_cov(velocities, config, gaps)
     measurements = []
     for aiding in filter_.aiding:
         if aiding == "velocity":
             measurements.append(velocity_measurement(velocities, cov_b, gate))
         else:
-            measurements.append(_acceleration(filter_, velocities, cov_b, config, gate))
+            measurement = _acceleration(filter_, velocities, cov_b, config, gate)
+            measurements.append(_seen(measurement, velocities.time_ns, gaps))
     return tuple(measurements)
+
+
+def _swing_cov(velocities: DvlVelocities, config: Config, gaps: Gaps) -> Floats:
+    """Give the covariance of ``w x l`` at pings inside a gap, where the turn rate is unknown; zero elsewhere."""
+    inside = gaps.overlap(velocities.time_ns, velocities.time_ns)
+    arm = skew(np.array(config.dvl.lever_arm_m))
+    return inside[:, None, None] * (config.imu.gap_rate_degps * DEG) ** 2 * (arm @ arm.T)
+
+
+def _seen(measurement: Measurement, time_ns: TimeNs, gaps: Gaps) -> Measurement:
+    """Withhold an acceleration wherever its window, or the reading at its ping, lies in a gap."""
+    window = measurement.velocity_weights.shape[1]
+    first = np.maximum(np.arange(len(time_ns)) - window + 1, 0)
+    return measurement._replace(available=measurement.available & ~gaps.overlap(time_ns[first], time_ns))
 
 
 def _acceleration(

@@ -15,8 +15,10 @@ from insdvl_replay.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
 
 LEVELLING_S = 10.0
 """Time over which gravity is averaged to level the vehicle."""
+FEWEST_SAMPLES = 10
+"""With fewer samples gravity is not told from motion."""
 FAR_S = 1.0
-"""A reference row further than this from the start deserves a note: a vehicle moves on."""
+"""A reference row further than this from the start says little about it: a vehicle moves on."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,15 @@ def align(
     position = _position(reference, initial, start_ns, notes)
     mat_nb = _attitude(imu, reference, initial, start_ns, notes)
     velocity_n = _velocity(imu, velocities, reference, mat_nb, lever_arm_b, start_ns, position, notes)
-    return Alignment(start_ns, Start(position, velocity_n, mat_nb, initial_sd(initial)), tuple(notes))
+    start = Start(
+        position,
+        velocity_n,
+        mat_nb,
+        initial_sd(initial),
+        np.array(initial.accel_bias_mg) * MG,
+        np.array(initial.gyro_bias_degph) * DEG_PER_HOUR,
+    )
+    return Alignment(start_ns, start, tuple(notes))
 
 
 def initial_sd(initial: Initial) -> Floats:
@@ -113,8 +123,11 @@ def initial_sd(initial: Initial) -> Floats:
 
 
 def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) -> int:
+    """Find the first attitude in the span, if possible one that has a position near it."""
     has_attitude = np.isfinite(reference.mat_nb).all(axis=(1, 2))
     inside = has_attitude & (reference.time_ns >= start_ns) & (reference.time_ns < end_ns)
+    located = inside & (_apart_s(reference.time_ns, reference.position[:, :2], reference.time_ns) <= FAR_S)
+    inside = located if located.any() else inside
     if not inside.any():
         raise LogError(
             "the reference gives no attitude between the first and the last IMU sample of the span",
@@ -140,7 +153,12 @@ def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns:
     first_longitude = horizontal[np.argmax(np.isfinite(horizontal).all(axis=1)), 1]
     horizontal[:, 1] = wrap_angle(horizontal[:, 1] - first_longitude)  # so that 180 deg lies between no two rows
     latitude, longitude = _at(reference.time_ns, horizontal, start_ns)
-    _note_if_far("position", reference.time_ns, horizontal, start_ns, notes)
+    apart_s = float(_apart_s(reference.time_ns, horizontal, np.array([start_ns]))[0])
+    if apart_s > FAR_S:
+        text = f"the position at the start is the reference's {apart_s:.1f} s away from it, and is off by as much"
+        notes.append(
+            Note("start_position_far", text, severity="warning", hint="--start near the reference's positions")
+        )
     if np.isfinite(height_m).any():
         start_height_m = _at(reference.time_ns, height_m, start_ns)[0]
     else:
@@ -184,8 +202,18 @@ def level_from_gravity(imu: ImuColumns, start_ns: int) -> Floats:
     Returns
     -------
     ndarray, shape (3,), rad
+
+    Raises
+    ------
+    LogError
+        Hardly a sample follows the start.
     """
     rows = (imu.time_ns >= start_ns) & (imu.time_ns <= start_ns + int(LEVELLING_S * 1e9))
+    if rows.sum() < FEWEST_SAMPLES:
+        raise LogError(
+            f"only {rows.sum()} IMU samples lie in the {LEVELLING_S:g} s after the start, too few to find the level",
+            "choose another --start",
+        )
     x, y, z = imu.specific_force_b[rows].mean(axis=0)
     return np.array([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), 0.0])
 
@@ -200,8 +228,8 @@ def _velocity(
     position: Floats,
     notes: list[Note],
 ) -> Floats:
-    if reference is not None and reference.has_velocity:
-        _note_if_far("velocity", reference.time_ns, reference.velocity_n, start_ns, notes)
+    at_start = np.array([start_ns])
+    if reference is not None and _apart_s(reference.time_ns, reference.velocity_n, at_start)[0] <= FAR_S:
         return _at(reference.time_ns, reference.velocity_n, start_ns)
     nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
     rate_ib_b = _at(imu.time_ns, imu.angular_rate_b, int(velocities.time_ns[nearest]))
@@ -213,14 +241,15 @@ def _velocity(
     return velocity_n
 
 
-def _note_if_far(quantity: str, time_ns: TimeNs, values: Floats, start_ns: int, notes: list[Note]) -> None:
-    finite = np.isfinite(values).all(axis=1)
-    apart_s = float(np.abs(seconds(time_ns[finite], start_ns)).min())
-    if apart_s > FAR_S:
-        text = f"{quantity} at the start from the reference's nearest row, {apart_s:.1f} s away"
-        notes.append(
-            Note(f"start_{quantity}_far", text, severity="warning", hint="choose --start near a reference row")
-        )
+def _apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
+    """Give the seconds from each time to the nearest finite row of values; infinite where there is none."""
+    finite_ns = time_ns[np.isfinite(values).all(axis=1)]
+    if not len(finite_ns):
+        return np.full(len(at_ns), np.inf)
+    after = np.searchsorted(finite_ns, at_ns).clip(1, max(1, len(finite_ns) - 1))
+    neighbours = finite_ns[np.stack([after - 1, np.minimum(after, len(finite_ns) - 1)])]
+    apart_s: Floats = np.abs(seconds(neighbours, at_ns)).min(axis=0)
+    return apart_s
 
 
 def _at(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:

@@ -33,13 +33,13 @@ def _digest_of_sources() -> str:
 
 
 def _cache_folder() -> str | None:
-    base = os.environ.get("INSDVL_REPLAY_CACHE") or Path.home() / ".cache" / "insdvl-replay"
-    folder = Path(base) / f"compiled-{_digest_of_sources()}"
     try:
+        base = os.environ.get("INSDVL_REPLAY_CACHE") or Path.home() / ".cache" / "insdvl-replay"
+        folder = Path(base) / f"compiled-{_digest_of_sources()}"
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return str(folder)
-    except OSError:
+    except (OSError, RuntimeError):  # no place to write, or a user without a home
         return None
 
 

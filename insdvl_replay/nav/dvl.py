@@ -241,12 +241,15 @@ class SlopeWindows:
         W: slope = sum_j W_j (v_j - v_(j-1)), j from 1; W_j = sum of c_i for i >= j.
     interval_s : ndarray, shape (m, n - 1)
         Lengths of the intervals.
+    middle_s : ndarray, shape (m,)
+        Mean time of the window, where the slope is valid.
     """
 
     complete: NDArray[np.bool_]
     velocity_weights: Floats
     interval_weights: Floats
     interval_s: Floats
+    middle_s: Floats
 
 
 def slope_windows(time_s: Floats, window: int, order: int = 1, max_gap_s: float = np.inf) -> SlopeWindows:
@@ -273,14 +276,16 @@ def slope_windows(time_s: Floats, window: int, order: int = 1, max_gap_s: float 
     complete = np.zeros(m, dtype=np.bool_)
     c = np.zeros((m, window))
     interval_s = np.zeros((m, window - 1))
+    middle_s = time_s.copy()
     if m >= window:
         times = sliding_window_view(time_s, window)
         interval_s[window - 1 :] = np.diff(times, axis=1)
         complete[window - 1 :] = (interval_s[window - 1 :] <= max_gap_s).all(axis=1)
-        c[window - 1 :] = derivative_weights(times - times.mean(axis=1, keepdims=True), order)[:, 1, :]
+        middle_s[window - 1 :] = times.mean(axis=1)
+        c[window - 1 :] = derivative_weights(times - middle_s[window - 1 :, None], order)[:, 1, :]
     c[~complete] = 0.0
     W = np.cumsum(c[:, ::-1], axis=1)[:, ::-1][:, 1:]
-    return SlopeWindows(complete, c, W, interval_s)
+    return SlopeWindows(complete, c, W, interval_s, middle_s)
 
 
 def windowed_sum(weights: Floats, values: Floats) -> Floats:

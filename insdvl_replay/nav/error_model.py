@@ -77,6 +77,22 @@ def propagate_cov(P: Floats, F: Floats, noise_density: Floats, dt: float, FP: Fl
             P[i, j] += FP[i, j]
             P[j, i] += FP[i, j]
     _add_second_order(P, F, dt, FP)
+    add_noise(P, noise_density, dt)
+
+
+@compiled
+def add_noise(P: Floats, noise_density: Floats, dt: float) -> None:
+    """Add what white noise of a spectral density leaves behind after an interval, ``P <- P + Q``, in place.
+
+    Parameters
+    ----------
+    P : ndarray, shape (12, 12)
+        Covariance.
+    noise_density : ndarray, shape (12,)
+        Diagonal of the spectral density.
+    dt : float
+        Length of the interval, s.
+    """
     for i in range(12):
         P[i, i] += noise_density[i] * dt
 

@@ -4,16 +4,16 @@ One loop for every filter. What a filter is aided by is the tuple of its measure
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats
+from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.history import History, Innovations
 from insdvl_replay.nav.compiled import compiled
-from insdvl_replay.nav.error_model import propagate_cov, write_system_matrix
+from insdvl_replay.nav.error_model import add_noise, propagate_cov, write_system_matrix
 from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, multiply, standardised, update_cov
 from insdvl_replay.nav.measurements import VELOCITY, InsAtPing, Measurement, linearise
 from insdvl_replay.nav.strapdown import normal_gravity, propagate, rotate_back, rotation_from_vector
@@ -34,13 +34,17 @@ class Start:
     mat_nb : ndarray, shape (3, 3)
         Attitude.
     sd : ndarray, shape (12,)
-        Standard deviations of the error states, SI units. Both biases start at zero.
+        Standard deviations of the error states, SI units.
+    accel_bias_b, gyro_bias_b : ndarray, shape (3,)
+        Biases that are known beforehand, m/s^2 and rad/s; zero unless given.
     """
 
     position: Floats
     velocity_n: Floats
     mat_nb: Floats
     sd: Floats
+    accel_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
+    gyro_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
 
 
 class _Ins(NamedTuple):
@@ -89,6 +93,7 @@ class _Stack(NamedTuple):
 
     kind: NDArray[np.int64]
     available: NDArray[np.bool_]
+    valid_ns: TimeNs
     measured_b: Floats
     cov_b: Floats
     velocity_weights: Floats
@@ -149,8 +154,8 @@ def run_filter(
         start.position.copy(),
         start.velocity_n.copy(),
         start.mat_nb.copy(order="C"),
-        np.zeros(3),
-        np.zeros(3),
+        start.accel_bias_b.copy(),
+        start.gyro_bias_b.copy(),
         np.diag(start.sd**2),
     )
     _run(
@@ -159,6 +164,8 @@ def run_filter(
         timeline.angular_rate_b,
         timeline.ping,
         timeline.record,
+        timeline.gap,
+        timeline.gap_noise_density,
         ins,
         noise_density,
         _stacked(measurements),
@@ -176,6 +183,8 @@ def _run(
     angular_rate_b: Floats,
     ping: NDArray[np.int64],
     record: NDArray[np.bool_],
+    gap: NDArray[np.int32],
+    gap_noise_density: Floats,
     ins: _Ins,
     noise_density: Floats,
     measurements: _Stack,
@@ -201,6 +210,8 @@ def _run(
         propagate(ins.position, ins.velocity_n, ins.mat_nb, force_b, rate_b, dt, rate_ie_n, rate_in_n, force_n)
         write_system_matrix(rate_ie_n, rate_in_n, force_n, ins.mat_nb, F)
         propagate_cov(ins.P, F, noise_density, dt, FP)
+        if gap[k] >= 0:
+            add_noise(ins.P, gap_noise_density[gap[k]], dt)
 
         if ping[k] >= 0:
             _note_motion(ins, memory, ping[k], angular_rate_b[k], rate_ie_n, rate_in_n)
@@ -225,6 +236,7 @@ def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
     return _Stack(
         np.array([measurement.kind for measurement in measurements]),
         np.stack([measurement.available for measurement in measurements]),
+        np.stack([measurement.valid_ns for measurement in measurements]),
         np.stack([measurement.measured_b for measurement in measurements]),
         np.stack([measurement.cov_b for measurement in measurements]),
         np.stack([padded(measurement.velocity_weights, longest) for measurement in measurements]),
@@ -271,6 +283,7 @@ def _unstacked(stack: _Stack, m: int) -> Measurement:
     return Measurement(
         stack.kind[m],
         stack.available[m],
+        stack.valid_ns[m],
         stack.measured_b[m],
         stack.cov_b[m],
         stack.velocity_weights[m],
@@ -346,6 +359,7 @@ def _history(
                 measurement="velocity" if measurement.kind == VELOCITY else "acceleration",
                 unit="m/s" if measurement.kind == VELOCITY else "m/s^2",
                 time_ns=ping_ns[rows],
+                valid_ns=measurement.valid_ns[rows],
                 measured_b=measurement.measured_b[rows],
                 innovation_b=updates.innovation_b[m, rows],
                 sd_b=updates.sd_b[m, rows],
@@ -357,6 +371,7 @@ def _history(
     return History(
         filter=name,
         time_ns=timeline.time_ns[timeline.record],
+        updated=timeline.ping[timeline.record] >= 0,
         position=records.position,
         velocity_n=records.velocity_n,
         mat_nb=records.mat_nb,

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats, seconds
+from insdvl_replay.columns import Floats, TimeNs, seconds
 from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.dvl import DvlVelocities, slope_windows, windowed_sum
 from insdvl_replay.nav.error_model import write_skew
@@ -37,6 +37,8 @@ class Measurement(NamedTuple):
         `VELOCITY`, `PUBLISHED` or `WINDOWED`.
     available : ndarray of bool, shape (m,)
         Whether this ping has the measurement.
+    valid_ns : ndarray, shape (m,)
+        Time of validity: the ping's, or the middle of the window.
     measured_b : ndarray, shape (m, 3)
         Velocity m/s or acceleration m/s^2, in b.
     cov_b : ndarray, shape (m, 3, 3)
@@ -51,6 +53,7 @@ class Measurement(NamedTuple):
 
     kind: int
     available: NDArray[np.bool_]
+    valid_ns: TimeNs
     measured_b: Floats
     cov_b: Floats
     velocity_weights: Floats
@@ -134,6 +137,7 @@ def velocity_measurement(velocities: DvlVelocities, cov_b: Floats, gate: float) 
     return Measurement(
         VELOCITY,
         np.ones(m, dtype=np.bool_),
+        velocities.time_ns,
         np.ascontiguousarray(velocities.velocity_b),
         np.ascontiguousarray(cov_b),
         np.zeros((m, 1)),
@@ -189,6 +193,7 @@ def acceleration_measurement(
     return Measurement(
         kind,
         windows.complete,
+        velocities.time_ns[:1] + np.round(windows.middle_s * 1e9).astype(np.int64),
         windowed_sum(windows.velocity_weights, velocities.velocity_b),
         np.ascontiguousarray(cov_b),
         windows.velocity_weights,

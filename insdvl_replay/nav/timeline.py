@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, ImuColumns, TimeNs, seconds
+from insdvl_replay.nav.gaps import NO_GAPS, Gaps
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,10 @@ class Timeline:
         Row of the ping that is valid here, -1 for none.
     record : ndarray of bool, shape (k,)
         Whether the history keeps this node.
+    gap : ndarray of int, shape (k,)
+        Row of the long gap that the interval before this node lies in, -1 for none.
+    gap_noise_density : ndarray, shape (g, 12)
+        What each long gap adds to the density of the process noise, see `gaps.Gaps`.
     """
 
     time_ns: TimeNs
@@ -36,9 +41,13 @@ class Timeline:
     angular_rate_b: Floats
     ping: NDArray[np.int64]
     record: NDArray[np.bool_]
+    gap: NDArray[np.int32]
+    gap_noise_density: Floats
 
 
-def build_timeline(imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs, start_ns: int, end_ns: int) -> Timeline:
+def build_timeline(
+    imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs, start_ns: int, end_ns: int, gaps: Gaps = NO_GAPS
+) -> Timeline:
     """Merge the IMU's samples with pings and reference times.
 
     Parameters
@@ -51,6 +60,8 @@ def build_timeline(imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs, start
         Times at which to keep the state for comparison; those outside are left out.
     start_ns, end_ns : int
         Span of the replay.
+    gaps : Gaps
+        The IMU's long gaps; in each the time line has nodes of its own.
 
     Returns
     -------
@@ -67,8 +78,9 @@ def build_timeline(imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs, start
         raise ValueError("a ping lies outside the span")
     inside = reference_ns[(reference_ns > start_ns) & (reference_ns < end_ns)]
     kept = np.unique(np.concatenate([[start_ns, end_ns], ping_ns, inside]).astype(np.int64))
-    samples = imu.time_ns[(imu.time_ns > start_ns) & (imu.time_ns < end_ns)]
-    time_ns = np.union1d(samples, kept)
+    gaps = gaps.within(start_ns, end_ns)
+    between = np.concatenate([imu.time_ns, gaps.bridge_ns()])
+    time_ns = np.union1d(between[(between > start_ns) & (between < end_ns)], kept)
     ping = np.full(len(time_ns), -1, dtype=np.int64)
     ping[np.searchsorted(time_ns, ping_ns)] = np.arange(len(ping_ns))
     record = np.zeros(len(time_ns), dtype=np.bool_)
@@ -82,7 +94,17 @@ def build_timeline(imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs, start
         _interpolated(time_s, sample_s, imu.angular_rate_b),
         ping,
         record,
+        _gap_rows(time_ns, gaps),
+        gaps.noise_density,
     )
+
+
+def _gap_rows(time_ns: TimeNs, gaps: Gaps) -> NDArray[np.int32]:
+    """Name the gap of each interval; its ends are nodes, so that no interval lies in it by half."""
+    rows = np.full(len(time_ns), -1, dtype=np.int32)
+    inside = 1 + np.flatnonzero(gaps.overlap(time_ns[:-1], time_ns[1:]))
+    rows[inside] = np.searchsorted(gaps.start_ns, time_ns[inside]) - 1
+    return rows
 
 
 def _interpolated(time_s: Floats, sample_s: Floats, readings: Floats) -> Floats:

@@ -4,7 +4,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from insdvl_replay.errors import ConfigError
@@ -108,6 +108,7 @@ def refuse_existing_file(target: Path, *, force: bool = False) -> None:
 @contextmanager
 def _beside(target: Path) -> Iterator[Path]:
     """Give a hidden folder beside the target, on the same file system, and remove it with all it then holds."""
+    made = [parent for parent in target.parents if not parent.exists()]
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         workspace = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
@@ -115,6 +116,9 @@ def _beside(target: Path) -> Iterator[Path]:
             yield workspace
         finally:
             shutil.rmtree(workspace, ignore_errors=True)
+            for parent in made:
+                with suppress(OSError):  # no longer empty, or never made
+                    parent.rmdir()
     except OSError as error:
         raise ConfigError(
             f"{target}: cannot be written: {error.strerror or error}", "choose another place with -o"

@@ -175,6 +175,11 @@ def encode_report(report: Report) -> bytes:
     return msgspec.json.format(msgspec.json.encode(report)) + b"\n"
 
 
+def encode_reports(reports: Sequence[Report]) -> bytes:
+    """Write several reports as one JSON array."""
+    return msgspec.json.format(msgspec.json.encode(reports)) + b"\n"
+
+
 def decode_report(data: bytes) -> Report:
     """Read a report back.
 

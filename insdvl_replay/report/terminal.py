@@ -27,13 +27,23 @@ def terminal_report(report: Report) -> Group:
     """
     parts: list[RenderableType] = [Text(heading(report), style="bold")]
     for table in shown_tables(report):
-        parts += [Text(), _dressed(table)]
+        parts += [Text(), dressed(table)]
     parts += [Text(), *(Text(line) for line in closing_lines(report))]
     return Group(*parts)
 
 
-def _dressed(table: ShownTable) -> Table:
-    dressed = Table(
+def dressed(table: ShownTable) -> Table:
+    """Dress one table for a terminal.
+
+    Parameters
+    ----------
+    table : ShownTable
+
+    Returns
+    -------
+    rich.table.Table
+    """
+    cloth = Table(
         title=Text(table.title, style="bold"),
         caption=Text(table.footnote) if table.footnote else None,
         title_justify="left",
@@ -44,7 +54,7 @@ def _dressed(table: ShownTable) -> Table:
         padding=(0, 1, 0, 0),
     )
     for name, letter in zip(table.header, table.alignment, strict=True):
-        dressed.add_column(Text(name), justify=_JUSTIFY[letter], overflow="fold")
+        cloth.add_column(Text(name), justify=_JUSTIFY[letter], overflow="fold")
     for row in table.rows:
-        dressed.add_row(*(Text(cell) for cell in row))
-    return dressed
+        cloth.add_row(*(Text(cell) for cell in row))
+    return cloth

@@ -17,6 +17,8 @@ from insdvl_replay.sim.motion import Course
 from insdvl_replay.sim.trajectories import SCENARIOS
 from insdvl_replay.states import DEG
 
+LONGEST_S: Final = 7 * 86400.0
+"""No simulated dive is longer: a week at 100 Hz already fills 10 GB."""
 START_NS: Final = 1_704_067_200_000_000_000
 """Time of the first IMU sample of every dive, 2024-01-01T00:00:00Z."""
 FIRST_PING_S: Final = 0.3717
@@ -126,7 +128,7 @@ def exact_dive(
     """
     way = _named("scenario", scenario, SCENARIOS)
     end_s = way.duration_s if duration_s is None else duration_s
-    _check_positive("duration", "s", end_s)
+    _check_duration(end_s)
     for sensor, rate_hz in (("IMU", imu_rate_hz), ("DVL", dvl_rate_hz), ("reference", reference_rate_hz)):
         _check_positive(f"{sensor} rate", "Hz", rate_hz)
     if end_s * imu_rate_hz < 1.0:
@@ -190,6 +192,14 @@ def _named(kind: str, name: str, known: Mapping[str, T]) -> T:
         hint = f"did you mean {nearest[0]}?" if nearest else f"known: {', '.join(known)}"
         raise ConfigError(f"{kind} '{name}' is not known", hint)
     return known[name]
+
+
+def _check_duration(duration_s: float) -> None:
+    _check_positive("duration", "s", duration_s)
+    if duration_s > LONGEST_S:
+        raise ConfigError(
+            f"duration is {duration_s:g} s, and may be {LONGEST_S:g} s at most", f"--duration {LONGEST_S:g}"
+        )
 
 
 def _check_positive(what: str, unit: str, value: float) -> None:

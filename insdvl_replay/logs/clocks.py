@@ -1,0 +1,163 @@
+"""The clocks of a log: what stamps each topic, how it runs against the recorder's clock, and who may be mixed.
+
+The recorder's log time is the one clock that all topics share. Log time minus stamp is what a topic's own clock is away
+from it, plus the time that messages take; two topics whose clocks differ in it cannot be replayed together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.columns import TimeNs
+from insdvl_replay.errors import LogError, Note
+
+SAME_CLOCK_S: Final = 1.0
+"""Messages are not under way for longer than this; clocks further apart are two clocks."""
+
+_NS: Final = 1e-9
+_UNITS: Final = ((1, "nanoseconds"), (10**3, "microseconds"), (10**6, "milliseconds"), (10**9, "seconds"))
+_UNIX_TIME_S: Final = 1e8
+"""The time since 1970 has been longer than this since 1973."""
+_IN_STEP: Final = 0.2
+"""A recorder that writes as messages come keeps step with their stamps better than this; units are 1000 apart."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The stamps of a topic against the times at which it was recorded.
+
+    Attributes
+    ----------
+    role, topic : str
+    stamp : str
+        Where the stamps come from, as the configuration names it.
+    messages : int
+    log_minus_stamp_s : float
+        Median.
+    spread_s : float
+        From the 5th to the 95th percentile of log time minus stamp.
+    back_steps, repeats : int
+        Stamps that lie before, or at, the one before in the file.
+    rate_hz : float or None
+        By the stamps: one over their median step; None where all repeat.
+    """
+
+    role: str
+    topic: str
+    stamp: str
+    messages: int
+    log_minus_stamp_s: float
+    spread_s: float
+    back_steps: int
+    repeats: int
+    rate_hz: float | None
+
+
+def measure_clock(role: str, topic: str, stamp: str, time_ns: TimeNs, log_time_ns: TimeNs) -> Clock:
+    """Compare the stamps of a topic with the times at which it was recorded.
+
+    Parameters
+    ----------
+    role, topic, stamp : str
+        See `Clock`.
+    time_ns : ndarray, shape (k,)
+        Times of validity in the order of the file, k at least 1.
+    log_time_ns : ndarray, shape (k,)
+
+    Returns
+    -------
+    Clock
+    """
+    behind_ns = log_time_ns - time_ns
+    low, median, high = (float(ns) for ns in np.percentile(behind_ns - behind_ns[0], (5, 50, 95)))
+    steps_ns = np.diff(time_ns)
+    forward_ns = steps_ns[steps_ns > 0]
+    return Clock(
+        role=role,
+        topic=topic,
+        stamp=stamp,
+        messages=len(time_ns),
+        log_minus_stamp_s=(float(behind_ns[0]) + median) * _NS,
+        spread_s=(high - low) * _NS,
+        back_steps=int(np.count_nonzero(steps_ns < 0)),
+        repeats=int(np.count_nonzero(steps_ns == 0)),
+        rate_hz=1.0 / (float(np.median(forward_ns)) * _NS) if forward_ns.size else None,
+    )
+
+
+def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) -> tuple[Note, ...]:
+    """Refuse to mix clocks that have nothing to do with each other, and say which of them are not the recorder's.
+
+    Parameters
+    ----------
+    place : str
+        The file, for messages to the user.
+    clocks : sequence of Clock
+        Of all roles, that of the IMU first.
+    max_disagreement_s : float
+        How far log time minus stamp may differ between the IMU and another role, beyond the spread of both.
+
+    Returns
+    -------
+    tuple of Note
+
+    Raises
+    ------
+    LogError
+        Two roles are stamped by different clocks.
+    """
+    imu, *others = clocks
+    notes = [_offset_note(clock) for clock in clocks if abs(clock.log_minus_stamp_s) > SAME_CLOCK_S + clock.spread_s]
+    for other in others:
+        apart_s = abs(other.log_minus_stamp_s - imu.log_minus_stamp_s) - other.spread_s - imu.spread_s
+        text = (
+            f"{imu.topic} and {other.topic} are stamped by different clocks: log time minus stamp is "
+            f"{imu.log_minus_stamp_s:.3f} s on the one and {other.log_minus_stamp_s:.3f} s on the other"
+        )
+        if apart_s > max_disagreement_s:
+            raise LogError(
+                f"{place}: {text}",
+                f"--set imu.stamp=log_time --set {other.role}.stamp=log_time stamps both by the recorder; "
+                "if they do belong together, raise clocks.max_disagreement_s",
+            )
+        if apart_s > SAME_CLOCK_S:
+            notes.append(Note("clocks_apart", f"{text}; the configuration allows it", severity="warning"))
+    return tuple(notes)
+
+
+def stamp_unit(values: NDArray[Any], log_time_ns: TimeNs) -> tuple[int, str]:
+    """Tell in which unit a stamp that is a mere number counts.
+
+    They tell it by how far they run while the recorder's clock runs on, which holds for the time since power-up too.
+    Where the recorder's clock does not keep step with them, because the log was written later, their size has to do:
+    it is taken for the time since 1970.
+
+    Parameters
+    ----------
+    values : ndarray, shape (k,)
+        Finite numbers.
+    log_time_ns : ndarray, shape (k,)
+
+    Returns
+    -------
+    factor : int
+        Nanoseconds of one unit.
+    name : str
+    """
+    ran, recorded_s = float(values[-1]) - float(values[0]), float(log_time_ns[-1] - log_time_ns[0]) * _NS
+    for unit in _UNITS:
+        if abs(ran * unit[0] * _NS - recorded_s) < _IN_STEP * recorded_s:
+            return unit
+    size = float(np.median(np.abs(values)))
+    return next((unit for unit in _UNITS if size * unit[0] * _NS >= _UNIX_TIME_S), _UNITS[-1])
+
+
+def _offset_note(clock: Clock) -> Note:
+    text = (
+        f"{clock.topic}: log time minus stamp '{clock.stamp}' is {clock.log_minus_stamp_s:.3f} s in the median, "
+        f"{clock.spread_s:.3f} s between its 5th and 95th percentile"
+    )
+    return Note(f"{clock.role}_clock_offset", text, clock.messages)

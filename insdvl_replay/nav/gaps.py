@@ -1,0 +1,169 @@
+"""Long gaps of the IMU: where they are, what a vehicle may have done in them, and the longest part without one.
+
+In a gap the readings are the line between its two ends. The true force and rate are unknown there, and an error that
+lasts from end to end is the worst of them: its density ``sd^2 T`` gives after a gap of T the deviation ``sd T``.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.columns import Floats, TimeNs, seconds
+from insdvl_replay.config import Imu
+from insdvl_replay.errors import LogError, Note
+from insdvl_replay.states import DEG, DV, PHI, STATES
+
+LONGEST_BRIDGE_S: Final = 3600.0
+"""Through a longer gap the line between two readings says nothing; the dive has to be split there."""
+BRIDGE_STEP_S: Final = 1.0
+"""Spacing of the nodes inside a gap: short enough that growing uncertainties see each other grow."""
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """The long gaps of one dive, in the order of time.
+
+    Attributes
+    ----------
+    start_ns, end_ns : ndarray, shape (g,)
+        The samples before and after each gap.
+    noise_density : ndarray, shape (g, 12)
+        What each adds to the diagonal of the process noise's spectral density, see `error_model.noise_density`.
+    """
+
+    start_ns: TimeNs
+    end_ns: TimeNs
+    noise_density: Floats
+
+    @property
+    def length_s(self) -> Floats:
+        """How long each gap is, shape (g,)."""
+        return seconds(self.end_ns, self.start_ns)
+
+    def within(self, start_ns: int, end_ns: int) -> "Gaps":
+        """Keep the gaps that a span touches."""
+        keep = (self.start_ns < end_ns) & (self.end_ns > start_ns)
+        return Gaps(self.start_ns[keep], self.end_ns[keep], self.noise_density[keep])
+
+    def overlap(self, from_ns: TimeNs, to_ns: TimeNs) -> NDArray[np.bool_]:
+        """Tell which of some intervals hold part of a gap; an interval of no length, whether it lies inside one.
+
+        Parameters
+        ----------
+        from_ns, to_ns : ndarray, shape (k,)
+            Ends of the intervals.
+
+        Returns
+        -------
+        ndarray of bool, shape (k,)
+        """
+        begun = np.searchsorted(self.start_ns, to_ns, side="left")
+        over = np.searchsorted(self.end_ns, from_ns, side="right")
+        return np.asarray(begun > over)
+
+    def bridge_ns(self) -> TimeNs:
+        """Give the times inside the gaps at which a time line needs nodes, shape (n,)."""
+        steps = np.ceil(self.length_s / BRIDGE_STEP_S).astype(np.int64)
+        bridges = [
+            np.linspace(start, end, int(count), endpoint=False, dtype=np.int64)[1:]
+            for start, end, count in zip(self.start_ns, self.end_ns, steps, strict=True)
+        ]
+        return np.concatenate([np.empty(0, np.int64), *bridges])
+
+    def longest_stretch(self, start_ns: int, end_ns: int) -> tuple[int, int]:
+        """Give the longest part of a span that has no gap.
+
+        Parameters
+        ----------
+        start_ns, end_ns : int
+
+        Returns
+        -------
+        tuple of int
+            Start and end, ns.
+        """
+        inside = self.within(start_ns, end_ns)
+        starts = np.concatenate([[start_ns], inside.end_ns])
+        ends = np.concatenate([inside.start_ns, [end_ns]])
+        longest = int(np.argmax(ends - starts))
+        return int(starts[longest]), int(ends[longest])
+
+
+def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
+    """Find the pauses between samples that are too long to be bridged as if nothing happened in them.
+
+    Parameters
+    ----------
+    time_ns : ndarray, shape (k,)
+        Times of the IMU's samples.
+    imu : Imu
+        Settings: how long is long, and what a vehicle may do unseen.
+
+    Returns
+    -------
+    Gaps
+    """
+    rows = np.flatnonzero(seconds(time_ns[1:], time_ns[:-1]) > imu.max_gap_s)
+    start_ns, end_ns = time_ns[rows], time_ns[rows + 1]
+    length_s = seconds(end_ns, start_ns)[:, None]
+    density = np.zeros((len(rows), len(STATES)))
+    density[:, DV] = imu.gap_accel_mps2**2 * length_s
+    # No attitude is less known than by half a turn, however long nobody looked.
+    density[:, PHI] = np.minimum(imu.gap_rate_degps * DEG * length_s, np.pi) ** 2 / length_s
+    return Gaps(start_ns, end_ns, density)
+
+
+def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int) -> tuple[int, int, tuple[Note, ...]]:
+    """Do with the long gaps of a span what the configuration wants, and say so.
+
+    Parameters
+    ----------
+    gaps : Gaps
+    imu : Imu
+        Settings.
+    start_ns, end_ns : int
+        Span to replay.
+    origin_ns : int
+        The dive's start, from which the notes count seconds.
+
+    Returns
+    -------
+    start_ns, end_ns : int
+        Span without what was split off.
+    notes : tuple of Note
+
+    Raises
+    ------
+    LogError
+        A gap is too long to be bridged.
+    """
+    inside = gaps.within(start_ns, end_ns)
+    count = len(inside.start_ns)
+    if not count:
+        return start_ns, end_ns, ()
+    longest_s, first_s = float(inside.length_s.max()), (int(inside.start_ns[0]) - origin_ns) * 1e-9
+    found = (
+        f"the IMU has {_counted(count)} longer than {imu.max_gap_s:g} s, the first at {first_s:.1f} s, "
+        f"the longest of {longest_s:.1f} s, {inside.length_s.sum():.1f} s in all"
+    )
+    split = "--set imu.long_gaps=split replays the longest part without"
+    if imu.long_gaps == "split":
+        kept_ns = inside.longest_stretch(start_ns, end_ns)
+        from_s, to_s = ((time_ns - origin_ns) * 1e-9 for time_ns in kept_ns)
+        left_out_s = (end_ns - start_ns - kept_ns[1] + kept_ns[0]) * 1e-9
+        text = f"{found}; only {from_s:.1f} to {to_s:.1f} s are replayed, {left_out_s:.1f} s are left out"
+        return *kept_ns, (Note("imu_split", text, count, "warning", "--set imu.long_gaps=grow bridges them"),)
+    if longest_s > LONGEST_BRIDGE_S:
+        raise LogError(f"{found}; over {LONGEST_BRIDGE_S:g} s nothing can bridge it", split)
+    text = f"{found}; they are bridged, and the filters' uncertainty grows in them"
+    return start_ns, end_ns, (Note("imu_long_gaps", text, count, "warning", split),)
+
+
+def _counted(gaps: int) -> str:
+    return "1 gap" if gaps == 1 else f"{gaps} gaps"
+
+
+NO_GAPS: Final = Gaps(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, len(STATES))))
+"""What a gapless dive has."""

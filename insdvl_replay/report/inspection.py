@@ -1,0 +1,182 @@
+"""What a log holds, for people and for scripts: an `Inventory` as tables, sentences and JSON."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import msgspec
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from insdvl_replay.errors import Note
+from insdvl_replay.inventory import Inventory, LogFacts, Obstacle, PingFacts, ReferenceFacts, TopicFacts
+from insdvl_replay.report.shown import MISSING, ShownTable, number
+from insdvl_replay.report.terminal import dressed
+
+_PREFIXES: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
+
+
+def encode_inventory(inventory: Inventory) -> bytes:
+    """Write an inventory as JSON, every number with its unit in the key.
+
+    Parameters
+    ----------
+    inventory : Inventory
+
+    Returns
+    -------
+    bytes
+    """
+    return msgspec.json.format(msgspec.json.encode(inventory)) + b"\n"
+
+
+def terminal_inventory(inventory: Inventory) -> tuple[Group, list[str]]:
+    """Dress an inventory for a terminal.
+
+    Parameters
+    ----------
+    inventory : Inventory
+
+    Returns
+    -------
+    rich.console.Group
+        Tables, to be printed by a rich console, which decides about width and colour.
+    list of str
+        Lines to be printed as they stand, so that hints and settings can be copied.
+    """
+    tables = [table for table in (_roles(inventory), _topics(inventory), _clocks(inventory)) if table.rows]
+    parts: list[RenderableType] = [Text(line) for line in _heading(inventory)]
+    for table in tables:
+        parts += [Text(), dressed(table)]
+    return Group(*parts, Text()), list(_sentences(inventory))
+
+
+def _heading(inventory: Inventory) -> Iterator[str]:
+    log = inventory.log
+    used = sum(1 for topic in inventory.topics if topic.messages)
+    yield f"{log.name}: {_size(log.size_bytes)}, profile {log.profile or MISSING}, written by {log.library or MISSING}"
+    yield f"{log.messages} messages on {used} of {len(inventory.topics)} topics, {_chunks(log)}"
+    if log.start_utc is not None:
+        yield f"{log.duration_s:.1f} s from {log.start_utc} by the recorder's clock"
+    for kind, names in (("metadata", log.metadata), ("attachments", log.attachments)):
+        if names:
+            yield f"{kind}: {', '.join(names)}"
+
+
+def _sentences(inventory: Inventory) -> Iterator[str]:
+    if inventory.pings is not None:
+        yield _pings(inventory.pings)
+    if inventory.reference is not None:
+        yield _coverage(inventory.reference)
+    for note in inventory.notes:
+        yield from _note(note)
+    for obstacle in inventory.obstacles:
+        yield from _obstacle(obstacle)
+    yield _verdict(inventory)
+    if inventory.configuration:
+        yield ""
+        yield "To start from, as a file for -c (comments say what was seen):"
+        yield ""
+        yield inventory.configuration.rstrip("\n")
+
+
+def _size(size_bytes: int) -> str:
+    return next(
+        (f"{size_bytes / unit:.3g} {name}" for unit, name in _PREFIXES if size_bytes >= unit), f"{size_bytes} B"
+    )
+
+
+def _chunks(log: LogFacts) -> str:
+    summary = "" if log.has_summary else ", no summary"
+    if not log.chunks:
+        return f"no chunks{summary}"
+    return f"{log.chunks} chunks ({', '.join(log.compression)}){summary}"
+
+
+def _roles(inventory: Inventory) -> ShownTable:
+    return ShownTable(
+        "Roles",
+        ("role", "topic", "why"),
+        "lll",
+        tuple((role.role, role.topic or MISSING, role.reason) for role in inventory.roles),
+    )
+
+
+def _topics(inventory: Inventory) -> ShownTable:
+    empty = [topic for topic in inventory.topics if not topic.messages]
+    return ShownTable(
+        "Topics",
+        ("topic\n  type, encoding", "role", "messages", "rate\n[Hz]", "longest\ngap [s]", "from\n[s]", "to\n[s]"),
+        "llrrrrr",
+        tuple(_topic(topic) for topic in inventory.topics if topic.messages),
+        f"without messages: {', '.join(topic.topic for topic in empty)}" if empty else "",
+    )
+
+
+def _topic(topic: TopicFacts) -> tuple[str, ...]:
+    return (
+        f"{topic.topic}\n  {topic.type_name or 'no type'}, {topic.encoding or 'no encoding'}",
+        topic.role,
+        str(topic.messages),
+        *(number(value) for value in (topic.rate_hz, topic.longest_gap_s)),
+        *(MISSING if value is None else f"{value:.1f}" for value in (topic.start_s, topic.end_s)),
+    )
+
+
+def _clocks(inventory: Inventory) -> ShownTable:
+    sampled = "the first of each topic" if inventory.reading == "sample" else "all"
+    return ShownTable(
+        f"Clocks: log time minus stamp, in {sampled} messages",
+        ("topic", "stamp", "messages", "median\n[s]", "spread\n[s]", "back\nsteps", "repeats", "rate\n[Hz]"),
+        "llrrrrrr",
+        tuple(
+            (
+                clock.topic,
+                clock.stamp,
+                str(clock.messages),
+                number(clock.log_minus_stamp_s),
+                number(clock.spread_s),
+                str(clock.back_steps),
+                str(clock.repeats),
+                number(clock.rate_hz),
+            )
+            for clock in inventory.clocks
+        ),
+    )
+
+
+def _pings(pings: PingFacts) -> str:
+    rate = f" at {number(pings.rate_hz)} Hz" if pings.rate_hz is not None else ""
+    repeated = f" ({100 * pings.repeats / pings.messages:.0f} % repeats)" if pings.repeats else ""
+    beams = "no beams"
+    if pings.four_or_more + pings.three + pings.fewer:
+        beams = f"valid beams: four or more in {pings.four_or_more}, three in {pings.three}, fewer in {pings.fewer}"
+    return f"dvl: {pings.pings} usable pings in {pings.messages} messages{repeated}{rate}; {beams}"
+
+
+def _coverage(reference: ReferenceFacts) -> str:
+    return (
+        f"reference: {reference.rows} rows; part of the IMU's time between first and last row: "
+        f"position {reference.position_pct:.0f} %, velocity {reference.velocity_pct:.0f} %, "
+        f"attitude {reference.attitude_pct:.0f} %"
+    )
+
+
+def _note(note: Note) -> Iterator[str]:
+    yield f"{note.severity}: {note.text} [{note.code}]"
+    if note.hint:
+        yield f"  hint: {note.hint}"
+
+
+def _obstacle(obstacle: Obstacle) -> Iterator[str]:
+    yield f"stops a replay: {obstacle.message}"
+    if obstacle.hint:
+        yield f"  hint: {obstacle.hint}"
+
+
+def _verdict(inventory: Inventory) -> str:
+    count = len(inventory.obstacles)
+    if count:
+        return f"cannot be replayed as it is: {count} {'thing' if count == 1 else 'things'} to settle first"
+    if inventory.reading == "sample":
+        return "nothing seen that would stop a replay; --deep reads the messages whole"
+    return "can be replayed"
