@@ -29,6 +29,7 @@ samples: .venv/run.stamp
 schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema config > schemas/config.schema.json
 	$(BIN)/insdvl-replay schema report > schemas/report.schema.json
+	$(BIN)/insdvl-replay schema inspection > schemas/inspection.schema.json
 
 readme: .venv/test.stamp
 	$(BIN)/python tests/readme.py

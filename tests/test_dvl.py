@@ -8,8 +8,8 @@ from numpy.polynomial import Polynomial
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import DvlColumns, Floats
+from insdvl_replay.janus import beam_vectors
 from insdvl_replay.nav.dvl import (
-    beam_vectors,
     derivative_weights,
     dvl_velocities,
     slope_windows,
@@ -20,7 +20,7 @@ from insdvl_replay.nav.dvl import (
 
 REPEATABLE = settings(derandomize=True, deadline=None)
 SEEDS = st.integers(0, 10_000)
-JANUS = beam_vectors(np.deg2rad(30.0), np.deg2rad([45.0, 135.0, 225.0, 315.0]))
+JANUS = beam_vectors()
 VELOCITY_D = np.array([1.2, -0.3, 0.1])
 SECOND = 1_000_000_000
 
@@ -40,7 +40,7 @@ def irregular_times_s(seed: int, n: int) -> Floats:
 @pytest.mark.parametrize(("tilt_deg", "azimuth_deg"), [(30.0, 45.0), (22.5, 0.0), (20.0, 270.0), (60.0, 181.0)])
 def test_beam_is_the_z_axis_tilted_then_turned(tilt_deg: float, azimuth_deg: float) -> None:
     turned = Rotation.from_euler("ZY", [azimuth_deg, tilt_deg], degrees=True).apply([0.0, 0.0, 1.0])
-    made = beam_vectors(np.deg2rad(tilt_deg), np.deg2rad(np.array([azimuth_deg])))
+    made = beam_vectors(tilt_deg, [azimuth_deg])
     np.testing.assert_allclose(made, [turned], atol=1e-15)
 
 
@@ -49,7 +49,7 @@ def test_beam_is_the_z_axis_tilted_then_turned(tilt_deg: float, azimuth_deg: flo
 def test_velocity_to_beams_to_velocity(
     beams: int, tilt_deg: float, first_deg: float, velocity: tuple[float, float, float]
 ) -> None:
-    vectors = beam_vectors(np.deg2rad(tilt_deg), np.deg2rad(first_deg) + 2.0 * np.pi * np.arange(beams) / beams)
+    vectors = beam_vectors(tilt_deg, list(first_deg + 360.0 * np.arange(beams) / beams))
     solved, _, residual = solve_beams((vectors @ velocity)[None], vectors)
     np.testing.assert_allclose(solved, [velocity], atol=1e-10)
     if beams == 3:
@@ -79,8 +79,8 @@ def test_infinite_beam_is_a_lost_beam() -> None:
     [
         JANUS[:2],
         np.tile(JANUS[0], (4, 1)),
-        beam_vectors(np.deg2rad(30.0), np.deg2rad([0.0, 180.0])).repeat(2, axis=0),
-        np.vstack([beam_vectors(np.deg2rad(30.0), np.deg2rad([0.0, 180.0])), [[0.0, 0.0, 1.0]]]),
+        beam_vectors(30.0, [0.0, 180.0]).repeat(2, axis=0),
+        np.vstack([beam_vectors(30.0, [0.0, 180.0]), [[0.0, 0.0, 1.0]]]),
     ],
     ids=["two", "all alike", "in pairs", "in a plane"],
 )

@@ -5,7 +5,6 @@ from it, plus the time that messages take; two topics whose clocks differ in it 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.columns import TimeNs
 from insdvl_replay.errors import LogError, Note
+from insdvl_replay.inventory import Clock
 
 SAME_CLOCK_S: Final = 1.0
 """Messages are not under way for longer than this; clocks further apart are two clocks."""
@@ -23,37 +23,6 @@ _UNIX_TIME_S: Final = 1e8
 """The time since 1970 has been longer than this since 1973."""
 _IN_STEP: Final = 0.2
 """A recorder that writes as messages come keeps step with their stamps better than this; units are 1000 apart."""
-
-
-@dataclass(frozen=True)
-class Clock:
-    """The stamps of a topic against the times at which it was recorded.
-
-    Attributes
-    ----------
-    role, topic : str
-    stamp : str
-        Where the stamps come from, as the configuration names it.
-    messages : int
-    log_minus_stamp_s : float
-        Median.
-    spread_s : float
-        From the 5th to the 95th percentile of log time minus stamp.
-    back_steps, repeats : int
-        Stamps that lie before, or at, the one before in the file.
-    rate_hz : float or None
-        By the stamps: one over their median step; None where all repeat.
-    """
-
-    role: str
-    topic: str
-    stamp: str
-    messages: int
-    log_minus_stamp_s: float
-    spread_s: float
-    back_steps: int
-    repeats: int
-    rate_hz: float | None
 
 
 def measure_clock(role: str, topic: str, stamp: str, time_ns: TimeNs, log_time_ns: TimeNs) -> Clock:

@@ -82,6 +82,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     ConfigError
         The axes are none.
     """
+    settings = table.source.completed(settings)
     force_unit = SPECIFIC_FORCE_UNITS[settings.specific_force_unit or "m/s2"] / settings.specific_force_scale
     rate_unit = ANGULAR_RATE_UNITS[settings.angular_rate_unit or "rad/s"] / settings.angular_rate_scale
     axes = settings.axes or FRD

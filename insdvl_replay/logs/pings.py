@@ -10,20 +10,15 @@ import numpy as np
 from insdvl_replay.columns import DvlColumns, Floats
 from insdvl_replay.config import Dvl
 from insdvl_replay.errors import ConfigError, LogError, Note
+from insdvl_replay.logs.beams import beam_vectors, note_contradiction
 from insdvl_replay.logs.cleaning import Cleaner, Mask
 from insdvl_replay.logs.decode import FRD, VELOCITY_UNITS, in_frd
 from insdvl_replay.logs.tables import Table
-from insdvl_replay.states import DEG
-
-TILT_DEG: Final = 30.0
-"""Angle of the beams from the DVL's z axis, where nothing tells it."""
-AZIMUTH_DEG: Final = (45.0, 135.0, 225.0, 315.0)
-"""Angles of the beams from forward towards starboard, where nothing tells them."""
 
 _WATER_TRACK: Final = 2
+_BEAM_COORDINATES: Final = 0
+_INSTRUMENT_COORDINATES: Final = 1
 _BEAMS_FOR_VELOCITY: Final = 3
-_UNIT_LENGTH_TOLERANCE: Final = 0.01
-_SLANT_TOLERANCE: Final = 0.1
 
 
 def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
@@ -46,12 +41,32 @@ def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
     ConfigError
         The axes are none, or the geometry does not fit the number of beams.
     """
+    settings = table.source.completed(settings)
     cleaner = Cleaner("dvl", table.time_ns())
-    if "mode" in table:
-        cleaner.keep(table.column("mode") != _WATER_TRACK, "water_track", "pings are water track")
+    _keep_bottom_track(table, cleaner)
     if _reads_beams(table, settings, cleaner):
         return _beams(table, settings, cleaner)
     return _velocities(table, settings, cleaner)
+
+
+def _keep_bottom_track(table: Table, cleaner: Cleaner) -> None:
+    if "mode" in table:
+        cleaner.keep(table.column("mode") != _WATER_TRACK, "water_track", "pings are water track")
+    if "water_track" in table:
+        cleaner.keep(table.column("water_track") == 0.0, "water_track", "pings are water track")
+    if "status" in table:
+        cleaner.keep(table.column("status") >= 0.0, "lost", "pings say by their status that the bottom was lost")
+
+
+def _keep_valid(table: Table, cleaner: Cleaner) -> None:
+    if "valid" in table:
+        cleaner.keep((table.values("valid") > 0.0).all(axis=1), "invalid", "pings are marked as invalid")
+
+
+def _keep_coordinates(table: Table, cleaner: Cleaner, wanted: int) -> None:
+    """Drop what is not given in the wanted coordinates."""
+    if "coordinates" in table:
+        cleaner.keep(table.column("coordinates") == wanted, "coordinates", "pings are in other coordinates")
 
 
 def _reads_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> bool:
@@ -75,15 +90,16 @@ def _reads_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> bool:
 
 def _has_beams(table: Table) -> Mask:
     """Tell which pings have a beam that counts."""
-    lost = np.isnan(table.values("beam_velocity")).all(axis=1)
+    lost = np.isnan(_beam_velocity(table)).all(axis=1)
     if "beams_valid" in table:
         lost |= table.column("beams_valid") == 0.0
     return np.asarray(~lost)
 
 
 def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, list[Note]]:
-    unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
-    velocity_d = in_frd(table.values("velocity", 3), settings.axes or FRD, "dvl.axes", unit)
+    velocity_d = _velocity_d(table, settings)
+    _keep_valid(table, cleaner)
+    _keep_coordinates(table, cleaner, _INSTRUMENT_COORDINATES)
     if "good_beams" in table and table.column("good_beams").any():
         enough = table.column("good_beams") >= _BEAMS_FOR_VELOCITY
         cleaner.keep(enough, "invalid", "pings have fewer than three good beams")
@@ -92,65 +108,46 @@ def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColum
     return DvlColumns(cleaner.times, velocity_d=cleaner.kept(velocity_d)), cleaner.notes
 
 
+def _velocity_d(table: Table, settings: Dvl) -> Floats:
+    unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
+    return in_frd(table.values("velocity", 3), settings.axes or FRD, "dvl.axes", unit)
+
+
 def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, list[Note]]:
-    beam_velocity_mps = table.values("beam_velocity") * VELOCITY_UNITS[settings.velocity_unit or "m/s"]
+    beam_velocity_mps = _beam_velocity(table) * VELOCITY_UNITS[settings.velocity_unit or "m/s"]
+    _keep_coordinates(table, cleaner, _BEAM_COORDINATES)
+    if "beam_valid" not in table:
+        _keep_valid(table, cleaner)
     cleaner.keep(_has_beams(table), "invalid", "pings have no valid beam")
     _drop_repeats(table, cleaner, beam_velocity_mps)
-    vectors_d = _beam_vectors(table, settings, cleaner)
+    vectors_d = beam_vectors(table, settings, cleaner)
     if len(vectors_d) != beam_velocity_mps.shape[1]:
         raise ConfigError(
             f"{table.place}: has {beam_velocity_mps.shape[1]} beams, and the geometry {len(vectors_d)}",
             "dvl.beam_azimuth_deg lists one angle for each beam",
         )
     # A reading along a beam that is infinite is as lost as one that is NaN.
-    finite = np.where(np.isfinite(beam_velocity_mps), beam_velocity_mps, np.nan)
-    return DvlColumns(cleaner.times, cleaner.kept(finite), vectors_d), cleaner.notes
+    finite = cleaner.kept(np.where(np.isfinite(beam_velocity_mps), beam_velocity_mps, np.nan))
+    if "velocity" in table and "coordinates" not in table:
+        note_contradiction(cleaner, finite, vectors_d, cleaner.kept(_velocity_d(table, settings)))
+    return DvlColumns(cleaner.times, finite, vectors_d), cleaner.notes
+
+
+def _beam_velocity(table: Table) -> Floats:
+    """Give the velocities along the beams in the log's unit, NaN where a beam is marked as lost."""
+    velocity = table.values("beam_velocity")
+    if "beam_valid" not in table:
+        return velocity
+    valid = table.values("beam_valid")
+    if valid.shape != velocity.shape:
+        raise LogError(
+            f"{table.place}: has {velocity.shape[1]} beam velocities and {valid.shape[1]} flags of their validity",
+            "dvl.beam_velocity and dvl.beam_valid name as many numbers",
+        )
+    return np.where(valid > 0.0, velocity, np.nan)
 
 
 def _drop_repeats(table: Table, cleaner: Cleaner, values: Floats) -> None:
     cleaner.drop_repeated_times()
     cleaner.drop_repeated_values(values)
     cleaner.require_rows(table.place)
-
-
-def _beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
-    """Take the geometry from the configuration, from the messages if it can be true, or else the usual one."""
-    configured = settings.beam_tilt_deg is not None or settings.beam_azimuth_deg is not None
-    if configured or "beam_vectors" not in table:
-        return _geometry(settings)
-    vectors = np.median(cleaner.kept(table.values("beam_vectors", 12)), axis=0).reshape(-1, 3)
-    doubt = _doubt(vectors, table, cleaner)
-    if not doubt:
-        return in_frd(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), settings.axes or FRD, "dvl.axes")
-    cleaner.note(
-        "beam_geometry",
-        f"pings have beam vectors that cannot be true ({doubt}); a tilt of {TILT_DEG:g} deg and azimuths of "
-        f"{', '.join(f'{azimuth:g}' for azimuth in AZIMUTH_DEG)} deg are assumed",
-        cleaner.rows.size,
-        "warning",
-        "dvl.beam_tilt_deg and dvl.beam_azimuth_deg say what the instrument has",
-    )
-    return _geometry(settings)
-
-
-def _geometry(settings: Dvl) -> Floats:
-    tilt = DEG * (TILT_DEG if settings.beam_tilt_deg is None else settings.beam_tilt_deg)
-    azimuth = DEG * np.array(settings.beam_azimuth_deg or AZIMUTH_DEG)
-    down = np.full_like(azimuth, np.cos(tilt))
-    return np.stack([np.cos(azimuth) * np.sin(tilt), np.sin(azimuth) * np.sin(tilt), down], axis=1)
-
-
-def _doubt(vectors: Floats, table: Table, cleaner: Cleaner) -> str:
-    """Say what speaks against beam vectors: their length, or altitude over range, which is the part along z."""
-    lengths = np.linalg.norm(vectors, axis=1)
-    if not np.all(np.abs(lengths - 1.0) < _UNIT_LENGTH_TOLERANCE):
-        return f"their lengths are {', '.join(f'{length:.3f}' for length in lengths)}"
-    altitude, ranges = cleaner.kept(table.column("altitude")), cleaner.kept(table.values("beam_ranges", 4))
-    measured = np.isfinite(ranges).all(axis=1) & (ranges > 0.0).all(axis=1) & np.isfinite(altitude) & (altitude > 0.0)
-    if not measured.any():
-        return ""
-    slant = float(np.median(altitude[measured, None] / ranges[measured]))
-    along_z = float(np.median(vectors[:, 2]))
-    if abs(slant - along_z) < _SLANT_TOLERANCE:
-        return ""
-    return f"their part along z is {along_z:.3f}, altitude over range is {slant:.3f}"

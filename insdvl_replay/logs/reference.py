@@ -9,6 +9,7 @@ from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs
 from insdvl_replay.config import Reference
 from insdvl_replay.errors import Note
 from insdvl_replay.logs.cleaning import Cleaner
+from insdvl_replay.logs.known_types import BLUEYE_GNSS
 from insdvl_replay.logs.tables import Table
 from insdvl_replay.rotation import mat_from_quat, mat_from_rpy, wrap_angle
 from insdvl_replay.states import DEG
@@ -53,21 +54,35 @@ def decode_reference(tables: list[Table], settings: Reference) -> tuple[Referenc
 
 
 def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
+    settings = table.source.completed(settings)
     cleaner = Cleaner("reference", table.time_ns())
+    position = _position(table) if "latitude" in table else None
     if "fix_status" in table:
         cleaner.keep(table.column("fix_status") >= 0.0, "no_fix", "positions have no fix")
+    if position is not None and "sensor_id" in table:
+        cleaner.keep(np.isfinite(position[:, :2]).all(axis=1), "no_fix", "positions are without satellites")
+        cleaner.drop_repeated_values(position)
     cleaner.drop_repeated_times()
     mat_nb = _attitude(table, settings)
     velocity_n = _velocity_n(table, settings, mat_nb)
-    position = _position(table) if "latitude" in table else None
     chosen = (None if values is None else cleaner.kept(values) for values in (position, velocity_n, mat_nb))
     return _Part(cleaner.times, *chosen), cleaner.notes
 
 
 def _position(table: Table) -> Floats:
-    latitude, longitude, height_m = (table.column(quantity) for quantity in ("latitude", "longitude", "height"))
+    latitude, longitude = _of_receiver(table, "latitude"), _of_receiver(table, "longitude")
+    height_m = table.column("height") if "height" in table else np.full_like(latitude, np.nan)
     # The wrapped negative lies in [-pi, pi), so that its negative lies in (-pi, pi].
     return np.stack([latitude * DEG, -wrap_angle(-longitude * DEG), height_m], axis=1)
+
+
+def _of_receiver(table: Table, quantity: str) -> Floats:
+    """Give one number for each message; of several sensors that of the satellite receiver, NaN where it is invalid."""
+    if "sensor_id" not in table:
+        return table.column(quantity)
+    of_receiver = (table.values("sensor_id") == BLUEYE_GNSS) & (table.values("sensor_valid") > 0.0)
+    chosen = np.where(of_receiver, table.values(quantity), np.nan)
+    return chosen[np.arange(len(chosen)), of_receiver.argmax(axis=1)]
 
 
 def _attitude(table: Table, settings: Reference) -> Floats | None:
@@ -75,8 +90,8 @@ def _attitude(table: Table, settings: Reference) -> Floats | None:
         mat = mat_from_quat(table.values("quaternion", 4))
         return mat if settings.axes == "ned_frd" else np.asarray(NED_FROM_ENU @ mat @ FRD_FROM_FLU)
     if "roll" in table:
-        rpy = np.stack([table.column(angle) for angle in ("roll", "pitch", "heading")], axis=1)
-        return mat_from_rpy(rpy * DEG)
+        pitch = -table.column("pitch_bow_down") if "pitch_bow_down" in table else table.column("pitch")
+        return mat_from_rpy(np.stack([table.column("roll"), pitch, table.column("heading")], axis=1) * DEG)
     return None
 
 

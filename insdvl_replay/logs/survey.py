@@ -30,8 +30,9 @@ from insdvl_replay.logs.decode import decode_imu
 from insdvl_replay.logs.pings import decode_dvl
 from insdvl_replay.logs.proposal import propose_settings, see_topics
 from insdvl_replay.logs.reference import decode_reference
-from insdvl_replay.logs.roles import Finding, Source, explain_roles
+from insdvl_replay.logs.roles import Finding, explain_roles
 from insdvl_replay.logs.tables import Table, read_sample, read_tables
+from insdvl_replay.logs.wishes import Source
 
 _ENOUGH: Final = 1000
 """Messages of a role that show its clock and its units."""
@@ -189,10 +190,11 @@ def _topics(
     by_topic: dict[str, list[LogChannel]] = {}
     for channel in channels:
         by_topic.setdefault(channel.topic, []).append(channel)
-    return tuple(
-        _topic_facts(same, np.concatenate([log_times[channel.id] for channel in same]), start_ns, role_of.get(topic, ""))
-        for topic, same in sorted(by_topic.items())
-    )
+    facts = []
+    for topic, same in sorted(by_topic.items()):
+        log_time = np.concatenate([log_times[channel.id] for channel in same])
+        facts.append(_topic_facts(same, log_time, start_ns, role_of.get(topic, "")))
+    return tuple(facts)
 
 
 def _topic_facts(same: Sequence[LogChannel], log_time: TimeNs, start_ns: int, role: str) -> TopicFacts:

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.errors import LogError, Note
+from insdvl_replay.inventory import Clock
 from insdvl_replay.logs.chunks import Block
-from insdvl_replay.logs.clocks import Clock, measure_clock, stamp_unit
+from insdvl_replay.logs.clocks import measure_clock, stamp_unit
 from insdvl_replay.logs.container import Log, LogChannel
 from insdvl_replay.logs.encodings import open_reader
 from insdvl_replay.logs.field_paths import Columns, FieldReader, split_paths

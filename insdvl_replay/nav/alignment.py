@@ -79,15 +79,15 @@ def align(
         Heading or latitude are needed and not configured.
     """
     notes: list[Note] = []
-    if initial.source == "level" or reference is None:
-        if initial.source == "reference":
-            raise LogError(
-                "no reference solution was found to start from",
-                "name it with --set reference.topic=..., or start level: --set initial.source=level "
-                "--set initial.heading_deg=... --set initial.latitude_deg=...",
-            )
+    check_start(
+        initial,
+        has_reference=reference is not None,
+        has_position=reference is not None and reference.has_position,
+        has_attitude=reference is not None and reference.has_attitude,
+    )
+    if initial.source == "level":
         reference = None
-    elif reference.has_attitude:
+    if reference is not None and reference.has_attitude:
         start_ns = _first_attitude_ns(reference, start_ns, end_ns)
     position = _position(reference, initial, start_ns, notes)
     mat_nb = _attitude(imu, reference, initial, start_ns, notes)
@@ -101,6 +101,40 @@ def align(
         np.array(initial.gyro_bias_degph) * DEG_PER_HOUR,
     )
     return Alignment(start_ns, start, tuple(notes))
+
+
+def check_start(initial: Initial, *, has_reference: bool, has_position: bool, has_attitude: bool) -> None:
+    """Refuse settings that leave open where or how a filter starts.
+
+    Parameters
+    ----------
+    initial : Initial
+    has_reference, has_position, has_attitude : bool
+        Whether there is a reference, and what it gives.
+
+    Raises
+    ------
+    LogError
+        A reference is wanted, and there is none.
+    ConfigError
+        Heading or latitude are needed and not configured.
+    """
+    from_reference = initial.source == "reference"
+    if from_reference and not has_reference:
+        raise LogError(
+            "no reference solution was found to start from",
+            "name it with --set reference.topic=..., or start level: --set initial.source=level "
+            "--set initial.heading_deg=... --set initial.latitude_deg=...",
+        )
+    if initial.latitude_deg is None and not (from_reference and has_position):
+        raise ConfigError(
+            "the latitude is needed for gravity and Earth rate, and no reference gives it",
+            "--set initial.latitude_deg=...",
+        )
+    if initial.heading_deg is None and not (from_reference and has_attitude):
+        raise ConfigError(
+            "the heading at the start is needed, and no reference gives it", "--set initial.heading_deg=..."
+        )
 
 
 def initial_sd(initial: Initial) -> Floats:

@@ -58,26 +58,6 @@ class DvlVelocities:
         )
 
 
-def beam_vectors(tilt: float, azimuth: Floats) -> Floats:
-    """Make the unit vectors of Janus beams, from the instrument towards the seabed.
-
-    Equation (4) of Levy and Klein prints vectors of rank 2 that are not of unit length; see EQUATIONS.md.
-
-    Parameters
-    ----------
-    tilt : float
-        Angle from the DVL's z axis, rad.
-    azimuth : ndarray, shape (beams,)
-        From forward towards starboard, rad.
-
-    Returns
-    -------
-    ndarray, shape (beams, 3)
-    """
-    down = np.full_like(azimuth, np.cos(tilt))
-    return np.column_stack([np.cos(azimuth) * np.sin(tilt), np.sin(azimuth) * np.sin(tilt), down])
-
-
 def solve_beams(
     beam_velocity_mps: Floats, vectors_d: Floats, weights: Floats | None = None
 ) -> tuple[Floats, Floats, Floats]:

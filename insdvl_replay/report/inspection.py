@@ -123,9 +123,9 @@ def _topic(topic: TopicFacts) -> tuple[str, ...]:
 
 
 def _clocks(inventory: Inventory) -> ShownTable:
-    sampled = "the first of each topic" if inventory.reading == "sample" else "all"
+    sampled = inventory.reading == "sample"
     return ShownTable(
-        f"Clocks: log time minus stamp, in {sampled} messages",
+        f"Clocks: log time minus stamp, {'the first messages of each topic' if sampled else 'all messages'}",
         ("topic", "stamp", "messages", "median\n[s]", "spread\n[s]", "back\nsteps", "repeats", "rate\n[Hz]"),
         "llrrrrrr",
         tuple(

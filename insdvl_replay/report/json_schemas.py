@@ -1,4 +1,4 @@
-"""JSON schemas of the settings and the report, generated from the structures that read and write them."""
+"""JSON schemas of the settings, the report and the inspection, generated from the structures that read and write them."""
 
 from collections.abc import Callable
 from typing import Any, Final
@@ -6,6 +6,7 @@ from typing import Any, Final
 import msgspec
 
 from insdvl_replay.config import Config
+from insdvl_replay.inventory import Inventory
 from insdvl_replay.report.json_report import Report
 
 
@@ -19,7 +20,16 @@ def report_schema() -> bytes:
     return _schema(Report, "insdvl-replay report")
 
 
-SCHEMAS: Final[dict[str, Callable[[], bytes]]] = {"config": config_schema, "report": report_schema}
+def inspection_schema() -> bytes:
+    """Describe what ``inspect --format json`` prints as JSON schema (draft 2020-12)."""
+    return _schema(Inventory, "insdvl-replay inspection")
+
+
+SCHEMAS: Final[dict[str, Callable[[], bytes]]] = {
+    "config": config_schema,
+    "report": report_schema,
+    "inspection": inspection_schema,
+}
 """By the name that the command line and the files in schemas/ use."""
 
 

@@ -7,11 +7,12 @@ from typing import Final, TypeVar
 
 import numpy as np
 
+from insdvl_replay import janus
 from insdvl_replay.columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, TimeNs, TruthColumns, seconds
 from insdvl_replay.config import Vector
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.rotation import mat_from_rpy
-from insdvl_replay.sim.dvl_errors import BEAM_AZIMUTH_DEG, DvlErrors, LostBeam, add_dvl_errors, beam_vectors_d
+from insdvl_replay.sim.dvl_errors import DvlErrors, LostBeam, add_dvl_errors, beam_vectors_d
 from insdvl_replay.sim.imu_errors import GRADES, ImuErrors, add_imu_errors
 from insdvl_replay.sim.motion import Course
 from insdvl_replay.sim.trajectories import SCENARIOS
@@ -133,7 +134,7 @@ def exact_dive(
         _check_positive(f"{sensor} rate", "Hz", rate_hz)
     if end_s * imu_rate_hz < 1.0:
         raise ConfigError(f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples", "--duration 60")
-    every_beam = range(len(BEAM_AZIMUTH_DEG))
+    every_beam = range(len(janus.AZIMUTH_DEG))
     spans = [*lost_beams, *(LostBeam(beam, *outage) for outage in outages for beam in every_beam)]
     _check_spans(spans)
     course = Course(way, end_s)
@@ -208,7 +209,7 @@ def _check_positive(what: str, unit: str, value: float) -> None:
 
 
 def _check_spans(spans: Sequence[LostBeam]) -> None:
-    beams = len(BEAM_AZIMUTH_DEG)
+    beams = len(janus.AZIMUTH_DEG)
     for span in spans:
         if not span.start_s < span.end_s:
             raise ConfigError(

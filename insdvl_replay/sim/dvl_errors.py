@@ -1,18 +1,12 @@
 """How a DVL errs: every beam has its own noise, bias and scale."""
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
+from insdvl_replay import janus
 from insdvl_replay.columns import DvlColumns, Floats
 from insdvl_replay.sim.imu_errors import quantise
-from insdvl_replay.states import DEG
-
-BEAM_TILT_DEG: Final = 30.0
-"""Angle of the beams from the DVL's z axis."""
-BEAM_AZIMUTH_DEG: Final = (45.0, 135.0, 225.0, 315.0)
-"""Angles of the beams from forward towards starboard."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +60,7 @@ def beam_vectors_d() -> Floats:
     -------
     ndarray, shape (4, 3)
     """
-    azimuth = np.array(BEAM_AZIMUTH_DEG) * DEG
-    sine, cosine = np.sin(BEAM_TILT_DEG * DEG), np.cos(BEAM_TILT_DEG * DEG)
-    vectors = [np.cos(azimuth) * sine, np.sin(azimuth) * sine, np.full(azimuth.shape, cosine)]
-    return np.round(np.stack(vectors, axis=-1), 12)
+    return np.round(janus.beam_vectors(), 12)
 
 
 def add_dvl_errors(exact: DvlColumns, errors: DvlErrors, rng: np.random.Generator) -> DvlColumns:

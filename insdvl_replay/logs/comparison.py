@@ -1,0 +1,249 @@
+"""What the reference says about gyros and DVL: their scale and sign, before any filter has mixed them.
+
+Three comparisons, each where the reference allows it: the gyros with the reference's change of attitude, the DVL's
+velocity with the reference's in body axes, and, for a reference of positions alone, the track that gyros and DVL make
+together with the positions. Horizontal vectors are complex numbers: forward or north, plus i times starboard or east.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay import earth
+from insdvl_replay.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.config import Config
+from insdvl_replay.rotation import mat_from_rpy, vector_from_mat, wrap_angle
+from insdvl_replay.states import DEG, DEG_PER_HOUR
+
+ENOUGH: Final = 20
+"""Fewer pairs than this may agree by chance."""
+
+_LONGEST_STEP_S: Final = 2.5
+_LEAST_TURN_RADPS: Final = 0.3 * DEG  # above the noise that differences of attitudes have
+_LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and a lever arm's swing
+_TRACK_WINDOW_S: Final = 10.0
+_LEAST_WINDOW_M: Final = 3.0  # above the noise of a satellite fix
+_SCALES: Final = np.concatenate([[DEG], np.geomspace(0.3, 3.0, 93), [1.0, 1.0 / DEG]])
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How one series of horizontal vectors follows another.
+
+    Attributes
+    ----------
+    scale : float
+        Length of the first over the second.
+    turn : float
+        Angle by which the first is turned from the second, towards starboard, rad.
+    coherence : float
+        1 where the first is the second turned and scaled, 0 where they have nothing to do with each other.
+    """
+
+    scale: float
+    turn: float
+    coherence: float
+
+
+@dataclass(frozen=True)
+class TrackFit:
+    """How the track of gyros and DVL follows the positions.
+
+    Attributes
+    ----------
+    gyro_scale : float or None
+        Measured over true; None where the vehicle turned too little to tell.
+    dvl_scale : float
+        Measured over true.
+    heading : float
+        At the start of the replay, rad.
+    coherence : float
+        As of `Fit`.
+    """
+
+    gyro_scale: float | None
+    dvl_scale: float
+    heading: float
+    coherence: float
+
+
+def fit(measured: Complex, true: Complex) -> Fit:
+    """Fit ``measured = scale exp(i turn) true`` by least squares.
+
+    Parameters
+    ----------
+    measured, true : ndarray of complex, shape (k,)
+
+    Returns
+    -------
+    Fit
+    """
+    product = complex(np.vdot(true, measured))
+    power, other_power = float(np.vdot(true, true).real), float(np.vdot(measured, measured).real)
+    if not power or not other_power:
+        return Fit(0.0, 0.0, 0.0)
+    return Fit(abs(product) / power, float(np.angle(product)), abs(product) / float(np.sqrt(power * other_power)))
+
+
+def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> tuple[float, float] | None:
+    """Compare what the gyros add up to between two attitudes of the reference with the turn that it shows.
+
+    Parameters
+    ----------
+    imu : ImuColumns
+    reference : ReferenceColumns
+
+    Returns
+    -------
+    tuple of float, or None
+        Scale, measured over true, and correlation; None where the vehicle turned too little to tell.
+    """
+    rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)) & _inside(reference.time_ns, imu.time_ns))
+    time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
+    if len(rows) < ENOUGH:
+        return None
+    turned = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:])
+    step_s = np.diff(time_s)
+    summed = np.diff(_integral(imu, time_s), axis=0)
+    turning = np.linalg.norm(turned, axis=1) > _LEAST_TURN_RADPS * step_s
+    good = turning & (step_s <= _LONGEST_STEP_S) & (np.linalg.norm(turned, axis=1) < 1.0)
+    if np.count_nonzero(good) < ENOUGH:
+        return None
+    product, power = float(np.sum(summed[good] * turned[good])), float(np.sum(turned[good] ** 2))
+    return product / power, product / float(np.sqrt(power * np.sum(summed[good] ** 2)) or 1.0)
+
+
+def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Fit | None:
+    """Compare the DVL's horizontal velocity in body axes with the reference's.
+
+    Parameters
+    ----------
+    dvl : DvlColumns
+    reference : ReferenceColumns
+    config : Config
+        Mounting rotation and scale of the DVL.
+
+    Returns
+    -------
+    Fit or None
+        None where too few rows move, or lack velocity or attitude.
+    """
+    ping_ns, measured = _pings(dvl, config)
+    complete = np.isfinite(reference.velocity_n).all(axis=1) & np.isfinite(reference.mat_nb).all(axis=(1, 2))
+    if len(ping_ns) < ENOUGH:
+        return None
+    rows = np.flatnonzero(complete & _inside(reference.time_ns, ping_ns))
+    velocity_b = np.einsum("kji,kj->ki", reference.mat_nb[rows], reference.velocity_n[rows])
+    true = velocity_b[:, 0] + 1j * velocity_b[:, 1]
+    good = (np.abs(true) > _LEAST_SPEED_MPS) & (_pause_s(ping_ns, reference.time_ns[rows]) <= _LONGEST_STEP_S)
+    if np.count_nonzero(good) < ENOUGH:
+        return None
+    at_s = seconds(reference.time_ns[rows][good], ping_ns[0])
+    return fit(np.interp(at_s, seconds(ping_ns, ping_ns[0]), measured), true[good])
+
+
+def track_by_positions(
+    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns, config: Config
+) -> TrackFit | None:
+    """Fit the track of gyros and DVL to positions, by the scale of the gyros at which it follows them best.
+
+    Parameters
+    ----------
+    imu : ImuColumns
+    dvl : DvlColumns
+    reference : ReferenceColumns
+    config : Config
+
+    Returns
+    -------
+    TrackFit or None
+        None where too few positions lie far enough apart.
+    """
+    ping_ns, measured = _pings(dvl, config)
+    fixes = np.flatnonzero(np.isfinite(reference.position[:, :2]).all(axis=1))
+    if len(ping_ns) < ENOUGH or len(fixes) < ENOUGH:
+        return None
+    fixes = fixes[_inside(reference.time_ns[fixes], ping_ns)]
+    fix_ns, north_east_m = reference.time_ns[fixes], _north_east_m(reference.position[fixes])
+    first, last = _windows(fix_ns, ping_ns)
+    true = north_east_m[last] - north_east_m[first]
+    if len(first) < ENOUGH or np.sqrt(np.mean(np.abs(true) ** 2)) < _LEAST_WINDOW_M:
+        return None
+    start_s = config.span.start_s or 0.0
+    at_s = np.concatenate([[start_s], seconds(ping_ns, imu.time_ns[0])])
+    start_yaw, *yaw = _integral(imu, at_s)[:, 2] - config.initial.gyro_bias_degph[2] * DEG_PER_HOUR * at_s
+    turned = np.array(yaw)
+
+    def fitted(gyro_scale: float) -> Fit:
+        track = _travelled_m(ping_ns, measured * np.exp(1j * turned / gyro_scale), fix_ns)
+        return fit(track[last] - track[first], true)
+
+    turns = float(np.ptp(turned)) > np.pi / 2.0
+    gyro_scale = max(_SCALES.tolist(), key=lambda scale: fitted(scale).coherence) if turns else 1.0
+    best = fitted(gyro_scale)
+    heading = float(wrap_angle(np.asarray(start_yaw / gyro_scale - best.turn)))
+    return TrackFit(gyro_scale if turns else None, best.scale, heading, best.coherence)
+
+
+def _pings(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Complex]:
+    """Give the horizontal velocities in body axes of the pings that have a velocity or all beams."""
+    if dvl.velocity_d is not None:
+        velocity_d = dvl.velocity_d
+    elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
+        velocity_d = dvl.beam_velocity_mps @ np.linalg.pinv(dvl.beam_vectors_d).T
+    else:
+        raise ValueError("a DVL gives beams with their vectors, or velocities")
+    good = np.isfinite(velocity_d).all(axis=1)
+    mounting_bd = mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG)
+    velocity_b = velocity_d[good] @ mounting_bd.T / config.dvl.scale
+    return dvl.time_ns[good], velocity_b[:, 0] + 1j * velocity_b[:, 1]
+
+
+def _integral(imu: ImuColumns, at_s: Floats) -> Floats:
+    """Add up the angular rate from the first sample on, at times in seconds from it, shape (k, 3), rad."""
+    sample_s = seconds(imu.time_ns, imu.time_ns[0])
+    step_s = np.diff(sample_s)
+    columns = []
+    for rate in imu.angular_rate_b.T:
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step_s)])
+        columns.append(np.interp(at_s, sample_s, total))
+    return np.stack(columns, axis=1)
+
+
+def _inside(time_ns: TimeNs, others_ns: TimeNs) -> NDArray[np.bool_]:
+    return np.asarray((time_ns >= others_ns[0]) & (time_ns <= others_ns[-1]))
+
+
+def _pause_s(time_ns: TimeNs, at_ns: TimeNs) -> Floats:
+    """Give the length of the step of ``time_ns`` in which each time lies."""
+    after = np.clip(np.searchsorted(time_ns, at_ns), 1, len(time_ns) - 1)
+    return seconds(time_ns[after], time_ns[after - 1])
+
+
+def _north_east_m(position: Floats) -> Complex:
+    """Measure along a sphere that touches the ellipsoid at the first position."""
+    latitude, longitude = position[:, 0], position[:, 1]
+    north_m = (latitude - latitude[0]) * earth.meridian_radius_m(latitude[0])
+    east_m = wrap_angle(longitude - longitude[0]) * earth.transverse_radius_m(latitude[0]) * np.cos(latitude[0])
+    return np.asarray(north_m + 1j * east_m)
+
+
+def _windows(fix_ns: TimeNs, ping_ns: TimeNs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pair fixes that lie a window apart, without a long pause of the pings between them."""
+    last = np.searchsorted(fix_ns, fix_ns + round(_TRACK_WINDOW_S * 1e9))
+    first = np.flatnonzero(last < len(fix_ns))
+    last = last[first]
+    pauses_ns = ping_ns[1:][seconds(ping_ns[1:], ping_ns[:-1]) > _LONGEST_STEP_S]
+    heard = np.searchsorted(pauses_ns, fix_ns[first]) == np.searchsorted(pauses_ns, fix_ns[last])
+    close = fix_ns[last] - fix_ns[first] < round(2.0 * _TRACK_WINDOW_S * 1e9)
+    return first[heard & close], last[heard & close]
+
+
+def _travelled_m(ping_ns: TimeNs, velocity: Complex, at_ns: TimeNs) -> Complex:
+    ping_s = seconds(ping_ns, ping_ns[0])
+    way_m = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(ping_s))])
+    return np.asarray(np.interp(seconds(at_ns, ping_ns[0]), ping_s, way_m))
