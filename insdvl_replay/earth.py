@@ -56,7 +56,8 @@ def meridian_radius_m(latitude: Any) -> Any:
     -------
     float or ndarray, m
     """
-    return SEMI_MAJOR_M * (1.0 - ECCENTRICITY_2) / (1.0 - ECCENTRICITY_2 * np.sin(latitude) ** 2) ** 1.5
+    root = np.sqrt(1.0 - ECCENTRICITY_2 * np.sin(latitude) ** 2)
+    return SEMI_MAJOR_M * (1.0 - ECCENTRICITY_2) / (root * root * root)
 
 
 def transverse_radius_m(latitude: Any) -> Any:

@@ -7,6 +7,7 @@ from insdvl_replay import logs
 from insdvl_replay.config import Config
 from insdvl_replay.errors import UserError
 from insdvl_replay.inventory import Inventory, Obstacle
+from insdvl_replay.nav.alignment import check_start
 from insdvl_replay.replay import prepare_dive
 
 
@@ -31,10 +32,24 @@ def inspect_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
         The file cannot be read at all.
     """
     inventory = logs.survey_log(path, config, deep=deep)
-    if not deep or inventory.obstacles:
-        return inventory
     try:
-        *_, notes = prepare_dive(logs.read_dive(path, config), config)
+        if inventory.obstacles or not deep:
+            _check_start(inventory, config)
+            return inventory
+        dive = logs.read_dive(path, config)
+        *_, notes = prepare_dive(dive, config)
     except UserError as error:
-        return replace(inventory, obstacles=(Obstacle(error.message, error.hint),))
-    return replace(inventory, notes=inventory.notes + notes)
+        obstacle = Obstacle(error.message, error.hint)
+        return replace(inventory, obstacles=(*inventory.obstacles, obstacle))
+    return replace(inventory, notes=dive.notes + notes)
+
+
+def _check_start(inventory: Inventory, config: Config) -> None:
+    """Refuse what a replay would refuse for want of a start, by what the types of the reference can give."""
+    fields = {quantity for role in inventory.roles if role.role == "reference" for quantity in role.fields}
+    check_start(
+        config.initial,
+        has_reference=bool(fields),
+        has_position="latitude" in fields,
+        has_attitude="quaternion" in fields or "roll" in fields,
+    )

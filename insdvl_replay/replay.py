@@ -63,7 +63,7 @@ class Replay:
     notes: tuple[Note, ...]
 
 
-def replay_log(path: Path, config: Config) -> Replay:
+def replay_log(path: Path, config: Config, *, allow_damaged: bool = False) -> Replay:
     """Replay the dive in a log.
 
     Parameters
@@ -71,6 +71,8 @@ def replay_log(path: Path, config: Config) -> Replay:
     path : Path
         An MCAP file.
     config : Config
+    allow_damaged : bool
+        Replay what can be believed of a damaged log; what is lost is a note.
 
     Returns
     -------
@@ -83,7 +85,7 @@ def replay_log(path: Path, config: Config) -> Replay:
     ConfigError
         The settings do not fit the log.
     """
-    return replay_dive(logs.read_dive(path, config), config)
+    return replay_dive(logs.read_dive(path, config, allow_damaged=allow_damaged), config)
 
 
 def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay:

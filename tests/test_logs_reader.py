@@ -238,8 +238,9 @@ def test_what_is_no_log_is_refused_by_name(tmp_path: Path) -> None:
             read_dive(path, Config())
         assert raised.value.exit_code == 3
         assert raised.value.hint
-    with pytest.raises(LogError, match="is a folder"):
-        read_dive(tmp_path, Config())
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(LogError, match=r"is a folder without \.mcap files"):
+        read_dive(tmp_path / "empty", Config())
     with pytest.raises(LogError, match="cannot be read: No such file"):
         read_dive(tmp_path / "absent.mcap", Config())
 

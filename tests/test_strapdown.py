@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
-from insdvl_replay.nav.strapdown import propagate
+from insdvl_replay.nav.strapdown import new_step, propagate
 
 START = np.array([0.57, 0.61, -20.0, 1.1, -0.4, 0.2])
 
@@ -40,12 +40,12 @@ def derivative(t: float, state: Floats, motion: Motion) -> Floats:
 
 def mechanised(motion: Motion, mat: Floats, rate_hz: float, duration_s: float) -> tuple[Floats, Floats, Floats]:
     position, velocity, mat = START[:3].copy(), START[3:].copy(), mat.copy()
-    work = [np.zeros(3) for _ in range(3)]
+    step = new_step()
     time_s = np.arange(int(duration_s * rate_hz) + 1) / rate_hz
     for before, after in pairwise(time_s):
         force = 0.5 * (motion.force_b(before) + motion.force_b(after))
         rate = 0.5 * (motion.rate_b(before) + motion.rate_b(after))
-        propagate(position, velocity, mat, force, rate, after - before, *work)
+        propagate(position, velocity, mat, force, rate, after - before, step)
     return position, velocity, mat
 
 
@@ -74,8 +74,8 @@ def test_a_resting_imu_stays_at_rest() -> None:
     gravity = normal_gravity(latitude, 0.0)
     position, velocity, mat = np.array([latitude, 0.0, 0.0]), np.zeros(3), np.eye(3)
     rate = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
-    work = [np.zeros(3) for _ in range(3)]
+    step = new_step()
     for _ in range(10_000):
-        propagate(position, velocity, mat, np.array([0.0, 0.0, -gravity]), rate, 0.01, *work)
+        propagate(position, velocity, mat, np.array([0.0, 0.0, -gravity]), rate, 0.01, step)
     np.testing.assert_allclose(velocity, 0.0, atol=1e-9)
     np.testing.assert_allclose(mat, np.eye(3), atol=1e-10)

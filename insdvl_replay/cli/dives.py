@@ -80,6 +80,7 @@ def replay_dives(
     output: Path,
     format_: Format,
     *,
+    allow_damaged: bool,
     strict: bool,
     force: bool,
     verbosity: int,
@@ -95,6 +96,8 @@ def replay_dives(
         Folder of the summary.
     format_ : Format
         Of what is printed.
+    allow_damaged : bool
+        Use what can be read of a damaged log.
     strict : bool
         Warnings make the exit code 3.
     force : bool
@@ -112,7 +115,7 @@ def replay_dives(
     together = format_ is Format.JSON and len(targets) > 1
     for target, log in targets.items():
         try:
-            report = _replayed(log, target, config, force=force)
+            report = _replayed(log, target, config, allow_damaged=allow_damaged, force=force)
         except Exception as error:
             outcomes.append(Failure(target.name, str(error)))
             codes[target.name] = tell_failure(error, verbosity)
@@ -130,12 +133,12 @@ def replay_dives(
     return max(codes.values())
 
 
-def _replayed(log: Path, target: Path, config: Config, *, force: bool) -> Report:
+def _replayed(log: Path, target: Path, config: Config, *, allow_damaged: bool, force: bool) -> Report:
     """Replay one log into its folder. The time of day is added here: what the hall writes depends on the log alone."""
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     compiling = "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
     with patience(f"replaying {log.name}{compiling}"):
-        replay = replay_log(log, config)
+        replay = replay_log(log, config, allow_damaged=allow_damaged)
         with result_folder(target, force=force) as folder:
             save_replay(replay, folder)
             tool = Tool(started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3))

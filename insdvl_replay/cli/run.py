@@ -34,6 +34,9 @@ def run(
     end: Annotated[float | None, typer.Option(metavar="T", help="End here, likewise.")] = None,
     settings: Settings = [],  # noqa: B006
     format_: Annotated[Format, typer.Option("--format", help="How the tables are printed.")] = Format.TABLE,
+    allow_damaged: Annotated[
+        bool, typer.Option("--allow-damaged", help="Use what can be read of a damaged log; what is lost is said.")
+    ] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
     force: Force = False,
     verbose: Verbose = 0,
@@ -56,4 +59,13 @@ def run(
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
     resolved = load_config(preset, config, [*settings, *spans])
     targets = result_targets(logs, output, force=force)
-    return replay_dives(targets, resolved, output, format_, strict=strict, force=force, verbosity=verbose)
+    return replay_dives(
+        targets,
+        resolved,
+        output,
+        format_,
+        allow_damaged=allow_damaged,
+        strict=strict,
+        force=force,
+        verbosity=verbose,
+    )

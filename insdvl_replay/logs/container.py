@@ -1,43 +1,32 @@
 """An MCAP file: which channels it has, and their messages as blocks of bytes, never a Python object for each of them.
 
-A log is a row of records, most of them chunks that hold the messages. One walk over the record headers finds the
-chunks, the schemas and the channels, whether or not the log closes with a summary.
+A file that is not what the format says is refused with the place and what could be saved, or, if that is allowed, read
+as far as its bytes can be believed.
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
-import hashlib
 import mmap
-import struct
-from collections import Counter
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
-from io import BytesIO
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
 
-from insdvl_replay.columns import TimeNs
-from insdvl_replay.errors import LogError
-from insdvl_replay.logs.chunks import (
-    RECORD_HEADER_SIZE,
-    Block,
-    Chunk,
-    DamageError,
-    blocks_of,
-    chunk_blocks,
-    chunk_times,
-    open_chunk,
-    walk,
-    walk_chunk,
-)
+from insdvl_replay.columns import TimeNs, seconds
+from insdvl_replay.errors import LogError, Note
+from insdvl_replay.logs.anatomy import anatomy_of
+from insdvl_replay.logs.attachments import Attachment, attachment_at, checked_digest
+from insdvl_replay.logs.chunks import Block, Content, blocks_of, index_entries, read_chunk
+from insdvl_replay.logs.damage import DamageError, damage_note
+from insdvl_replay.logs.packed import Chunk, chunk_header
+from insdvl_replay.logs.records import MAGIC, parsed
 
-MAGIC: Final = b"\x89MCAP0\r\n"
-"""First and last bytes of an MCAP file."""
+_AHEAD: Final = 3
+"""Chunks that are opened while the one before is read."""
 
 _OTHER_FORMATS: Final = {
     b"SQLite format 3": ("a ROS 2 bag in SQLite", "`ros2 bag convert` writes it as MCAP"),
@@ -60,7 +49,7 @@ class LogChannel:
     schema_text : str
         The schema; may be empty.
     messages : int
-        How many messages the log says or is found to hold.
+        How many messages are found.
     schema_data : bytes
         The schema as it stands in the log; protobuf's are no text.
     """
@@ -75,24 +64,14 @@ class LogChannel:
     schema_data: bytes = b""
 
 
-@dataclass
-class _Survey:
-    """What one walk over the records finds."""
-
-    chunks: list[Chunk] = field(default_factory=list)
-    loose_messages: list[int] = field(default_factory=list)
-    schemas: dict[int, records.Schema] = field(default_factory=dict)
-    channels: dict[int, records.Channel] = field(default_factory=dict)
-    statistics: records.Statistics | None = None
-    counts: Counter[int] = field(default_factory=Counter)
-
-
 class Log:
     """An MCAP file, open for reading.
 
     Parameters
     ----------
     path : Path
+    allow_damaged : bool
+        Read what can be believed of a damaged file.
 
     Attributes
     ----------
@@ -105,20 +84,93 @@ class Log:
         The file cannot be opened, is no MCAP file, or is damaged.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, allow_damaged: bool = False) -> None:
         self.path = path
+        self._allow_damaged = allow_damaged
         self._map = _mapped(path)
         self._data = memoryview(self._map)
-        try:
-            self._survey = _surveyed(self._data)
-        except DamageError as damage:
-            raise self._refusal(damage) from damage
-        self.channels = tuple(_log_channel(channel, self._survey) for channel in self._survey.channels.values())
+        self._anatomy = anatomy_of(self._data)
+        self._release_pages()
+        self._judge()
+        self.channels = tuple(
+            _log_channel(channel, self._anatomy.schemas.get(channel.schema_id), self._anatomy.counts[channel.id])
+            for channel in self._anatomy.channels.values()
+        )
+
+    @property
+    def profile(self) -> str:
+        """What the recorder promises to follow, ``ros2`` for ROS 2."""
+        return self._anatomy.header.profile if self._anatomy.header else ""
+
+    @property
+    def library(self) -> str:
+        """What wrote the log."""
+        return self._anatomy.header.library if self._anatomy.header else ""
+
+    @property
+    def has_summary(self) -> bool:
+        """Whether the log closes with a summary that can be believed."""
+        return self._anatomy.summary.statistics is not None or bool(self._anatomy.summary.chunks)
+
+    @property
+    def chunk_count(self) -> int:
+        """How many chunks there are."""
+        return sum(chunk.kind != "loose" for chunk in self._anatomy.chunks)
+
+    @property
+    def compression(self) -> tuple[str, ...]:
+        """The ways in which chunks are compressed, ``none`` for those that are not."""
+        headers = [
+            chunk_header(self._data, chunk.offset, chunk.length)
+            for chunk in self._anatomy.chunks
+            if chunk.kind != "loose"
+        ]
+        return tuple(sorted({header.compression or "none" for header in headers}))
+
+    @property
+    def schemas(self) -> Mapping[int, records.Schema]:
+        """The schemas by their numbers."""
+        return self._anatomy.schemas
+
+    @property
+    def metadata(self) -> Iterator[records.Metadata]:
+        """The metadata records in the order of the file."""
+        return (parsed(records.Metadata, self._data, *place) for place in self._anatomy.metadata)
+
+    @property
+    def attachments(self) -> Iterator[Attachment]:
+        """The attachments in the order of the file; their bytes are read on demand."""
+        return (attachment_at(self._data, *place) for place in self._anatomy.attachments)
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """What was found wrong or was passed over so far."""
+        notes = []
+        if self._anatomy.damages:
+            notes.append(damage_note(self.path.name, self._anatomy.damages, self._anatomy.missing))
+        elif missing := self._anatomy.missing:
+            text = f"the summary of {self.path.name} announces {missing:+d} messages against what the log holds"
+            notes.append(Note("log_summary", text, abs(missing), "warning"))
+        if private := self._anatomy.private:
+            notes.append(Note("unknown_records", f"{private} records are of kinds that are not MCAP's own", private))
+        return tuple(notes)
 
     def sha256(self) -> str:
-        """Give the digest of the file's bytes."""
-        digest = hashlib.sha256(self._data).hexdigest()
-        self._release_pages()
+        """Give the digest of the file's bytes, and check the checksums that only a whole pass can check.
+
+        Returns
+        -------
+        str
+
+        Raises
+        ------
+        LogError
+            The checksum of the data section or of an attachment is not that of its bytes.
+        """
+        digest, damages = checked_digest(self.path, self._data, self._anatomy)
+        for damage in damages:
+            self._anatomy.mark(damage)
+        self._judge()
         return digest
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
@@ -137,13 +189,11 @@ class Log:
         LogError
             A chunk is damaged or compressed in an unknown way.
         """
-        try:
-            for chunk in self._survey.chunks:
-                yield from chunk_blocks(self._data, chunk, channel_ids)
-                self._release_pages()
-            yield from blocks_of(self._data, np.array(self._survey.loose_messages, np.int64), channel_ids)
-        except DamageError as damage:
-            raise self._refusal(damage) from damage
+        wanted = [chunk for chunk in self._anatomy.chunks if not chunk.counts.keys().isdisjoint(channel_ids)]
+        for content in self._contents(wanted):
+            self._judge()
+            yield from blocks_of(content, channel_ids)
+        self._judge()
 
     def log_times(self) -> dict[int, TimeNs]:
         """Give the log times of all messages from the indexes; only chunks without one are opened.
@@ -159,26 +209,67 @@ class Log:
             An index, or a chunk without one, is damaged.
         """
         parts: dict[int, list[TimeNs]] = {channel.id: [np.empty(0, np.int64)] for channel in self.channels}
-        try:
-            for chunk in self._survey.chunks:
-                for channel_id, times in chunk_times(self._data, chunk):
-                    parts.setdefault(channel_id, []).append(times)
-            for block in blocks_of(self._data, np.array(self._survey.loose_messages, np.int64), parts.keys()):
+        for chunk in self._anatomy.chunks:
+            for place in chunk.indexes:
+                channel_id, entries = index_entries(self._data, *place)
+                parts.setdefault(channel_id, []).append(entries["log_time"])
+        for content in self._contents([chunk for chunk in self._anatomy.chunks if not chunk.indexes]):
+            for block in blocks_of(content, parts.keys()):
                 parts[block.channel_id].append(block.log_time)
-        except DamageError as damage:
-            raise self._refusal(damage) from damage
+        self._judge()
         return {channel_id: np.concatenate(times) for channel_id, times in parts.items()}
 
-    def _release_pages(self) -> None:
-        """Keep what was read from counting as memory of this process; the system reads it again if need be."""
-        if hasattr(mmap, "MADV_DONTNEED"):
-            self._map.madvise(mmap.MADV_DONTNEED)
+    def _contents(self, chunks: list[Chunk]) -> Iterator[Content]:
+        """Open chunks one after the other, the next ones in another thread; lost ones are marked."""
+        ahead: deque[tuple[Chunk, Future[Content]]] = deque()
+        with ThreadPoolExecutor(1) as opener:
+            for chunk in [*chunks, *[None] * _AHEAD]:
+                if chunk is not None:
+                    ahead.append((chunk, opener.submit(read_chunk, self._data, chunk)))
+                if ahead and (chunk is None or len(ahead) > _AHEAD):
+                    yield from self._content(*ahead.popleft())
 
-    def _refusal(self, damage: DamageError) -> LogError:
-        return LogError(
-            f"{self.path}: is damaged at byte {damage.offset}: {damage.found}",
-            f"`mcap recover {self.path.name} -o recovered.mcap` keeps what is whole",
-        )
+    def _content(self, chunk: Chunk, opened: Future[Content]) -> Iterator[Content]:
+        try:
+            content = opened.result()
+        except DamageError as damage:
+            self._anatomy.lose(self._data, chunk, damage)
+            self._judge()
+            return
+        if content.damages:
+            self._anatomy.accept(chunk, content)
+        yield content
+        self._release_pages(chunk)
+
+    def _judge(self) -> None:
+        """Refuse a damaged file unless that is allowed."""
+        if self._anatomy.damages and not self._allow_damaged:
+            raise self._refusal()
+
+    def _refusal(self) -> LogError:
+        first, more = self._anatomy.damages[0], len(self._anatomy.damages) - 1
+        places = f" ({more} more damaged places)" if more else ""
+        return LogError(f"{self.path}: is damaged at byte {first.offset}: {first.found}{places}", self._hint())
+
+    def _hint(self) -> str:
+        """Say what could be saved, by reading all of it."""
+        self._allow_damaged = True
+        times = [content.log_times() for content in self._contents(list(self._anatomy.chunks))]
+        saved = np.concatenate([np.empty(0, np.int64), *times])
+        if not saved.size:
+            return "no message in it can be read; copy it again from the recorder"
+        span_s = float(seconds(saved.max(), int(saved.min())))
+        return f"--allow-damaged uses the {span_s:.1f} s and {saved.size} messages that can be read"
+
+    def _release_pages(self, chunk: Chunk | None = None) -> None:
+        """Keep what was read from counting as memory of this process; the system reads it again if need be."""
+        if not hasattr(mmap, "MADV_DONTNEED"):
+            return
+        if chunk is None:
+            self._map.madvise(mmap.MADV_DONTNEED)
+            return
+        start = chunk.offset - chunk.offset % mmap.PAGESIZE
+        self._map.madvise(mmap.MADV_DONTNEED, start, chunk.offset + chunk.length - start)
 
 
 def _mapped(path: Path) -> mmap.mmap:
@@ -205,58 +296,7 @@ def _not_mcap(path: Path, start: bytes) -> LogError:
     return LogError(f"{path}: is not an MCAP file: it starts with bytes '{start[:8].hex(' ')}'", "name an .mcap file")
 
 
-def _surveyed(data: memoryview) -> _Survey:
-    end = len(data) - len(MAGIC)
-    if end < len(MAGIC) or bytes(data[end:]) != MAGIC:
-        raise DamageError(len(data), "the file ends without the closing bytes; it was cut or is still being written")
-    survey = _Survey()
-    for opcode, start, length in walk(data, len(MAGIC), end):
-        if opcode == Opcode.CHUNK:
-            survey.chunks.append(Chunk(start, length))
-        elif opcode == Opcode.MESSAGE_INDEX and survey.chunks:
-            survey.chunks[-1].indexes.append((start, length))
-        else:
-            _note_record(survey, data, opcode, start, length)
-            if opcode == Opcode.MESSAGE:
-                survey.loose_messages.append(start - RECORD_HEADER_SIZE)
-    stated = survey.statistics.channel_message_counts if survey.statistics else None
-    if stated is not None and stated.keys() <= survey.channels.keys():
-        survey.counts = Counter(stated)
-    else:
-        _look_into_chunks(survey, data)
-    return survey
-
-
-def _look_into_chunks(survey: _Survey, data: memoryview) -> None:
-    """Learn from the chunks what the missing summary would have told."""
-    for chunk in survey.chunks:
-        content = open_chunk(data, chunk)
-        for opcode, start, length in walk_chunk(content, chunk):
-            _note_record(survey, content, opcode, start, length)
-
-
-def _note_record(survey: _Survey, data: memoryview, opcode: int, start: int, length: int) -> None:
-    if opcode == Opcode.MESSAGE:
-        survey.counts[int.from_bytes(data[start : start + 2], "little")] += 1
-    elif opcode == Opcode.SCHEMA:
-        schema = _parsed(records.Schema, data, start, length)
-        survey.schemas[schema.id] = schema
-    elif opcode == Opcode.CHANNEL:
-        channel = _parsed(records.Channel, data, start, length)
-        survey.channels[channel.id] = channel
-    elif opcode == Opcode.STATISTICS:
-        survey.statistics = _parsed(records.Statistics, data, start, length)
-
-
-def _parsed(kind: Any, data: memoryview, start: int, length: int) -> Any:
-    try:
-        return kind.read(ReadDataStream(BytesIO(data[start : start + length])))
-    except (McapError, struct.error, UnicodeDecodeError) as error:
-        raise DamageError(start, f"a {kind.__name__} record of {length} bytes cannot be parsed") from error
-
-
-def _log_channel(channel: records.Channel, survey: _Survey) -> LogChannel:
-    schema = survey.schemas.get(channel.schema_id)
+def _log_channel(channel: records.Channel, schema: Any, messages: int) -> LogChannel:
     return LogChannel(
         id=channel.id,
         topic=channel.topic,
@@ -264,6 +304,6 @@ def _log_channel(channel: records.Channel, survey: _Survey) -> LogChannel:
         encoding=channel.message_encoding,
         schema_encoding=schema.encoding if schema else "",
         schema_text=schema.data.decode("utf-8", "replace") if schema else "",
-        messages=survey.counts[channel.id],
+        messages=messages,
         schema_data=schema.data if schema else b"",
     )

@@ -60,7 +60,7 @@ def _keep_bottom_track(table: Table, cleaner: Cleaner) -> None:
 
 def _keep_valid(table: Table, cleaner: Cleaner) -> None:
     if "valid" in table:
-        cleaner.keep((table.values("valid") > 0.0).all(axis=1), "invalid", "pings are marked as invalid")
+        cleaner.keep(np.all(table.values("valid") > 0.0, axis=1), "invalid", "pings are marked as invalid")
 
 
 def _keep_coordinates(table: Table, cleaner: Cleaner, wanted: int) -> None:

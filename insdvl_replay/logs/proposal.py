@@ -145,39 +145,71 @@ def _first_values(log: Log, channel: LogChannel, path: str) -> Floats:
     return np.concatenate([part[:, :width] for part in parts]) if parts else np.empty((0, 0))
 
 
-def propose_settings(seen: Sequence[SeenTopic], wanted: Collection[str]) -> str:
-    """Write settings to start from for roles that nobody plays.
+def propose_choice(role: str, topics: Sequence[str]) -> str:
+    """Write the setting that chooses between topics that could each play a role.
 
     Parameters
     ----------
-    seen : sequence of SeenTopic
-        Topics that play no role.
-    wanted : collection of str
-        ``imu``, ``dvl``; and ``initial`` where there is no reference to start from.
+    role : str
+    topics : sequence of str
+        The first is proposed.
 
     Returns
     -------
     str
-        TOML; what a person must decide is a comment.
+        TOML.
     """
-    imu = _imu_topic(seen)
+    first, *others = (f'"{topic}"' for topic in topics)
+    return f"[{role}]\ntopic = {first}  # or {', '.join(others)}\n"
+
+
+def propose_fields(seen: Sequence[SeenTopic], roles: Collection[str]) -> list[str]:
+    """Write settings to start from for roles that no topic of a known type plays.
+
+    Parameters
+    ----------
+    seen : sequence of SeenTopic
+        Topics that could.
+    roles : collection of str
+        ``imu``, ``dvl``.
+
+    Returns
+    -------
+    list of str
+        TOML for each role; what a person must decide is a comment.
+    """
+    imu = _imu_topic(seen) if "imu" in roles else None
     dvl = _dvl_topic([topic for topic in seen if topic is not imu])
-    lines: list[str] = []
-    if "imu" in wanted:
-        lines += ["[imu]", *(_imu_lines(imu) if imu else _no_lines("imu", seen)), ""]
-    if "dvl" in wanted:
-        lines += ["[dvl]", *(_dvl_lines(dvl) if dvl else _no_lines("dvl", seen)), ""]
-    if "initial" in wanted:
-        lines += _INITIAL_LINES
-    return "\n".join(lines).rstrip() + "\n" if lines else ""
+    proposals = []
+    if "imu" in roles and seen:
+        proposals.append(["[imu]", *(_imu_lines(imu) if imu else _vector_lines(seen))])
+    if "dvl" in roles and seen:
+        proposals.append(["[dvl]", *(_dvl_lines(dvl) if dvl else _vector_lines(seen))])
+    return ["\n".join(lines) + "\n" for lines in proposals]
 
 
-_INITIAL_LINES: Final = [
-    "[initial]",
-    'source = "level"  # no reference was found to start from; roll and pitch come from gravity',
-    "# heading_deg =   # needed: at the start, from north over east",
-    "# latitude_deg =  # needed: for gravity and Earth rate",
-]
+def propose_start(lacks: Collection[str]) -> str:
+    """Write the settings of the start that no reference gives.
+
+    Parameters
+    ----------
+    lacks : collection of str
+        Keys of the section ``initial``.
+
+    Returns
+    -------
+    str
+        TOML; empty where nothing lacks. What only a person can know is a comment.
+    """
+    lines = [line for key, line in _START_LINES.items() if key in lacks]
+    return "\n".join(["[initial]", *lines]) + "\n" if lines else ""
+
+
+_START_LINES: Final = {
+    "source": 'source = "level"  # there is no reference to start from: roll and pitch come from gravity',
+    "heading_deg": "# heading_deg =   # needed: at the start, from north over east",
+    "latitude_deg": "# latitude_deg =  # needed: for gravity and Earth rate",
+}
 
 
 def _imu_topic(seen: Sequence[SeenTopic]) -> SeenTopic | None:
@@ -255,9 +287,9 @@ def _stamp_lines(topic: SeenTopic) -> Iterator[str]:
         yield 'stamp = "log_time"  # the messages have no header; a field path names another stamp'
 
 
-def _no_lines(role: str, seen: Sequence[SeenTopic]) -> Iterator[str]:
-    """Where nothing is named like what is needed, list every vector that there is."""
-    yield f"# nothing in the log is named like what the {role.upper()} needs; its vectors are"
+def _vector_lines(seen: Sequence[SeenTopic]) -> Iterator[str]:
+    """List every vector, where none is named like what is needed."""
+    yield "# no field is named like what is needed; the vectors in the log are"
     for topic in seen:
         yield f'# topic = "{topic.topic}"'
         for candidate in topic.candidates:

@@ -1,28 +1,33 @@
 """A log becomes a dive."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from insdvl_replay.columns import Channel, Dive
 from insdvl_replay.config import Config
+from insdvl_replay.logs.bag import open_recording
 from insdvl_replay.logs.clocks import clock_notes
-from insdvl_replay.logs.container import Log, LogChannel
+from insdvl_replay.logs.container import LogChannel
 from insdvl_replay.logs.decode import decode_imu, decode_truth
 from insdvl_replay.logs.pings import decode_dvl
+from insdvl_replay.logs.plausibility import plausibility_notes
 from insdvl_replay.logs.reference import decode_reference
 from insdvl_replay.logs.roles import Roles, assign_roles
 from insdvl_replay.logs.tables import count_notes, read_tables, schema_notes, stamp_notes
 
 
-def read_dive(path: Path, config: Config) -> Dive:
+def read_dive(path: Path, config: Config, *, allow_damaged: bool = False) -> Dive:
     """Read everything that is needed to replay a dive.
 
     Parameters
     ----------
     path : Path
-        An MCAP file with ROS 2 messages.
+        An MCAP file, or a folder with the parts of one recording.
     config : Config
         Names topics, fields, units and axes where the types do not tell them.
+    allow_damaged : bool
+        Read what can be believed of a damaged log; what is lost is a note.
 
     Returns
     -------
@@ -32,29 +37,35 @@ def read_dive(path: Path, config: Config) -> Dive:
     Raises
     ------
     LogError
-        The file cannot be read or is damaged, has no IMU or DVL, or is not clear about which topic is which.
+        The file cannot be read or is damaged, has no IMU or DVL, is not clear about which topic is which, mixes clocks,
+        or holds what cannot be so.
     ConfigError
         The axes or the beam geometry of the configuration cannot be.
     """
-    log = Log(path)
+    log = open_recording(path, allow_damaged=allow_damaged)
     roles = assign_roles(str(path), log.channels, config)
-    tables = read_tables(log, roles.sources)
-    notes = [*schema_notes(roles.sources), *count_notes(tables), *stamp_notes(tables)]
+    with ThreadPoolExecutor(1) as checker:
+        digest = checker.submit(log.sha256)
+        tables = read_tables(log, roles.sources)
+        sha256 = digest.result()
+    notes = [*log.notes, *schema_notes(roles.sources), *count_notes(tables), *stamp_notes(tables)]
     notes += clock_notes(str(path), [table.clock() for table in tables], config.clocks.max_disagreement_s)
     # The raw columns of a long dive are large, and let go one by one.
     imu, imu_notes = decode_imu(tables.pop(0), config.imu)
     dvl, dvl_notes = decode_dvl(tables.pop(0), config.dvl)
     truth, truth_notes = decode_truth(tables.pop()) if roles.truth else (None, [])
     reference, reference_notes = decode_reference(tables, config.reference)
+    notes += [*imu_notes, *dvl_notes, *reference_notes, *truth_notes]
+    notes += plausibility_notes(str(path), imu, dvl, reference, config)
     return Dive(
         name=path.stem,
         imu=imu,
         dvl=dvl,
         reference=reference,
         truth=truth,
-        sha256=log.sha256(),
+        sha256=sha256,
         channels=_channels(log.channels, roles),
-        notes=(*notes, *imu_notes, *dvl_notes, *reference_notes, *truth_notes),
+        notes=tuple(notes),
     )
 
 

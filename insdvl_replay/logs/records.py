@@ -6,7 +6,7 @@ Source: the MCAP specification, https://mcap.dev/spec.
 """
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any, Final, ParamSpec, TypeVar, cast
@@ -17,6 +17,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
+
+from insdvl_replay.logs.damage import DamageError
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -41,23 +43,6 @@ _LEAST_LENGTHS: Final = (0, 8, 20, 14, 16, 22, 40, 6, 64, 36, 64, 46, 8, 20, 17,
 """What a record of each known kind must at least hold for its own fields."""
 
 
-class DamageError(Exception):
-    """Bytes that are not what the format says.
-
-    Parameters
-    ----------
-    offset : int
-        Where in the file.
-    found : str
-        What stands there.
-    """
-
-    def __init__(self, offset: int, found: str) -> None:
-        super().__init__(offset, found)
-        self.offset = offset
-        self.found = found
-
-
 @dataclass(frozen=True)
 class Records:
     """Records in the order in which they stand.
@@ -79,6 +64,15 @@ class Records:
     def __len__(self) -> int:
         """Give the number of records."""
         return int(self.opcodes.size)
+
+    def rows(self) -> Iterator[tuple[int, int, int]]:
+        """Go through them one by one: kind, start of the content, and its length."""
+        contents = self.starts + RECORD_HEADER_SIZE
+        return zip(self.opcodes.tolist(), contents.tolist(), self.lengths.tolist(), strict=True)
+
+    def where(self, chosen: Any) -> "Records":
+        """Give some of them, chosen as an array of shape (k,) is indexed."""
+        return Records(self.opcodes[chosen], self.starts[chosen], self.lengths[chosen])
 
 
 def _compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
@@ -162,6 +156,24 @@ def find_records(data: memoryview, start: int, end: int) -> tuple[Records, int]:
     return Records(opcodes[:count].copy(), starts[:count].copy(), lengths[:count].copy()), stop
 
 
+def is_broken(batch: Records, stop: int, end: int) -> bool:
+    """Tell whether a walk stopped because the bytes are no record.
+
+    Parameters
+    ----------
+    batch : Records
+    stop : int
+        As `find_records` gives them.
+    end : int
+        Where the last record ends.
+
+    Returns
+    -------
+    bool
+    """
+    return stop < end and len(batch) < BATCH and not (len(batch) and batch.opcodes[-1] == _DATA_END)
+
+
 def next_record(data: memoryview, start: int, end: int) -> int:
     """Search for a place where a record can stand with another one, or the end, right behind it.
 
@@ -176,6 +188,30 @@ def next_record(data: memoryview, start: int, end: int) -> int:
         The place, or the end.
     """
     return int(_resume(np.frombuffer(data, np.uint8), start, end))
+
+
+def go_on(data: memoryview, batch: Records, stop: int, end: int) -> tuple[Records, int]:
+    """Go on behind bytes that are no record.
+
+    Parameters
+    ----------
+    data : memoryview
+    batch : Records
+    stop : int
+        As `find_records` gives them.
+    end : int
+        Where to give up.
+
+    Returns
+    -------
+    Records
+        Without a message just before the place, since its own length may be what is wrong.
+    int
+        Where the next record stands, or the end.
+    """
+    if len(batch) and batch.opcodes[-1] == _MESSAGE:
+        return batch.where(slice(-1)), next_record(data, int(batch.starts[-1]) + 1, end)
+    return batch, next_record(data, stop + 1, end)
 
 
 def what_stands(data: memoryview, start: int, end: int) -> str:

@@ -60,7 +60,7 @@ def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     if "fix_status" in table:
         cleaner.keep(table.column("fix_status") >= 0.0, "no_fix", "positions have no fix")
     if position is not None and "sensor_id" in table:
-        cleaner.keep(np.isfinite(position[:, :2]).all(axis=1), "no_fix", "positions are without satellites")
+        cleaner.keep(np.isfinite(position[:, 0]), "no_fix", "positions are without satellites")
         cleaner.drop_repeated_values(position)
     cleaner.drop_repeated_times()
     mat_nb = _attitude(table, settings)
@@ -82,7 +82,7 @@ def _of_receiver(table: Table, quantity: str) -> Floats:
         return table.column(quantity)
     of_receiver = (table.values("sensor_id") == BLUEYE_GNSS) & (table.values("sensor_valid") > 0.0)
     chosen = np.where(of_receiver, table.values(quantity), np.nan)
-    return chosen[np.arange(len(chosen)), of_receiver.argmax(axis=1)]
+    return np.asarray(chosen[np.arange(len(chosen)), of_receiver.argmax(axis=1)])
 
 
 def _attitude(table: Table, settings: Reference) -> Floats | None:

@@ -117,11 +117,14 @@ def _explained(topics: "_Topics", wish: Wish, look: Callable[[], tuple[Source, .
         sources = look()
     except LogError as error:
         candidates = tuple(topics.alternatives(wish, besides))
-        names = ", ".join(source.topic for source in candidates)
-        reason = f"{names} could each be it" if names else error.message
+        reason = "see what stops a replay"
+        if candidates:
+            reason = f"{', '.join(source.topic for source in candidates)} could each be it"
+        elif wish.topic is None and not topics.candidates(wish, besides):
+            reason = "no message is of a type known for one"
         return Finding(wish.role, (), reason, error, candidates)
     if not sources:
-        return Finding(wish.role, (), "no topic is of a type that could be it")
+        return Finding(wish.role, (), "no message is of a type known for one")
     if wish.topic is not None:
         return Finding(wish.role, sources, f"named by {wish.key}")
     return Finding(wish.role, sources, f"the only one of type {' and '.join(source.type_name for source in sources)}")

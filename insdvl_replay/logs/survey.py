@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.columns import DvlColumns, ImuColumns, ReferenceColumns, TimeNs, seconds
-from insdvl_replay.config import Config
+from insdvl_replay.config import Config, Initial
 from insdvl_replay.errors import ConfigError, Note, UserError
 from insdvl_replay.inventory import (
     Clock,
@@ -28,7 +28,7 @@ from insdvl_replay.logs.clocks import clock_notes
 from insdvl_replay.logs.container import Log, LogChannel
 from insdvl_replay.logs.decode import decode_imu
 from insdvl_replay.logs.pings import decode_dvl
-from insdvl_replay.logs.proposal import propose_settings, see_topics
+from insdvl_replay.logs.proposal import propose_choice, propose_fields, propose_start, see_topics
 from insdvl_replay.logs.reference import decode_reference
 from insdvl_replay.logs.roles import Finding, explain_roles
 from insdvl_replay.logs.tables import Table, read_sample, read_tables
@@ -75,7 +75,7 @@ def survey_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
         reference=stock.reference,
         obstacles=tuple(stock.obstacles),
         notes=tuple(stock.notes),
-        configuration=_proposal(log, findings, config),
+        configuration=_proposal(log, findings, config.initial),
     )
 
 
@@ -250,14 +250,30 @@ def _covered_pct(time_ns: TimeNs, imu_time_ns: TimeNs) -> float:
     return max(0.0, 100.0 * covered_ns / (last_ns - first_ns))
 
 
-def _proposal(log: Log, findings: Sequence[Finding], config: Config) -> str:
-    """Propose settings for the roles that nobody plays."""
-    wanted = {finding.role for finding in findings if not finding.sources and finding.role in ("imu", "dvl")}
-    has_reference = any(finding.role == "reference" and finding.sources for finding in findings)
-    if not has_reference and config.initial.source == "reference":
-        wanted.add("initial")
-    if not wanted:
-        return ""
-    taken = {source.topic for finding in findings for source in finding.sources}
-    free = [channel for channel in log.channels if channel.topic not in taken]
-    return propose_settings(see_topics(log, free) if wanted != {"initial"} else [], wanted)
+def _proposal(log: Log, findings: Sequence[Finding], initial: Initial) -> str:
+    """Propose settings for what a replay lacks."""
+    choices = {finding.role: [source.topic for source in finding.candidates] for finding in findings if finding.error}
+    unknown = {role for role, topics in choices.items() if not topics and role in ("imu", "dvl")}
+    taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
+    free = [channel for channel in log.channels if channel.topic not in taken] if unknown else []
+    parts = [
+        *(propose_choice(role, topics) for role, topics in choices.items() if topics),
+        *propose_fields(see_topics(log, free), unknown),
+        propose_start(_start_lacks(findings, initial)),
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def _start_lacks(findings: Sequence[Finding], initial: Initial) -> list[str]:
+    """Name the keys without which a replay has no start, by what the type of the reference can give."""
+    reference = next(finding for finding in findings if finding.role == "reference")
+    if reference.candidates:
+        return []
+    given = {quantity for source in reference.sources for quantity in source.fields}
+    lacks = [] if given or initial.source == "level" else ["source"]
+    given = set() if initial.source == "level" else given
+    if initial.heading_deg is None and not given & {"quaternion", "roll"}:
+        lacks.append("heading_deg")
+    if initial.latitude_deg is None and "latitude" not in given:
+        lacks.append("latitude_deg")
+    return lacks

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.inventory import Clock
+from insdvl_replay.logs.bag import Recording
 from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.clocks import measure_clock, stamp_unit
-from insdvl_replay.logs.container import Log, LogChannel
+from insdvl_replay.logs.container import LogChannel
 from insdvl_replay.logs.encodings import open_reader
 from insdvl_replay.logs.field_paths import Columns, FieldReader, split_paths
 from insdvl_replay.logs.wishes import Source
@@ -148,12 +149,12 @@ class Table:
         return counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
 
 
-def read_tables(log: Log, sources: Sequence[Source]) -> list[Table]:
+def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
     """Read the columns of several topics.
 
     Parameters
     ----------
-    log : Log
+    log : Log or Bag
     sources : sequence of Source
 
     Returns
@@ -173,12 +174,12 @@ def read_tables(log: Log, sources: Sequence[Source]) -> list[Table]:
     return [builder.table() for builder in builders]
 
 
-def read_sample(log: Log, source: Source, enough: int) -> Table:
+def read_sample(log: Recording, source: Source, enough: int) -> Table:
     """Read the columns of a topic's first messages.
 
     Parameters
     ----------
-    log : Log
+    log : Log or Bag
     source : Source
     enough : int
         Stop after the block with which there are that many.
@@ -265,7 +266,7 @@ def stamp_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
 class _Builder:
     """Collects the columns of one topic, block by block."""
 
-    log: Log
+    log: Recording
     source: Source
     readers: dict[int, FieldReader] = field(init=False)
     parts: dict[str, list[NDArray[Any]]] = field(init=False)

@@ -126,15 +126,27 @@ def check_start(initial: Initial, *, has_reference: bool, has_position: bool, ha
             "name it with --set reference.topic=..., or start level: --set initial.source=level "
             "--set initial.heading_deg=... --set initial.latitude_deg=...",
         )
-    if initial.latitude_deg is None and not (from_reference and has_position):
+    if not (from_reference and has_position):
+        _configured_latitude_deg(initial)
+    if not (from_reference and has_attitude):
+        _configured_heading_deg(initial)
+
+
+def _configured_latitude_deg(initial: Initial) -> float:
+    if initial.latitude_deg is None:
         raise ConfigError(
             "the latitude is needed for gravity and Earth rate, and no reference gives it",
             "--set initial.latitude_deg=...",
         )
-    if initial.heading_deg is None and not (from_reference and has_attitude):
+    return initial.latitude_deg
+
+
+def _configured_heading_deg(initial: Initial) -> float:
+    if initial.heading_deg is None:
         raise ConfigError(
             "the heading at the start is needed, and no reference gives it", "--set initial.heading_deg=..."
         )
+    return initial.heading_deg
 
 
 def initial_sd(initial: Initial) -> Floats:
@@ -173,13 +185,9 @@ def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) 
 def _position(reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
     if reference is not None and reference.has_position:
         return _reference_position(reference, initial, start_ns, notes)
-    if initial.latitude_deg is None:
-        raise ConfigError(
-            "the latitude is needed for gravity and Earth rate, and no reference gives it",
-            "--set initial.latitude_deg=...",
-        )
-    notes.append(Note("start_position_configured", f"started at the configured latitude {initial.latitude_deg:g} deg"))
-    return np.array([initial.latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
+    latitude_deg = _configured_latitude_deg(initial)
+    notes.append(Note("start_position_configured", f"started at the configured latitude {latitude_deg:g} deg"))
+    return np.array([latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
 
 
 def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
@@ -207,17 +215,14 @@ def _attitude(
     if reference is not None and reference.has_attitude:
         there: Floats = reference.mat_nb[np.searchsorted(reference.time_ns, start_ns)]
         return there
-    if initial.heading_deg is None:
-        raise ConfigError(
-            "the heading at the start is needed, and no reference gives it", "--set initial.heading_deg=..."
-        )
+    heading_deg = _configured_heading_deg(initial)
     rpy = level_from_gravity(imu, start_ns)
-    rpy[2] = initial.heading_deg * DEG
+    rpy[2] = heading_deg * DEG
     notes.append(
         Note(
             "start_levelled",
             f"roll {rpy[0] / DEG:.2f} deg and pitch {rpy[1] / DEG:.2f} deg from gravity over {LEVELLING_S:g} s, "
-            f"heading {initial.heading_deg:g} deg from the configuration",
+            f"heading {heading_deg:g} deg from the configuration",
         )
     )
     return mat_from_rpy(rpy)

@@ -120,12 +120,16 @@ def _add_row(factor: float, P: Floats, k: int, FP: Floats, i: int) -> None:
 
 @compiled
 def _add_second_order(P: Floats, F: Floats, dt: float, FP: Floats) -> None:
-    """Add (F P dt) F' dt, the same number to both triangles."""
+    """Add (F P dt) F' dt, the same number to both triangles, passing over the blocks of F that are zero."""
     for i in range(6):
         for j in range(i + 1):
             product = 0.0
-            for k in range(12):
-                product += FP[i, k] * F[j, k]
+            if j < 3:
+                for k in range(9):
+                    product += FP[i, k] * F[j, k]
+            else:
+                for k in range(3):
+                    product += FP[i, 3 + k] * F[j, 3 + k] + FP[i, 9 + k] * F[j, 9 + k]
             P[i, j] += product * dt
             if i != j:
                 P[j, i] += product * dt

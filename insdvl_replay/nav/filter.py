@@ -16,7 +16,7 @@ from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.error_model import add_noise, propagate_cov, write_system_matrix
 from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, multiply, standardised, update_cov
 from insdvl_replay.nav.measurements import VELOCITY, InsAtPing, Measurement, linearise
-from insdvl_replay.nav.strapdown import normal_gravity, propagate, rotate_back, rotation_from_vector
+from insdvl_replay.nav.strapdown import Step, new_step, normal_gravity, propagate, rotate_back, rotation_from_vector
 from insdvl_replay.nav.timeline import Timeline
 from insdvl_replay.rotation import wrap_angle
 
@@ -195,7 +195,7 @@ def _run(
     """Walk the time line. This is the whole filter."""
     pings = updates.nis.shape[1]
     memory = _Memory(np.zeros((pings, 3)), np.zeros((pings, 3)), np.zeros((pings, 3)), np.zeros(3))
-    rate_ie_n, rate_in_n, force_n = np.zeros(3), np.zeros(3), np.zeros(3)
+    step = new_step()
     force_b, rate_b = np.zeros(3), np.zeros(3)
     F, FP = np.zeros((12, 12)), np.zeros((6, 12))
     z, H = np.zeros(3), np.zeros((3, 12))
@@ -207,14 +207,14 @@ def _run(
         for i in range(3):
             force_b[i] = 0.5 * (specific_force_b[k - 1, i] + specific_force_b[k, i]) - ins.accel_bias_b[i]
             rate_b[i] = 0.5 * (angular_rate_b[k - 1, i] + angular_rate_b[k, i]) - ins.gyro_bias_b[i]
-        propagate(ins.position, ins.velocity_n, ins.mat_nb, force_b, rate_b, dt, rate_ie_n, rate_in_n, force_n)
-        write_system_matrix(rate_ie_n, rate_in_n, force_n, ins.mat_nb, F)
+        propagate(ins.position, ins.velocity_n, ins.mat_nb, force_b, rate_b, dt, step)
+        write_system_matrix(step.rate_ie_n, step.rate_in_n, step.force_n, ins.mat_nb, F)
         propagate_cov(ins.P, F, noise_density, dt, FP)
         if gap[k] >= 0:
             add_noise(ins.P, gap_noise_density[gap[k]], dt)
 
         if ping[k] >= 0:
-            _note_motion(ins, memory, ping[k], angular_rate_b[k], rate_ie_n, rate_in_n)
+            _note_motion(ins, memory, ping[k], angular_rate_b[k], step)
             for m in range(len(measurements.kind)):
                 if measurements.available[m, ping[k]]:
                     measurement = _unstacked(measurements, m)
@@ -246,14 +246,12 @@ def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
 
 
 @compiled
-def _note_motion(
-    ins: _Ins, memory: _Memory, ping: int, reading_b: Floats, rate_ie_n: Floats, rate_in_n: Floats
-) -> None:
+def _note_motion(ins: _Ins, memory: _Memory, ping: int, reading_b: Floats, step: Step) -> None:
     """Write down the angular rates at a ping, and what the mechanisation added to the body velocity since the last."""
     velocity_b, rate_ie_b, rate_in_b = np.empty(3), np.empty(3), np.empty(3)
     rotate_back(ins.mat_nb, ins.velocity_n, velocity_b)
-    rotate_back(ins.mat_nb, rate_ie_n, rate_ie_b)
-    rotate_back(ins.mat_nb, rate_in_n, rate_in_b)
+    rotate_back(ins.mat_nb, step.rate_ie_n, rate_ie_b)
+    rotate_back(ins.mat_nb, step.rate_in_n, rate_in_b)
     for i in range(3):
         rate_ib = reading_b[i] - ins.gyro_bias_b[i]
         memory.rate_nb_b[ping, i] = rate_ib - rate_in_b[i]

@@ -5,13 +5,13 @@ Source: equations (24) and (25) of Levy and Klein; Groves, chapter 5.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from insdvl_replay import earth
 from insdvl_replay.columns import Floats
 from insdvl_replay.nav.compiled import compiled
-from insdvl_replay.nav.kalman import multiply
 
 normal_gravity = compiled(earth.normal_gravity)
 meridian_radius_m = compiled(earth.meridian_radius_m)
@@ -35,22 +35,24 @@ def earth_rate_n(latitude: float, rate_n: Floats) -> None:
 
 
 @compiled
-def transport_rate_n(position: Floats, velocity_n: Floats, rate_n: Floats) -> None:
+def transport_rate_n(
+    latitude: float, velocity_n: Floats, north_radius_m: float, east_radius_m: float, rate_n: Floats
+) -> None:
     """Write the rate w_en at which n turns because the vehicle moves over the curved Earth.
 
     Parameters
     ----------
-    position : ndarray, shape (3,)
-        Latitude rad, longitude rad, height m.
+    latitude : float
+        rad
     velocity_n : ndarray, shape (3,)
         m/s
+    north_radius_m, east_radius_m : float
+        Radii of curvature at the vehicle's height.
     rate_n : ndarray, shape (3,)
         Written, rad/s.
     """
-    latitude, height_m = position[0], position[2]
-    east_radius_m = transverse_radius_m(latitude) + height_m
     rate_n[0] = velocity_n[1] / east_radius_m
-    rate_n[1] = -velocity_n[0] / (meridian_radius_m(latitude) + height_m)
+    rate_n[1] = -velocity_n[0] / north_radius_m
     rate_n[2] = -velocity_n[1] * math.tan(latitude) / east_radius_m
 
 
@@ -85,6 +87,14 @@ def rotation_from_vector(vector: Floats, mat: Floats) -> None:
 
 
 @compiled
+def compose(mat_ab: Floats, mat_bc: Floats, mat_ac: Floats) -> None:
+    """Write the product of two rotations, each of shape (3, 3); the product is neither of them."""
+    for i in range(3):
+        for j in range(3):
+            mat_ac[i, j] = mat_ab[i, 0] * mat_bc[0, j] + mat_ab[i, 1] * mat_bc[1, j] + mat_ab[i, 2] * mat_bc[2, j]
+
+
+@compiled
 def rotate(mat: Floats, vector: Floats, rotated: Floats) -> None:
     """Write ``mat @ vector``; ``rotated`` is not ``vector``."""
     for i in range(3):
@@ -98,6 +108,35 @@ def rotate_back(mat: Floats, vector: Floats, rotated: Floats) -> None:
         rotated[i] = mat[0, i] * vector[0] + mat[1, i] * vector[1] + mat[2, i] * vector[2]
 
 
+class Step(NamedTuple):
+    """What a step of the mechanisation leaves for the error model, and room to compute it in.
+
+    Attributes
+    ----------
+    rate_ie_n, rate_in_n : ndarray, shape (3,)
+        Earth rate, and Earth rate plus transport rate, rad/s.
+    force_n : ndarray, shape (3,)
+        Specific force in n, m/s^2.
+    turn : ndarray, shape (3,)
+        A rotation vector.
+    mat_turn, mat_half : ndarray, shape (3, 3)
+        Its matrix, and the attitude turned on one side.
+    """
+
+    rate_ie_n: Floats
+    rate_in_n: Floats
+    force_n: Floats
+    turn: Floats
+    mat_turn: Floats
+    mat_half: Floats
+
+
+@compiled
+def new_step() -> Step:
+    """Make room for steps."""
+    return Step(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)))
+
+
 @compiled
 def propagate(
     position: Floats,
@@ -106,9 +145,7 @@ def propagate(
     specific_force_b: Floats,
     angular_rate_b: Floats,
     dt: float,
-    rate_ie_n: Floats,
-    rate_in_n: Floats,
-    force_n: Floats,
+    step: Step,
 ) -> None:
     """Advance position, velocity and attitude over one interval, in place.
 
@@ -127,45 +164,46 @@ def propagate(
         Means over the interval, m/s^2 and rad/s.
     dt : float
         Length of the interval, s.
-    rate_ie_n, rate_in_n, force_n : ndarray, shape (3,)
-        Written: Earth rate, w_ie + w_en, and specific force in n, for the error model.
+    step : Step
+        Written.
     """
-    earth_rate_n(position[0], rate_ie_n)
-    transport_rate_n(position, velocity_n, rate_in_n)
+    latitude, height_m = position[0], position[2]
+    north_radius_m = meridian_radius_m(latitude) + height_m
+    east_radius_m = transverse_radius_m(latitude) + height_m
+    earth_rate_n(latitude, step.rate_ie_n)
+    transport_rate_n(latitude, velocity_n, north_radius_m, east_radius_m, step.rate_in_n)
     for i in range(3):
-        rate_in_n[i] += rate_ie_n[i]
-    _propagate_attitude(mat_nb, specific_force_b, angular_rate_b, rate_in_n, dt, force_n)
+        step.rate_in_n[i] += step.rate_ie_n[i]
+    _propagate_attitude(mat_nb, specific_force_b, angular_rate_b, dt, step)
 
     north, east, down = velocity_n
-    x, y, z = rate_ie_n[0] + rate_in_n[0], rate_ie_n[1] + rate_in_n[1], rate_ie_n[2] + rate_in_n[2]
-    velocity_n[0] += (force_n[0] - (y * down - z * east)) * dt
-    velocity_n[1] += (force_n[1] - (z * north - x * down)) * dt
-    velocity_n[2] += (force_n[2] - (x * east - y * north) + normal_gravity(position[0], position[2])) * dt
-
-    latitude = position[0]
-    position[0] += 0.5 * dt * (north + velocity_n[0]) / (meridian_radius_m(latitude) + position[2])
-    position[1] += (
-        0.5 * dt * (east + velocity_n[1]) / ((transverse_radius_m(latitude) + position[2]) * math.cos(latitude))
+    x, y, z = (
+        step.rate_ie_n[0] + step.rate_in_n[0],
+        step.rate_ie_n[1] + step.rate_in_n[1],
+        step.rate_ie_n[2] + step.rate_in_n[2],
     )
+    velocity_n[0] += (step.force_n[0] - (y * down - z * east)) * dt
+    velocity_n[1] += (step.force_n[1] - (z * north - x * down)) * dt
+    velocity_n[2] += (step.force_n[2] - (x * east - y * north) + normal_gravity(latitude, height_m)) * dt
+
+    position[0] += 0.5 * dt * (north + velocity_n[0]) / north_radius_m
+    position[1] += 0.5 * dt * (east + velocity_n[1]) / (east_radius_m * math.cos(latitude))
     position[2] -= 0.5 * dt * (down + velocity_n[2])
 
 
 @compiled
 def _propagate_attitude(
-    mat_nb: Floats, specific_force_b: Floats, angular_rate_b: Floats, rate_in_n: Floats, dt: float, force_n: Floats
+    mat_nb: Floats, specific_force_b: Floats, angular_rate_b: Floats, dt: float, step: Step
 ) -> None:
-    turn, mat_turn, mat_half = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for i in range(3):
-        turn[i] = angular_rate_b[i] * dt
-    rotation_from_vector(turn, mat_turn)
-    multiply(mat_nb, mat_turn, mat_half)
-    rotate(mat_nb, specific_force_b, force_n)
+        step.turn[i] = angular_rate_b[i] * dt
+    rotation_from_vector(step.turn, step.mat_turn)
+    compose(mat_nb, step.mat_turn, step.mat_half)
+    rotate(mat_nb, specific_force_b, step.force_n)
     for i in range(3):
-        turn[i] = -rate_in_n[i] * dt
-    rotation_from_vector(turn, mat_turn)
-    multiply(mat_turn, mat_half, mat_nb)
+        step.turn[i] = -step.rate_in_n[i] * dt
+    rotation_from_vector(step.turn, step.mat_turn)
+    compose(step.mat_turn, step.mat_half, mat_nb)
+    rotate(mat_nb, specific_force_b, step.turn)
     for i in range(3):
-        after = (
-            mat_nb[i, 0] * specific_force_b[0] + mat_nb[i, 1] * specific_force_b[1] + mat_nb[i, 2] * specific_force_b[2]
-        )
-        force_n[i] = 0.5 * (force_n[i] + after)
+        step.force_n[i] = 0.5 * (step.force_n[i] + step.turn[i])

@@ -1,0 +1,162 @@
+"""What a file holds, found by one walk and held against its own summary.
+
+Nothing is taken from the summary that the records do not confirm, and a chunk stays closed only where both agree on
+what is in it.
+"""
+
+from typing import Any
+
+from mcap import records
+
+from insdvl_replay.logs.chunks import index_count, read_chunk
+from insdvl_replay.logs.damage import Damage, DamageError
+from insdvl_replay.logs.packed import Chunk, chunk_header
+from insdvl_replay.logs.records import RECORD_HEADER_SIZE
+from insdvl_replay.logs.summary import read_summary
+from insdvl_replay.logs.walk import Anatomy, Walk, file_definition
+
+
+def anatomy_of(data: memoryview) -> Anatomy:
+    """Find what a file holds.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+
+    Returns
+    -------
+    Anatomy
+    """
+    summary = read_summary(data)
+    anatomy = Anatomy(summary, damages=list(summary.damages))
+    Walk(data, anatomy).run()
+    for chunk in anatomy.chunks:
+        _count_by_index(data, anatomy, chunk)
+    _compare_chunks(data, anatomy)
+    _drop_copies(data, anatomy)
+    anatomy.schemas |= _agreed(anatomy, anatomy.schemas, summary.schemas)
+    anatomy.channels |= _agreed(anatomy, anatomy.channels, summary.channels)
+    for chunk in list(anatomy.chunks):
+        if chunk.kind != "loose" and not _is_vouched_for(anatomy, chunk):
+            _look_into(data, anatomy, chunk)
+    _check_channels(anatomy)
+    return anatomy
+
+
+def _count_by_index(data: memoryview, anatomy: Anatomy, chunk: Chunk) -> None:
+    try:
+        for place in chunk.indexes:
+            channel_id, count = index_count(data, *place)
+            chunk.counts[channel_id] += count
+    except DamageError as damage:
+        anatomy.mark(Damage(damage.offset, damage.found))
+        chunk.indexes.clear()
+
+
+def _compare_chunks(data: memoryview, anatomy: Anatomy) -> None:
+    """Hold the chunks against those that the summary names, and find those that the walk passed over."""
+    named = anatomy.summary.chunks
+    if not named:
+        return
+    walked = {chunk.offset - RECORD_HEADER_SIZE: chunk for chunk in anatomy.chunks if chunk.kind != "loose"}
+    for start, index in named.items():
+        chunk = walked.get(start)
+        if chunk is None:
+            anatomy.mark(Damage(start, "the summary names a chunk where none is found"))
+            _add_passed_over(data, anatomy, start, index)
+        elif difference := _difference(data, chunk, index):
+            anatomy.mark(Damage(start, f"the summary does not agree with a chunk about {difference}"))
+    for start in walked.keys() - named.keys():
+        anatomy.mark(Damage(start, "a chunk stands here that the summary does not name"))
+
+
+def _add_passed_over(data: memoryview, anatomy: Anatomy, start: int, index: records.ChunkIndex) -> None:
+    offset, end = start + RECORD_HEADER_SIZE, start + index.chunk_length
+    overlaps = any(chunk.offset < end and start < chunk.offset + chunk.length for chunk in anatomy.chunks)
+    if end > anatomy.summary.end or overlaps:
+        return
+    try:
+        header = chunk_header(data, offset, end - offset)
+    except DamageError:
+        return
+    if header.packed_start + header.packed_size == end and header.size == index.uncompressed_size:
+        anatomy.chunks.append(Chunk(offset, end - offset))
+        anatomy.chunks.sort(key=lambda chunk: chunk.offset)
+
+
+def _difference(data: memoryview, chunk: Chunk, index: records.ChunkIndex) -> str:
+    """Name what the summary and a chunk tell differently."""
+    try:
+        header = chunk_header(data, chunk.offset, chunk.length)
+    except DamageError:
+        return "its header"
+    places = {index_count(data, *place)[0]: place[0] - RECORD_HEADER_SIZE for place in chunk.indexes}
+    told = {
+        "its length": (index.chunk_length, chunk.length + RECORD_HEADER_SIZE),
+        "its compression": (index.compression, header.compression),
+        "its compressed size": (index.compressed_size, header.packed_size),
+        "its size": (index.uncompressed_size, header.size),
+        "its first time": (index.message_start_time, header.first_ns),
+        "its last time": (index.message_end_time, header.last_ns),
+        "its index": (index.message_index_offsets or places, places),
+    }
+    return next((name for name, (one, other) in told.items() if one != other), "")
+
+
+def _drop_copies(data: memoryview, anatomy: Anatomy) -> None:
+    """Leave out chunks that are copies of another one."""
+    seen: dict[bytes, Chunk] = {}
+    for chunk in [chunk for chunk in anatomy.chunks if chunk.kind == "whole"]:
+        header = bytes(data[chunk.offset : chunk.offset + 64])
+        first = seen.setdefault(header, chunk)
+        if first is not chunk and _bytes_of(data, first) == _bytes_of(data, chunk):
+            anatomy.mark(Damage(chunk.offset, f"the chunk is a copy of the one at byte {first.offset}"))
+            anatomy.chunks.remove(chunk)
+
+
+def _bytes_of(data: memoryview, chunk: Chunk) -> memoryview:
+    return data[chunk.offset : chunk.offset + chunk.length]
+
+
+def _agreed(anatomy: Anatomy, found: dict[int, Any], repeated: dict[int, Any]) -> dict[int, Any]:
+    """Choose between a definition and its repetition in the summary."""
+    for id_ in found.keys() & repeated.keys():
+        if found[id_] != repeated[id_]:
+            kind = type(found[id_]).__name__.lower()
+            text = f"{kind} {id_} is not the same among the messages and in the summary"
+            anatomy.mark(Damage(anatomy.summary.end, text))
+    return found | repeated if anatomy.summary.checked else repeated | found
+
+
+def _is_vouched_for(anatomy: Anatomy, chunk: Chunk) -> bool:
+    """Tell whether it is known without opening a chunk what is in it."""
+    named = chunk.offset - RECORD_HEADER_SIZE in anatomy.summary.chunks
+    return named and bool(chunk.indexes) and all(_is_defined(anatomy, channel_id) for channel_id in chunk.counts)
+
+
+def _is_defined(anatomy: Anatomy, channel_id: int) -> bool:
+    channel = anatomy.channels.get(channel_id)
+    return channel is not None and (channel.schema_id == 0 or channel.schema_id in anatomy.schemas)
+
+
+def _look_into(data: memoryview, anatomy: Anatomy, chunk: Chunk) -> None:
+    try:
+        content = read_chunk(data, chunk)
+    except DamageError as damage:
+        anatomy.lose(data, chunk, damage)
+        return
+    anatomy.accept(chunk, content)
+    for opcode, start, length in content.others:
+        try:
+            file_definition(anatomy, content.buffer, opcode, start, length)
+        except DamageError as damage:
+            anatomy.mark(Damage(chunk.offset, f"in the chunk, {damage.offset} bytes on, {damage.found}"))
+
+
+def _check_channels(anatomy: Anatomy) -> None:
+    """Find messages of channels that no record defines."""
+    for channel_id, count in anatomy.counts.items():
+        if channel_id not in anatomy.channels:
+            text = f"{count} messages are of channel {channel_id}, which is nowhere defined"
+            anatomy.mark(Damage(anatomy.summary.end, text, count))

@@ -1,0 +1,123 @@
+"""Files inside a log, and the checks that need every byte of the log."""
+
+import hashlib
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from insdvl_replay.logs.damage import Damage, DamageError
+from insdvl_replay.logs.walk import Anatomy
+
+_TIMES: Final = struct.Struct("<QQ")
+_PIECE: Final = 1 << 20
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A file inside a log.
+
+    Attributes
+    ----------
+    name, media_type : str
+    log_time_ns, create_time_ns : int
+    data : memoryview
+        Its bytes, which are read from the disk when they are looked at.
+    size, crc : int
+        Bytes of the record in front of its checksum, and the checksum, 0 if there is none.
+    """
+
+    name: str
+    media_type: str
+    log_time_ns: int
+    create_time_ns: int
+    data: memoryview
+    size: int
+    crc: int
+
+
+def attachment_at(data: memoryview, start: int, length: int) -> Attachment:
+    """Find an attachment's fields; its bytes are not touched.
+
+    Parameters
+    ----------
+    data : memoryview
+        The log.
+    start, length : int
+        Where the content of the record stands.
+
+    Returns
+    -------
+    Attachment
+
+    Raises
+    ------
+    DamageError
+        Its lengths do not fit.
+    """
+    record = data[start : start + length]
+    log_time_ns, create_time_ns = _TIMES.unpack_from(record)
+    name, place = _text(record, start, _TIMES.size)
+    media_type, place = _text(record, start, place)
+    size = int.from_bytes(record[place : place + 8], "little")
+    place += 8
+    if place + size + 4 > length:
+        raise DamageError(start, f"an attachment says it has {size} bytes; its record has {length}")
+    end = place + size
+    crc = int.from_bytes(record[end : end + 4], "little")
+    return Attachment(name, media_type, log_time_ns, create_time_ns, record[place:end], end, crc)
+
+
+def _text(record: memoryview, start: int, place: int) -> tuple[str, int]:
+    end = place + 4 + int.from_bytes(record[place : place + 4], "little")
+    if end > len(record):
+        raise DamageError(start, f"a text of an attachment says it ends {end - len(record)} bytes behind it")
+    return bytes(record[place + 4 : end]).decode("utf-8", "replace"), end
+
+
+def checked_digest(path: Path, data: memoryview, anatomy: Anatomy) -> tuple[str, list[Damage]]:
+    """Digest a log, and check what can only be checked by reading all of it.
+
+    Parameters
+    ----------
+    path : Path
+    data : memoryview
+        The file.
+    anatomy : Anatomy
+
+    Returns
+    -------
+    str
+        SHA-256 in hexadecimal digits.
+    list of Damage
+        Of the data section and the attachments.
+    """
+    section_end, section_crc = anatomy.data_end or (0, 0)
+    digest, crc = _digest(path, section_end if section_crc else 0)
+    damages = []
+    if section_crc and crc != section_crc:
+        damages.append(Damage(section_end, "the checksum of all messages is not that of their bytes", None))
+    for start, length in anatomy.attachments:
+        try:
+            attachment = attachment_at(data, start, length)
+        except DamageError as damage:
+            damages.append(Damage(damage.offset, damage.found))
+            continue
+        if attachment.crc and zlib.crc32(data[start : start + attachment.size]) != attachment.crc:
+            damages.append(Damage(start, "the checksum of an attachment is not that of its bytes"))
+    return digest, damages
+
+
+def _digest(path: Path, section_end: int) -> tuple[str, int]:
+    """Read the file once in pieces, which takes no memory and leaves other threads alone."""
+    digest, crc, place = hashlib.sha256(), 0, 0
+    piece = bytearray(_PIECE)
+    with path.open("rb", buffering=0) as file:
+        while count := file.readinto(piece):
+            part = memoryview(piece)[:count]
+            digest.update(part)
+            if place < section_end:
+                crc = zlib.crc32(part[: section_end - place], crc)
+            place += count
+    return digest.hexdigest(), crc

@@ -1,0 +1,236 @@
+"""One walk over the records of a file: what it holds and where, and where it is damaged.
+
+After bytes that are no record the walk goes on at the next chunk that the summary names, or where the next records can
+be made out.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from mcap import records
+from mcap.opcode import Opcode
+
+from insdvl_replay.logs.chunks import Content, gather
+from insdvl_replay.logs.damage import Damage, DamageError
+from insdvl_replay.logs.packed import COMPRESSED, Chunk, chunk_header
+from insdvl_replay.logs.records import (
+    MAGIC,
+    RECORD_HEADER_SIZE,
+    Records,
+    find_records,
+    go_on,
+    is_broken,
+    next_record,
+    parsed,
+    what_stands,
+)
+from insdvl_replay.logs.summary import Summary
+
+_CHANNEL_ID: Final = np.dtype([("header", f"V{RECORD_HEADER_SIZE}"), ("channel_id", "<u2")])
+_LONGEST_S: Final = 1e6
+"""No chunk covers more."""
+
+_SUMMARY_ONLY: Final = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
+
+
+@dataclass
+class Anatomy:
+    """What a file holds.
+
+    Attributes
+    ----------
+    summary : Summary
+    header : Header or None
+        Profile and library of the recorder.
+    chunks : list of Chunk
+        Also the messages that stand in none.
+    schemas, channels : dict of int
+        By id.
+    attachments, metadata : list of (int, int)
+        Start and size of these records.
+    data_end : (int, int) or None
+        Where the data section ends, and the checksum of the bytes before.
+    private : int
+        Records of kinds that the format leaves to others.
+    damages : list of Damage
+    """
+
+    summary: Summary
+    header: records.Header | None = None
+    chunks: list[Chunk] = field(default_factory=list)
+    schemas: dict[int, records.Schema] = field(default_factory=dict)
+    channels: dict[int, records.Channel] = field(default_factory=dict)
+    attachments: list[tuple[int, int]] = field(default_factory=list)
+    metadata: list[tuple[int, int]] = field(default_factory=list)
+    data_end: tuple[int, int] | None = None
+    private: int = 0
+    damages: list[Damage] = field(default_factory=list)
+
+    @property
+    def counts(self) -> Counter[int]:
+        """Messages by channel."""
+        total = Counter[int]()
+        for chunk in self.chunks:
+            total.update(chunk.counts)
+        return total
+
+    @property
+    def missing(self) -> int | None:
+        """How many of the announced messages are not found, where a number is announced."""
+        stated = self.summary.statistics
+        return None if stated is None else stated.message_count - self.counts.total()
+
+    def mark(self, damage: Damage) -> None:
+        """Note a damaged place, once."""
+        if damage not in self.damages:
+            self.damages.append(damage)
+
+    def accept(self, chunk: Chunk, content: Content) -> None:
+        """Believe the content of a chunk more than its index."""
+        chunk.counts = content.counts()
+        for damage in content.damages:
+            self.mark(damage)
+        if content.damages:
+            chunk.indexes.clear()
+
+    def lose(self, data: memoryview, chunk: Chunk, damage: DamageError) -> None:
+        """Note a chunk that cannot be read, and do without it."""
+        self.mark(Damage(damage.offset, damage.found, chunk.counts.total() or None, _span_s(data, chunk)))
+        self.chunks.remove(chunk)
+
+
+def _span_s(data: memoryview, chunk: Chunk) -> float | None:
+    """Give the time that a chunk says it covers, if it can be so."""
+    try:
+        header = chunk_header(data, chunk.offset, chunk.length)
+    except DamageError:
+        return None
+    seconds = (header.last_ns - header.first_ns) * 1e-9
+    return seconds if header.first_ns > 0 and 0.0 <= seconds < _LONGEST_S else None
+
+
+class Walk:
+    """The way through the data section."""
+
+    def __init__(self, data: memoryview, anatomy: Anatomy) -> None:
+        self.data = data
+        self.anatomy = anatomy
+        self.signposts = sorted(anatomy.summary.chunks)
+        self.latest = 0
+
+    def run(self) -> None:
+        """Go from the first record to the end of the data section."""
+        anatomy, place, end = self.anatomy, len(MAGIC), self.anatomy.summary.end
+        while place < end and anatomy.data_end is None:
+            batch, stop = find_records(self.data, place, end)
+            if is_broken(batch, stop, end):
+                anatomy.mark(Damage(stop, what_stands(self.data, stop, end), None))
+                batch, stop = self.behind(batch, stop, end)
+            self.take(batch)
+            place = stop
+        if anatomy.header is None:
+            anatomy.mark(Damage(len(MAGIC), "no header begins the log"))
+        if anatomy.data_end is None and anatomy.summary.start is not None:
+            anatomy.mark(Damage(place, "no record ends the messages"))
+        elif anatomy.summary.start not in (None, place):
+            anatomy.mark(Damage(place, f"the footer says that the summary starts at byte {anatomy.summary.start}"))
+
+    def behind(self, batch: Records, stop: int, end: int) -> tuple[Records, int]:
+        """Go on behind bytes that are no record."""
+        if len(batch) and batch.opcodes[-1] == Opcode.CHUNK:
+            chunk = self.chunk_at(int(batch.starts[-1]), end)
+            if chunk and chunk.offset + chunk.length != stop:
+                return self.with_chunk(batch.where(slice(-1)), chunk)
+        if chunk := self.chunk_at(stop, end):
+            return self.with_chunk(batch, chunk)
+        signpost = next((post for post in self.signposts if post > stop), end)
+        return go_on(self.data, batch, stop, signpost)
+
+    def with_chunk(self, batch: Records, chunk: Chunk) -> tuple[Records, int]:
+        """File a chunk behind the records of a batch, and go on behind it."""
+        self.take(batch)
+        self.anatomy.chunks.append(chunk)
+        self.latest = Opcode.CHUNK
+        return batch.where(slice(0)), chunk.offset + chunk.length
+
+    def chunk_at(self, place: int, end: int) -> Chunk | None:
+        """Find a chunk whose record has a wrong kind or length, but whose own fields tell where it ends."""
+        start = place + RECORD_HEADER_SIZE
+        if self.data[place] != Opcode.CHUNK and place not in self.anatomy.summary.chunks:
+            return None
+        try:
+            header = chunk_header(self.data, start, max(end - start, 0))
+        except DamageError:
+            return None
+        stop = header.packed_start + header.packed_size
+        if stop <= end and len(find_records(self.data, stop, end)[0]):
+            return Chunk(start, stop - start)
+        is_last = next_record(self.data, start, end) == end
+        return Chunk(start, end - start, "cut") if header.compression in COMPRESSED and is_last else None
+
+    def take(self, batch: Records) -> None:
+        """File the records of a batch; messages in a row make one stretch."""
+        loose = batch.opcodes == Opcode.MESSAGE
+        edges = np.flatnonzero(np.diff(loose)) + 1
+        for rows in np.split(np.arange(len(batch)), edges):
+            if rows.size and loose[rows[0]]:
+                self._stretch(batch, rows)
+            elif rows.size:
+                self._others(batch.where(rows))
+
+    def _stretch(self, batch: Records, rows: Any) -> None:
+        start = int(batch.starts[rows[0]])
+        stop = int(batch.starts[rows[-1]] + batch.lengths[rows[-1]]) + RECORD_HEADER_SIZE
+        ids, counts = np.unique(gather(self.data, batch.starts[rows], _CHANNEL_ID)["channel_id"], return_counts=True)
+        counted = Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
+        self.anatomy.chunks.append(Chunk(start, stop - start, "loose", counts=counted))
+        self.latest = Opcode.MESSAGE
+
+    def _others(self, batch: Records) -> None:
+        for opcode, start, length in batch.rows():
+            try:
+                self._file(opcode, start, length)
+            except DamageError as damage:
+                self.anatomy.mark(Damage(damage.offset, damage.found))
+            self.latest = opcode
+
+    def _file(self, opcode: int, start: int, length: int) -> None:
+        anatomy = self.anatomy
+        if opcode == Opcode.CHUNK:
+            anatomy.chunks.append(Chunk(start, length))
+        elif opcode == Opcode.MESSAGE_INDEX:
+            if self.latest not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
+                raise DamageError(start, "an index stands behind no chunk")
+            anatomy.chunks[-1].indexes.append((start, length))
+        elif opcode in _SUMMARY_ONLY:
+            raise DamageError(start, f"a record of kind {opcode} stands among the messages")
+        elif opcode > Opcode.DATA_END:
+            anatomy.private += 1
+        else:
+            self._file_other(opcode, start, length)
+
+    def _file_other(self, opcode: int, start: int, length: int) -> None:
+        anatomy = self.anatomy
+        if opcode == Opcode.HEADER:
+            anatomy.header = parsed(records.Header, self.data, start, length)
+        elif opcode == Opcode.ATTACHMENT:
+            anatomy.attachments.append((start, length))
+        elif opcode == Opcode.METADATA:
+            anatomy.metadata.append((start, length))
+        elif opcode == Opcode.DATA_END:
+            crc = parsed(records.DataEnd, self.data, start, length).data_section_crc
+            anatomy.data_end = (start - RECORD_HEADER_SIZE, crc)
+        else:
+            file_definition(anatomy, self.data, opcode, start, length)
+
+
+def file_definition(anatomy: Anatomy, data: memoryview, opcode: int, start: int, length: int) -> None:
+    """File a schema or a channel; other records define nothing."""
+    if opcode == Opcode.SCHEMA:
+        schema = parsed(records.Schema, data, start, length)
+        anatomy.schemas[schema.id] = schema
+    elif opcode == Opcode.CHANNEL:
+        channel = parsed(records.Channel, data, start, length)
+        anatomy.channels[channel.id] = channel
