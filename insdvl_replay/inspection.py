@@ -8,7 +8,6 @@ from insdvl_replay.config import Config
 from insdvl_replay.errors import UserError
 from insdvl_replay.inventory import Inventory, Obstacle
 from insdvl_replay.nav.alignment import check_start
-from insdvl_replay.replay import prepare_dive
 
 
 def inspect_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
@@ -36,6 +35,9 @@ def inspect_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
         if inventory.obstacles or not deep:
             _check_start(inventory, config)
             return inventory
+        # Not imported before it is needed: a look at the file alone takes less than the filters' import.
+        from insdvl_replay.replay import prepare_dive
+
         dive = logs.read_dive(path, config)
         *_, notes = prepare_dive(dive, config)
     except UserError as error:
@@ -46,10 +48,13 @@ def inspect_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
 
 def _check_start(inventory: Inventory, config: Config) -> None:
     """Refuse what a replay would refuse for want of a start, by what the types of the reference can give."""
-    fields = {quantity for role in inventory.roles if role.role == "reference" for quantity in role.fields}
+    reference = next(role for role in inventory.roles if role.role == "reference")
+    if reference.candidates:
+        # Which of them is chosen decides what it gives.
+        return
     check_start(
         config.initial,
-        has_reference=bool(fields),
-        has_position="latitude" in fields,
-        has_attitude="quaternion" in fields or "roll" in fields,
+        has_reference=bool(reference.fields),
+        has_position="latitude" in reference.fields,
+        has_attitude="quaternion" in reference.fields or "roll" in reference.fields,
     )

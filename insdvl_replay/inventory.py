@@ -4,7 +4,7 @@ The logs room finds it out, the report room shows it. Times count from the log's
 """
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from insdvl_replay.errors import Note
 
@@ -18,8 +18,9 @@ class LogFacts:
     Attributes
     ----------
     name : str
+    parts : int
+        Files of which it consists; more than one for a bag.
     size_bytes : int
-        Of all its parts.
     profile, library : str
         As the recorder signed it.
     compression : tuple of str
@@ -36,6 +37,7 @@ class LogFacts:
     """
 
     name: str
+    parts: int
     size_bytes: int
     profile: str
     library: str
@@ -93,6 +95,8 @@ class RoleFacts:
     topic : str or None
         None where nobody does.
     reason : str
+    candidates : tuple of str
+        Topics between which the configuration has to choose.
     fields : dict of str to str
         Path of the field by the quantity that is read from it.
     """
@@ -100,6 +104,7 @@ class RoleFacts:
     role: str
     topic: str | None
     reason: str
+    candidates: tuple[str, ...]
     fields: dict[str, str]
 
 
@@ -200,6 +205,8 @@ class Inventory:
         How much of the messages was read to know it.
     topics : tuple of TopicFacts
     roles : tuple of RoleFacts
+    conventions : dict of str to dict of str to value
+        By topic, for those that play a role or could: keys of the configuration that the type settles if it does not.
     clocks : tuple of Clock
     pings : PingFacts or None
     reference : ReferenceFacts or None
@@ -215,6 +222,7 @@ class Inventory:
     reading: Reading
     topics: tuple[TopicFacts, ...]
     roles: tuple[RoleFacts, ...]
+    conventions: dict[str, dict[str, Any]] = field(default_factory=dict)
     clocks: tuple[Clock, ...] = ()
     pings: PingFacts | None = None
     reference: ReferenceFacts | None = None

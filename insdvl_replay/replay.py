@@ -14,6 +14,7 @@ from insdvl_replay.errors import LogError, Note, about
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table, mean_over_nine
 from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table, update_notes
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
+from insdvl_replay.evaluation.verdicts import Verdict, verdicts
 from insdvl_replay.history import History
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.alignment import Alignment, align
@@ -22,7 +23,7 @@ from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.gaps import find_gaps, settle_gaps
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.report.csv_tables import table_csv
-from insdvl_replay.report.json_report import build_report, encode_report
+from insdvl_replay.report.json_report import Candidate, build_report, encode_report
 from insdvl_replay.report.run_log import run_log
 from insdvl_replay.rotation import mat_from_rpy
 from insdvl_replay.states import DEG
@@ -48,6 +49,8 @@ class Replay:
         By filter name; empty without a reference.
     tables : dict of str to DataFrame
         ``improvement``, ``convergence``, ``reference_error``, ``consistency``.
+    verdicts : tuple of Verdict
+        One for each candidate.
     notes : tuple of Note
         What was dropped, assumed or found odd.
     """
@@ -60,6 +63,7 @@ class Replay:
     histories: tuple[History, ...]
     errors: dict[str, ReferenceErrors]
     tables: dict[str, pd.DataFrame]
+    verdicts: tuple[Verdict, ...]
     notes: tuple[Note, ...]
 
 
@@ -120,7 +124,9 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         "reference_error": reference_error_table(dive.name, histories, errors),
         "consistency": consistency_table(dive.name, histories),
     }
-    return Replay(dive, config, alignment.start_ns, end_ns, inside, histories, errors, tables, dive.notes + notes)
+    judged = verdicts(tables, config.baseline, [history.filter for history in histories[1:]])
+    notes = dive.notes + notes
+    return Replay(dive, config, alignment.start_ns, end_ns, inside, histories, errors, tables, judged, notes)
 
 
 def prepare_dive(dive: Dive, config: Config) -> tuple[DvlVelocities, Alignment, int, tuple[Note, ...]]:
@@ -254,7 +260,7 @@ def save_replay(replay: Replay, folder: Path) -> None:
         replay.dive,
         replay.config,
         replay.tables,
-        {history.filter: _means(replay.tables, history.filter) for history in replay.histories[1:]},
+        {verdict.filter: _candidate(verdict, replay.tables) for verdict in replay.verdicts},
         replay.notes,
         replay.start_ns,
         replay.end_ns,
@@ -277,8 +283,15 @@ def save_replay(replay: Replay, folder: Path) -> None:
     (folder / "report.json").write_bytes(encode_report(report))
 
 
-def _means(tables: dict[str, pd.DataFrame], candidate: str) -> tuple[float, float]:
-    return mean_over_nine(tables["improvement"], candidate), mean_over_nine(tables["convergence"], candidate)
+def _candidate(verdict: Verdict, tables: dict[str, pd.DataFrame]) -> Candidate:
+    return Candidate(
+        verdict=verdict.sentence,
+        improvement=verdict.improvement,
+        consistency=verdict.consistency,
+        mean_improvement_pct=verdict.believed_pct,
+        mean_convergence_improvement_pct=mean_over_nine(tables["convergence"], verdict.filter),
+        reference_improvement_pct=verdict.actual_pct,
+    )
 
 
 def _measured(histories: tuple[History, ...]) -> dict[str, tuple[TimeNs, Floats]]:

@@ -8,9 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import Dive, Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.config import Initial, Vector
+from insdvl_replay.config_file import load_config
 from insdvl_replay.errors import ConfigError, LogError
 from insdvl_replay.nav.alignment import LEVELLING_S, Alignment, align, initial_sd, level_from_gravity
 from insdvl_replay.nav.dvl import dvl_velocities
+from insdvl_replay.replay import replay_dive
 from insdvl_replay.rotation import rpy_from_mat
 from insdvl_replay.sim.dive import FIRST_PING_S, START_NS, exact_dive
 from insdvl_replay.sim.motion import Course
@@ -241,3 +243,24 @@ def test_initial_uncertainty_is_in_si_units() -> None:
     )
     expected = [0.3] * 3 + [0.1 * DEG, 0.2 * DEG, 2.0 * DEG] + [5.0 * MG] * 3 + [7.0 * DEG_PER_HOUR] * 3
     np.testing.assert_allclose(initial_sd(initial), expected, rtol=1e-14)
+
+
+def test_biases_known_beforehand_are_where_the_filter_starts(dive: Dive) -> None:
+    assert not aligned(dive, dive.reference, Initial()).start.gyro_bias_b.any()
+    start = aligned(
+        dive, dive.reference, Initial(accel_bias_mg=(1.0, 2.0, 3.0), gyro_bias_degph=(4.0, 5.0, 206.0))
+    ).start
+    np.testing.assert_allclose(start.accel_bias_b, [1.0 * MG, 2.0 * MG, 3.0 * MG], rtol=1e-15)
+    np.testing.assert_allclose(start.gyro_bias_b, np.array([4.0, 5.0, 206.0]) * DEG_PER_HOUR, rtol=1e-15)
+
+
+def test_a_bias_that_is_known_costs_nothing(dive: Dive) -> None:
+    """A constant error of the gyros that is told beforehand leaves the same dive."""
+    bias_b = np.array([0.0, 0.0, 206.0]) * DEG_PER_HOUR
+    biased = replace(dive, imu=replace(dive.imu, angular_rate_b=dive.imu.angular_rate_b + bias_b))
+    plain, told = load_config(), load_config(overrides=["initial.gyro_bias_degph=[0.0, 0.0, 206.0]"])
+    without = replay_dive(dive, plain).histories[0]
+    known = replay_dive(biased, told).histories[0]
+    np.testing.assert_allclose(known.velocity_n, without.velocity_n, atol=1e-9)  # m/s
+    np.testing.assert_allclose(known.gyro_bias_b[0], bias_b, rtol=1e-15)
+    np.testing.assert_allclose(known.gyro_bias_b - bias_b, without.gyro_bias_b, atol=1e-12)  # rad/s

@@ -16,7 +16,11 @@ from insdvl_replay.cli import run_command_line
 DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
-        "--format <table|json|csv|md|latex>", "--strict", "--force", "-v, --verbose", "--help",
+        "--format <table|json|csv|md|latex>", "--allow-damaged", "--strict", "--force", "-v, --verbose", "--help",
+    ],
+    "inspect": [
+        "LOG", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json>",
+        "-v, --verbose", "--help",
     ],
     "simulate": [
         "SCENARIO", "-o, --output LOG", "--seed N", "--duration S", "--imu GRADE", "--outage START:END",
@@ -35,7 +39,7 @@ def save_half(replay, folder):
     print("half-written", flush=True)
     time.sleep(60)
 
-hall.replay_log = lambda path, config: None
+hall.replay_log = lambda path, config, **options: None
 hall.save_replay = save_half
 sys.argv = ["insdvl-replay", *sys.argv[1:]]
 main()
@@ -104,7 +108,7 @@ def test_run_writes_the_folder_and_keeps_results_apart_from_talk(result: tuple[P
         assert (folder / name).stat().st_size > 0, name
     assert out.startswith("straight: aided against baseline over ")
     assert "believed by the filter's own covariance" in out
-    assert max(map(len, out.split("\n"))) < 200
+    assert "…" not in out
     assert err.split("\n")[-2] == f"wrote {folder}"
     assert sorted(path.name for path in folder.parent.iterdir()) == ["straight"]
 
@@ -158,7 +162,9 @@ def test_a_bad_log_does_not_stop_the_others(dive: Path, tmp_path: Path, capsys: 
     lines = (output / "summary.csv").read_text().split("\n")
     assert lines[1].startswith("bad,,")
     assert lines[2].startswith("straight,aided,")
-    assert capsys.readouterr().err.split("\n")[-2] == "error: 1 of 2 logs failed: bad"
+    last = capsys.readouterr().err.split("\n")[-2]
+    assert last.startswith("error: 1 of 2 logs failed: bad; the first: ")
+    assert "is not an MCAP file" in last
 
 
 def test_strict_turns_warnings_into_exit_3_and_keeps_the_result(dive: Path, tmp_path: Path) -> None:
@@ -183,6 +189,8 @@ def test_strict_turns_warnings_into_exit_3_and_keeps_the_result(dive: Path, tmp_
         (["run", "DIVE", "-c", "absent.toml"], 2, "absent.toml: cannot be read", "-c"),
         (["run", "DIVE", "DIVE"], 2, "would both write replay/straight", "-o"),
         (["run", "absent.mcap"], 3, "absent.mcap", ""),
+        (["inspect", "text.mcap"], 3, "text.mcap: is not an MCAP file", "name an .mcap file"),
+        (["inspect", "DIVE", "--set", "imu.topik=/imu"], 2, "unknown key imu.topik", "did you mean imu.topic?"),
         (["run", "text.mcap"], 3, "text.mcap", ""),
         (["run", "DIVE", "-o", "taken"], 2, "taken/straight: exists", "--force"),
         (["run", "DIVE", "-o", "text.mcap"], 2, "text.mcap/straight: cannot be written", "-o"),
@@ -225,7 +233,7 @@ def test_an_interruption_leaves_nothing_half_written(signal_: signal.Signals, di
         _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert err == "error: interrupted\n"
-    assert list((tmp_path / "out").iterdir()) == []
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(("flags", "traceback"), [([], False), (["-v"], False), (["-vv"], True)])
@@ -237,7 +245,7 @@ def test_our_mistake_is_exit_4_and_shows_its_place_only_when_asked(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def fail(path: Path, config: object) -> None:
+    def fail(path: Path, config: object, *, allow_damaged: bool) -> None:
         raise ZeroDivisionError("a slip")
 
     monkeypatch.setattr("insdvl_replay.cli.dives.replay_log", fail)

@@ -110,7 +110,12 @@ def test_interval_holds_the_mean_of_19_in_20_honest_filters() -> None:
     ],
 )
 def test_verdict_between_2_and_4(mean: float, word: str) -> None:
-    assert verdict(mean, 2.0, 4.0) == word
+    assert verdict(mean, 2.0, 4.0, dof=3) == word
+
+
+@pytest.mark.parametrize(("mean", "word"), [(3.29, "consistent"), (3.31, "over-confident"), (2.69, "over-cautious")])
+def test_verdict_asks_for_size_beside_significance(mean: float, word: str) -> None:
+    assert verdict(mean, 2.99, 3.01, dof=3) == word
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as RosDecoders
 
-from insdvl_replay.errors import LogError
 from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.container import Log, LogChannel
 from insdvl_replay.logs.encodings import channel_paths, open_reader
@@ -66,18 +65,15 @@ def compare(block: Block, columns: Columns, decode: Callable[[bytes], Any], ever
     return compared
 
 
-@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.slow, id="all"), pytest.param(97, id="some")])
+@pytest.mark.parametrize("every", [pytest.param(5, marks=pytest.mark.slow, id="many"), pytest.param(97, id="few")])
 @pytest.mark.parametrize("path", LOGS, ids=lambda path: path.stem)
 def test_fields_equal_those_of_the_official_decoders(path: Path, every: int) -> None:
     log = Log(path)
     compared = 0
     for channel in (channel for channel in log.channels if channel.messages):
-        try:
-            paths = number_paths(channel)
-        except LogError as error:
-            # The official decoder cannot read the schemas of recorded services either.
-            assert "_Event" in channel.type_name, error
-            continue
+        if "_Event" in channel.type_name:
+            continue  # the official decoder cannot read the schemas of recorded services either
+        paths = number_paths(channel)
         reader, decode = open_reader(channel, paths, channel.topic), official_decoder(channel)
         for block in log.blocks({channel.id}):
             compared += compare(block, reader.columns(block), decode, every)

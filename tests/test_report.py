@@ -17,7 +17,7 @@ from insdvl_replay.errors import ConfigError, Note
 from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.report.csv_tables import report_csv, table_csv
 from insdvl_replay.report.folder import COMPLETE, result_file, result_folder
-from insdvl_replay.report.json_report import Report, Tool, build_report, decode_report, encode_report
+from insdvl_replay.report.json_report import Candidate, Report, Tool, build_report, decode_report, encode_report
 from insdvl_replay.report.json_schemas import SCHEMAS
 from insdvl_replay.report.markup import latex_report, markdown_report
 from insdvl_replay.report.run_log import run_log
@@ -77,8 +77,15 @@ def report(name: str = "dive", **changes: pd.DataFrame) -> Report:
     )
     notes = [Note("imu_gaps", "the IMU pauses 3 times", 3, "warning", "imu.max_gap_s")]
     used = {**tables(), **changes}
-    means = {"aided": (mean_over_nine(used["improvement"], "aided"), mean_over_nine(used["convergence"], "aided"))}
-    return build_report(dive, Config(), used, means, notes, 1_000_000_000, 425_000_000_000)
+    aided = Candidate(
+        "aided believes in smaller errors",
+        "not borne out",
+        "consistent",
+        mean_over_nine(used["improvement"], "aided"),
+        mean_over_nine(used["convergence"], "aided"),
+        float("nan"),
+    )
+    return build_report(dive, Config(), used, {"aided": aided}, notes, 1_000_000_000, 425_000_000_000)
 
 
 def test_csv_numbers_are_read_back_exactly_and_missing_ones_are_empty() -> None:

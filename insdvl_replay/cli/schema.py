@@ -12,7 +12,8 @@ def schema(
     name: Annotated[
         str | None,
         typer.Argument(
-            metavar="NAME", help="config, report, inspection, or a message type. Left out: list the names of the JSON schemas."
+            metavar="NAME",
+            help="config, report, inspection, or a message type. Left out: list the names of the JSON schemas.",
         ),
     ] = None,
     verbose: Verbose = 0,

@@ -14,6 +14,8 @@ CONFIDENCE = 0.95
 """Share of consistent filters whose mean lies inside the interval."""
 FEWEST_UPDATES = 10
 """With fewer updates the verdict is ``too few``."""
+SMALL_EXCESS = 0.1
+"""A NIS or NEES that is off by a smaller share stands for a standard deviation that is off by less than 5 %."""
 MANY_REJECTED = 0.1
 """A gate that rejects a larger share does not keep outliers out but the DVL."""
 
@@ -48,13 +50,28 @@ def mean_interval(dof: int, count: int, confidence: float = CONFIDENCE) -> tuple
     )
 
 
-def verdict(mean: float, low: float, high: float) -> str:
-    """Say what a mean NIS or NEES means for the filter's own uncertainty."""
+def verdict(mean: float, low: float, high: float, dof: int) -> str:
+    """Say what a mean NIS or NEES means for the filter's own uncertainty.
+
+    Parameters
+    ----------
+    mean : float
+    low, high : float
+        Interval in which a consistent filter's mean lies.
+    dof : int
+        Degrees of freedom of one value, the mean of a consistent filter.
+
+    Returns
+    -------
+    str
+        ``consistent`` also where the mean is outside the interval, but too close to ``dof`` to matter: over a long dive
+        any model is found wrong.
+    """
     if not np.isfinite(mean):
         return "not finite"
-    if mean > high:
-        return "over-confident"
-    return "over-cautious" if mean < low else "consistent"
+    if low <= mean <= high or abs(mean / dof - 1.0) <= SMALL_EXCESS:
+        return "consistent"
+    return "over-confident" if mean > high else "over-cautious"
 
 
 def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
@@ -90,7 +107,7 @@ def _judged(innovations: Innovations) -> tuple[int, int, float, float, float, st
         return used, rejected, nan, nan, nan, "too few"
     mean_nis = float(innovations.nis[innovations.used].mean())
     low, high = mean_interval(innovations.dof, used)
-    return used, rejected, mean_nis, low, high, verdict(mean_nis, low, high)
+    return used, rejected, mean_nis, low, high, verdict(mean_nis, low, high, innovations.dof)
 
 
 def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:

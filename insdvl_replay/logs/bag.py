@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from insdvl_replay.columns import TimeNs
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.container import Log
@@ -32,6 +33,8 @@ class Bag:
     Attributes
     ----------
     path : Path
+    parts : tuple of Log
+        Its files in their order.
     channels : tuple of LogChannel
         Of all parts; their ids count on from part to part, so that none occurs twice.
 
@@ -43,21 +46,35 @@ class Bag:
 
     def __init__(self, path: Path, *, allow_damaged: bool = False) -> None:
         self.path = path
-        self._parts = tuple(Log(part, allow_damaged=allow_damaged) for part in bag_parts(path))
+        self.parts = tuple(Log(part, allow_damaged=allow_damaged) for part in bag_parts(path))
         self.channels = tuple(
             replace(channel, id=channel.id + number * _CHANNELS_OF_A_PART)
-            for number, part in enumerate(self._parts)
+            for number, part in enumerate(self.parts)
             for channel in part.channels
         )
 
     @property
     def notes(self) -> tuple[Note, ...]:
         """What was found wrong or was passed over so far."""
-        return tuple(note for part in self._parts for note in part.notes)
+        return tuple(note for part in self.parts for note in part.notes)
+
+    def log_times(self) -> dict[int, TimeNs]:
+        """Give the log times of all messages, as `Log.log_times`.
+
+        Returns
+        -------
+        dict of int to ndarray, shape (k,)
+            By channel; ns.
+        """
+        return {
+            channel_id + number * _CHANNELS_OF_A_PART: times
+            for number, part in enumerate(self.parts)
+            for channel_id, times in part.log_times().items()
+        }
 
     def sha256(self) -> str:
         """Give the digest of the parts' digests, in their order."""
-        return hashlib.sha256("".join(part.sha256() for part in self._parts).encode()).hexdigest()
+        return hashlib.sha256("".join(part.sha256() for part in self.parts).encode()).hexdigest()
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the messages of some channels, part by part.
@@ -75,7 +92,7 @@ class Bag:
         LogError
             A part is damaged.
         """
-        for number, part in enumerate(self._parts):
+        for number, part in enumerate(self.parts):
             first = number * _CHANNELS_OF_A_PART
             inside = {id_ - first for id_ in channel_ids if 0 <= id_ - first < _CHANNELS_OF_A_PART}
             for block in part.blocks(inside):

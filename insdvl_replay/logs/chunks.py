@@ -51,6 +51,8 @@ class Content:
         Bytes of the open chunk.
     messages : ndarray, shape (k,)
         Where in the buffer the message records start.
+    headers : ndarray, shape (k,)
+        What stands in front of their payloads.
     others : list of (int, int, int)
         Kind, start and size of the content of every other record.
     damages : list of Damage
@@ -59,18 +61,14 @@ class Content:
 
     buffer: memoryview
     messages: NDArray[np.int64]
+    headers: NDArray[Any]
     others: list[tuple[int, int, int]]
     damages: list[Damage]
 
     def counts(self) -> Counter[int]:
         """Count the messages of each channel."""
-        ids, counts = np.unique(gather(self.buffer, self.messages, _MESSAGE)["channel_id"], return_counts=True)
+        ids, counts = np.unique(self.headers["channel_id"], return_counts=True)
         return Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
-
-    def log_times(self) -> TimeNs:
-        """Give the log times of the messages, shape (k,), ns."""
-        times: TimeNs = gather(self.buffer, self.messages, _MESSAGE)["log_time"].astype(np.int64)
-        return times
 
 
 @dataclass(frozen=True)
@@ -144,7 +142,7 @@ def read_chunk(data: memoryview, chunk: Chunk) -> Content:
     batches, damages = _batches(buffer, chunk)
     messages = np.concatenate([batch.starts[batch.opcodes == Opcode.MESSAGE] for batch in batches])
     others = [row for batch in batches for row in batch.where(batch.opcodes != Opcode.MESSAGE).rows()]
-    content = Content(buffer, messages, others, damages)
+    content = Content(buffer, messages, gather(buffer, messages, _MESSAGE), others, damages)
     if chunk.indexes and chunk.kind == "whole":
         damages += _index_damages(data, chunk, content)
     return content
@@ -167,8 +165,8 @@ def _batches(buffer: memoryview, chunk: Chunk) -> tuple[list[Records], list[Dama
 
 def _index_damages(data: memoryview, chunk: Chunk, content: Content) -> list[Damage]:
     """Compare the index of a chunk with the messages in it."""
-    headers = gather(content.buffer, content.messages, _MESSAGE)
-    named = Counter[int]()
+    headers = content.headers
+    unnamed = np.ones(headers.size, np.bool_)
     for offset, length in chunk.indexes:
         try:
             channel_id, entries = index_entries(data, offset, length)
@@ -178,17 +176,20 @@ def _index_damages(data: memoryview, chunk: Chunk, content: Content) -> list[Dam
         if not _names_all(entries, content.messages[mine], headers["log_time"][mine]):
             text = f"an index does not name the {np.count_nonzero(mine)} messages of channel {channel_id} in its chunk"
             return [Damage(offset, text)]
-        named[channel_id] += entries.size
-    if missing := content.counts() - named:
-        channel_id, count = missing.popitem()
-        return [Damage(chunk.offset, f"no index of a chunk names {count} messages of channel {channel_id} in it")]
+        unnamed &= ~mine
+    if unnamed.any():
+        channel_id = int(headers["channel_id"][unnamed][0])
+        text = f"no index of a chunk names the {np.count_nonzero(unnamed)} messages of channel {channel_id} in it"
+        return [Damage(chunk.offset, text)]
     return []
 
 
 def _names_all(entries: NDArray[Any], places: NDArray[np.int64], log_time: TimeNs) -> bool:
-    """Tell whether entries name all messages; some recorders also name one that they did not write any more."""
-    if not places.size:
+    """Tell whether entries name all messages; some recorders name one more that they did not write any more."""
+    if np.array_equal(entries["start"], places) and np.array_equal(entries["log_time"], log_time):
         return True
+    if entries.size > places.size + 1 or not places.size:
+        return not entries.size
     nearest = np.minimum(np.searchsorted(places, entries["start"]), places.size - 1)
     right = (places[nearest] == entries["start"]) & (log_time[nearest] == entries["log_time"])
     named = np.zeros(places.size, np.bool_)
@@ -261,11 +262,11 @@ def blocks_of(content: Content, channel_ids: Collection[int]) -> Iterator[Block]
     Block
         One for each wanted channel that has messages in the chunk.
     """
-    headers = gather(content.buffer, content.messages, _MESSAGE)
+    headers = content.headers
     found = headers["channel_id"]
     for channel_id in np.unique(found).tolist():
         if channel_id in channel_ids:
-            rows = found == channel_id
+            rows = np.flatnonzero(found == channel_id)
             yield Block(
                 channel_id=channel_id,
                 buffer=content.buffer,

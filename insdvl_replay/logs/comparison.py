@@ -1,8 +1,9 @@
-"""What the reference says about gyros and DVL: their scale and sign, before any filter has mixed them.
+"""What others say about gyros and DVL: their scale and sign, before any filter has mixed them.
 
-Three comparisons, each where the reference allows it: the gyros with the reference's change of attitude, the DVL's
-velocity with the reference's in body axes, and, for a reference of positions alone, the track that gyros and DVL make
-together with the positions. Horizontal vectors are complex numbers: forward or north, plus i times starboard or east.
+Four comparisons, each where the log allows it: the gyros with the reference's change of attitude or with the swing of
+gravity, the DVL's velocity with the reference's in body axes, and, for a reference of positions alone, the track that
+gyros and DVL make together with the positions. Horizontal vectors are complex numbers: forward or north, plus i times
+starboard or east.
 """
 
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from insdvl_replay import earth
 from insdvl_replay.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.config import Config
+from insdvl_replay.logs.imu_health import samples_in
 from insdvl_replay.rotation import mat_from_rpy, vector_from_mat, wrap_angle
 from insdvl_replay.states import DEG, DEG_PER_HOUR
 
@@ -25,7 +27,11 @@ _LEAST_TURN_RADPS: Final = 0.3 * DEG  # above the noise that differences of atti
 _LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and a lever arm's swing
 _TRACK_WINDOW_S: Final = 10.0
 _LEAST_WINDOW_M: Final = 3.0  # above the noise of a satellite fix
-_SCALES: Final = np.concatenate([[DEG], np.geomspace(0.3, 3.0, 93), [1.0, 1.0 / DEG]])
+_TILT_BLOCK_S: Final = 0.25
+_TILT_CORRELATION: Final = 0.7
+_LEAST_TRACK_TURN: Final = np.pi / 2.0
+_CLEARLY: Final = 2.0  # another scale of the gyros has to halve what a scale of 1 leaves unexplained
+_SCALES: Final = np.concatenate([[DEG], np.geomspace(0.3, 3.0, 93), [1.0 / DEG]])
 
 Complex = NDArray[np.complex128]
 
@@ -47,6 +53,22 @@ class Fit:
     scale: float
     turn: float
     coherence: float
+
+
+@dataclass(frozen=True)
+class AttitudeFit:
+    """How the gyros follow the change of the reference's attitude.
+
+    Attributes
+    ----------
+    scale : float
+        Measured over true.
+    correlation : float
+        1 or -1 where the gyros show nothing else.
+    """
+
+    scale: float
+    correlation: float
 
 
 @dataclass(frozen=True)
@@ -89,7 +111,7 @@ def fit(measured: Complex, true: Complex) -> Fit:
     return Fit(abs(product) / power, float(np.angle(product)), abs(product) / float(np.sqrt(power * other_power)))
 
 
-def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> tuple[float, float] | None:
+def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFit | None:
     """Compare what the gyros add up to between two attitudes of the reference with the turn that it shows.
 
     Parameters
@@ -99,8 +121,8 @@ def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> tuple[floa
 
     Returns
     -------
-    tuple of float, or None
-        Scale, measured over true, and correlation; None where the vehicle turned too little to tell.
+    AttitudeFit or None
+        None where the vehicle turned too little to tell.
     """
     rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)) & _inside(reference.time_ns, imu.time_ns))
     time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
@@ -114,7 +136,41 @@ def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> tuple[floa
     if np.count_nonzero(good) < ENOUGH:
         return None
     product, power = float(np.sum(summed[good] * turned[good])), float(np.sum(turned[good] ** 2))
-    return product / power, product / float(np.sqrt(power * np.sum(summed[good] ** 2)) or 1.0)
+    summed_power = float(np.sum(summed[good] ** 2))
+    return AttitudeFit(product / power, product / float(np.sqrt(power * summed_power)) if summed_power else 0.0)
+
+
+def gyro_by_gravity(imu: ImuColumns) -> float | None:
+    """Compare the gyros with the change of gravity's direction in body axes, ``du/dt = -w x u``.
+
+    Parameters
+    ----------
+    imu : ImuColumns
+
+    Returns
+    -------
+    float or None
+        Angular rate measured over true; None where the two do not move together enough to tell.
+    """
+    length = samples_in(imu, _TILT_BLOCK_S)
+    blocks = len(imu.time_ns) // length
+    if blocks <= 2 * ENOUGH:
+        return None
+    force_b, rate_b = (
+        readings[: blocks * length].reshape(blocks, length, 3).mean(axis=1)
+        for readings in (imu.specific_force_b, imu.angular_rate_b)
+    )
+    size = np.linalg.norm(force_b, axis=1, keepdims=True)
+    direction = np.divide(force_b, size, out=np.zeros_like(force_b), where=size > 0.0)
+    step_s = seconds(imu.time_ns[length : blocks * length : length], imu.time_ns[: (blocks - 1) * length : length])
+    turned = -np.cross(rate_b[1:] + rate_b[:-1], direction[1:] + direction[:-1]) / 4.0 * step_s[:, None]
+    seen = np.diff(direction, axis=0)
+    good = step_s < 2.0 * _TILT_BLOCK_S
+    product = float(np.sum(turned[good] * seen[good]))
+    power = float(np.sum(turned[good] ** 2))
+    if product**2 <= _TILT_CORRELATION**2 * power * float(np.sum(seen[good] ** 2)):
+        return None
+    return power / product
 
 
 def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Fit | None:
@@ -182,9 +238,12 @@ def track_by_positions(
         track = _travelled_m(ping_ns, measured * np.exp(1j * turned / gyro_scale), fix_ns)
         return fit(track[last] - track[first], true)
 
-    turns = float(np.ptp(turned)) > np.pi / 2.0
-    gyro_scale = max(_SCALES.tolist(), key=lambda scale: fitted(scale).coherence) if turns else 1.0
-    best = fitted(gyro_scale)
+    turns = float(np.ptp(turned)) > _LEAST_TRACK_TURN
+    gyro_scale, best = 1.0, fitted(1.0)
+    if turns:
+        other = max(_SCALES.tolist(), key=lambda scale: fitted(scale).coherence)
+        if 1.0 - fitted(other).coherence < (1.0 - best.coherence) / _CLEARLY:
+            gyro_scale, best = other, fitted(other)
     heading = float(wrap_angle(np.asarray(start_yaw / gyro_scale - best.turn)))
     return TrackFit(gyro_scale if turns else None, best.scale, heading, best.coherence)
 

@@ -9,7 +9,7 @@ import mmap
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,6 +52,8 @@ class LogChannel:
         How many messages are found.
     schema_data : bytes
         The schema as it stands in the log; protobuf's are no text.
+    metadata : mapping of str to str
+        What the recorder wrote beside it.
     """
 
     id: int
@@ -62,6 +64,7 @@ class LogChannel:
     schema_text: str
     messages: int
     schema_data: bytes = b""
+    metadata: Mapping[str, str] = field(default_factory=dict)
 
 
 class Log:
@@ -126,6 +129,16 @@ class Log:
             if chunk.kind != "loose"
         ]
         return tuple(sorted({header.compression or "none" for header in headers}))
+
+    @property
+    def parts(self) -> tuple["Log", ...]:
+        """The files of which the log consists: itself."""
+        return (self,)
+
+    @property
+    def size_bytes(self) -> int:
+        """How large the file is."""
+        return len(self._data)
 
     @property
     def schemas(self) -> Mapping[int, records.Schema]:
@@ -246,6 +259,10 @@ class Log:
         if self._anatomy.damages and not self._allow_damaged:
             raise self._refusal()
 
+    def refusal(self) -> LogError | None:
+        """Give the error with which the file would be refused, by the damage found so far."""
+        return self._refusal() if self._anatomy.damages else None
+
     def _refusal(self) -> LogError:
         first, more = self._anatomy.damages[0], len(self._anatomy.damages) - 1
         places = f" ({more} more damaged places)" if more else ""
@@ -254,7 +271,9 @@ class Log:
     def _hint(self) -> str:
         """Say what could be saved, by reading all of it."""
         self._allow_damaged = True
-        times = [content.log_times() for content in self._contents(list(self._anatomy.chunks))]
+        ids = self._anatomy.channels.keys()
+        contents = self._contents(list(self._anatomy.chunks))
+        times = [block.log_time for content in contents for block in blocks_of(content, ids)]
         saved = np.concatenate([np.empty(0, np.int64), *times])
         if not saved.size:
             return "no message in it can be read; copy it again from the recorder"
@@ -306,4 +325,5 @@ def _log_channel(channel: records.Channel, schema: Any, messages: int) -> LogCha
         schema_text=schema.data.decode("utf-8", "replace") if schema else "",
         messages=messages,
         schema_data=schema.data if schema else b"",
+        metadata=channel.metadata,
     )

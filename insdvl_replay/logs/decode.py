@@ -24,8 +24,6 @@ FRD: Final = "frd"
 GRAVITY_MPS2: Final = 9.81
 """Near enough to tell a unit by."""
 
-_GRAVITY_TOLERANCE_MPS2: Final = 1.0
-_ENOUGH_SAMPLES: Final = 10_000
 _NAMED_AXES: Final = {"frd": "+x+y+z", "flu": "+x-y-z"}
 
 
@@ -56,6 +54,8 @@ def in_frd(vectors: Floats, axes: str, key: str, unit: float = 1.0) -> Floats:
     readings = re.findall(r"([+-])([xyz])", text)
     if len(text) != 6 or sorted(axis for _, axis in readings) != ["x", "y", "z"]:
         raise ConfigError(f'{key} = "{axes}" is no set of axes', f'{key} = "frd", "flu" or for example "+y+x-z"')
+    if "".join(map("".join, readings)) == _NAMED_AXES["frd"] and unit == 1.0:
+        return vectors
     turned = np.empty_like(vectors)
     for i, (sign, axis) in enumerate(readings):
         np.multiply(vectors[:, "xyz".index(axis)], unit if sign == "+" else -unit, out=turned[:, i])
@@ -97,7 +97,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     cleaner.require_rows(table.place)
     cleaner.note_gaps(settings.max_gap_s)
     imu = ImuColumns(cleaner.times, cleaner.kept(specific_force_b), cleaner.kept(angular_rate_b))
-    return imu, [*cleaner.notes, *_gravity_notes(imu)]
+    return imu, cleaner.notes
 
 
 def _measured(table: Table, quantity: str) -> Floats:
@@ -107,20 +107,6 @@ def _measured(table: Table, quantity: str) -> Floats:
         return values
     unmeasured = table.column(f"{quantity}_var") < 0.0
     return np.where(unmeasured[:, None], np.nan, values) if unmeasured.any() else values
-
-
-def _gravity_notes(imu: ImuColumns) -> list[Note]:
-    """Compare the specific force with gravity: a wrong unit or turned axes show at once."""
-    some = imu.specific_force_b[:: 1 + len(imu.time_ns) // _ENOUGH_SAMPLES]
-    forward, starboard, down = some.T
-    size, along_down = float(np.median(np.hypot(np.hypot(forward, starboard), down))), float(np.median(down))
-    if abs(size - GRAVITY_MPS2) > _GRAVITY_TOLERANCE_MPS2:
-        text = f"the median specific force is {size:.3f} m/s^2, where gravity is {GRAVITY_MPS2:.1f}"
-        return [Note("imu_gravity", text, len(imu.time_ns), "warning", 'imu.specific_force_unit = "g", "mg" or "m/s2"')]
-    if along_down > 0.0:
-        text = f"the median specific force along down is {along_down:+.3f} m/s^2, where a level vehicle has -9.8"
-        return [Note("imu_upside_down", text, len(imu.time_ns), "warning", 'imu.axes = "flu" turns y and z')]
-    return []
 
 
 def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:

@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -75,6 +76,11 @@ class Shape:
     may_be_absent: bool = False
 
     @property
+    def is_plain(self) -> bool:
+        """Whether one number stands there in every message."""
+        return self.kind == NUMBER and not self.is_list and not self.may_be_absent
+
+    @property
     def width(self) -> int:
         """How many numbers stand there in every message; those in lists do not count."""
         if self.is_list:
@@ -82,7 +88,7 @@ class Shape:
         return int(self.kind == NUMBER) + sum(inner.width for inner in self.fields.values())
 
 
-Numbers = Callable[[Any], list[float]]
+Numbers = Callable[[Any], Sequence[float]]
 """Reads the numbers at a place of a decoded message."""
 Access = Callable[[Any, str, Shape], Any]
 """Takes a field out of a decoded structure; None where it is absent."""
@@ -204,6 +210,8 @@ def rows_as_columns(rows: Sequence[Sequence[float]]) -> NDArray[Any]:
             filled_row[: len(row)] = row
         return filled
     values = np.array(rows).reshape(len(rows), -1) if widths != {0} else np.empty((len(rows), 0))
+    if values.dtype == np.object_:
+        values = np.vectorize(_as_float, otypes=[np.float64])(values)
     return values.astype(np.int64 if values.dtype.kind in "bi" else np.float64, copy=False)
 
 
@@ -221,6 +229,9 @@ def _inside(shape: Shape, steps: Sequence[tuple[str, slice]], access: Access) ->
     if steps:
         name, chosen = steps[0]
         return _field(name, shape.fields[name], chosen, steps[1:], access)
+    if len(shape.fields) > 1 and all(inner.is_plain for inner in shape.fields.values()):
+        # Only attributes are never absent: a vector of them is read at once.
+        return attrgetter(*shape.fields)
     parts = [_field(name, inner, slice(None), (), access) for name, inner in shape.fields.items() if inner.kind != TEXT]
     return lambda value: [number for part in parts for number in part(value)]
 
@@ -236,7 +247,7 @@ def _field(name: str, shape: Shape, chosen: slice, rest: Sequence[tuple[str, sli
         return elements
     missing = [math.nan] * _width(shape, rest)
 
-    def single(value: Any) -> list[float]:
+    def single(value: Any) -> Sequence[float]:
         inner = access(value, name, shape)
         return missing if inner is None else inside(inner)
 
@@ -249,6 +260,14 @@ def _width(shape: Shape, steps: Sequence[tuple[str, slice]]) -> int:
             return 0
         shape = shape.fields[name]
     return shape.width
+
+
+def _as_float(number: float) -> float:
+    """Give a whole number of any size as a float, NaN where it has none."""
+    try:
+        return float(number)
+    except OverflowError:
+        return math.nan
 
 
 def _number(value: Any) -> list[float]:

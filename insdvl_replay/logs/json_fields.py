@@ -24,6 +24,8 @@ from insdvl_replay.logs.field_paths import (
 _STRUCTURE: Final = "object"
 _EXAMPLES: Final = 100
 """Messages from which the fields are learnt that no schema names."""
+_DEEPEST: Final = 32
+"""Levels of structures within structures that are looked at."""
 _FIRST: Final = ("sec", "nsec", "nanosec", "x", "y", "z", "w")
 """The members of a JSON object have no order; these names have one in every vector, quaternion and time."""
 
@@ -130,25 +132,28 @@ def json_shape(schema_data: bytes, place: str) -> Shape:
     return described if described.kind == _STRUCTURE else Shape(_STRUCTURE)
 
 
-def _shape_by(schema: Any) -> Shape:
+def _shape_by(schema: Any, level: int = 0) -> Shape:
     """Follow the properties and items of a schema."""
-    if not isinstance(schema, Mapping):
+    if not isinstance(schema, Mapping) or level > _DEEPEST:
         return Shape(TEXT)
     kind = schema.get("type")
     if kind == "array":
-        return _list_of(_shape_by(schema.get("items", {"type": "number"})))
+        return _list_of(_shape_by(schema.get("items", {"type": "number"}), level + 1))
     if kind == "object":
-        properties = schema.get("properties", {})
-        return _object({name: _shape_by(inner) for name, inner in properties.items()})
+        properties = schema.get("properties")
+        known = properties if isinstance(properties, Mapping) else {}
+        return _object({name: _shape_by(inner, level + 1) for name, inner in known.items()})
     return Shape(NUMBER if kind in ("number", "integer", "boolean") else TEXT, may_be_absent=True)
 
 
-def _shape_of(value: Any) -> Shape:
+def _shape_of(value: Any, level: int = 0) -> Shape:
     """Tell the shape by an example."""
+    if level > _DEEPEST:
+        return Shape(TEXT, may_be_absent=True)
     if isinstance(value, dict):
-        return _object({name: _shape_of(inner) for name, inner in value.items()})
+        return _object({name: _shape_of(inner, level + 1) for name, inner in value.items()})
     if isinstance(value, list):
-        return _list_of(reduce(_merged, map(_shape_of, value), Shape(TEXT)))
+        return _list_of(reduce(_merged, (_shape_of(item, level + 1) for item in value), Shape(TEXT)))
     return Shape(NUMBER if isinstance(value, int | float) else TEXT, may_be_absent=True)
 
 

@@ -123,11 +123,11 @@ def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
     if chunk.kind == "loose":
         return data[chunk.offset : chunk.offset + chunk.length]
     header = chunk_header(data, chunk.offset, chunk.length)
-    packed = data[header.packed_start : chunk.offset + chunk.length][: header.packed_size]
+    packed = data[header.packed_start : chunk.offset + chunk.length]
     if chunk.kind == "cut":
         return _decompressed_start(packed, header.compression, chunk.offset)
     if len(packed) != header.packed_size:
-        found = f"a chunk says it has {header.packed_size} compressed bytes; {len(packed)} are left"
+        found = f"a chunk says it has {header.packed_size} compressed bytes; there are {len(packed)}"
         raise DamageError(chunk.offset, found)
     content = _decompressed(packed, header.compression, header.size, chunk.offset)
     if len(content) != header.size:

@@ -14,7 +14,8 @@ from insdvl_replay.logs.pings import decode_dvl
 from insdvl_replay.logs.plausibility import plausibility_notes
 from insdvl_replay.logs.reference import decode_reference
 from insdvl_replay.logs.roles import Roles, assign_roles
-from insdvl_replay.logs.tables import count_notes, read_tables, schema_notes, stamp_notes
+from insdvl_replay.logs.table_notes import count_notes, schema_notes, stamp_notes
+from insdvl_replay.logs.tables import read_tables
 
 
 def read_dive(path: Path, config: Config, *, allow_damaged: bool = False) -> Dive:

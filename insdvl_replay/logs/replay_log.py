@@ -2,10 +2,9 @@
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
-import pandas as pd
 
 from insdvl_replay.columns import Dive, Floats, TimeNs
 from insdvl_replay.earth import meridian_radius_m, transverse_radius_m
@@ -29,6 +28,10 @@ from insdvl_replay.logs.ros2msg import Field, definition_text, parse_definitions
 from insdvl_replay.logs.writer import write_log
 from insdvl_replay.rotation import quat_from_mat, wrap_angle
 from insdvl_replay.states import DEG_PER_HOUR, MG, STATES
+
+if TYPE_CHECKING:
+    # Only its type is needed, and whoever looks into a log must not wait for it.
+    import pandas as pd
 
 Sampled = tuple[TimeNs, Floats]
 """Times of validity, shape (m,), and vectors in body axes, shape (m, 3)."""
@@ -66,7 +69,7 @@ def write_replay(
     histories: Sequence[History],
     dvl: Mapping[str, Sampled],
     errors: Mapping[str, Errors],
-    tables: Mapping[str, pd.DataFrame],
+    tables: Mapping[str, "pd.DataFrame"],
     notes: Sequence[Note],
     config_toml: str,
     version: str,
@@ -196,7 +199,7 @@ def _dvl(quantity: str, time_ns: TimeNs, values_b: Floats) -> Batch:
     return stamped(f"/insdvl/dvl/{quantity}", type_name, time_ns, IMU, {field: values_b})
 
 
-def _rows(name: str, table: pd.DataFrame, end_ns: int) -> Iterator[Batch]:
+def _rows(name: str, table: "pd.DataFrame", end_ns: int) -> Iterator[Batch]:
     """Give each row of a table as a batch of its own, since its texts are its own."""
     type_name = f"insdvl_msgs/msg/{name.title().replace('_', '')}Row"
     _, *fields = parse_definitions(type_name, definition_text(type_name))[type_name].fields
@@ -209,7 +212,7 @@ def _rows(name: str, table: pd.DataFrame, end_ns: int) -> Iterator[Batch]:
 
 def _cell(field: Field, row: Mapping[Hashable, Any]) -> str | float:
     value = row[field.name]
-    missing = pd.isna(value)
+    missing = value is None or value != value
     if field.type_name == "string":
         return "" if missing else str(value)
     return np.nan if missing else value

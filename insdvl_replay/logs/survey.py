@@ -3,39 +3,23 @@
 Built on the functions that read a dive, so that what is said here is what a replay would meet.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import DvlColumns, ImuColumns, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.columns import TimeNs, seconds
 from insdvl_replay.config import Config, Initial
-from insdvl_replay.errors import ConfigError, Note, UserError
-from insdvl_replay.inventory import (
-    Clock,
-    Inventory,
-    LogFacts,
-    Obstacle,
-    PingFacts,
-    ReferenceFacts,
-    RoleFacts,
-    TopicFacts,
-)
-from insdvl_replay.logs.clocks import clock_notes
-from insdvl_replay.logs.container import Log, LogChannel
-from insdvl_replay.logs.decode import decode_imu
-from insdvl_replay.logs.pings import decode_dvl
-from insdvl_replay.logs.proposal import propose_choice, propose_fields, propose_start, see_topics
-from insdvl_replay.logs.reference import decode_reference
+from insdvl_replay.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
+from insdvl_replay.logs.bag import Recording, open_recording
+from insdvl_replay.logs.container import LogChannel
+from insdvl_replay.logs.examination import Examination
+from insdvl_replay.logs.proposal import propose_choice, propose_fields, propose_start
 from insdvl_replay.logs.roles import Finding, explain_roles
-from insdvl_replay.logs.tables import Table, read_sample, read_tables
-from insdvl_replay.logs.wishes import Source
+from insdvl_replay.logs.sightings import see_topics
 
-_ENOUGH: Final = 1000
-"""Messages of a role that show its clock and its units."""
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -58,123 +42,50 @@ def survey_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
     LogError
         The file cannot be read at all.
     """
-    log = Log(path)
+    log = open_recording(path, allow_damaged=True)
     findings = explain_roles(str(path), log.channels, config)
-    stock = _Stock(log, config, deep)
-    for finding in findings:
-        stock.look_at(finding)
-    stock.compare_clocks()
+    seen = Examination(log, config, deep)
+    seen.examine(findings)
+    sources = [source for finding in findings for source in (*finding.sources, *finding.candidates)]
+    looked_at = {source.topic for source in sources}
+    seen.examine_others(channel for channel in log.channels if channel.topic not in looked_at)
     log_times = log.log_times()
+    # Last of all, since damage inside the chunks is found as they are opened.
+    refusals = [error for part in log.parts if (error := part.refusal()) is not None]
     return Inventory(
         log=_log_facts(log, log_times),
         reading="whole" if deep else "sample",
         topics=_topics(log.channels, log_times, findings),
         roles=tuple(_role_facts(finding) for finding in findings),
-        clocks=tuple(stock.clocks),
-        pings=stock.pings,
-        reference=stock.reference,
-        obstacles=tuple(stock.obstacles),
-        notes=tuple(stock.notes),
+        conventions={source.topic: dict(source.conventions) for source in sources if source.conventions},
+        clocks=tuple(seen.clocks),
+        pings=seen.pings,
+        reference=seen.reference,
+        obstacles=(*(Obstacle(error.message, error.hint) for error in refusals), *seen.obstacles),
+        notes=(*log.notes, *seen.notes),
         configuration=_proposal(log, findings, config.initial),
     )
 
 
-@dataclass
-class _Stock:
-    """Collects what the messages tell, role by role."""
-
-    log: Log
-    config: Config
-    deep: bool
-    clocks: list[Clock] = field(default_factory=list)
-    notes: list[Note] = field(default_factory=list)
-    obstacles: list[Obstacle] = field(default_factory=list)
-    pings: PingFacts | None = None
-    reference: ReferenceFacts | None = None
-    imu: ImuColumns | None = None
-
-    def look_at(self, finding: Finding) -> None:
-        """Look at the topic of a role, or at each that could play it."""
-        if finding.error is not None:
-            self._stopped_by(finding.error)
-        for source in finding.candidates:
-            self._look_at_candidate(source)
-        try:
-            tables = [self._read(source) for source in finding.sources]
-        except UserError as error:
-            self._stopped_by(error)
-            return
-        if tables:
-            self._judge(finding.role, tables)
-
-    def compare_clocks(self) -> None:
-        """See whether the clocks of the roles may be mixed."""
-        if self.clocks and self.clocks[0].role == "imu":
-            try:
-                self._remark(clock_notes(str(self.log.path), self.clocks, self.config.clocks.max_disagreement_s))
-            except UserError as error:
-                self._stopped_by(error)
-
-    def _read(self, source: Source) -> Table:
-        table = read_tables(self.log, [source])[0] if self.deep else read_sample(self.log, source, _ENOUGH)
-        self.clocks.append(table.clock())
-        return table
-
-    def _judge(self, role: str, tables: list[Table]) -> None:
-        try:
-            self._decode(role, tables)
-        except UserError as error:
-            # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
-            if self.deep or role == "imu" or isinstance(error, ConfigError):
-                self._stopped_by(error)
-
-    def _decode(self, role: str, tables: list[Table]) -> None:
-        if role == "imu":
-            self.imu, notes = decode_imu(tables[0], self.config.imu)
-        elif role == "dvl":
-            dvl, notes = decode_dvl(tables[0], self.config.dvl)
-            self.pings = _ping_facts(len(tables[0]), dvl, notes)
-        elif role == "reference":
-            reference, notes = decode_reference(tables, self.config.reference)
-            self.reference = _reference_facts(reference, self.imu) if reference and self.imu and self.deep else None
-        else:
-            notes = []
-        self._remark(notes)
-
-    def _look_at_candidate(self, source: Source) -> None:
-        """Say of one of several topics what would be noted if it were the one."""
-        try:
-            table = self._read(source)
-            notes = decode_imu(table, self.config.imu)[1] if source.role == "imu" else []
-            self._remark(replace(note, text=f"{source.topic}: {note.text}") for note in notes)
-        except UserError as error:
-            self.notes.append(Note(f"{source.role}_candidate", error.message, 1, "warning", error.hint))
-
-    def _remark(self, notes: Iterable[Note]) -> None:
-        """Keep notes; of those from a sample the warnings alone, since its counts are not the log's."""
-        self.notes += [note for note in notes if self.deep or note.severity == "warning"]
-
-    def _stopped_by(self, error: UserError) -> None:
-        self.obstacles.append(Obstacle(error.message, error.hint))
-
-
-def _log_facts(log: Log, log_times: Mapping[int, TimeNs]) -> LogFacts:
+def _log_facts(log: Recording, log_times: Mapping[int, TimeNs]) -> LogFacts:
     times = [times for times in log_times.values() if times.size]
     first_ns = min((int(part.min()) for part in times), default=0)
     last_ns = max((int(part.max()) for part in times), default=0)
+    parts = log.parts
     return LogFacts(
         name=log.path.name,
-        size_bytes=log.path.stat().st_size,
-        profile="",
-        library="",
-        compression=(),
-        chunks=0,
+        parts=len(parts),
+        size_bytes=sum(part.size_bytes for part in parts),
+        profile=", ".join(sorted({part.profile for part in parts})),
+        library=", ".join(sorted({part.library for part in parts})),
+        compression=tuple(sorted({name for part in parts for name in part.compression})),
+        chunks=sum(part.chunk_count for part in parts),
         messages=sum(part.size for part in times),
-        has_summary=True,
+        has_summary=all(part.has_summary for part in parts),
         start_utc=_utc(first_ns) if times else None,
         duration_s=(last_ns - first_ns) * 1e-9,
-        metadata=(),
-        attachments=(),
+        metadata=tuple(record.name for part in parts for record in part.metadata),
+        attachments=tuple(attachment.name for part in parts for attachment in part.attachments),
     )
 
 
@@ -220,37 +131,11 @@ def _topic_facts(same: Sequence[LogChannel], log_time: TimeNs, start_ns: int, ro
 def _role_facts(finding: Finding) -> RoleFacts:
     topics = ", ".join(source.topic for source in finding.sources)
     fields = {quantity: path for source in finding.sources for quantity, path in source.fields.items()}
-    return RoleFacts(finding.role, topics or None, finding.reason, fields)
+    candidates = tuple(source.topic for source in finding.candidates)
+    return RoleFacts(finding.role, topics or None, finding.reason, candidates, fields)
 
 
-def _ping_facts(messages: int, dvl: DvlColumns, notes: Sequence[Note]) -> PingFacts:
-    repeats = sum(note.count for note in notes if note.code in ("dvl_repeats", "dvl_same_values"))
-    steps_s = np.diff(seconds(dvl.time_ns, int(dvl.time_ns[0])))
-    if dvl.beam_velocity_mps is None:
-        by_beams = (0, 0, 0)
-    else:
-        beams = np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
-        by_beams = (int(np.sum(beams > 3)), int(np.sum(beams == 3)), int(np.sum(beams < 3)))
-    rate_hz = 1.0 / float(np.median(steps_s)) if steps_s.size else None
-    return PingFacts(messages, repeats, len(dvl.time_ns), *by_beams, rate_hz)
-
-
-def _reference_facts(reference: ReferenceColumns, imu: ImuColumns) -> ReferenceFacts:
-    given = (reference.position[:, :2], reference.velocity_n, reference.mat_nb.reshape(-1, 9))
-    parts = [_covered_pct(reference.time_ns[np.isfinite(values).all(axis=1)], imu.time_ns) for values in given]
-    return ReferenceFacts(len(reference.time_ns), *parts)
-
-
-def _covered_pct(time_ns: TimeNs, imu_time_ns: TimeNs) -> float:
-    """Give the part of the IMU's span that lies between the first and the last of some times."""
-    first_ns, last_ns = int(imu_time_ns[0]), int(imu_time_ns[-1])
-    if not time_ns.size or last_ns == first_ns:
-        return 0.0
-    covered_ns = min(last_ns, int(time_ns[-1])) - max(first_ns, int(time_ns[0]))
-    return max(0.0, 100.0 * covered_ns / (last_ns - first_ns))
-
-
-def _proposal(log: Log, findings: Sequence[Finding], initial: Initial) -> str:
+def _proposal(log: Recording, findings: Sequence[Finding], initial: Initial) -> str:
     """Propose settings for what a replay lacks."""
     choices = {finding.role: [source.topic for source in finding.candidates] for finding in findings if finding.error}
     unknown = {role for role, topics in choices.items() if not topics and role in ("imu", "dvl")}

@@ -1,14 +1,13 @@
 """The columns of every topic that plays a role, in one pass through the log."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, TimeNs
-from insdvl_replay.errors import LogError, Note
+from insdvl_replay.errors import LogError
 from insdvl_replay.inventory import Clock
 from insdvl_replay.logs.bag import Recording
 from insdvl_replay.logs.chunks import Block
@@ -16,10 +15,12 @@ from insdvl_replay.logs.clocks import measure_clock, stamp_unit
 from insdvl_replay.logs.container import LogChannel
 from insdvl_replay.logs.encodings import open_reader
 from insdvl_replay.logs.field_paths import Columns, FieldReader, split_paths
+from insdvl_replay.logs.filling import Filling
 from insdvl_replay.logs.wishes import Source
 
 _NS_PER_S: Final = 1_000_000_000
-_RECORDER_STAMPS: Final = ("log_time", "publish_time")
+RECORDER_STAMPS: Final = ("log_time", "publish_time")
+"""Stamps that stand in no message."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class Table:
             The stamp's field is no time, or the same in every message.
         """
         stamp = self.source.stamp
-        time_ns = self.columns[stamp][:, 0] if stamp in _RECORDER_STAMPS else self._stamped(_stamp_path(stamp))
+        time_ns = self.columns[stamp][:, 0] if stamp in RECORDER_STAMPS else self._stamped(stamp_path(stamp))
         if time_ns.size > 1 and time_ns.min() == time_ns.max():
             raise LogError(
                 f"{self.place}: stamp '{stamp}' is {time_ns[0] / _NS_PER_S:.9f} s in each of {time_ns.size} messages",
@@ -202,66 +203,6 @@ def read_sample(log: Recording, source: Source, enough: int) -> Table:
     return builder.table()
 
 
-def schema_notes(sources: Iterable[Source]) -> tuple[Note, ...]:
-    """Say for which topics the log has no schema, so that a definition that comes with the tool was used.
-
-    Parameters
-    ----------
-    sources : iterable of Source
-
-    Returns
-    -------
-    tuple of Note
-    """
-    return tuple(
-        Note("builtin_definition", f"{source.topic}: the log has no schema; that of {source.type_name} was assumed")
-        for source in sources
-        if source.channels[0].encoding == "cdr" and not all(channel.schema_text.strip() for channel in source.channels)
-    )
-
-
-def count_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
-    """Say where a log holds fewer or more messages than its summary announces.
-
-    Parameters
-    ----------
-    tables : iterable of Table
-
-    Returns
-    -------
-    tuple of Note
-    """
-    notes = []
-    for table in tables:
-        announced, found = sum(channel.messages for channel in table.source.channels), len(table)
-        if announced != found:
-            text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
-            notes.append(Note("messages_missing", text, abs(announced - found), "warning"))
-    return tuple(notes)
-
-
-def stamp_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
-    """Say how stamps that are mere numbers were understood.
-
-    Parameters
-    ----------
-    tables : iterable of Table
-
-    Returns
-    -------
-    tuple of Note
-    """
-    notes = []
-    for table in tables:
-        source = table.source
-        values = table.columns[_stamp_path(source.stamp)]
-        if source.stamp not in _RECORDER_STAMPS and values.shape[1] == 1:
-            unit = stamp_unit(values[:, 0], table.columns["log_time"][:, 0])[1]
-            text = f"{source.topic}: stamp '{source.stamp}' was read as {unit}"
-            notes.append(Note(f"{source.role}_stamp_unit", text))
-    return tuple(notes)
-
-
 @dataclass
 class _Builder:
     """Collects the columns of one topic, block by block."""
@@ -269,17 +210,18 @@ class _Builder:
     log: Recording
     source: Source
     readers: dict[int, FieldReader] = field(init=False)
-    parts: dict[str, list[NDArray[Any]]] = field(init=False)
+    filling: dict[str, Filling] = field(init=False)
 
     def __post_init__(self) -> None:
         self.place = f"{self.log.path}: {self.source.topic}"
         fields = (path for paths in self.source.fields.values() for path in split_paths(paths))
-        paths = dict.fromkeys([_stamp_path(self.source.stamp), "log_time", *fields])
-        self.parts = {path: [] for path in paths}
+        paths = dict.fromkeys([stamp_path(self.source.stamp), "log_time", *fields])
+        announced = sum(channel.messages for channel in self.source.channels)
+        self.filling = {path: Filling(announced) for path in paths}
         self.readers = {channel.id: self._reader(channel) for channel in self.source.channels}
 
     def _reader(self, channel: LogChannel) -> FieldReader:
-        return open_reader(channel, [path for path in self.parts if path not in _RECORDER_STAMPS], self.place)
+        return open_reader(channel, [path for path in self.filling if path not in RECORDER_STAMPS], self.place)
 
     def add(self, block: Block) -> None:
         """Read a block if it is of this topic."""
@@ -288,27 +230,25 @@ class _Builder:
             return
         recorder = {"log_time": block.log_time[:, None], "publish_time": block.publish_time[:, None]}
         columns = recorder | reader.columns(block)
-        for path, parts in self.parts.items():
-            parts.append(columns[path])
+        for path, column in self.filling.items():
+            column.add(columns[path])
 
     def table(self) -> Table:
-        """Put the blocks together, letting go of each column's parts as it goes."""
-        if not all(self.parts.values()):
+        """Give what has been read."""
+        if not all(self.filling.values()):
             raise LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
-        return Table(self.place, self.source, {path: _stacked(self.parts.pop(path)) for path in list(self.parts)})
+        return Table(self.place, self.source, {path: column.rows() for path, column in self.filling.items()})
 
 
-def _stamp_path(stamp: str) -> str:
+def stamp_path(stamp: str) -> str:
+    """Give the field of a stamp; ``header`` is short for that of a ROS message.
+
+    Parameters
+    ----------
+    stamp : str
+
+    Returns
+    -------
+    str
+    """
     return "header.stamp" if stamp == "header" else stamp
-
-
-def _stacked(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Put blocks below each other; where a sequence is shorter, it is filled up with NaN."""
-    width = max(part.shape[1] for part in parts)
-    filled = [
-        part
-        if part.shape[1] == width
-        else np.pad(part.astype(np.float64), ((0, 0), (0, width - part.shape[1])), constant_values=np.nan)
-        for part in parts
-    ]
-    return np.concatenate(filled)

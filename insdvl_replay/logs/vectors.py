@@ -25,7 +25,7 @@ def vector_paths(known: Kinds) -> list[str]:
     """
     numbers = [path for path, kind in known.items() if kind == NUMBER or kind in PRIMITIVES]
     single = [path for path in numbers if f"{path}[*]" not in known and "[*]" not in path]
-    lists = [path for path in numbers if path.count("[*]") == 1]
+    lists = [path.removesuffix("[*]") for path in numbers if path.count("[*]") == 1]
     return sorted({*_structures(numbers), *_named_for_axes(single), *lists})
 
 

@@ -122,7 +122,8 @@ class Walk:
 
     def run(self) -> None:
         """Go from the first record to the end of the data section."""
-        anatomy, place, end = self.anatomy, len(MAGIC), self.anatomy.summary.end
+        anatomy, place = self.anatomy, len(MAGIC)
+        end = anatomy.summary.start if anatomy.summary.checked and anatomy.summary.start else anatomy.summary.end
         while place < end and anatomy.data_end is None:
             batch, stop = find_records(self.data, place, end)
             if is_broken(batch, stop, end):

@@ -43,17 +43,19 @@ def terminal_inventory(inventory: Inventory) -> tuple[Group, list[str]]:
     list of str
         Lines to be printed as they stand, so that hints and settings can be copied.
     """
-    tables = [table for table in (_roles(inventory), _topics(inventory), _clocks(inventory)) if table.rows]
+    tables = (_roles(inventory), _conventions(inventory), _topics(inventory), _clocks(inventory))
     parts: list[RenderableType] = [Text(line) for line in _heading(inventory)]
     for table in tables:
-        parts += [Text(), dressed(table)]
+        if table.rows:
+            parts += [Text(), dressed(table)]
     return Group(*parts, Text()), list(_sentences(inventory))
 
 
 def _heading(inventory: Inventory) -> Iterator[str]:
     log = inventory.log
     used = sum(1 for topic in inventory.topics if topic.messages)
-    yield f"{log.name}: {_size(log.size_bytes)}, profile {log.profile or MISSING}, written by {log.library or MISSING}"
+    size = f"{_size(log.size_bytes)}{f' in {log.parts} parts' if log.parts > 1 else ''}"
+    yield f"{log.name}: {size}, profile {log.profile or MISSING}, written by {log.library or MISSING}"
     yield f"{log.messages} messages on {used} of {len(inventory.topics)} topics, {_chunks(log)}"
     if log.start_utc is not None:
         yield f"{log.duration_s:.1f} s from {log.start_utc} by the recorder's clock"
@@ -87,9 +89,8 @@ def _size(size_bytes: int) -> str:
 
 def _chunks(log: LogFacts) -> str:
     summary = "" if log.has_summary else ", no summary"
-    if not log.chunks:
-        return f"no chunks{summary}"
-    return f"{log.chunks} chunks ({', '.join(log.compression)}){summary}"
+    compression = f" ({', '.join(log.compression)})" if log.chunks else ""
+    return f"chunks: {log.chunks}{compression}{summary}"
 
 
 def _roles(inventory: Inventory) -> ShownTable:
@@ -98,6 +99,18 @@ def _roles(inventory: Inventory) -> ShownTable:
         ("role", "topic", "why"),
         "lll",
         tuple((role.role, role.topic or MISSING, role.reason) for role in inventory.roles),
+    )
+
+
+def _conventions(inventory: Inventory) -> ShownTable:
+    return ShownTable(
+        "Conventions: what the type of a topic says where the configuration does not",
+        ("topic", "key and value"),
+        "ll",
+        tuple(
+            (topic, "\n".join(f"{key} = {msgspec.json.encode(value).decode()}" for key, value in keys.items()))
+            for topic, keys in inventory.conventions.items()
+        ),
     )
 
 

@@ -4,16 +4,19 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import msgspec
-import pandas as pd
 from msgspec import Meta, Struct
 
 from insdvl_replay import __version__
 from insdvl_replay.columns import Channel, Dive
 from insdvl_replay.config import Config
 from insdvl_replay.errors import Note
+
+if TYPE_CHECKING:
+    # Only its type is needed, and whoever looks into a log must not wait for it.
+    import pandas as pd
 
 NUMERICAL_PACKAGES: Final = ("numpy", "numba", "pandas", "scipy", "mcap")
 """Packages whose version may move a number."""
@@ -86,11 +89,19 @@ class Tables(Struct, frozen=True):
     consistency: list[ConsistencyRow]
 
 
-class Means(Struct, frozen=True):
-    """Means over the nine states without the velocity errors; a missing improvement counts as 0."""
+class Candidate(Struct, frozen=True):
+    """What there is to say of one candidate."""
 
-    mean_improvement_pct: float | None
-    mean_convergence_improvement_pct: float | None
+    verdict: Annotated[str, Meta(description="one paragraph for people: believed, actual, consistent")]
+    improvement: Annotated[str, Meta(description="borne out, not borne out, worse, none believed or no reference")]
+    consistency: Annotated[str, Meta(description="the gravest verdict of its measurements")]
+    mean_improvement_pct: Annotated[
+        float | None, Meta(description="believed; nine states, without the velocity errors")
+    ]
+    mean_convergence_improvement_pct: Annotated[
+        float | None, Meta(description="the same nine; never and at start count 0")
+    ]
+    reference_improvement_pct: Annotated[float | None, Meta(description="actual; median over the compared quantities")]
 
 
 class Log(Struct, frozen=True):
@@ -120,7 +131,7 @@ class Report(Struct, frozen=True):
     versions: Annotated[dict[str, str], Meta(description="of Python and the packages that may move a number")]
     log: Log
     baseline: Annotated[str, Meta(description="name of the filter that the candidates are compared with")]
-    filters: Annotated[dict[str, Means], Meta(description="each candidate's headline, believed by its own covariance")]
+    filters: Annotated[dict[str, Candidate], Meta(description="what there is to say of each candidate")]
     tables: Tables
     notes: Annotated[list[Note], Meta(description="what was dropped, assumed or found odd")]
     config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
@@ -129,8 +140,8 @@ class Report(Struct, frozen=True):
 def build_report(
     dive: Dive,
     config: Config,
-    tables: Mapping[str, pd.DataFrame],
-    means: Mapping[str, tuple[float, float]],
+    tables: Mapping[str, "pd.DataFrame"],
+    candidates: Mapping[str, Candidate],
     notes: Sequence[Note],
     start_ns: int,
     end_ns: int,
@@ -145,8 +156,8 @@ def build_report(
         Resolved settings.
     tables : mapping of str to DataFrame
         ``improvement``, ``convergence``, ``reference_error``, ``consistency``.
-    means : mapping of str to (float, float)
-        Mean improvement and mean convergence improvement of each candidate, percent.
+    candidates : mapping of str to Candidate
+        By filter name.
     notes : sequence of Note
     start_ns, end_ns : int
         Span of the replay.
@@ -163,7 +174,7 @@ def build_report(
         versions={"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES},
         log=Log(dive.name, dive.sha256, start_ns, end_ns, (end_ns - start_ns) * 1e-9, list(dive.channels)),
         baseline=config.baseline,
-        filters={name: Means(*map(_finite_or_none, pair)) for name, pair in means.items()},
+        filters={name: _without_nan(candidate) for name, candidate in candidates.items()},
         tables=rows,
         notes=list(notes),
         config=msgspec.to_builtins(config),
@@ -200,8 +211,12 @@ def decode_report(data: bytes) -> Report:
     return msgspec.json.decode(data, type=Report)
 
 
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+def _records(table: "pd.DataFrame") -> list[dict[str, Any]]:
     return [{str(key): _finite_or_none(value) for key, value in row.items()} for row in table.to_dict("records")]
+
+
+def _without_nan(candidate: Candidate) -> Candidate:
+    return Candidate(*map(_finite_or_none, msgspec.structs.astuple(candidate)))
 
 
 def _finite_or_none(value: Any) -> Any:

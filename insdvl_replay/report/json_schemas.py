@@ -1,4 +1,4 @@
-"""JSON schemas of the settings, the report and the inspection, generated from the structures that read and write them."""
+"""JSON schemas of settings, report and inspection, generated from the structures that read and write them."""
 
 from collections.abc import Callable
 from typing import Any, Final

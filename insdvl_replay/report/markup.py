@@ -4,7 +4,7 @@ import re
 from typing import Final
 
 from insdvl_replay.report.json_report import Report
-from insdvl_replay.report.shown import ShownTable, closing_lines, heading, shown_tables
+from insdvl_replay.report.shown import ShownTable, closing_lines, heading, shown_tables, verdict_lines
 
 _LATEX: Final = {
     "\\": r"\textbackslash{}",
@@ -27,6 +27,7 @@ def markdown_report(report: Report) -> str:
     """
     parts = [
         f"## {heading(report)}",
+        *verdict_lines(report),
         *(_markdown_table(table) for table in shown_tables(report)),
         *closing_lines(report),
     ]
@@ -45,7 +46,7 @@ def latex_report(report: Report) -> str:
     str
         Needs ``\\usepackage{booktabs}``.
     """
-    comments = [f"% {heading(report)}", *(f"% {line}" for line in closing_lines(report))]
+    comments = [f"% {line}" for line in (heading(report), *verdict_lines(report), *closing_lines(report))]
     return "\n\n".join(["\n".join(comments), *(_latex_table(table) for table in shown_tables(report))]) + "\n"
 
 

@@ -30,6 +30,8 @@ def _lines(report: Report) -> Iterator[str]:
     yield f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock"
     for row in report.tables.consistency:
         yield f"filter {row.filter}: {row.used} {row.measurement} updates, {row.rejected} rejected by the gate"
+    for candidate in report.filters.values():
+        yield candidate.verdict
     for note in report.notes:
         hint = f" (hint: {note.hint})" if note.hint else ""
         yield f"{note.severity} {note.code} [{note.count}]: {note.text}{hint}"

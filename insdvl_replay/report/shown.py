@@ -76,6 +76,11 @@ def heading(report: Report) -> str:
     return f"{report.log.name}: {filters} over {report.log.duration_s:.1f} s"
 
 
+def verdict_lines(report: Report) -> list[str]:
+    """Say of each candidate what it believes, whether that is so, and how far it is to be trusted."""
+    return [candidate.verdict for candidate in report.filters.values()]
+
+
 def closing_lines(report: Report) -> list[str]:
     """Say for each candidate what its mean improvement is, and whose opinion that is."""
     return [

@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from insdvl_replay.report.json_report import Report
-from insdvl_replay.report.shown import ShownTable, closing_lines, heading, shown_tables
+from insdvl_replay.report.shown import ShownTable, closing_lines, heading, shown_tables, verdict_lines
 
 _JUSTIFY: Final[dict[str, JustifyMethod]] = {"l": "left", "r": "right"}
 
@@ -25,7 +25,7 @@ def terminal_report(report: Report) -> Group:
     rich.console.Group
         To be printed by a rich console, which decides about width and colour.
     """
-    parts: list[RenderableType] = [Text(heading(report), style="bold")]
+    parts: list[RenderableType] = [Text(heading(report), style="bold"), *map(Text, verdict_lines(report))]
     for table in shown_tables(report):
         parts += [Text(), dressed(table)]
     parts += [Text(), *(Text(line) for line in closing_lines(report))]

@@ -1,0 +1,68 @@
+"""What the tables of a log say about the log itself: schemas and messages that are missing, stamps that are numbers."""
+
+from collections.abc import Iterable
+
+from insdvl_replay.errors import Note
+from insdvl_replay.logs.clocks import stamp_unit
+from insdvl_replay.logs.tables import RECORDER_STAMPS, Table, stamp_path
+from insdvl_replay.logs.wishes import Source
+
+
+def schema_notes(sources: Iterable[Source]) -> tuple[Note, ...]:
+    """Say for which topics the log has no schema, so that a definition that comes with the tool was used.
+
+    Parameters
+    ----------
+    sources : iterable of Source
+
+    Returns
+    -------
+    tuple of Note
+    """
+    return tuple(
+        Note("builtin_definition", f"{source.topic}: the log has no schema; that of {source.type_name} was assumed")
+        for source in sources
+        if source.channels[0].encoding == "cdr" and not all(channel.schema_text.strip() for channel in source.channels)
+    )
+
+
+def count_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
+    """Say where a log holds fewer or more messages than its summary announces.
+
+    Parameters
+    ----------
+    tables : iterable of Table
+
+    Returns
+    -------
+    tuple of Note
+    """
+    notes = []
+    for table in tables:
+        announced, found = sum(channel.messages for channel in table.source.channels), len(table)
+        if announced != found:
+            text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
+            notes.append(Note("messages_missing", text, abs(announced - found), "warning"))
+    return tuple(notes)
+
+
+def stamp_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
+    """Say how stamps that are mere numbers were understood.
+
+    Parameters
+    ----------
+    tables : iterable of Table
+
+    Returns
+    -------
+    tuple of Note
+    """
+    notes = []
+    for table in tables:
+        source = table.source
+        values = table.columns[stamp_path(source.stamp)]
+        if source.stamp not in RECORDER_STAMPS and values.shape[1] == 1:
+            unit = stamp_unit(values[:, 0], table.columns["log_time"][:, 0])[1]
+            text = f"{source.topic}: stamp '{source.stamp}' was read as {unit}"
+            notes.append(Note(f"{source.role}_stamp_unit", text))
+    return tuple(notes)

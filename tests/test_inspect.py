@@ -1,0 +1,403 @@
+"""`inspect`: what it says of real logs, of damaged ones, and of topics that nobody has told the tool about."""
+
+import json
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from mcap_ros2.writer import Writer
+from rich.console import Console
+
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.columns import Dive, DvlColumns, ImuColumns
+from insdvl_replay.config_file import load_config
+from insdvl_replay.errors import LogError
+from insdvl_replay.inspection import inspect_log
+from insdvl_replay.inventory import Inventory
+from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.logs.vectors import vector_paths
+from insdvl_replay.replay import replay_log
+from insdvl_replay.report.inspection import encode_inventory, terminal_inventory
+from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.states import DEG
+
+DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+BLUEYE = "blueye.protocol."
+IMU2 = f"imu.topic={BLUEYE}Imu2Tel"
+
+
+def inspected(name: str, *overrides: str, deep: bool = False) -> Inventory:
+    path = DATA / name
+    if not path.is_file():
+        pytest.skip(f"needs ../shared/data/{name} (a real log)")
+    return inspect_log(path, load_config(overrides=overrides), deep=deep)
+
+
+def roles(inventory: Inventory) -> dict[str, str | None]:
+    return {role.role: role.topic for role in inventory.roles}
+
+
+def obstacles(inventory: Inventory) -> str:
+    return "\n".join(f"{obstacle.message} | {obstacle.hint}" for obstacle in inventory.obstacles)
+
+
+def warnings(inventory: Inventory) -> str:
+    return "\n".join(f"{note.text} | {note.hint}" for note in inventory.notes if note.severity == "warning")
+
+
+# --- Real logs, as the README of the data describes them.
+
+
+@pytest.mark.parametrize(
+    ("name", "expected", "rates_hz"),
+    [
+        (
+            "snapir/snapir_01.mcap",
+            {"imu": "/imu", "dvl": "/dvl/velocity", "reference": "/ins/odometry, /ins/fix"},
+            {"/imu": 100.0, "/dvl/velocity": 1.0, "/ins/odometry": 1.0, "/ins/fix": 1.0},
+        ),
+        (
+            "blueye_x3/auto_square.mcap",
+            {"imu": None, "dvl": f"{BLUEYE}DvlVelocityTel", "reference": f"{BLUEYE}PositionEstimateTel"},
+            {f"{BLUEYE}Imu1Tel": 89.0, f"{BLUEYE}Imu2Tel": 45.0, f"{BLUEYE}DvlVelocityTel": 23.0},
+        ),
+        (
+            "blueye_x3/car_left_back_json.mcap",
+            {"imu": None, "dvl": None, "reference": None},
+            {"imu": 85.0, "dvl": 85.0},
+        ),
+        (
+            "ufmil/run_1.mcap",
+            {"imu": "/imu/data", "dvl": None, "reference": "/dvl/odom"},
+            {"/imu/data": 20.0, "/dvl/odom": 9.0, "/depth/pose": 16.0},
+        ),
+        (
+            "stanford_auv/x_1.mcap",
+            {"imu": "/imu", "dvl": None, "reference": "/odometry/filtered"},
+            {"/imu": 100.0},
+        ),
+        (
+            "cougars/so_lastbag.mcap",
+            {"imu": "/coug2/modem_imu", "dvl": "/coug2/dvl/data", "reference": None},
+            {"/coug2/modem_imu": 10.0, "/coug2/dvl/data": 5.5},
+        ),
+        ("misc/evo_nav2_turtlebot.mcap", {"imu": None, "dvl": None, "reference": "/odom"}, {}),
+    ],
+)
+def test_roles_and_rates_of_real_logs(name: str, expected: dict[str, str | None], rates_hz: dict[str, float]) -> None:
+    inventory = inspected(name)
+    assert roles(inventory) == expected
+    found = {topic.topic: topic.rate_hz for topic in inventory.topics}
+    for topic, rate_hz in rates_hz.items():
+        assert found[topic] == pytest.approx(rate_hz, rel=0.04)
+
+
+@pytest.mark.parametrize("number", ["01", "02", "05", "07", "08", "09", "11", "12"])
+def test_good_dives_are_told_to_be_good(number: str) -> None:
+    for deep in (False, True):
+        inventory = inspected(f"snapir/snapir_{number}.mcap", deep=deep)
+        assert obstacles(inventory) == ""
+        assert warnings(inventory) == ""
+        assert inventory.configuration == ""
+
+
+def test_reference_coverage_and_velocities_without_beams() -> None:
+    inventory = inspected("snapir/snapir_01.mcap", deep=True)
+    assert inventory.reference is not None
+    assert inventory.pings is not None
+    shares_pct = [inventory.reference.position_pct, inventory.reference.velocity_pct, inventory.reference.attitude_pct]
+    assert shares_pct == pytest.approx([99.5, 99.5, 99.5], abs=0.5)
+    assert (inventory.pings.pings, inventory.pings.four_or_more, inventory.pings.fewer) == (400, 0, 0)
+
+
+def test_three_imus_are_named_with_the_key_to_set() -> None:
+    inventory = inspected("blueye_x3/auto_square.mcap")
+    for name in ("Imu1Tel", "Imu2Tel", "CalibratedImuTel"):
+        assert f'imu.topic = "{BLUEYE}{name}"' in obstacles(inventory)
+        assert f'"{BLUEYE}{name}"' in inventory.configuration
+    assert inventory.conventions[f"{BLUEYE}Imu1Tel"]["specific_force_axes"] == "-x-y-z"
+    assert f"{BLUEYE}CalibratedImuTel: the specific force is 5.3" in warnings(inventory)
+    assert inspected("blueye_x3/auto_square.mcap", IMU2).roles[0].reason == "named by imu.topic"
+
+
+def test_sign_of_a_turned_accelerometer() -> None:
+    turned = [f"imu.topic={BLUEYE}Imu1Tel", "imu.specific_force_axes=frd"]
+    inventory = inspected("blueye_x3/auto_square.mcap", *turned)
+    assert "specific force along down is +9.6" in warnings(inventory)
+    assert 'imu.specific_force_axes = "-x-y-z"' in warnings(inventory)
+
+
+@pytest.mark.parametrize("name", ["auto_square", "gnss_challenging", "grid_gyro_scale_wrong"])
+def test_repeats_of_a_dvl_that_is_published_faster_than_it_pings(name: str) -> None:
+    pings = inspected(f"blueye_x3/{name}.mcap", IMU2, deep=True).pings
+    assert pings is not None
+    assert 0.70 < pings.repeats / pings.messages < 0.83
+    assert pings.rate_hz == pytest.approx(5.0, abs=0.7)
+    assert pings.four_or_more + pings.three + pings.fewer == pings.pings == pings.messages - pings.repeats
+
+
+def test_wrong_unit_of_an_accelerometer_stops_a_replay_and_the_hint_settles_it() -> None:
+    assert "the specific force is 95." in (found := obstacles(inspected("blueye_x3/grid_gyro_scale_wrong.mcap", IMU2)))
+    assert 'imu.specific_force_unit = "m/s2"' in found
+    settled = [IMU2, "imu.specific_force_unit=m/s2", "initial.heading_deg=36"]
+    inventory = inspected("blueye_x3/grid_gyro_scale_wrong.mcap", *settled, deep=True)
+    assert obstacles(inventory) == ""
+    # The true factor is 1.6645: the gyros show 0.6 of the turning.
+    assert re.search(r"angular rate is 0\.(59|60|61)\d* times", warnings(inventory))
+    assert "imu.angular_rate_scale = 0." in warnings(inventory)
+
+
+def test_imu_that_is_too_slow_and_clocks_that_are_days_apart() -> None:
+    inventory = inspected("cougars/so_lastbag.mcap")
+    found = obstacles(inventory)
+    assert "the IMU has 10.0 samples a second, too few for an INS" in found
+    assert "/coug2/odom and /coug2/gps_odom could each be the reference.topic" in found
+    assert 'imu.stamp = "log_time"' in found
+    clocks = {clock.topic: clock for clock in inventory.clocks}
+    assert clocks["/coug2/dvl/data"].log_minus_stamp_s / 86400.0 == pytest.approx(5.96, abs=0.005)
+
+
+def test_three_clocks_in_one_file() -> None:
+    inventory = inspected("stanford_auv/x_1.mcap")
+    clocks = {clock.topic: clock for clock in inventory.clocks}
+    assert clocks["/imu"].log_minus_stamp_s > 1.7e9, "stamped by the time since power-up"
+    assert clocks["/dvl"].log_minus_stamp_s == pytest.approx(0.0, abs=0.1)
+    assert any("/depth: stamp 'header' is 0.000000000 s in each" in note.text for note in inventory.notes)
+    named = ['dvl.topic="/dvl"', "dvl.velocity=velocity.mean"]
+    assert "/imu and /dvl are stamped by different clocks" in obstacles(inspected("stanford_auv/x_1.mcap", *named))
+
+
+def test_log_without_messages() -> None:
+    inventory = inspected("blueye_x3/no_messages.mcap", deep=True)
+    assert inventory.log.messages == 0
+    assert len(inventory.topics) == 5
+    assert "it has no messages at all" in obstacles(inventory)
+    assert inventory.log.start_utc is None
+
+
+def test_json_log_is_replayed_with_the_proposed_settings(tmp_path: Path) -> None:
+    name = "blueye_x3/car_left_back_json.mcap"
+    proposed = inspected(name).configuration
+    config = tmp_path / "vehicle.toml"
+    config.write_text(proposed)
+    start = ["initial.heading_deg=0", "initial.latitude_deg=63.44", "imu.axes=frd", "imu.specific_force_axes=-x-y-z"]
+    inventory = inspect_log(DATA / name, load_config(file=config, overrides=start), deep=True)
+    assert roles(inventory) | {"reference": None} == {"imu": "imu", "dvl": "dvl", "reference": None}
+    assert obstacles(inventory) == ""
+
+
+@pytest.mark.parametrize("name", ["stanford_auv/static.mcap", "cougars/so_lastbag.mcap", "ufmil/run_2.mcap"])
+def test_the_hints_lead_step_by_step_to_a_replay(name: str, tmp_path: Path) -> None:
+    """Do what the obstacles and the proposal say, and nothing else, until nothing is left."""
+    overrides: dict[str, str] = {}
+    file = tmp_path / "vehicle.toml"
+    for _ in range(6):
+        config = load_config(file=file if file.is_file() else None, overrides=[*overrides.values()])
+        inventory = inspect_log(DATA / name, config) if (DATA / name).is_file() else inspected(name)
+        if not inventory.obstacles:
+            break
+        if inventory.configuration:
+            file.write_text((file.read_text() if file.is_file() else "") + merged(file, inventory.configuration))
+        for obstacle in inventory.obstacles:
+            overrides |= settings_in(obstacle.hint)
+    assert not inventory.obstacles, obstacles(inventory)
+
+
+def merged(file: Path, proposal: str) -> str:
+    """Keep the sections that the file does not have yet."""
+    have = file.read_text() if file.is_file() else ""
+    sections = re.split(r"(?m)^(?=\[)", proposal)
+    return "".join(section for section in sections if section.partition("\n")[0] not in have)
+
+
+def settings_in(hint: str) -> dict[str, str]:
+    """Take the settings of a hint; what only a person can know is made up."""
+    found = re.findall(r"--set (\S+?)=(\S+)", hint) or re.findall(r"([a-z]+\.\w+) = ([\w./\"]+)", hint)[:1]
+    unknown = {'"/topic"', '"field.path"'}
+    meant = [(key, value) for key, value in found if value not in unknown and key != "reference.topic"]
+    return {key: f"{key}={'10' if value == '...' else value}" for key, value in meant}
+
+
+# --- Topics that nobody has seen before.
+
+STRAPDOWN = (
+    "std_msgs/Header header\nfloat64 ax\nfloat64 ay\nfloat64 az\nacme_msgs/Triple turning\nfloat32 temperature\n"
+)
+STRAPDOWN += f"{'=' * 80}\nMSG: acme_msgs/Triple\nfloat64 x\nfloat64 y\nfloat64 z\n"
+SPEED = "float64[3] velocity_over_ground\nfloat64[9] velocity_covariance\nuint8 quality\n"
+HEADER = f"{'=' * 80}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+HEADER += f"{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+
+
+@pytest.fixture(scope="module")
+def dive() -> Dive:
+    return simulate_dive("straight", seed=3, duration_s=60.0, grade="tactical")
+
+
+@pytest.fixture(scope="module")
+def unknown(dive: Dive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dive in message types of nobody: g, deg/s, forward-port-up, a DVL without header."""
+    path = tmp_path_factory.mktemp("unknown") / "acme.mcap"
+    imu, velocity_d = dive.imu, velocities(dive)
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        strapdown = writer.register_msgdef("acme_msgs/msg/Strapdown", STRAPDOWN + HEADER)
+        speed = writer.register_msgdef("acme_msgs/msg/Speed", SPEED)
+        flu = np.array([1.0, -1.0, -1.0])
+        for time_ns, force_b, rate_b in zip(imu.time_ns, imu.specific_force_b, imu.angular_rate_b, strict=True):
+            stamp = {"sec": int(time_ns) // 10**9, "nanosec": int(time_ns) % 10**9}
+            axes = dict(zip("xyz", flu * rate_b / DEG, strict=True))
+            force = dict(zip(("ax", "ay", "az"), flu * force_b / 9.80665, strict=True))
+            message = {"header": {"stamp": stamp, "frame_id": "box"}, **force, "turning": axes, "temperature": 11.0}
+            writer.write_message("/box/raw", strapdown, message, log_time=int(time_ns), publish_time=int(time_ns))
+        for time_ns, velocity in zip(dive.dvl.time_ns, velocity_d, strict=True):
+            message = {
+                "velocity_over_ground": (flu * velocity).tolist(),
+                "velocity_covariance": [0.0] * 9,
+                "quality": 9,
+            }
+            writer.write_message("/box/ground", speed, message, log_time=int(time_ns), publish_time=int(time_ns))
+        writer.finish()
+    return path
+
+
+def velocities(dive: Dive) -> np.ndarray:
+    beams, vectors = dive.dvl.beam_velocity_mps, dive.dvl.beam_vectors_d
+    assert beams is not None
+    assert vectors is not None
+    return beams @ np.linalg.pinv(vectors).T
+
+
+def test_unknown_topics_are_replayed_from_what_inspect_proposes(unknown: Path, dive: Dive, tmp_path: Path) -> None:
+    inventory = inspect_log(unknown, load_config())
+    assert roles(inventory) == {"imu": None, "dvl": None, "reference": None}
+    proposed = inventory.configuration
+    assert 'specific_force = "ax, ay, az"' in proposed
+    assert 'specific_force_unit = "g"' in proposed
+    assert 'velocity = "velocity_over_ground"' in proposed
+    assert 'stamp = "log_time"  # the messages have no header' in proposed
+    assert "turning" in proposed
+    # What a person adds: what `turning` is, the unit that a straight line does not show, and where the dive began.
+    known = proposed.replace("# heading_deg = ", "heading_deg = 0.0").replace(
+        "# latitude_deg = ", "latitude_deg = 32.0"
+    )
+    known = known.replace('# axes = "frd"', 'axes = "flu"').replace('"rad/s"  #', '"deg/s"  #')
+    file = tmp_path / "acme.toml"
+    file.write_text(known)
+    config = load_config(file=file)
+    read = read_dive(unknown, config)
+    np.testing.assert_allclose(read.imu.specific_force_b, dive.imu.specific_force_b, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(read.imu.angular_rate_b, dive.imu.angular_rate_b, rtol=0, atol=1e-12)
+    assert read.dvl.velocity_d is not None
+    np.testing.assert_allclose(read.dvl.velocity_d, velocities(dive), rtol=0, atol=1e-12)
+    assert not inspect_log(unknown, config, deep=True).obstacles
+    assert len(replay_log(unknown, config).tables["improvement"]) == 12
+
+
+def test_vectors_are_found_by_structure() -> None:
+    known = {
+        "header": "std_msgs/msg/Header", "header.stamp": "builtin_interfaces/msg/Time", "header.stamp.sec": "int32",
+        "force": "V", "force.x": "float64", "force.y": "float64", "force.z": "float64",
+        "orientation": "Q", "orientation.x": "float64", "orientation.y": "float64", "orientation.z": "float64",
+        "orientation.w": "float64",
+        "gx": "float32", "gy": "float32", "gz": "float32", "x": "float64", "y": "float64", "z": "float64",
+        "beams": "B", "beams[*]": "B", "beams[*].v": "float64", "beams[*].name": "string", "covariance": "float64",
+        "covariance[*]": "float64",
+    }  # fmt: skip
+    assert vector_paths(known) == ["beams[*].v", "covariance", "force", "gx, gy, gz"]
+
+
+# --- The file itself.
+
+
+@pytest.fixture
+def log(dive: Dive, tmp_path: Path) -> Path:
+    path = tmp_path / "dive.mcap"
+    write_dive(path, dive)
+    return path
+
+
+def test_deep_notes_are_those_of_a_run(log: Path) -> None:
+    config = load_config(overrides=["imu.max_gap_s=0.001"])
+    assert (
+        inspect_log(log, config, deep=True).notes[: len(read_dive(log, config).notes)] == read_dive(log, config).notes
+    )
+
+
+def test_damage_is_an_obstacle_and_no_reason_to_stop(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = bytearray(log.read_bytes())
+    log.write_bytes(data[: len(data) * 2 // 3])
+    with pytest.raises(LogError) as refused:
+        read_dive(log, load_config())
+    assert run_command_line(["inspect", str(log), "--format", "json"]) == 0
+    inventory = json.loads(capsys.readouterr().out)
+    assert inventory["obstacles"][0] == {"message": refused.value.message, "hint": refused.value.hint}
+    assert "log_damaged" in [note["code"] for note in inventory["notes"]]
+    assert inventory["log"]["has_summary"] is False
+    assert inventory["log"]["messages"] > 0
+
+
+def test_a_bag_is_one_log(dive: Dive, tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    half = len(dive.imu.time_ns) // 2
+    for name, rows in (("a", slice(0, half)), ("b", slice(half, None))):
+        imu = ImuColumns(*(column[rows] for column in vars(dive.imu).values()))
+        write_dive(bag / f"{name}.mcap", replace(dive, imu=imu))
+    inventory = inspect_log(bag, load_config())
+    (imu_topic,) = [topic for topic in inventory.topics if topic.role == "imu"]
+    assert (inventory.log.parts, imu_topic.channels, imu_topic.messages) == (2, 2, len(dive.imu.time_ns))
+
+
+def test_json_is_complete_and_reads_back(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line(["inspect", str(log), "--deep", "--format", "json"]) == 0
+    captured = capsys.readouterr()
+    inventory = inspect_log(log, load_config(), deep=True)
+    assert msgspec.json.decode(captured.out, type=Inventory) == inventory
+    assert encode_inventory(inventory).decode() == captured.out
+    assert captured.err == ""
+
+
+def shown(inventory: Inventory, width: int) -> list[str]:
+    console = Console(width=width, highlight=False)
+    with console.capture() as capture:
+        console.print(terminal_inventory(inventory)[0])
+    return capture.get().splitlines()
+
+
+@pytest.mark.parametrize(
+    "name", ["blueye_x3/auto_square", "cougars/so_lastbag", "stanford_auv/x_1", "snapir/snapir_01"]
+)
+def test_tables_fit_a_terminal_and_are_whole_in_a_pipe(name: str) -> None:
+    inventory = inspected(f"{name}.mcap")
+    assert max(map(len, shown(inventory, 80))) <= 80
+    piped = "\n".join(shown(inventory, 1000))
+    assert all(topic.topic in piped and topic.type_name in piped for topic in inventory.topics if topic.messages)
+    assert "…" not in piped
+
+
+def test_table_is_printed_with_settings_that_can_be_copied(unknown: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line(["inspect", str(unknown)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("acme.mcap: ")
+    assert "cannot be replayed as it is" in out
+    assert inspect_log(unknown, load_config()).configuration.rstrip("\n") in out
+
+
+@pytest.mark.slow
+def test_two_million_messages_are_surveyed_in_a_second(tmp_path: Path) -> None:
+    count = 2_000_000
+    time_ns = np.arange(count, dtype=np.int64) * 2_500_000
+    force_b = np.random.default_rng(1).normal(0.0, 0.01, (count, 3)) - [0.0, 0.0, 9.81]
+    dvl = DvlColumns(time_ns[::80], velocity_d=np.ones((count // 80, 3)))
+    write_dive(tmp_path / "long.mcap", Dive("long", ImuColumns(time_ns, force_b, force_b * 1e-4), dvl))
+    config: Sequence[str] = ()
+    start_s = time.perf_counter()
+    inventory = inspect_log(tmp_path / "long.mcap", load_config(overrides=config))
+    assert time.perf_counter() - start_s < 1.0
+    assert inventory.log.messages == count + count // 80

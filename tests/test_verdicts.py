@@ -1,0 +1,76 @@
+"""Verdicts: decided by what the tables say, never by a filter's name."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from insdvl_replay.evaluation.reference import QUANTITIES
+from insdvl_replay.evaluation.verdicts import Verdict, consistency_of, verdicts
+from insdvl_replay.states import STATES
+
+
+def judged(
+    believed_pct: float, actual_pct: float | None, of_aided: str = "consistent", of_baseline: str = "consistent"
+) -> Verdict:
+    """Judge a candidate whose states all improved alike, and whose errors all did."""
+    improvement = pd.DataFrame(
+        [("dive", "aided", state.id, state.unit, 1.0, 1.0, believed_pct, "improved") for state in STATES],
+        columns=["log", "filter", "state", "unit", "baseline_sd", "sd", "improvement_pct", "status"],
+    )
+    known = actual_pct is not None
+    rmse = 2.0 * (1.0 - actual_pct / 100.0) if actual_pct is not None else np.nan
+    reference_error = pd.DataFrame(
+        [
+            ("aided", quantity, 2.0, rmse, actual_pct, "compared" if known else "no reference")
+            for quantity in QUANTITIES
+        ],
+        columns=["filter", "quantity", "baseline_rmse", "rmse", "improvement_pct", "status"],
+    )
+    consistency = pd.DataFrame(
+        [("baseline", of_baseline), ("aided", "consistent"), ("aided", of_aided)], columns=["filter", "verdict"]
+    )
+    tables = {"improvement": improvement, "reference_error": reference_error, "consistency": consistency}
+    (verdict,) = verdicts(tables, "baseline", ["aided"])
+    return verdict
+
+
+@pytest.mark.parametrize(
+    ("believed_pct", "actual_pct", "word"),
+    [
+        (40.0, 35.0, "borne out"),
+        (40.0, 20.0, "borne out"),
+        (40.0, 19.9, "not borne out"),
+        (40.0, 0.0, "not borne out"),
+        (40.0, -4.9, "not borne out"),
+        (40.0, -5.1, "worse"),
+        (0.0, -50.0, "worse"),
+        (1.0, 0.5, "none believed"),
+        (-20.0, 0.0, "none believed"),
+        (40.0, None, "no reference"),
+    ],
+)
+def test_improvement_is_judged_by_the_reference(believed_pct: float, actual_pct: float | None, word: str) -> None:
+    assert judged(believed_pct, actual_pct).improvement == word
+
+
+def test_sentence_holds_the_numbers_that_it_was_judged_by() -> None:
+    sentence = judged(40.0, -75.0, of_aided="over-confident").sentence
+    assert "40.0 % smaller errors than baseline" in sentence
+    assert "75.0 % larger in the median (position 2.00 m, now 3.50 m): it is WORSE" in sentence
+    assert "aided is over-confident, baseline consistent." in sentence
+
+
+def test_sentence_without_a_reference_says_so() -> None:
+    assert "there is no reference to compare with: nothing tells whether that is so" in judged(40.0, None).sentence
+
+
+def test_gravest_verdict_of_the_measurements_stands_for_the_filter() -> None:
+    rows = [
+        ("a", "consistent"),
+        ("a", "over-cautious"),
+        ("a", "over-confident"),
+        ("b", "over-cautious"),
+        ("c", "too few"),
+    ]
+    table = pd.DataFrame(rows, columns=["filter", "verdict"])
+    assert [consistency_of(table, name) for name in "abcd"] == ["over-confident", "over-cautious", "too few", "too few"]
