@@ -27,6 +27,8 @@ from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container import Log
 
 RESULTS = Path(__file__).with_name("RESULTS.md")
+PER_IMU = 1.01
+"""Messages for each one of the IMU."""
 IMAGE = bytes(1_500_000)
 DECODED = 100_000
 """Messages after which the slow readers are stopped; their speed is the same from the first to the last."""
@@ -37,6 +39,10 @@ KINDS: dict[str, dict[str, Any]] = {
     "none": {"compression": CompressionType.NONE},
     "unchunked": {"use_chunking": False},
 }
+WITH_CAMERA = 100_000
+"""Messages of the IMU beside a camera."""
+COLUMNS = ("log", "MB", "s", "k messages/s", *(f"against {name}" for name in ("mcap", "mcap-ros2-support", "rosbags")))
+COLUMNS += ("MB beyond columns",)
 GOALS = "At least 15 times mcap and 60 times mcap-ros2-support for zstd, and at most 250 MB beyond the columns kept."
 
 
@@ -74,17 +80,28 @@ def rewrite(source: Path, target: Path, images: int = 0, **options: Any) -> None
         writer.finish()
 
 
-def describe_bag(path: Path, messages: int) -> Path:
+def describe_bag(path: Path) -> Path:
     """Put beside a log what rosbags wants to know of it."""
-    span = {"nanoseconds": 0}
+    topics = [
+        {
+            "topic_metadata": {
+                "name": channel.topic,
+                "type": channel.type_name,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": "",
+            },
+            "message_count": channel.messages,
+        }
+        for channel in Log(path).channels
+    ]
     bag = {
         "version": 5,
         "storage_identifier": "mcap",
         "relative_file_paths": [path.name],
-        "duration": span,
+        "duration": {"nanoseconds": 0},
         "starting_time": {"nanoseconds_since_epoch": 0},
-        "message_count": messages,
-        "topics_with_message_count": [],
+        "message_count": sum(topic["message_count"] for topic in topics),
+        "topics_with_message_count": topics,
         "compression_format": "",
         "compression_mode": "",
     }
@@ -105,7 +122,7 @@ def with_insdvl_replay(path: Path) -> dict[str, float]:
     imu = read_dive(path, Config()).imu
     elapsed_s = time.perf_counter() - start_s
     kept_mb = (imu.time_ns.nbytes + imu.specific_force_b.nbytes + imu.angular_rate_b.nbytes) / 2**20
-    return {"messages": len(imu.time_ns) * 1.01, "s": elapsed_s, "mb": peak_mb() - before_mb - kept_mb}
+    return {"messages": len(imu.time_ns) * PER_IMU, "s": elapsed_s, "mb": max(peak_mb() - before_mb - kept_mb, 0.0)}
 
 
 def counted(items: Iterator[Any], most: int | None = None) -> dict[str, float]:
@@ -138,7 +155,7 @@ def with_rosbags(path: Path) -> dict[str, float]:
     """Decode the first messages."""
     from rosbags.highlevel import AnyReader
 
-    with AnyReader([describe_bag(path, 1)]) as reader:
+    with AnyReader([describe_bag(path)]) as reader:
         wanted = [connection for connection in reader.connections if connection.topic in TOPICS]
         messages = reader.messages(connections=wanted)
         return counted((reader.deserialize(data, one.msgtype) for one, _, data in messages), DECODED)
@@ -181,7 +198,7 @@ def logs(folder: Path, messages: int, camera_gb: float) -> Iterator[tuple[str, P
     write_dive(source, dive(messages))
     for kind, options in KINDS.items():
         yield kind, _made(folder / kind, messages, lambda path, chosen=options: rewrite(source, path, **chosen))
-    write_dive(source, dive(min(messages, 100_000)))
+    write_dive(source, dive(min(messages, WITH_CAMERA)))
     images = int(camera_gb * 1e9 / len(IMAGE))
     bare = {"compression": CompressionType.NONE, "enable_crcs": False}
     name = f"none, with a camera, {camera_gb:g} GB"
@@ -204,15 +221,16 @@ def report(messages: int, camera_gb: float) -> str:
     title = [
         "# Reading",
         "",
-        f"{messages * 1.01:.0f} messages, `sensor_msgs/Imu` at 400 Hz and a DVL at 4 Hz, 1 MiB chunks (the log with a camera "
-        f"{min(messages, 100_000) * 1.01:.0f}). insdvl-replay checks every checksum, digests the file and gives clean "
-        "columns; mcap goes through the messages without decoding them; the other two decode them.",
+        f"{messages * PER_IMU:.0f} messages in chunks of 1 MiB, `sensor_msgs/Imu` at 400 Hz and a DVL at 4 Hz; "
+        f"{min(messages, WITH_CAMERA) * PER_IMU:.0f} of them in the log with a camera. insdvl-replay checks every "
+        "checksum, digests the file and gives clean columns; mcap goes through the messages without decoding them; the "
+        "other two decode them.",
         "",
-        f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}, numpy {np.__version__}; shared "
-        f"cores, warm cache: read the ratios. {GOALS}",
+        f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}, numpy {np.__version__}; "
+        f"shared cores, warm cache: read the ratios. {GOALS}",
         "",
-        "| log | MB | s | k messages/s | against mcap | against mcap-ros2-support | against rosbags | MB beyond columns |",
-        "|---|---|---|---|---|---|---|---|",
+        f"| {' | '.join(COLUMNS)} |",
+        "|---" * len(COLUMNS) + "|",
     ]
     return "\n".join([*title, *rows]) + "\n"
 

@@ -96,6 +96,12 @@ class Reference(_Section, frozen=True):
     topic: Annotated[str | None, Says("left out: found by type")] = None
     fix: Annotated[str | None, Says("topic of the geographic position; left out: found by type")] = None
     axes: Annotated[Literal["ned_frd", "enu_flu"] | None, Says("ned_frd | enu_flu; left out: by type")] = None
+    lever_arm_m: Annotated[Vector, Says("IMU to the point that the reference is of, forward-starboard-down")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    independent: Annotated[bool, Says("false: it was made from the same IMU or DVL")] = True
     stamp: Annotated[str | None, Says(_STAMP)] = None
     latency_s: Annotated[Latency, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
 

@@ -1,6 +1,6 @@
 """The hall: read a dive, run every configured filter over it, and lay what they believe beside what is so."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from insdvl_replay.nav.alignment import Alignment, align
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.gaps import find_gaps, settle_gaps
+from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.report.csv_tables import table_csv
 from insdvl_replay.report.json_report import Candidate, build_report, encode_report
@@ -113,6 +114,9 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     ConfigError
         The settings do not fit the dive.
     """
+    if dive.reference is not None:
+        lever_arm_b = np.array(config.reference.lever_arm_m)
+        dive = replace(dive, reference=reference_at_imu(dive.reference, dive.imu, lever_arm_b))
     inside, alignment, end_ns, notes = prepare_dive(dive, config)
     histories = _run_filters(dive, inside, alignment, end_ns, config, keep_cov)
     notes += update_notes(histories)
@@ -125,8 +129,15 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         "consistency": consistency_table(dive.name, histories),
     }
     judged = verdicts(tables, config.baseline, [history.filter for history in histories[1:]])
-    notes = dive.notes + notes
+    notes = dive.notes + notes + _reference_notes(dive, config)
     return Replay(dive, config, alignment.start_ns, end_ns, inside, histories, errors, tables, judged, notes)
+
+
+def _reference_notes(dive: Dive, config: Config) -> tuple[Note, ...]:
+    if dive.reference is None or config.reference.independent:
+        return ()
+    text = "the reference shares sensors with the filters: errors that they have in common are not seen"
+    return (Note("reference_not_independent", text),)
 
 
 def prepare_dive(dive: Dive, config: Config) -> tuple[DvlVelocities, Alignment, int, tuple[Note, ...]]:

@@ -31,7 +31,7 @@ def anatomy_of(data: memoryview) -> Anatomy:
     summary = read_summary(data)
     anatomy = Anatomy(summary, damages=list(summary.damages))
     Walk(data, anatomy).run()
-    for chunk in anatomy.chunks:
+    for chunk in list(anatomy.chunks):
         _count_by_index(data, anatomy, chunk)
     _compare_chunks(data, anatomy)
     _drop_copies(data, anatomy)
@@ -45,6 +45,7 @@ def anatomy_of(data: memoryview) -> Anatomy:
 
 
 def _count_by_index(data: memoryview, anatomy: Anatomy, chunk: Chunk) -> None:
+    """Count the messages of a chunk as its index tells; a chunk that cannot even be described is lost."""
     try:
         for place in chunk.indexes:
             channel_id, count = index_count(data, *place)
@@ -52,6 +53,11 @@ def _count_by_index(data: memoryview, anatomy: Anatomy, chunk: Chunk) -> None:
     except DamageError as damage:
         anatomy.mark(Damage(damage.offset, damage.found))
         chunk.indexes.clear()
+    try:
+        if chunk.kind != "loose":
+            chunk_header(data, chunk.offset, chunk.length)
+    except DamageError as damage:
+        anatomy.lose(data, chunk, damage)
 
 
 def _compare_chunks(data: memoryview, anatomy: Anatomy) -> None:
@@ -87,10 +93,7 @@ def _add_passed_over(data: memoryview, anatomy: Anatomy, start: int, index: reco
 
 def _difference(data: memoryview, chunk: Chunk, index: records.ChunkIndex) -> str:
     """Name what the summary and a chunk tell differently."""
-    try:
-        header = chunk_header(data, chunk.offset, chunk.length)
-    except DamageError:
-        return "its header"
+    header = chunk_header(data, chunk.offset, chunk.length)
     places = {index_count(data, *place)[0]: place[0] - RECORD_HEADER_SIZE for place in chunk.indexes}
     told = {
         "its length": (index.chunk_length, chunk.length + RECORD_HEADER_SIZE),

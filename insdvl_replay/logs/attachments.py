@@ -3,12 +3,12 @@
 import hashlib
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from insdvl_replay.logs.damage import Damage, DamageError
-from insdvl_replay.logs.walk import Anatomy
 
 _TIMES: Final = struct.Struct("<QQ")
 _PIECE: Final = 1 << 20
@@ -76,37 +76,47 @@ def _text(record: memoryview, start: int, place: int) -> tuple[str, int]:
     return bytes(record[place + 4 : end]).decode("utf-8", "replace"), end
 
 
-def checked_digest(path: Path, data: memoryview, anatomy: Anatomy) -> tuple[str, list[Damage]]:
-    """Digest a log, and check what can only be checked by reading all of it.
+def attachment_damages(data: memoryview, places: Sequence[tuple[int, int]]) -> list[Damage]:
+    """Check the checksums of attachments.
+
+    Parameters
+    ----------
+    data : memoryview
+        The log.
+    places : sequence of (int, int)
+        Where the contents of the records stand.
+
+    Returns
+    -------
+    list of Damage
+    """
+    damages = []
+    for start, length in places:
+        attachment = attachment_at(data, start, length)
+        if attachment.crc and zlib.crc32(data[start : start + attachment.size]) != attachment.crc:
+            damages.append(Damage(start, "the checksum of an attachment is not that of its bytes"))
+    return damages
+
+
+def checked_digest(path: Path, section_end: int, section_crc: int) -> tuple[str, list[Damage]]:
+    """Digest a log, and check the checksum of all its messages on the way.
 
     Parameters
     ----------
     path : Path
-    data : memoryview
-        The file.
-    anatomy : Anatomy
+    section_end, section_crc : int
+        Where the messages end, and their checksum; 0 if there is none.
 
     Returns
     -------
     str
         SHA-256 in hexadecimal digits.
     list of Damage
-        Of the data section and the attachments.
     """
-    section_end, section_crc = anatomy.data_end or (0, 0)
     digest, crc = _digest(path, section_end if section_crc else 0)
-    damages = []
-    if section_crc and crc != section_crc:
-        damages.append(Damage(section_end, "the checksum of all messages is not that of their bytes", None))
-    for start, length in anatomy.attachments:
-        try:
-            attachment = attachment_at(data, start, length)
-        except DamageError as damage:
-            damages.append(Damage(damage.offset, damage.found))
-            continue
-        if attachment.crc and zlib.crc32(data[start : start + attachment.size]) != attachment.crc:
-            damages.append(Damage(start, "the checksum of an attachment is not that of its bytes"))
-    return digest, damages
+    if crc == section_crc:
+        return digest, []
+    return digest, [Damage(section_end, "the checksum of all messages is not that of their bytes", None)]
 
 
 def _digest(path: Path, section_end: int) -> tuple[str, int]:

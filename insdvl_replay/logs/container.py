@@ -19,7 +19,7 @@ from mcap import records
 from insdvl_replay.columns import TimeNs, seconds
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.anatomy import anatomy_of
-from insdvl_replay.logs.attachments import Attachment, attachment_at, checked_digest
+from insdvl_replay.logs.attachments import Attachment, attachment_at, attachment_damages, checked_digest
 from insdvl_replay.logs.chunks import Block, Content, blocks_of, index_entries, read_chunk
 from insdvl_replay.logs.damage import DamageError, damage_note
 from insdvl_replay.logs.packed import Chunk, chunk_header
@@ -180,7 +180,9 @@ class Log:
         LogError
             The checksum of the data section or of an attachment is not that of its bytes.
         """
-        digest, damages = checked_digest(self.path, self._data, self._anatomy)
+        section_end, section_crc = self._anatomy.data_end or (0, 0)
+        digest, damages = checked_digest(self.path, section_end, section_crc)
+        damages += attachment_damages(self._data, self._anatomy.attachments)
         for damage in damages:
             self._anatomy.mark(damage)
         self._judge()
@@ -247,7 +249,6 @@ class Log:
             content = opened.result()
         except DamageError as damage:
             self._anatomy.lose(self._data, chunk, damage)
-            self._judge()
             return
         if content.damages:
             self._anatomy.accept(chunk, content)
@@ -270,7 +271,6 @@ class Log:
 
     def _hint(self) -> str:
         """Say what could be saved, by reading all of it."""
-        self._allow_damaged = True
         ids = self._anatomy.channels.keys()
         contents = self._contents(list(self._anatomy.chunks))
         times = [block.log_time for content in contents for block in blocks_of(content, ids)]

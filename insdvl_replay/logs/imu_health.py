@@ -21,6 +21,8 @@ NOMINAL: Final = 0.95
 """Share of the nominal rate that an IMU holds."""
 LONG_ENOUGH_S: Final = 10.0
 """No axis of a vehicle in water stands still to the last bit for so long."""
+LEAST_S: Final = 2.0
+"""A shorter piece of a log is no reason to refuse it."""
 SPIN_RADPS: Final = 1.0
 """No vehicle that a DVL can follow turns faster than this half of the time."""
 STUCK_S: Final = 1.0
@@ -98,8 +100,7 @@ def _rate_notes(place: str, imu: ImuColumns, settings: Imu) -> list[Note]:
 
 def _dead_notes(place: str, imu: ImuColumns) -> list[Note]:
     """Find axes that never change."""
-    span_s = float(seconds(imu.time_ns[-1:], imu.time_ns[0])[0])
-    if span_s < LONG_ENOUGH_S:
+    if _span_s(imu) < LONG_ENOUGH_S:
         return []
     notes = []
     for quantity, unit, readings in (
@@ -139,7 +140,7 @@ def _stuck_notes(imu: ImuColumns) -> list[Note]:
 def _spin_notes(place: str, imu: ImuColumns) -> list[Note]:
     some_b = imu.angular_rate_b[:: 1 + len(imu.time_ns) // _SAMPLES]
     turning_radps = float(np.median(np.linalg.norm(some_b, axis=1)))
-    if turning_radps > SPIN_RADPS:
+    if turning_radps > SPIN_RADPS and _span_s(imu) > LEAST_S:
         raise LogError(
             f"{place}: the angular rate is {turning_radps:.3f} rad/s in the median, {turning_radps / DEG:.0f} deg/s, "
             "and no vehicle turns so fast for so long",
@@ -157,7 +158,7 @@ def _gravity_notes(place: str, imu: ImuColumns, reference: ReferenceColumns | No
     text = (
         f"the specific force is {size:.3f} m/s^2 in the median of quiet seconds, where gravity is {gravity:.3f} m/s^2"
     )
-    if not 1.0 / GRAVITY_WRONG < ratio < GRAVITY_WRONG:
+    if not 1.0 / GRAVITY_WRONG < ratio < GRAVITY_WRONG and _span_s(imu) > LEAST_S:
         raise LogError(f"{place}: {text}", _force_hint(ratio, settings))
     doubtful = np.abs(sizes / gravity - 1.0) > GRAVITY_DOUBT
     if abs(ratio - 1.0) > GRAVITY_DOUBT:
@@ -198,6 +199,10 @@ def _force_hint(ratio: float, settings: Imu) -> str:
         if abs(ratio / wrong - 1.0) < 0.1:
             return f'imu.specific_force_unit = "{unit}"'
     return f"imu.specific_force_scale = {ratio * settings.specific_force_scale:.4g}"
+
+
+def _span_s(imu: ImuColumns) -> float:
+    return float(seconds(imu.time_ns[-1:], imu.time_ns[0])[0])
 
 
 def _since_s(imu: ImuColumns, rows: Floats) -> float:

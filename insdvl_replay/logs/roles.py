@@ -127,7 +127,7 @@ def _explained(topics: "_Topics", wish: Wish, look: Callable[[], tuple[Source, .
         return Finding(wish.role, (), "no message is of a type known for one")
     if wish.topic is not None:
         return Finding(wish.role, sources, f"named by {wish.key}")
-    return Finding(wish.role, sources, f"the only one of type {' and '.join(source.type_name for source in sources)}")
+    return Finding(wish.role, sources, "by type, which no other topic has")
 
 
 def _references(topics: "_Topics", config: Config, dvl_topic: str) -> tuple[Source, ...]:

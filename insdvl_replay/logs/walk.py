@@ -12,6 +12,7 @@ import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
 
+from insdvl_replay.logs.attachments import attachment_at
 from insdvl_replay.logs.chunks import Content, gather
 from insdvl_replay.logs.damage import Damage, DamageError
 from insdvl_replay.logs.packed import COMPRESSED, Chunk, chunk_header
@@ -217,8 +218,10 @@ class Walk:
         if opcode == Opcode.HEADER:
             anatomy.header = parsed(records.Header, self.data, start, length)
         elif opcode == Opcode.ATTACHMENT:
+            attachment_at(self.data, start, length)
             anatomy.attachments.append((start, length))
         elif opcode == Opcode.METADATA:
+            parsed(records.Metadata, self.data, start, length)
             anatomy.metadata.append((start, length))
         elif opcode == Opcode.DATA_END:
             crc = parsed(records.DataEnd, self.data, start, length).data_section_crc

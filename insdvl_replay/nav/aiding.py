@@ -6,7 +6,7 @@ from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.config import Config, Filter
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.error_model import noise_density
-from insdvl_replay.nav.gaps import NO_GAPS, Gaps
+from insdvl_replay.nav.gaps import NO_GAPS, Gaps, swing_cov
 from insdvl_replay.nav.measurements import (
     PUBLISHED,
     WINDOWED,
@@ -15,8 +15,6 @@ from insdvl_replay.nav.measurements import (
     velocity_cov,
     velocity_measurement,
 )
-from insdvl_replay.rotation import skew
-from insdvl_replay.states import DEG
 
 
 def filter_noise(filter_: Filter, config: Config) -> Floats:
@@ -60,7 +58,7 @@ def filter_measurements(
         _own_or(filter_, config.dvl, "velocity_sd_mps"),
         filter_.beam_sd_mps or config.dvl.beam_sd_mps,
     )
-    cov_b = cov_b + _swing_cov(velocities, config, gaps)
+    cov_b = cov_b + swing_cov(gaps, velocities.time_ns, np.array(config.dvl.lever_arm_m), config.imu)
     measurements = []
     for aiding in filter_.aiding:
         if aiding == "velocity":
@@ -69,13 +67,6 @@ def filter_measurements(
             measurement = _acceleration(filter_, velocities, cov_b, config, gate)
             measurements.append(_seen(measurement, velocities.time_ns, gaps))
     return tuple(measurements)
-
-
-def _swing_cov(velocities: DvlVelocities, config: Config, gaps: Gaps) -> Floats:
-    """Give the covariance of ``w x l`` at pings inside a gap, where the turn rate is unknown; zero elsewhere."""
-    inside = gaps.overlap(velocities.time_ns, velocities.time_ns)
-    arm = skew(np.array(config.dvl.lever_arm_m))
-    return inside[:, None, None] * (config.imu.gap_rate_degps * DEG) ** 2 * (arm @ arm.T)
 
 
 def _seen(measurement: Measurement, time_ns: TimeNs, gaps: Gaps) -> Measurement:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from insdvl_replay.columns import Floats, TimeNs, seconds
 from insdvl_replay.config import Imu
 from insdvl_replay.errors import LogError, Note
+from insdvl_replay.rotation import skew
 from insdvl_replay.states import DEG, DV, PHI, STATES
 
 LONGEST_BRIDGE_S: Final = 3600.0
@@ -113,6 +114,28 @@ def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
     # No attitude is less known than by half a turn, however long nobody looked.
     density[:, PHI] = np.minimum(imu.gap_rate_degps * DEG * length_s, np.pi) ** 2 / length_s
     return Gaps(start_ns, end_ns, density)
+
+
+def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats, imu: Imu) -> Floats:
+    """Give the covariance of ``w x l`` at pings inside a gap, where the turn rate is unknown; zero elsewhere.
+
+    Parameters
+    ----------
+    gaps : Gaps
+    time_ns : ndarray, shape (m,)
+        Times of the pings.
+    lever_arm_b : ndarray, shape (3,)
+        IMU to DVL, m.
+    imu : Imu
+        Settings.
+
+    Returns
+    -------
+    ndarray, shape (m, 3, 3), m^2/s^2
+    """
+    inside = gaps.overlap(time_ns, time_ns)
+    arm = skew(lever_arm_b)
+    return inside[:, None, None] * (imu.gap_rate_degps * DEG) ** 2 * (arm @ arm.T)
 
 
 def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int) -> tuple[int, int, tuple[Note, ...]]:

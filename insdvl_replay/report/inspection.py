@@ -117,8 +117,8 @@ def _conventions(inventory: Inventory) -> ShownTable:
 def _topics(inventory: Inventory) -> ShownTable:
     empty = [topic for topic in inventory.topics if not topic.messages]
     return ShownTable(
-        "Topics",
-        ("topic\n  type, encoding", "role", "messages", "rate\n[Hz]", "longest\ngap [s]", "from\n[s]", "to\n[s]"),
+        "Topics: rate, longest gap and span by the times of recording",
+        ("topic\n  type, encoding", "role", "messages", "rate\n[Hz]", "gap\n[s]", "from\n[s]", "to\n[s]"),
         "llrrrrr",
         tuple(_topic(topic) for topic in inventory.topics if topic.messages),
         f"without messages: {', '.join(topic.topic for topic in empty)}" if empty else "",
@@ -130,8 +130,8 @@ def _topic(topic: TopicFacts) -> tuple[str, ...]:
         f"{topic.topic}\n  {topic.type_name or 'no type'}, {topic.encoding or 'no encoding'}",
         topic.role,
         str(topic.messages),
-        *(number(value) for value in (topic.rate_hz, topic.longest_gap_s)),
-        *(MISSING if value is None else f"{value:.1f}" for value in (topic.start_s, topic.end_s)),
+        *(MISSING if value is None else f"{value:.3g}" for value in (topic.rate_hz, topic.longest_gap_s)),
+        *(MISSING if value is None else f"{value:.0f}" for value in (topic.start_s, topic.end_s)),
     )
 
 
@@ -139,13 +139,12 @@ def _clocks(inventory: Inventory) -> ShownTable:
     sampled = inventory.reading == "sample"
     return ShownTable(
         f"Clocks: log time minus stamp, {'the first messages of each topic' if sampled else 'all messages'}",
-        ("topic", "stamp", "messages", "median\n[s]", "spread\n[s]", "back\nsteps", "repeats", "rate\n[Hz]"),
-        "llrrrrrr",
+        ("topic", "stamp", "median\n[s]", "spread\n[s]", "back\nsteps", "repeats", "rate\n[Hz]"),
+        "llrrrrr",
         tuple(
             (
                 clock.topic,
                 clock.stamp,
-                str(clock.messages),
                 number(clock.log_minus_stamp_s),
                 number(clock.spread_s),
                 str(clock.back_steps),
