@@ -4,6 +4,7 @@ Nothing is taken from the summary that the records do not confirm, and a chunk s
 what is in it.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 from mcap import records
@@ -16,13 +17,15 @@ from insdvl_replay.logs.summary import read_summary
 from insdvl_replay.logs.walk import Anatomy, Walk, file_definition
 
 
-def anatomy_of(data: memoryview) -> Anatomy:
+def anatomy_of(data: memoryview, release: Callable[[int, int], None]) -> Anatomy:
     """Find what a file holds.
 
     Parameters
     ----------
     data : memoryview
         The file.
+    release : callable
+        Is told the start and end of bytes that are not needed for now.
 
     Returns
     -------
@@ -30,7 +33,7 @@ def anatomy_of(data: memoryview) -> Anatomy:
     """
     summary = read_summary(data)
     anatomy = Anatomy(summary, damages=list(summary.damages))
-    Walk(data, anatomy).run()
+    Walk(data, anatomy, release).run()
     for chunk in list(anatomy.chunks):
         _count_by_index(data, anatomy, chunk)
     _compare_chunks(data, anatomy)
@@ -40,6 +43,7 @@ def anatomy_of(data: memoryview) -> Anatomy:
     for chunk in list(anatomy.chunks):
         if chunk.kind != "loose" and not _is_vouched_for(anatomy, chunk):
             _look_into(data, anatomy, chunk)
+            release(chunk.offset, chunk.offset + chunk.length)
     _check_channels(anatomy)
     return anatomy
 

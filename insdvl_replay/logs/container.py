@@ -92,8 +92,7 @@ class Log:
         self._allow_damaged = allow_damaged
         self._map = _mapped(path)
         self._data = memoryview(self._map)
-        self._anatomy = anatomy_of(self._data)
-        self._release_pages()
+        self._anatomy = anatomy_of(self._data, self._release)
         self._judge()
         self.channels = tuple(
             _log_channel(channel, self._anatomy.schemas.get(channel.schema_id), self._anatomy.counts[channel.id])
@@ -253,7 +252,7 @@ class Log:
         if content.damages:
             self._anatomy.accept(chunk, content)
         yield content
-        self._release_pages(chunk)
+        self._release(chunk.offset, chunk.offset + chunk.length)
 
     def _judge(self) -> None:
         """Refuse a damaged file unless that is allowed."""
@@ -280,15 +279,11 @@ class Log:
         span_s = float(seconds(saved.max(), int(saved.min())))
         return f"--allow-damaged uses the {span_s:.1f} s and {saved.size} messages that can be read"
 
-    def _release_pages(self, chunk: Chunk | None = None) -> None:
+    def _release(self, start: int, end: int) -> None:
         """Keep what was read from counting as memory of this process; the system reads it again if need be."""
-        if not hasattr(mmap, "MADV_DONTNEED"):
-            return
-        if chunk is None:
-            self._map.madvise(mmap.MADV_DONTNEED)
-            return
-        start = chunk.offset - chunk.offset % mmap.PAGESIZE
-        self._map.madvise(mmap.MADV_DONTNEED, start, chunk.offset + chunk.length - start)
+        if hasattr(mmap, "MADV_DONTNEED"):
+            page = start - start % mmap.PAGESIZE
+            self._map.madvise(mmap.MADV_DONTNEED, page, end - page)
 
 
 def _mapped(path: Path) -> mmap.mmap:

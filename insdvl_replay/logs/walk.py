@@ -5,6 +5,7 @@ be made out.
 """
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -115,8 +116,9 @@ def _span_s(data: memoryview, chunk: Chunk) -> float | None:
 class Walk:
     """The way through the data section."""
 
-    def __init__(self, data: memoryview, anatomy: Anatomy) -> None:
+    def __init__(self, data: memoryview, anatomy: Anatomy, release: Callable[[int, int], None]) -> None:
         self.data = data
+        self.release = release
         self.anatomy = anatomy
         self.signposts = sorted(anatomy.summary.chunks)
         self.latest = 0
@@ -131,6 +133,7 @@ class Walk:
                 anatomy.mark(Damage(stop, what_stands(self.data, stop, end), None))
                 batch, stop = self.behind(batch, stop, end)
             self.take(batch)
+            self.release(place, stop)
             place = stop
         if anatomy.header is None:
             anatomy.mark(Damage(len(MAGIC), "no header begins the log"))

@@ -23,8 +23,8 @@ def reference_at_imu(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: 
     Returns
     -------
     ReferenceColumns
-        Rows without an attitude lose their position and velocity, rows outside the IMU's samples their velocity. With no
-        lever arm the reference itself.
+        Rows without an attitude lose their position and velocity, rows outside the IMU's samples their velocity. With
+        no lever arm the reference itself.
     """
     if not np.any(lever_arm_b):
         return reference

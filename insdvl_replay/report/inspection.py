@@ -126,8 +126,10 @@ def _topics(inventory: Inventory) -> ShownTable:
 
 
 def _topic(topic: TopicFacts) -> tuple[str, ...]:
+    # Some recorders name a topic after its type; once is enough.
+    type_name = "" if topic.type_name == topic.topic else f"{topic.type_name or 'no type'}, "
     return (
-        f"{topic.topic}\n  {topic.type_name or 'no type'}, {topic.encoding or 'no encoding'}",
+        f"{topic.topic}\n  {type_name}{topic.encoding or 'no encoding'}",
         topic.role,
         str(topic.messages),
         *(MISSING if value is None else f"{value:.3g}" for value in (topic.rate_hz, topic.longest_gap_s)),

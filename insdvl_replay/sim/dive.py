@@ -72,7 +72,7 @@ def simulate_dive(
         Unknown scenario or grade, or a number that cannot be.
     """
     if imu_errors is None:
-        imu_errors = _named("IMU grade", grade, GRADES)
+        imu_errors = named("IMU grade", grade, GRADES)
     exact = exact_dive(
         scenario,
         duration_s=duration_s,
@@ -94,6 +94,7 @@ def exact_dive(
     imu_rate_hz: float = 100.0,
     dvl_rate_hz: float = 1.0,
     reference_rate_hz: float = 5.0,
+    reference_at_pings: bool = False,
     outages: Sequence[tuple[float, float]] = (),
     lost_beams: Sequence[LostBeam] = (),
     lever_arm_m: Vector = (0.0, 0.0, 0.0),
@@ -109,6 +110,8 @@ def exact_dive(
         Cuts the scenario, or lets the vehicle go straight on; left out: the scenario's own.
     imu_rate_hz, dvl_rate_hz, reference_rate_hz : float
         The IMU and the reference start with the dive, the DVL at `FIRST_PING_S`.
+    reference_at_pings : bool
+        The reference has a row at the start and at each ping instead of a rate of its own.
     outages : sequence of (start_s, end_s)
         Spans in which no beam finds the bottom: such pings are there, and all NaN.
     lost_beams : sequence of LostBeam
@@ -127,7 +130,7 @@ def exact_dive(
     ConfigError
         Unknown scenario, or a number that cannot be.
     """
-    way = _named("scenario", scenario, SCENARIOS)
+    way = named("scenario", scenario, SCENARIOS)
     end_s = way.duration_s if duration_s is None else duration_s
     _check_duration(end_s)
     for sensor, rate_hz in (("IMU", imu_rate_hz), ("DVL", dvl_rate_hz), ("reference", reference_rate_hz)):
@@ -138,12 +141,14 @@ def exact_dive(
     spans = [*lost_beams, *(LostBeam(beam, *outage) for outage in outages for beam in every_beam)]
     _check_spans(spans)
     course = Course(way, end_s)
-    reference = _reference(course, _grid_ns(0.0, reference_rate_hz, end_s))
+    ping_ns = _grid_ns(FIRST_PING_S, dvl_rate_hz, end_s)
+    own_ns = _grid_ns(0.0, reference_rate_hz, end_s)
+    reference = _reference(course, np.append(START_NS, ping_ns) if reference_at_pings else own_ns)
     unbiased = np.zeros_like(reference.velocity_n)
     return Dive(
         name=scenario,
         imu=_imu(course, _grid_ns(0.0, imu_rate_hz, end_s)),
-        dvl=_dvl(course, _grid_ns(FIRST_PING_S, dvl_rate_hz, end_s), lever_arm_m, mounting_rpy_deg, spans),
+        dvl=_dvl(course, ping_ns, lever_arm_m, mounting_rpy_deg, spans),
         reference=reference,
         truth=TruthColumns(reference.time_ns, unbiased, unbiased),
     )
@@ -187,7 +192,26 @@ def add_errors(exact: Dive, imu_errors: ImuErrors, dvl_errors: DvlErrors, seed: 
     )
 
 
-def _named(kind: str, name: str, known: Mapping[str, T]) -> T:
+def named(kind: str, name: str, known: Mapping[str, T]) -> T:
+    """Look a name up, or say which one was meant.
+
+    Parameters
+    ----------
+    kind : str
+        What it names, for the error.
+    name : str
+    known : mapping of str to anything
+
+    Returns
+    -------
+    anything
+        What the name stands for.
+
+    Raises
+    ------
+    ConfigError
+        The name is not known.
+    """
     if name not in known:
         nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
         hint = f"did you mean {nearest[0]}?" if nearest else f"known: {', '.join(known)}"

@@ -26,12 +26,15 @@ class DvlErrors:
         Standard deviation of a beam's scale error, drawn once a dive.
     beam_quantum_mps : float
         Step to which readings are rounded; 0 for none.
+    velocity_sd_mps : float
+        White noise that the beams of a ping share: each axis of the velocity has as much of it.
     """
 
     beam_sd_mps: float = 0.0042
     beam_bias_sd_mps: float = 0.001
     beam_scale_sd: float = 0.002
     beam_quantum_mps: float = 1e-4
+    velocity_sd_mps: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -82,11 +85,12 @@ def add_dvl_errors(exact: DvlColumns, errors: DvlErrors, rng: np.random.Generato
     ValueError
         The columns hold no beams.
     """
-    if exact.beam_velocity_mps is None:
+    if exact.beam_velocity_mps is None or exact.beam_vectors_d is None:
         raise ValueError("the errors of a DVL are drawn for its beams, and these columns hold none")
     pings, beams = exact.beam_velocity_mps.shape
     scale = errors.beam_scale_sd * rng.standard_normal(beams)
     bias = errors.beam_bias_sd_mps * rng.standard_normal(beams)
     noise = errors.beam_sd_mps * rng.standard_normal((pings, beams))
+    noise += errors.velocity_sd_mps * rng.standard_normal((pings, 3)) @ exact.beam_vectors_d.T
     reading = exact.beam_velocity_mps * (1.0 + scale) + bias + noise
     return replace(exact, beam_velocity_mps=quantise(reading, errors.beam_quantum_mps))

@@ -1,0 +1,187 @@
+"""One run of a Monte Carlo study: draw the errors of the sensors and of the start, and see how far each filter is off."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.columns import Dive, DvlColumns, Floats
+from insdvl_replay.config import Config
+from insdvl_replay.evaluation.consistency import chi_square_quantile
+from insdvl_replay.evaluation.ensemble import RunErrors, run_errors
+from insdvl_replay.nav.aiding import filter_measurements, filter_noise
+from insdvl_replay.nav.alignment import initial_sd
+from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
+from insdvl_replay.nav.filter import Start, run_filter
+from insdvl_replay.nav.strapdown import rotation_from_vector
+from insdvl_replay.nav.timeline import build_timeline
+from insdvl_replay.rotation import mat_from_rpy
+from insdvl_replay.sim.dive import add_errors, exact_dive, named
+from insdvl_replay.sim.dvl_errors import DvlErrors
+from insdvl_replay.sim.imu_errors import GRADES, ImuErrors
+from insdvl_replay.states import BA, BG, DEG, DV, PHI
+
+MATCHED: Final = "matched"
+"""The grade of an IMU, and of the DVL beside it, that errs exactly as the first filter believes."""
+
+
+@dataclass(frozen=True)
+class World:
+    """What all runs of a study have in common.
+
+    Attributes
+    ----------
+    exact : Dive
+        With perfect sensors; its reference and truth have a row at the start and at each ping.
+    imu_errors, dvl_errors
+        How large the errors are that each run draws.
+    config : Config
+        The filters, and how uncertain their start is. What it says of one vehicle's biases, scale, span and log does
+        not concern simulated sensors.
+    """
+
+    exact: Dive
+    imu_errors: ImuErrors
+    dvl_errors: DvlErrors
+    config: Config
+
+
+def make_world(scenario: str, config: Config, imu: str, duration_s: float | None = None) -> World:
+    """Simulate the exact dive and say how its sensors are going to err.
+
+    Parameters
+    ----------
+    scenario : str
+        A name in `trajectories.SCENARIOS`.
+    config : Config
+    imu : str
+        `MATCHED`, or a name in `imu_errors.GRADES`.
+    duration_s : float, optional
+        Left out: the scenario's own.
+
+    Returns
+    -------
+    World
+
+    Raises
+    ------
+    ConfigError
+        Unknown scenario or grade, or a duration that cannot be.
+    """
+    worlds = {name: (errors, DvlErrors()) for name, errors in GRADES.items()}
+    imu_errors, dvl_errors = named("IMU grade", imu, {MATCHED: matched_errors(config), **worlds})
+    exact = exact_dive(
+        scenario,
+        duration_s=duration_s,
+        reference_at_pings=True,
+        lever_arm_m=config.dvl.lever_arm_m,
+        mounting_rpy_deg=config.dvl.mounting_rpy_deg,
+    )
+    return World(exact, imu_errors, dvl_errors, config)
+
+
+def matched_errors(config: Config) -> tuple[ImuErrors, DvlErrors]:
+    """Let the sensors err as the first filter's Q, R and initial uncertainty say.
+
+    Parameters
+    ----------
+    config : Config
+
+    Returns
+    -------
+    ImuErrors
+    DvlErrors
+        Noise of the beams, or alike on the axes of the velocity, whichever the filter is told.
+    """
+    baseline, sd = config.filters[config.baseline], initial_sd(config.initial)
+    accel_white, gyro_white, accel_walk, gyro_walk = np.sqrt(filter_noise(baseline, config)[::3])
+    imu_errors = ImuErrors(accel_white, gyro_white, sd[BA][0], sd[BG][0], accel_walk, gyro_walk)
+    beam_sd_mps = baseline.beam_sd_mps or config.dvl.beam_sd_mps or 0.0
+    velocity_sd_mps = 0.0 if beam_sd_mps else baseline.velocity_sd_mps or config.dvl.velocity_sd_mps
+    return imu_errors, DvlErrors(beam_sd_mps, 0.0, 0.0, 0.0, velocity_sd_mps)
+
+
+def run_seed(seed: int, run: int) -> int:
+    """Give the seed of one run, from which it can be repeated without the others.
+
+    Parameters
+    ----------
+    seed : int
+        Of the study.
+    run : int
+        Its number, from 1.
+
+    Returns
+    -------
+    int
+        As ``insdvl-replay simulate --seed`` takes it.
+    """
+    return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1)[0])
+
+
+def simulated_run(world: World, seed: int) -> tuple[RunErrors, ...]:
+    """Draw the errors of one run and replay it through every filter.
+
+    Parameters
+    ----------
+    world : World
+    seed : int
+        From `run_seed`.
+
+    Returns
+    -------
+    tuple of RunErrors
+        One for each filter, in the configuration's order.
+    """
+    config, dive = world.config, add_errors(world.exact, world.imu_errors, world.dvl_errors, seed)
+    if dive.reference is None or dive.truth is None:
+        raise ValueError("a simulated dive holds its truth")
+    velocities = _velocities(dive.dvl, config)
+    start_ns, end_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
+    start = drawn_start(world, seed)
+    timeline = build_timeline(dive.imu, velocities.time_ns, dive.reference.time_ns, start_ns, end_ns)
+    errors = []
+    for name, filter_ in config.filters.items():
+        history = run_filter(
+            name,
+            timeline,
+            start,
+            filter_noise(filter_, config),
+            filter_measurements(filter_, velocities, config, chi_square_quantile(filter_.gate_probability, 3)),
+            np.array(config.dvl.lever_arm_m),
+            keep_cov=True,
+        )
+        errors.append(run_errors(history, dive.reference, dive.truth))
+    return tuple(errors)
+
+
+def drawn_start(world: World, seed: int) -> Start:
+    """Start where the exact dive does, off by what the configured initial uncertainty allows.
+
+    Biases are estimated as zero: how large they are is the sensors' part of the draw.
+
+    Parameters
+    ----------
+    world : World
+    seed : int
+        From `run_seed`.
+
+    Returns
+    -------
+    Start
+    """
+    if world.exact.reference is None:
+        raise ValueError("the filters start from the exact motion")
+    # The sensors of `add_errors` draw from the seed's streams 0 to 2.
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
+    position, velocity_n, mat_nb = (
+        column[0] for column in (world.exact.reference.position, world.exact.reference.velocity_n, world.exact.reference.mat_nb)
+    )
+    sd, turn = initial_sd(world.config.initial), np.empty((3, 3))
+    rotation_from_vector(sd[PHI] * rng.standard_normal(3), turn)
+    return Start(position, velocity_n + sd[DV] * rng.standard_normal(3), turn @ mat_nb, sd)
+
+
+def _velocities(dvl: DvlColumns, config: Config) -> DvlVelocities:
+    mat_bd = mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG)
+    return dvl_velocities(dvl, mat_bd, 1.0, config.dvl.max_beam_residual_mps or np.inf)
