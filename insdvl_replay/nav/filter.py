@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, TimeNs
-from insdvl_replay.history import History, Innovations
+from insdvl_replay.history import History
 from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.error_model import add_noise, propagate_cov, write_system_matrix
 from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, multiply, standardised, update_cov
-from insdvl_replay.nav.measurements import VELOCITY, InsAtPing, Measurement, linearise
+from insdvl_replay.nav.measurements import InsAtPing, Measurement, linearise
+from insdvl_replay.nav.recording import Ins, Records, Updates, history_of, new_records, new_updates, write_record
 from insdvl_replay.nav.strapdown import Step, new_step, normal_gravity, propagate, rotate_back, rotation_from_vector
 from insdvl_replay.nav.timeline import Timeline
-from insdvl_replay.rotation import wrap_angle
 
 
 @dataclass(frozen=True)
@@ -47,17 +47,6 @@ class Start:
     gyro_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
 
 
-class _Ins(NamedTuple):
-    """The navigation state, changed in place."""
-
-    position: Floats
-    velocity_n: Floats
-    mat_nb: Floats
-    accel_bias_b: Floats
-    gyro_bias_b: Floats
-    P: Floats
-
-
 class _Memory(NamedTuple):
     """What windows need of past pings, see `measurements.InsAtPing`, and the body velocity after the last one."""
 
@@ -65,27 +54,6 @@ class _Memory(NamedTuple):
     rate_eb_b: Floats
     velocity_change_b: Floats
     velocity_after_b: Floats
-
-
-class _Records(NamedTuple):
-    """The navigation state at the recorded nodes; ``cov`` has no rows unless it is asked for."""
-
-    position: Floats
-    velocity_n: Floats
-    mat_nb: Floats
-    accel_bias_b: Floats
-    gyro_bias_b: Floats
-    sd: Floats
-    cov: Floats
-
-
-class _Updates(NamedTuple):
-    """Innovations, first axis measurement, second axis ping."""
-
-    innovation_b: Floats
-    sd_b: Floats
-    nis: Floats
-    used: NDArray[np.bool_]
 
 
 class _Stack(NamedTuple):
@@ -135,22 +103,8 @@ def run_filter(
     History
     """
     rows, pings = int(timeline.record.sum()), int(timeline.ping.max()) + 1
-    records = _Records(
-        position=np.empty((rows, 3)),
-        velocity_n=np.empty((rows, 3)),
-        mat_nb=np.empty((rows, 3, 3)),
-        accel_bias_b=np.empty((rows, 3)),
-        gyro_bias_b=np.empty((rows, 3)),
-        sd=np.empty((rows, 12)),
-        cov=np.empty((rows if keep_cov else 0, 12, 12)),
-    )
-    updates = _Updates(
-        np.full((len(measurements), pings, 3), np.nan),
-        np.full((len(measurements), pings, 3), np.nan),
-        np.full((len(measurements), pings), np.nan),
-        np.zeros((len(measurements), pings), dtype=np.bool_),
-    )
-    ins = _Ins(
+    records, updates = new_records(rows, keep_cov), new_updates(len(measurements), pings)
+    ins = Ins(
         start.position.copy(),
         start.velocity_n.copy(),
         start.mat_nb.copy(order="C"),
@@ -173,7 +127,7 @@ def run_filter(
         records,
         updates,
     )
-    return _history(name, timeline, measurements, records, updates)
+    return history_of(name, timeline, measurements, records, updates)
 
 
 @compiled
@@ -185,12 +139,12 @@ def _run(
     record: NDArray[np.bool_],
     gap: NDArray[np.int32],
     gap_noise_density: Floats,
-    ins: _Ins,
+    ins: Ins,
     noise_density: Floats,
     measurements: _Stack,
     lever_arm_b: Floats,
-    records: _Records,
-    updates: _Updates,
+    records: Records,
+    updates: Updates,
 ) -> None:
     """Walk the time line. This is the whole filter."""
     pings = updates.nis.shape[1]
@@ -200,7 +154,7 @@ def _run(
     F, FP = np.zeros((12, 12)), np.zeros((6, 12))
     z, H = np.zeros(3), np.zeros((3, 12))
 
-    _write_record(ins, records, 0)
+    write_record(ins, records, 0)
     row = 1
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
@@ -222,7 +176,7 @@ def _run(
                     _update(ins, measurement, m, ping[k], z, H, updates)
             rotate_back(ins.mat_nb, ins.velocity_n, memory.velocity_after_b)
         if record[k]:
-            _write_record(ins, records, row)
+            write_record(ins, records, row)
             row += 1
 
 
@@ -246,7 +200,7 @@ def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
 
 
 @compiled
-def _note_motion(ins: _Ins, memory: _Memory, ping: int, reading_b: Floats, step: Step) -> None:
+def _note_motion(ins: Ins, memory: _Memory, ping: int, reading_b: Floats, step: Step) -> None:
     """Write down the angular rates at a ping, and what the mechanisation added to the body velocity since the last."""
     velocity_b, rate_ie_b, rate_in_b = np.empty(3), np.empty(3), np.empty(3)
     rotate_back(ins.mat_nb, ins.velocity_n, velocity_b)
@@ -260,7 +214,7 @@ def _note_motion(ins: _Ins, memory: _Memory, ping: int, reading_b: Floats, step:
 
 
 @compiled
-def _at_ping(ins: _Ins, memory: _Memory, reading_b: Floats, lever_arm_b: Floats) -> InsAtPing:
+def _at_ping(ins: Ins, memory: _Memory, reading_b: Floats, lever_arm_b: Floats) -> InsAtPing:
     specific_force_b = np.empty(3)
     for i in range(3):
         specific_force_b[i] = reading_b[i] - ins.accel_bias_b[i]
@@ -291,7 +245,7 @@ def _unstacked(stack: _Stack, m: int) -> Measurement:
 
 
 @compiled
-def _update(ins: _Ins, measurement: Measurement, m: int, ping: int, z: Floats, H: Floats, updates: _Updates) -> None:
+def _update(ins: Ins, measurement: Measurement, m: int, ping: int, z: Floats, H: Floats, updates: Updates) -> None:
     """Judge an innovation by its gate, use it if it passes, and write down both."""
     R, PH, S, L = measurement.cov_b[ping], np.empty((12, 3)), np.empty((3, 3)), np.empty((3, 3))
     innovation_cov(ins.P, H, R, PH, S)
@@ -311,7 +265,7 @@ def _update(ins: _Ins, measurement: Measurement, m: int, ping: int, z: Floats, H
 
 
 @compiled
-def _correct(ins: _Ins, K: Floats, z: Floats) -> None:
+def _correct(ins: Ins, K: Floats, z: Floats) -> None:
     """Take the estimated errors ``dx = K z`` out of the navigation state; the error state returns to zero."""
     dx, vector, turn, turned = np.empty(12), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for i in range(12):
@@ -326,56 +280,3 @@ def _correct(ins: _Ins, K: Floats, z: Floats) -> None:
     for i in range(3):
         for j in range(3):
             ins.mat_nb[i, j] = turned[i, j]
-
-
-@compiled
-def _write_record(ins: _Ins, records: _Records, row: int) -> None:
-    for i in range(3):
-        records.position[row, i] = ins.position[i]
-        records.velocity_n[row, i] = ins.velocity_n[i]
-        records.accel_bias_b[row, i] = ins.accel_bias_b[i]
-        records.gyro_bias_b[row, i] = ins.gyro_bias_b[i]
-        for j in range(3):
-            records.mat_nb[row, i, j] = ins.mat_nb[i, j]
-    for i in range(12):
-        records.sd[row, i] = math.sqrt(ins.P[i, i])
-    if records.cov.shape[0] > 0:
-        for i in range(12):
-            for j in range(12):
-                records.cov[row, i, j] = ins.P[i, j]
-
-
-def _history(
-    name: str, timeline: Timeline, measurements: tuple[Measurement, ...], records: _Records, updates: _Updates
-) -> History:
-    ping_ns = timeline.time_ns[timeline.ping >= 0]
-    innovations = []
-    for m, measurement in enumerate(measurements):
-        rows = measurement.available
-        innovations.append(
-            Innovations(
-                measurement="velocity" if measurement.kind == VELOCITY else "acceleration",
-                unit="m/s" if measurement.kind == VELOCITY else "m/s^2",
-                time_ns=ping_ns[rows],
-                valid_ns=measurement.valid_ns[rows],
-                measured_b=measurement.measured_b[rows],
-                innovation_b=updates.innovation_b[m, rows],
-                sd_b=updates.sd_b[m, rows],
-                nis=updates.nis[m, rows],
-                used=updates.used[m, rows],
-            )
-        )
-    records.position[:, 1] = wrap_angle(records.position[:, 1])
-    return History(
-        filter=name,
-        time_ns=timeline.time_ns[timeline.record],
-        updated=timeline.ping[timeline.record] >= 0,
-        position=records.position,
-        velocity_n=records.velocity_n,
-        mat_nb=records.mat_nb,
-        accel_bias_b=records.accel_bias_b,
-        gyro_bias_b=records.gyro_bias_b,
-        sd=records.sd,
-        cov=records.cov if len(records.cov) else None,
-        innovations=tuple(innovations),
-    )

@@ -1,0 +1,139 @@
+"""What a filter writes down on its way: its state at the recorded nodes, and each innovation."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.history import History, Innovations
+from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.nav.measurements import VELOCITY, Measurement
+from insdvl_replay.nav.timeline import Timeline
+from insdvl_replay.rotation import wrap_angle
+
+
+class Ins(NamedTuple):
+    """The navigation state, changed in place."""
+
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+    P: Floats
+
+
+class Records(NamedTuple):
+    """The navigation state at the recorded nodes; ``cov`` has no rows unless it is asked for."""
+
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+    sd: Floats
+    cov: Floats
+
+
+class Updates(NamedTuple):
+    """Innovations, first axis measurement, second axis ping."""
+
+    innovation_b: Floats
+    sd_b: Floats
+    nis: Floats
+    used: NDArray[np.bool_]
+
+
+def new_records(rows: int, keep_cov: bool) -> Records:
+    """Make room for the states at recorded nodes, with all of P if it is to be kept."""
+    return Records(
+        position=np.empty((rows, 3)),
+        velocity_n=np.empty((rows, 3)),
+        mat_nb=np.empty((rows, 3, 3)),
+        accel_bias_b=np.empty((rows, 3)),
+        gyro_bias_b=np.empty((rows, 3)),
+        sd=np.empty((rows, 12)),
+        cov=np.empty((rows if keep_cov else 0, 12, 12)),
+    )
+
+
+def new_updates(measurements: int, pings: int) -> Updates:
+    """Make room for the innovations of some kinds of measurement at each ping."""
+    return Updates(
+        innovation_b=np.full((measurements, pings, 3), np.nan),
+        sd_b=np.full((measurements, pings, 3), np.nan),
+        nis=np.full((measurements, pings), np.nan),
+        used=np.zeros((measurements, pings), dtype=np.bool_),
+    )
+
+
+@compiled
+def write_record(ins: Ins, records: Records, row: int) -> None:
+    """Write down the navigation state as a row."""
+    for i in range(3):
+        records.position[row, i] = ins.position[i]
+        records.velocity_n[row, i] = ins.velocity_n[i]
+        records.accel_bias_b[row, i] = ins.accel_bias_b[i]
+        records.gyro_bias_b[row, i] = ins.gyro_bias_b[i]
+        for j in range(3):
+            records.mat_nb[row, i, j] = ins.mat_nb[i, j]
+    for i in range(12):
+        records.sd[row, i] = math.sqrt(ins.P[i, i])
+    if records.cov.shape[0] > 0:
+        for i in range(12):
+            for j in range(12):
+                records.cov[row, i, j] = ins.P[i, j]
+
+
+def history_of(
+    name: str, timeline: Timeline, measurements: tuple[Measurement, ...], records: Records, updates: Updates
+) -> History:
+    """Gather what a filter wrote down.
+
+    Parameters
+    ----------
+    name : str
+        The filter's name.
+    timeline : Timeline
+    measurements : tuple of Measurement
+        In the order of the updates.
+    records : Records
+    updates : Updates
+
+    Returns
+    -------
+    History
+    """
+    ping_ns = timeline.time_ns[timeline.ping >= 0]
+    innovations = []
+    for m, measurement in enumerate(measurements):
+        rows = measurement.available
+        innovations.append(
+            Innovations(
+                measurement="velocity" if measurement.kind == VELOCITY else "acceleration",
+                unit="m/s" if measurement.kind == VELOCITY else "m/s^2",
+                time_ns=ping_ns[rows],
+                valid_ns=measurement.valid_ns[rows],
+                measured_b=measurement.measured_b[rows],
+                innovation_b=updates.innovation_b[m, rows],
+                sd_b=updates.sd_b[m, rows],
+                nis=updates.nis[m, rows],
+                used=updates.used[m, rows],
+            )
+        )
+    records.position[:, 1] = wrap_angle(records.position[:, 1])
+    return History(
+        filter=name,
+        time_ns=timeline.time_ns[timeline.record],
+        updated=timeline.ping[timeline.record] >= 0,
+        position=records.position,
+        velocity_n=records.velocity_n,
+        mat_nb=records.mat_nb,
+        accel_bias_b=records.accel_bias_b,
+        gyro_bias_b=records.gyro_bias_b,
+        sd=records.sd,
+        cov=records.cov if len(records.cov) else None,
+        innovations=tuple(innovations),
+    )
