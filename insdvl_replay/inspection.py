@@ -36,7 +36,7 @@ def inspect_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
             _check_start(inventory, config)
             return inventory
         # Not imported before it is needed: a look at the file alone takes less than the filters' import.
-        from insdvl_replay.replay import prepare_dive
+        from insdvl_replay.preparation import prepare_dive
 
         dive = logs.read_dive(path, config)
         *_, notes = prepare_dive(dive, config)

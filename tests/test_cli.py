@@ -32,6 +32,7 @@ DOCUMENTED = {
 WITH_STAND_IN = """
 import pathlib, sys, time
 import insdvl_replay.replay as hall
+import insdvl_replay.result_files as disk
 from insdvl_replay.cli import main
 
 def save_half(replay, folder):
@@ -40,7 +41,7 @@ def save_half(replay, folder):
     time.sleep(60)
 
 hall.replay_log = lambda path, config, **options: None
-hall.save_replay = save_half
+disk.save_replay = save_half
 sys.argv = ["insdvl-replay", *sys.argv[1:]]
 main()
 """

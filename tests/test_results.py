@@ -12,7 +12,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from insdvl_replay.config_file import load_config
-from insdvl_replay.replay import replay_log, save_replay
+from insdvl_replay.replay import replay_log
+from insdvl_replay.result_files import save_replay
 
 SAMPLE = Path(__file__).parents[1] / "sample_logs" / "figure_eight.mcap"
 FILES = {

@@ -13,7 +13,7 @@ from insdvl_replay.cli.screen import patience, rendered
 from insdvl_replay.config import Config
 from insdvl_replay.errors import ConfigError, LogError
 from insdvl_replay.nav.compiled import is_warm
-from insdvl_replay.replay import replay_log, save_replay
+from insdvl_replay.replay import replay_log
 from insdvl_replay.report.csv_tables import report_csv
 from insdvl_replay.report.folder import (
     COMPLETE,
@@ -25,6 +25,7 @@ from insdvl_replay.report.folder import (
 from insdvl_replay.report.json_report import Report, Tool, decode_report, encode_report, encode_reports
 from insdvl_replay.report.markup import latex_report, markdown_report
 from insdvl_replay.report.summary import Failure, summary_csv
+from insdvl_replay.result_files import save_replay
 
 SUMMARY = "summary.csv"
 
