@@ -181,7 +181,7 @@ MATRIX = {
     "chunk twice": Case("zstd", chunk_twice, "summary", 0),
     "chunk twice, no summary": Case("no summary", chunk_twice, "copy of the one", 0),
     "chunk taken out": Case("zstd", chunk_taken_out, "summary", CHUNKFUL, 20),
-    "message of an unknown channel": Case("bare", foreign_channel, "no index of a chunk names the 1 messages of channel 999", 1),
+    "message of an unknown channel": Case("bare", foreign_channel, "the 1 messages of channel 999", 1),
     "message too long in a chunk": Case("bare", partial(wrong_length_in_chunk, 400), "in the chunk", 2, 1),
     "message absurdly long in a chunk": Case("bare", partial(wrong_length_in_chunk, 1 << 60), "in the chunk", 2, 1),
     "message too short": Case(
@@ -241,7 +241,7 @@ def test_loss_is_told_in_messages_and_seconds(tmp_path: Path) -> None:
     lost = MESSAGES - len(found)
     times = sorted(time_ns for _, time_ns, _ in true_messages() - set(found))
     span_s = (times[-1] - times[0]) * 1e-9
-    assert f"in 1 places, {lost} messages ({span_s:.3f} s) are lost" in note.text
+    assert f"in 1 place, {lost} messages ({span_s:.3f} s) are lost" in note.text
 
 
 def test_the_command_refuses_with_exit_3_or_uses_what_is_left(

@@ -92,5 +92,6 @@ def damage_note(name: str, damages: Sequence[Damage], missing: int | None) -> No
     """
     shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
     more = f"; and {len(damages) - _SHOWN} more" if len(damages) > _SHOWN else ""
-    text = f"{name} is damaged in {len(damages)} places, {lost(damages, missing)} ({shown}{more})"
+    places = "1 place" if len(damages) == 1 else f"{len(damages)} places"
+    text = f"{name} is damaged in {places}, {lost(damages, missing)} ({shown}{more})"
     return Note("log_damaged", text, len(damages), "warning", "copy the log again from the recorder if it still has it")
