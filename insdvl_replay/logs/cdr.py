@@ -86,16 +86,16 @@ class CdrReader:
         while left.size:
             rows, messages, layout = self._next_group(block, left)
             parts.append((rows, {path: self._values(messages, layout, path) for path in self._paths}))
-            left = np.setdiff1d(left, rows, assume_unique=True)
+            left = left[:0] if rows.size == left.size else np.setdiff1d(left, rows, assume_unique=True)
         return {path: _joined([(rows, part[path]) for rows, part in parts]) for path in self._paths}
 
     def _check_encapsulation(self, block: Block) -> None:
         if np.any(block.sizes < len(ENCAPSULATION)):
             raise LogError(f"{self._place}: a message of {block.sizes.min()} bytes is no CDR", "the log is damaged")
-        kinds = gather(block.buffer, block.offsets, np.dtype("u1, u1"))
-        wrong = kinds[(kinds["f0"] != ENCAPSULATION[0]) | (kinds["f1"] != ENCAPSULATION[1])]
+        kinds = gather(block.buffer, block.offsets, np.dtype(">u2"))
+        wrong = kinds[kinds != int.from_bytes(ENCAPSULATION[:2])]
         if wrong.size:
-            first, second = wrong[0].item()
+            first, second = divmod(int(wrong[0]), 256)
             name = _ENCAPSULATIONS.get(second, "no CDR") if first == 0 else "no CDR"
             raise LogError(
                 f"{self._place}: {wrong.size} of {kinds.size} messages are {name} "
