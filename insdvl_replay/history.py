@@ -32,6 +32,8 @@ class Innovations:
         Normalised innovation squared, z' S^-1 z.
     used : ndarray of bool, shape (m,)
         False where the gate rejected it.
+    log_det : ndarray, shape (m,)
+        Logarithm of the determinant of S, for the likelihood.
     """
 
     measurement: str
@@ -43,6 +45,7 @@ class Innovations:
     sd_b: Floats
     nis: Floats
     used: NDArray[np.bool_]
+    log_det: Floats
 
     @property
     def dof(self) -> int:

@@ -39,7 +39,7 @@ def inspect_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
         from insdvl_replay.preparation import prepare_dive
 
         dive = logs.read_dive(path, config)
-        *_, notes = prepare_dive(dive, config)
+        notes = prepare_dive(dive, config).notes
     except UserError as error:
         obstacle = Obstacle(error.message, error.hint)
         return replace(inventory, obstacles=(*inventory.obstacles, obstacle))

@@ -1,5 +1,7 @@
 """Before the filters: solve the pings, find the span, bridge or split gaps, and align."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from insdvl_replay.columns import Dive
@@ -12,7 +14,29 @@ from insdvl_replay.rotation import mat_from_rpy
 from insdvl_replay.states import DEG
 
 
-def prepare_dive(dive: Dive, config: Config) -> tuple[DvlVelocities, Alignment, int, tuple[Note, ...]]:
+@dataclass(frozen=True)
+class Prepared:
+    """All that the filters of one dive share.
+
+    Attributes
+    ----------
+    velocities : DvlVelocities
+        What the DVL measured, inside the span.
+    alignment : Alignment
+        When and where the filters start.
+    end_ns : int
+        End of the span.
+    notes : tuple of Note
+        What was dropped or assumed on the way.
+    """
+
+    velocities: DvlVelocities
+    alignment: Alignment
+    end_ns: int
+    notes: tuple[Note, ...]
+
+
+def prepare_dive(dive: Dive, config: Config) -> Prepared:
     """Do everything that comes before the filters: solve the pings, find the span, and align.
 
     Parameters
@@ -22,17 +46,14 @@ def prepare_dive(dive: Dive, config: Config) -> tuple[DvlVelocities, Alignment, 
 
     Returns
     -------
-    DvlVelocities
-        Inside the span.
-    Alignment
-    int
-        End of the span, ns.
-    tuple of Note
+    Prepared
 
     Raises
     ------
-    LogError, ConfigError
-        As of `replay_dive`.
+    LogError
+        Nothing to replay in the span, or no reference to start from.
+    ConfigError
+        The settings do not fit the dive.
     """
     velocities, notes = _velocities(dive, config)
     start_ns, end_ns = _span(dive, velocities, config)
@@ -43,8 +64,8 @@ def prepare_dive(dive: Dive, config: Config) -> tuple[DvlVelocities, Alignment, 
         )
         alignment = align(dive.imu, velocities, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
     inside = velocities.within(alignment.start_ns, end_ns)
-    notes += gap_notes + alignment.notes
-    return inside, alignment, end_ns, notes + _outside_notes(dive.name, velocities, inside)
+    notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside)
+    return Prepared(inside, alignment, end_ns, notes)
 
 
 def _velocities(dive: Dive, config: Config) -> tuple[DvlVelocities, tuple[Note, ...]]:

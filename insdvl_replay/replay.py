@@ -16,13 +16,12 @@ from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_
 from insdvl_replay.evaluation.verdicts import Verdict, verdicts
 from insdvl_replay.history import History
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
-from insdvl_replay.nav.alignment import Alignment
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.gaps import find_gaps
 from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.nav.timeline import build_timeline
-from insdvl_replay.preparation import prepare_dive
+from insdvl_replay.preparation import Prepared, prepare_dive
 
 
 @dataclass(frozen=True)
@@ -112,9 +111,8 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     if dive.reference is not None:
         lever_arm_b = np.array(config.reference.lever_arm_m)
         dive = replace(dive, reference=reference_at_imu(dive.reference, dive.imu, lever_arm_b))
-    inside, alignment, end_ns, notes = prepare_dive(dive, config)
-    histories = _run_filters(dive, inside, alignment, end_ns, config, keep_cov)
-    notes += update_notes(histories)
+    start = prepare_dive(dive, config)
+    histories = run_filters(dive, start, config, keep_cov=keep_cov)
     reference = dive.reference
     errors = {history.filter: reference_errors(history, reference) for history in histories} if reference else {}
     tables = {
@@ -124,23 +122,42 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         "consistency": consistency_table(dive.name, histories),
     }
     judged = verdicts(tables, config.baseline, [history.filter for history in histories[1:]])
-    notes = dive.notes + notes + _reference_notes(dive, config)
-    return Replay(dive, config, alignment.start_ns, end_ns, inside, histories, errors, tables, judged, notes)
+    notes = dive.notes + start.notes + update_notes(histories) + _reference_notes(dive, config)
+    start_ns = start.alignment.start_ns
+    return Replay(dive, config, start_ns, start.end_ns, start.velocities, histories, errors, tables, judged, notes)
 
 
-def _run_filters(
-    dive: Dive, velocities: DvlVelocities, alignment: Alignment, end_ns: int, config: Config, keep_cov: bool
-) -> tuple[History, ...]:
+def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool = False) -> tuple[History, ...]:
+    """Run every configured filter over a prepared dive.
+
+    Parameters
+    ----------
+    dive : Dive
+    start : Prepared
+        From `preparation.prepare_dive`.
+    config : Config
+    keep_cov : bool
+        Whether the histories keep all of P.
+
+    Returns
+    -------
+    tuple of History
+        In the order of the configuration.
+    """
     reference_ns = dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64)
     gaps = find_gaps(dive.imu.time_ns, config.imu)
-    timeline = build_timeline(dive.imu, velocities.time_ns, reference_ns, alignment.start_ns, end_ns, gaps)
+    timeline = build_timeline(
+        dive.imu, start.velocities.time_ns, reference_ns, start.alignment.start_ns, start.end_ns, gaps
+    )
     return tuple(
         run_filter(
             name,
             timeline,
-            alignment.start,
+            start.alignment.start,
             filter_noise(filter_, config),
-            filter_measurements(filter_, velocities, config, chi_square_quantile(filter_.gate_probability, 3), gaps),
+            filter_measurements(
+                filter_, start.velocities, config, chi_square_quantile(filter_.gate_probability, 3), gaps
+            ),
             np.array(config.dvl.lever_arm_m),
             keep_cov=keep_cov,
         )

@@ -45,6 +45,7 @@ def history(
         np.ones((m, 3)),
         nis,
         kept,
+        np.zeros(m),
     )
     one = np.zeros((1, 3))
     return History(

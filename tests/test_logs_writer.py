@@ -79,6 +79,7 @@ def make_history(name: str, seed: int) -> History:
             rng.uniform(0.1, 1.0, size=(m, 3)),
             rng.chisquare(3, size=m),
             rng.uniform(size=m) < 0.9,
+            rng.normal(size=m),
         )
         for measurement, unit in (("velocity", "m/s"), ("acceleration", "m/s^2"))
     )

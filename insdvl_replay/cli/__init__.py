@@ -5,6 +5,7 @@
 
 import signal
 import sys
+import warnings
 from types import FrameType
 from typing import NoReturn
 
@@ -14,6 +15,8 @@ INTERRUPTED = 130
 def main() -> NoReturn:
     """Run the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _interrupt)
+    # numpy's word on overflows would point to lines of ours; what is not finite is told by notes and status words.
+    warnings.filterwarnings("ignore", category=RuntimeWarning)
     sys.exit(run_command_line(sys.argv[1:]))
 
 

@@ -11,6 +11,7 @@ from insdvl_replay.cli.messages import emit, tell, tell_failure, tell_notes
 from insdvl_replay.cli.run import Format
 from insdvl_replay.cli.screen import patience, rendered
 from insdvl_replay.config import Config
+from insdvl_replay.control import replay_with_control
 from insdvl_replay.errors import ConfigError, LogError
 from insdvl_replay.nav.compiled import is_warm
 from insdvl_replay.replay import replay_log
@@ -82,6 +83,7 @@ def replay_dives(
     format_: Format,
     *,
     allow_damaged: bool,
+    control: bool,
     strict: bool,
     force: bool,
     verbosity: int,
@@ -99,6 +101,8 @@ def replay_dives(
         Of what is printed.
     allow_damaged : bool
         Use what can be read of a damaged log.
+    control : bool
+        Add the baseline with its noise fitted.
     strict : bool
         Warnings make the exit code 3.
     force : bool
@@ -116,7 +120,7 @@ def replay_dives(
     together = format_ is Format.JSON and len(targets) > 1
     for target, log in targets.items():
         try:
-            report = _replayed(log, target, config, allow_damaged=allow_damaged, force=force)
+            report = _replayed(log, target, config, allow_damaged=allow_damaged, control=control, force=force)
         except Exception as error:
             outcomes.append(Failure(target.name, str(error)))
             codes[target.name] = tell_failure(error, verbosity)
@@ -134,12 +138,12 @@ def replay_dives(
     return max(codes.values())
 
 
-def _replayed(log: Path, target: Path, config: Config, *, allow_damaged: bool, force: bool) -> Report:
+def _replayed(log: Path, target: Path, config: Config, *, allow_damaged: bool, control: bool, force: bool) -> Report:
     """Replay one log into its folder. The time of day is added here: what the hall writes depends on the log alone."""
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     compiling = "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
     with patience(f"replaying {log.name}{compiling}"):
-        replay = replay_log(log, config, allow_damaged=allow_damaged)
+        replay = (replay_with_control if control else replay_log)(log, config, allow_damaged=allow_damaged)
         with result_folder(target, force=force) as folder:
             save_replay(replay, folder)
             tool = Tool(started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3))

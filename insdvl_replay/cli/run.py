@@ -37,6 +37,9 @@ def run(
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Use what can be read of a damaged log; what is lost is said.")
     ] = False,
+    control: Annotated[
+        bool, typer.Option("--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log.")
+    ] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
     force: Force = False,
     verbose: Verbose = 0,
@@ -65,6 +68,7 @@ def run(
         output,
         format_,
         allow_damaged=allow_damaged,
+        control=control,
         strict=strict,
         force=force,
         verbosity=verbose,

@@ -110,6 +110,27 @@ def _judged(innovations: Innovations) -> tuple[int, int, float, float, float, st
     return used, rejected, mean_nis, low, high, verdict(mean_nis, low, high, innovations.dof)
 
 
+def log_likelihood(innovations: Innovations) -> float:
+    """Give the logarithm of the probability density of all innovations under the filter that met them.
+
+    Innovations of a filter that is right are independent and normal, so that it is the sum of
+    ``-(ln det S + z' S^-1 z + d ln 2 pi) / 2``. Gated innovations count: leaving them out would reward a filter that
+    rejects what it does not like.
+
+    Parameters
+    ----------
+    innovations : Innovations
+
+    Returns
+    -------
+    float
+        Minus infinity where an innovation is not finite.
+    """
+    constant = innovations.dof * np.log(2.0 * np.pi)
+    total = -0.5 * float(np.sum(innovations.log_det + innovations.nis + constant))
+    return total if np.isfinite(total) else float("-inf")
+
+
 def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     """Warn of filters whose aiding did not happen as configured: their tables say less than they seem to.
 

@@ -255,6 +255,7 @@ def _update(ins: Ins, measurement: Measurement, m: int, ping: int, z: Floats, H:
         nis += whitened * whitened
     updates.nis[m, ping] = nis
     updates.used[m, ping] = nis <= measurement.gate
+    updates.log_det[m, ping] = 2.0 * (math.log(L[0, 0]) + math.log(L[1, 1]) + math.log(L[2, 2]))
     for i in range(3):
         updates.innovation_b[m, ping, i] = z[i]
         updates.sd_b[m, ping, i] = math.sqrt(S[i, i])

@@ -44,6 +44,7 @@ class Updates(NamedTuple):
     sd_b: Floats
     nis: Floats
     used: NDArray[np.bool_]
+    log_det: Floats
 
 
 def new_records(rows: int, keep_cov: bool) -> Records:
@@ -66,6 +67,7 @@ def new_updates(measurements: int, pings: int) -> Updates:
         sd_b=np.full((measurements, pings, 3), np.nan),
         nis=np.full((measurements, pings), np.nan),
         used=np.zeros((measurements, pings), dtype=np.bool_),
+        log_det=np.full((measurements, pings), np.nan),
     )
 
 
@@ -121,6 +123,7 @@ def history_of(
                 sd_b=updates.sd_b[m, rows],
                 nis=updates.nis[m, rows],
                 used=updates.used[m, rows],
+                log_det=updates.log_det[m, rows],
             )
         )
     records.position[:, 1] = wrap_angle(records.position[:, 1])

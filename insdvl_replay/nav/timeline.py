@@ -101,7 +101,7 @@ def build_timeline(
 
 def _merged(one: TimeNs, other: TimeNs) -> TimeNs:
     """Unite times; a stable sort merges runs that are sorted already in a hundredth of the time of any other."""
-    time_ns = np.sort(np.concatenate([one, other]), kind="stable")
+    time_ns: TimeNs = np.sort(np.concatenate([one, other]), kind="stable")
     return time_ns[np.append(True, time_ns[1:] > time_ns[:-1])]
 
 

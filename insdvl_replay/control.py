@@ -1,0 +1,126 @@
+"""The control: the baseline with its noise fitted to the dive, so that one sees what tuning alone would have given.
+
+The fit takes the noise under which the baseline's own innovations are most likely. It knows nothing of the reference.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from scipy.optimize import minimize
+
+from insdvl_replay import logs
+from insdvl_replay.columns import Dive, Floats
+from insdvl_replay.config import Config, Filter
+from insdvl_replay.errors import ConfigError, Note
+from insdvl_replay.evaluation.consistency import log_likelihood
+from insdvl_replay.preparation import prepare_dive
+from insdvl_replay.replay import Replay, replay_dive, run_filters
+
+NAME = "tuned"
+"""Name of the control among the filters."""
+FIT_S = 1800.0
+"""The fit reads this much of a dive; noise does not change so much that more would say more."""
+LOWEST, HIGHEST = 1e-3, 1e3
+"""Factors of the baseline's noise between which the fit looks."""
+
+
+def replay_with_control(path: Path, config: Config, *, allow_damaged: bool = False) -> Replay:
+    """Replay the dive in a log, with the control beside the configured filters.
+
+    Parameters
+    ----------
+    path : Path
+    config : Config
+    allow_damaged : bool
+        As of `replay.replay_log`.
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    LogError, ConfigError
+        As of `replay.replay_log` and `with_control`.
+    """
+    dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
+    config, note = with_control(dive, config)
+    return replay_dive(replace(dive, notes=(*dive.notes, note)), config)
+
+
+def with_control(dive: Dive, config: Config) -> tuple[Config, Note]:
+    """Add the control to the filters.
+
+    Parameters
+    ----------
+    dive : Dive
+    config : Config
+
+    Returns
+    -------
+    Config
+        With the filter ``tuned`` at the end, which repeats the result without another fit.
+    Note
+        The fitted values, ready to be pasted.
+
+    Raises
+    ------
+    ConfigError
+        A filter bears the control's name already, or the baseline is not aided by velocity.
+    LogError
+        The dive cannot be replayed.
+    """
+    baseline = config.filters[config.baseline]
+    if NAME in config.filters:
+        raise ConfigError(f"filter '{NAME}' is configured already", f"rename [filters.{NAME}], or leave --control out")
+    if baseline.aiding != ("velocity",):
+        raise ConfigError(
+            f"--control tunes a baseline aided by velocity alone, found {list(baseline.aiding)}",
+            "name such a filter first in the configuration",
+        )
+    tuned = _fitted(dive, config, baseline)
+    values = {key: getattr(tuned, key) for key in _keys(config, baseline)}
+    pasted = ", ".join(f"{key} = {value:.4g}" for key, value in values.items())
+    text = f"noise of the control, fitted to the baseline's innovations: [filters.{NAME}] {pasted}"
+    note = Note("control_fitted", text, len(values))
+    return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), note
+
+
+def _keys(config: Config, baseline: Filter) -> tuple[str, str, str]:
+    """Name what is fitted: the DVL's noise stands in one of two keys."""
+    beams = baseline.beam_sd_mps or config.dvl.beam_sd_mps
+    return "accel_white_mps_rts", "gyro_white_rad_rts", "beam_sd_mps" if beams else "velocity_sd_mps"
+
+
+def _fitted(dive: Dive, config: Config, baseline: Filter) -> Filter:
+    start = prepare_dive(dive, config)
+    end_ns = min(start.end_ns, start.alignment.start_ns + int(FIT_S * 1e9))
+    start = replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)
+    keys = _keys(config, baseline)
+    before = np.array([_value(baseline, config, key) for key in keys])
+
+    def filter_with(logarithms: Floats) -> Filter:
+        values = before * np.exp(np.clip(logarithms, np.log(LOWEST), np.log(HIGHEST)))
+        return msgspec.structs.replace(baseline, **{key: float(value) for key, value in zip(keys, values, strict=True)})
+
+    def unlikelihood(logarithms: Floats) -> float:
+        alone = msgspec.structs.replace(config, filters={NAME: filter_with(logarithms)})
+        (history,) = run_filters(dive, start, alone)
+        return -log_likelihood(history.innovations[0])
+
+    simplex = np.vstack([np.zeros(3), -2.0 * np.eye(3)])
+    found = minimize(
+        unlikelihood,
+        np.zeros(3),
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.1, "maxfev": 150},
+    )
+    return filter_with(found.x)
+
+
+def _value(baseline: Filter, config: Config, key: str) -> float:
+    own = getattr(baseline, key)
+    common = getattr(config.noise, key) if hasattr(config.noise, key) else getattr(config.dvl, key)
+    return float(common if own is None else own)

@@ -1,0 +1,112 @@
+"""Directions of error that have a name, since straight and level motion hides them.
+
+A misalignment tilts gravity, and an accelerometer bias can level it out again: the pair stays where it is. So does a
+heading error with the velocity error that makes the way look turned as a whole. On the turning Earth each also needs the
+gyro bias that takes the Earth's rate out.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.nav.strapdown import (
+    earth_rate_n,
+    meridian_radius_m,
+    normal_gravity,
+    transport_rate_n,
+    transverse_radius_m,
+)
+from insdvl_replay.states import BA, BG, DV, PHI
+
+_AXES: Final = ("north", "east", "down")
+_ACROSS: Final = {"north": "east", "east": "north"}
+
+
+@dataclass(frozen=True)
+class ErrorDirection:
+    """A direction in the space of the 12 error states.
+
+    Attributes
+    ----------
+    id : str
+        Name in tables.
+    label : str
+        Name in words.
+    error : ndarray, shape (12,)
+        SI units; the leading state is 1.
+    """
+
+    id: str
+    label: str
+    error: Floats
+
+
+def named_directions(
+    position: Floats, velocity_n: Floats, mat_nb: Floats, *, earth_rate: bool = True
+) -> tuple[ErrorDirection, ...]:
+    """Make the directions that steady motion hides from velocities, or from accelerations.
+
+    Equations (50) to (54) of Levy and Klein, and what they leave out; see EQUATIONS.md.
+
+    Parameters
+    ----------
+    position, velocity_n : ndarray, shape (3,)
+        At the start; latitude rad, longitude rad, height m, and m/s.
+    mat_nb : ndarray, shape (3, 3)
+        Attitude at the start.
+    earth_rate : bool
+        False: on an Earth that is flat and at rest.
+
+    Returns
+    -------
+    tuple of ErrorDirection
+        In an order in which each is simpler than those after it.
+    """
+    rate_ie_n, rate_in_n = _rates_n(position, velocity_n) if earth_rate else (np.zeros(3), np.zeros(3))
+    gravity_n = np.array([0.0, 0.0, normal_gravity(position[0], position[2])])
+    coriolis_n = rate_ie_n + rate_in_n
+    force_n = np.cross(coriolis_n, velocity_n) - gravity_n
+    axes_n = np.eye(3)
+    velocities = [
+        ErrorDirection(f"dv_{axis[0]}", f"velocity error, {axis}", _error(dv=axis_n))
+        for axis, axis_n in zip(_AXES, axes_n, strict=True)
+    ]
+    tilts = []
+    for axis, phi in zip(_AXES, axes_n, strict=True):
+        dv = -np.cross(velocity_n, phi)
+        ba = mat_nb.T @ (np.cross(force_n, phi) + np.cross(coriolis_n, dv))
+        bg = mat_nb.T @ np.cross(rate_in_n, phi)
+        tilts.append(
+            ErrorDirection(f"phi_{axis[0]} held", _tilt_label(axis, earth_rate), _error(dv=dv, phi=phi, ba=ba, bg=bg))
+        )
+    down_b = mat_nb.T @ axes_n[2]
+    across_b = -mat_nb.T @ np.cross(velocity_n, axes_n[2])
+    gyro = ErrorDirection("bg_d", "gyro bias about down", _error(bg=down_b))
+    centripetal = "gyro bias about down, with the accelerometer bias that bends the way as much"
+    bent = ErrorDirection("bg_d held", centripetal, _error(ba=across_b, bg=down_b))
+    return (*velocities, *tilts, gyro, bent)
+
+
+def _tilt_label(axis: str, earth_rate: bool) -> str:
+    partner = f"the accelerometer bias along {_ACROSS[axis]}" if axis in _ACROSS else "the velocity error across the way"
+    name = f"misalignment about {axis}" if axis in _ACROSS else "heading"
+    return f"{name}, with {partner}{', and the gyro bias that holds it' if earth_rate else ''}"
+
+
+def _error(**parts: Floats) -> Floats:
+    places = {"dv": DV, "phi": PHI, "ba": BA, "bg": BG}
+    error = np.zeros(12)
+    for name, part in parts.items():
+        error[places[name]] = part
+    return error
+
+
+def _rates_n(position: Floats, velocity_n: Floats) -> tuple[Floats, Floats]:
+    latitude, height_m = float(position[0]), float(position[2])
+    rate_ie_n, rate_en_n = np.empty(3), np.empty(3)
+    earth_rate_n(latitude, rate_ie_n)
+    north_radius_m, east_radius_m = meridian_radius_m(latitude) + height_m, transverse_radius_m(latitude) + height_m
+    transport_rate_n(latitude, velocity_n, north_radius_m, east_radius_m, rate_en_n)
+    return rate_ie_n, rate_ie_n + rate_en_n

@@ -1,0 +1,89 @@
+"""The control: what the noise is, the innovations tell."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from insdvl_replay.columns import Dive
+from insdvl_replay.config import Config, Dvl, Filter, Noise
+from insdvl_replay.config_file import load_config, render_toml
+from insdvl_replay.control import replay_with_control, with_control
+from insdvl_replay.errors import ConfigError
+from insdvl_replay.evaluation.consistency import log_likelihood
+from insdvl_replay.history import Innovations
+from insdvl_replay.replay import replay_dive
+from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.sim.dvl_errors import DvlErrors
+from insdvl_replay.sim.imu_errors import ImuErrors
+
+TRUE = {"accel_white_mps_rts": 3e-3, "gyro_white_rad_rts": 2e-5, "beam_sd_mps": 0.006}
+WRONG = Config(
+    noise=Noise(accel_white_mps_rts=0.05, gyro_white_rad_rts=1e-6),
+    dvl=Dvl(beam_sd_mps=0.02),
+    filters={"baseline": Filter(aiding=("velocity",))},
+)
+
+
+@pytest.fixture(scope="module")
+def dive() -> Dive:
+    """A dive whose noise is white and known."""
+    return simulate_dive(
+        "figure-eight",
+        seed=5,
+        imu_rate_hz=50.0,
+        dvl_rate_hz=2.0,
+        imu_errors=ImuErrors(
+            accel_white_mps_rts=TRUE["accel_white_mps_rts"], gyro_white_rad_rts=TRUE["gyro_white_rad_rts"]
+        ),
+        dvl_errors=DvlErrors(beam_sd_mps=TRUE["beam_sd_mps"], beam_bias_sd_mps=0.0, beam_scale_sd=0.0),
+    )
+
+
+def test_likelihood_is_that_of_normal_innovations() -> None:
+    rng = np.random.default_rng(2)
+    root = rng.normal(size=(3, 3))
+    S = root @ root.T
+    z = rng.normal(size=(4, 3))
+    nis = np.einsum("ki,ij,kj->k", z, np.linalg.inv(S), z)
+    times = np.arange(4)
+    innovations = Innovations(
+        "velocity", "m/s", times, times, z, z, np.sqrt(np.diag(S)) * np.ones((4, 1)), nis,
+        np.array([True, True, False, True]), np.full(4, np.linalg.slogdet(S)[1]),
+    )  # fmt: skip
+    expected = stats.multivariate_normal(np.zeros(3), S).logpdf(z).sum()
+    assert log_likelihood(innovations) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_fit_finds_the_noise_that_the_dive_was_made_with(dive: Dive) -> None:
+    config, note = with_control(dive, WRONG)
+    tuned = config.filters["tuned"]
+    assert tuned.accel_white_mps_rts == pytest.approx(TRUE["accel_white_mps_rts"], rel=0.15)
+    assert tuned.beam_sd_mps == pytest.approx(TRUE["beam_sd_mps"], rel=0.05)
+    assert "[filters.tuned] accel_white_mps_rts = 0.00" in note.text
+    nis = replay_dive(dive, config).tables["consistency"].set_index("filter")
+    assert nis.loc["tuned", "verdict"] == "consistent"
+    assert nis.loc["baseline", "verdict"] == "over-cautious"
+
+
+def test_control_needs_its_name_and_a_baseline_aided_by_velocity(dive: Dive) -> None:
+    for filters in (
+        {"baseline": Filter(aiding=("velocity",)), "tuned": Filter(aiding=("velocity",))},
+        {"baseline": load_config().filters["aided"]},
+    ):
+        with pytest.raises(ConfigError):
+            with_control(dive, Config(filters=filters))
+
+
+@pytest.mark.slow
+def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(snapir: Path, tmp_path: Path) -> None:
+    config = load_config(file=Path(__file__).parents[1] / "examples" / "snapir.toml")
+    for run in ("02", "07", "12"):
+        replay = replay_with_control(snapir / f"snapir_{run}.mcap", config)
+        rows = replay.tables["consistency"].set_index(["filter", "measurement"])
+        assert 0.8 < rows.loc[("tuned", "velocity"), "mean_nis"] / 3.0 < 1.25
+    (tmp_path / "again.toml").write_text(render_toml(replay.config))
+    again = replay_dive(replay.dive, load_config(file=tmp_path / "again.toml"))
+    assert again.tables["consistency"].equals(replay.tables["consistency"])
