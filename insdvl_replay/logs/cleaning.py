@@ -17,6 +17,10 @@ Mask = NDArray[np.bool_]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
+FEW: Final = 0.05
+"""Faults are single; where a larger share of the readings is impossible, something else is wrong with all of them."""
+
+
 @dataclass
 class Cleaner:
     """Chooses the rows of a role that stay, and remembers why the others went.
@@ -94,6 +98,20 @@ class Cleaner:
         for column in (column for array in values for column in array.T):
             finite &= np.isfinite(column)
         self.keep(finite, "not_finite", "messages hold a number that is not finite")
+
+    def keep_possible(self, possible: Mask, reason: str) -> None:
+        """Drop the few rows that no sensor can have meant; where they are many, the unit is wrong, and is told as such.
+
+        Parameters
+        ----------
+        possible : ndarray of bool, shape (k,)
+            For each row of the file.
+        reason : str
+            What the dropped messages are like.
+        """
+        few = possible.size - np.count_nonzero(possible) <= FEW * possible.size
+        if few:
+            self.keep(possible, "impossible", reason, "warning")
 
     def require_rows(self, place: str) -> None:
         """Refuse a role of which nothing stays.

@@ -16,6 +16,8 @@ from insdvl_replay.inventory import Clock
 
 SAME_CLOCK_S: Final = 1.0
 """Messages are not under way for longer than this; clocks further apart are two clocks."""
+LARGEST_JITTER_S: Final = 1.0
+"""What varies by more between stamp and recording is no jitter: the clock drifts, or jumps."""
 
 _NS: Final = 1e-9
 _UNITS: Final = ((1, "nanoseconds"), (10**3, "microseconds"), (10**6, "milliseconds"), (10**9, "seconds"))
@@ -80,8 +82,10 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
     """
     imu, *others = clocks
     notes = [_offset_note(clock) for clock in clocks if abs(clock.log_minus_stamp_s) > SAME_CLOCK_S + clock.spread_s]
+    notes += [_unsteady_note(clock) for clock in clocks if clock.spread_s > LARGEST_JITTER_S]
     for other in others:
-        apart_s = abs(other.log_minus_stamp_s - imu.log_minus_stamp_s) - other.spread_s - imu.spread_s
+        jitter_s = min(other.spread_s, LARGEST_JITTER_S) + min(imu.spread_s, LARGEST_JITTER_S)
+        apart_s = abs(other.log_minus_stamp_s - imu.log_minus_stamp_s) - jitter_s
         text = (
             f"{imu.topic} and {other.topic} are stamped by different clocks: log time minus stamp is "
             f"{imu.log_minus_stamp_s:.3f} s on the one and {other.log_minus_stamp_s:.3f} s on the other"
@@ -122,6 +126,14 @@ def stamp_unit(values: NDArray[Any], log_time_ns: TimeNs) -> tuple[int, str]:
             return unit
     size = float(np.median(np.abs(values)))
     return next((unit for unit in _UNITS if size * unit[0] * _NS >= _UNIX_TIME_S), _UNITS[-1])
+
+
+def _unsteady_note(clock: Clock) -> Note:
+    text = (
+        f"{clock.topic}: the clock of its stamps runs unlike the recorder's: log time minus stamp varies by "
+        f"{clock.spread_s:.3f} s between its 5th and 95th percentile"
+    )
+    return Note(f"{clock.role}_clock_unsteady", text, clock.messages, "warning", f'{clock.role}.stamp = "log_time"')
 
 
 def _offset_note(clock: Clock) -> Note:

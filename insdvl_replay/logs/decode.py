@@ -8,7 +8,7 @@ import numpy as np
 from insdvl_replay.columns import Floats, ImuColumns, TruthColumns
 from insdvl_replay.config import Imu
 from insdvl_replay.errors import ConfigError, Note
-from insdvl_replay.logs.cleaning import Cleaner
+from insdvl_replay.logs.cleaning import Cleaner, Mask
 from insdvl_replay.logs.tables import Table
 from insdvl_replay.states import DEG, MG
 
@@ -19,6 +19,12 @@ ANGULAR_RATE_UNITS: Final = {"rad/s": 1.0, "deg/s": DEG}
 VELOCITY_UNITS: Final = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}
 """m/s of one unit."""
 
+LARGEST_FORCE_MPS2: Final = 500.0
+"""50 g; no vehicle that carries a DVL feels it."""
+LARGEST_RATE_RADPS: Final = 35.0
+"""2000 deg/s, the range of the quickest gyros on vehicles."""
+FASTEST_MPS: Final = 20.0
+"""No vehicle with a DVL is faster over ground."""
 FRD: Final = "frd"
 """The project's axes, which are assumed where nothing tells them."""
 GRAVITY_MPS2: Final = 9.81
@@ -93,6 +99,10 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     angular_rate_b = in_frd(_measured(table, "angular_rate"), axes, "imu.axes", rate_unit)
     cleaner = Cleaner("imu", table.time_ns())
     cleaner.keep_finite(specific_force_b, angular_rate_b)
+    cleaner.keep_possible(
+        _is_possible(specific_force_b, angular_rate_b),
+        "samples are above 50 g or 2000 deg/s, or zero in all six readings",
+    )
     cleaner.drop_repeated_times()
     cleaner.require_rows(table.place)
     cleaner.note_gaps(settings.max_gap_s)
@@ -125,3 +135,13 @@ def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:
     cleaner = Cleaner("truth", table.time_ns())
     cleaner.drop_repeated_times()
     return TruthColumns(cleaner.times, cleaner.kept(accel_bias_b), cleaner.kept(gyro_bias_b)), cleaner.notes
+
+
+def _is_possible(specific_force_b: Floats, angular_rate_b: Floats) -> Mask:
+    """Tell which samples an IMU on a vehicle can have felt: within limits, and not free of gravity and Earth rate."""
+    possible, alive = np.ones(len(specific_force_b), np.bool_), np.zeros(len(specific_force_b), np.bool_)
+    for columns, limit in ((specific_force_b.T, LARGEST_FORCE_MPS2), (angular_rate_b.T, LARGEST_RATE_RADPS)):
+        for column in columns:
+            possible &= (column <= limit) & (column >= -limit)
+            alive |= column != 0.0
+    return possible & alive

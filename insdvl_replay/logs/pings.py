@@ -11,8 +11,8 @@ from insdvl_replay.columns import DvlColumns, Floats
 from insdvl_replay.config import Dvl
 from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.logs.beams import beam_vectors, note_contradiction
-from insdvl_replay.logs.cleaning import Cleaner, Mask
-from insdvl_replay.logs.decode import FRD, VELOCITY_UNITS, in_frd
+from insdvl_replay.logs.cleaning import FEW, Cleaner, Mask
+from insdvl_replay.logs.decode import FASTEST_MPS, FRD, VELOCITY_UNITS, in_frd
 from insdvl_replay.logs.tables import Table
 
 _WATER_TRACK: Final = 2
@@ -97,7 +97,7 @@ def _has_beams(table: Table) -> Mask:
 
 
 def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, list[Note]]:
-    velocity_d = _velocity_d(table, settings)
+    velocity_d = _possible(_velocity_d(table, settings), cleaner)
     _keep_valid(table, cleaner)
     _keep_coordinates(table, cleaner, _INSTRUMENT_COORDINATES)
     if "good_beams" in table and table.column("good_beams").any():
@@ -114,7 +114,7 @@ def _velocity_d(table: Table, settings: Dvl) -> Floats:
 
 
 def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, list[Note]]:
-    beam_velocity_mps = _beam_velocity(table) * VELOCITY_UNITS[settings.velocity_unit or "m/s"]
+    beam_velocity_mps = _possible(_beam_velocity(table) * VELOCITY_UNITS[settings.velocity_unit or "m/s"], cleaner)
     _keep_coordinates(table, cleaner, _BEAM_COORDINATES)
     if "beam_valid" not in table:
         _keep_valid(table, cleaner)
@@ -147,7 +147,20 @@ def _beam_velocity(table: Table) -> Floats:
     return np.where(valid > 0.0, velocity, np.nan)
 
 
+def _possible(values_mps: Floats, cleaner: Cleaner) -> Floats:
+    """Take single readings that no vehicle can have had for lost; where there are many, the unit is wrong."""
+    impossible = np.abs(values_mps) > FASTEST_MPS
+    count = int(np.count_nonzero(impossible))
+    if not 0 < count <= FEW * impossible.size:
+        return values_mps
+    cleaner.note("impossible", f"readings are above {FASTEST_MPS:g} m/s, and are taken for lost", count, "warning")
+    return np.where(impossible, np.nan, values_mps)
+
+
 def _drop_repeats(table: Table, cleaner: Cleaner, values: Floats) -> None:
+    zero = (values == 0.0).all(axis=1)
+    if not zero.all():
+        cleaner.keep(~zero, "zero", "pings are exactly zero, as instruments without a lock report", "warning")
     cleaner.drop_repeated_times()
     cleaner.drop_repeated_values(values)
     cleaner.require_rows(table.place)

@@ -20,6 +20,7 @@ from insdvl_replay.logs.comparison import (
     gyro_by_gravity,
     track_by_positions,
 )
+from insdvl_replay.logs.decode import FASTEST_MPS
 from insdvl_replay.logs.imu_health import Check, imu_checks
 from insdvl_replay.rotation import wrap_angle
 from insdvl_replay.states import DEG
@@ -38,6 +39,9 @@ HEADING_DOUBT: Final = 30.0 * DEG
 """Beyond what gyro bias turns a track during a dive."""
 COHERENT: Final = 0.97
 """Only what follows the reference this well can be measured by it."""
+FACTOR_OF_UNITS: Final = 5.0
+"""A scale that is off by more is no calibration but another unit."""
+UNIT_HINT: Final = 'dvl.velocity_unit = "mm/s", or "cm/s"; a wrong beam geometry is never that wrong'
 INCOHERENT: Final = 0.95
 """What follows the reference worse than this contradicts it."""
 
@@ -77,6 +81,7 @@ def plausibility_checks(
         *imu_checks(place, imu, reference, config.imu),
         partial(_gyro_notes, place, imu, _gyro_scale(imu, by_attitude, track), config.imu),
         partial(_attitude_notes, imu, by_attitude),
+        partial(_speed_notes, place, dvl),
         partial(_zero_notes, dvl),
         partial(_direction_notes, dvl, reference, config),
         partial(_track_notes, track, dvl, config),
@@ -141,6 +146,19 @@ def _attitude_notes(imu: ImuColumns, by_attitude: AttitudeFit | None) -> list[No
     return [Note("imu_gyro_contradiction", text, len(imu.time_ns), "warning", hint)]
 
 
+def _speed_notes(place: str, dvl: DvlColumns) -> list[Note]:
+    """Refuse speeds that no vehicle has for long."""
+    values = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
+    if values is None or not np.isfinite(values).any():
+        return []
+    speed_mps = float(np.nanmedian(np.abs(values).max(axis=1, initial=0.0, where=np.isfinite(values))))
+    if speed_mps > FASTEST_MPS:
+        raise LogError(
+            f"{place}: the DVL's largest component is {speed_mps:g} m/s in the median of its pings", UNIT_HINT
+        )
+    return []
+
+
 def _zero_notes(dvl: DvlColumns) -> list[Note]:
     """Find pings that are exactly zero, as some instruments report without a lock."""
     values = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
@@ -177,6 +195,8 @@ def _scale_notes(scale: float, dvl: DvlColumns, config: Config) -> list[Note]:
     if abs(scale - 1.0) <= SCALE_DOUBT:
         return []
     text = f"the DVL's velocity is {scale:.3f} times the reference's, from the first ping on"
+    if not 1.0 / FACTOR_OF_UNITS < scale < FACTOR_OF_UNITS:
+        raise LogError(text, UNIT_HINT)
     hint = f"dvl.scale = {scale * config.dvl.scale:.3f}, or dvl.beam_tilt_deg"
     return [Note("dvl_scale", text, len(dvl.time_ns), "warning", hint)]
 
