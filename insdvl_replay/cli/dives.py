@@ -9,11 +9,10 @@ import msgspec
 
 from insdvl_replay.cli.messages import emit, tell, tell_failure, tell_notes
 from insdvl_replay.cli.run import Format
-from insdvl_replay.cli.screen import patience, rendered
+from insdvl_replay.cli.screen import compiling, patience, rendered
 from insdvl_replay.config import Config
 from insdvl_replay.control import replay_with_control
 from insdvl_replay.errors import ConfigError, LogError
-from insdvl_replay.nav.compiled import is_warm
 from insdvl_replay.replay import replay_log
 from insdvl_replay.report.csv_tables import report_csv
 from insdvl_replay.report.folder import (
@@ -141,8 +140,7 @@ def replay_dives(
 def _replayed(log: Path, target: Path, config: Config, *, allow_damaged: bool, control: bool, force: bool) -> Report:
     """Replay one log into its folder. The time of day is added here: what the hall writes depends on the log alone."""
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
-    compiling = "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
-    with patience(f"replaying {log.name}{compiling}"):
+    with patience(f"replaying {log.name}{compiling()}"):
         replay = (replay_with_control if control else replay_log)(log, config, allow_damaged=allow_damaged)
         with result_folder(target, force=force) as folder:
             save_replay(replay, folder)

@@ -1,7 +1,7 @@
 """The terminal's width, colour and patience, as rich sees them."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console, RenderableType
@@ -35,3 +35,38 @@ def patience(text: str) -> Iterator[None]:
         return
     with console.status(text):
         yield
+
+
+def compiling() -> str:
+    """Say what a first run waits for, as the end of a sentence; nothing where the filter is compiled."""
+    from insdvl_replay.nav.compiled import is_warm  # whoever looks into a log must not wait for numba
+
+    return "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
+
+
+@contextmanager
+def progress(text: str, total: int, note: str = "") -> Iterator[Callable[[], None]]:
+    """Show how much of the work is done, on a terminal only.
+
+    Parameters
+    ----------
+    text : str
+        What is done.
+    total : int
+        How many steps it takes.
+    note : str
+        Said above it.
+
+    Yields
+    ------
+    callable
+        To be called after each step.
+    """
+    from rich.progress import Progress
+
+    console = Console(file=sys.stderr, highlight=False)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        if note and console.is_terminal:
+            console.print(note)
+        task = bar.add_task(text, total=total)
+        yield lambda: bar.advance(task)

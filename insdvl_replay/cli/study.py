@@ -65,23 +65,119 @@ def montecarlo(
       insdvl-replay study montecarlo straight --imu fog --preset fog --runs 200
       insdvl-replay study montecarlo straight --run 17
     """
-    from insdvl_replay.cli.montecarlo import print_run, study_montecarlo
+    from insdvl_replay.cli.messages import tell
+    from insdvl_replay.cli.screen import compiling, progress
+    from insdvl_replay.cli.study_results import print_study
     from insdvl_replay.config_file import load_config
+    from insdvl_replay.report.folder import refuse_existing_folder, result_folder
+    from insdvl_replay.studies.montecarlo import repeat_run, save_montecarlo, study_montecarlo
 
-    resolved = load_config(preset, config, settings)
+    resolved, target = load_config(preset, config, settings), output / f"montecarlo-{scenario}"
     if run is not None:
-        print_run(scenario, resolved, run=run, seed=seed, duration_s=duration, imu=imu, format_=format_)
-    else:
-        study_montecarlo(
+        print_study(repeat_run(scenario, resolved, run, seed=seed, duration_s=duration, imu=imu), format_)
+        return
+    refuse_existing_folder(target, force=force)
+    with progress(f"simulating {scenario}", runs, note=compiling().lstrip("; ")) as after_run:
+        report, ensembles = study_montecarlo(
             scenario,
             resolved,
-            output,
             runs=runs,
             seed=seed,
             duration_s=duration,
             imu=imu,
             jobs=jobs,
-            png=png,
-            format_=format_,
-            force=force,
+            after_run=after_run,
         )
+    with result_folder(target, force=force) as folder:
+        save_montecarlo(report, ensembles, folder, png=png)
+    print_study(report, format_)
+    tell(f"wrote {target}")
+
+
+@study.command()
+def window(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded dives, MCAP files.")],
+    longest: Annotated[
+        int, typer.Option("--longest", metavar="N", min=2, max=1000, help="Try windows of 2 to N velocities.")
+    ] = 10,
+    output: StudyOutput = Path("study"),
+    png: Annotated[bool, typer.Option("--png", help="Draw the picture as PNG, too.")] = False,
+    config: ConfigFile = None,
+    preset: Preset = None,
+    settings: Settings = [],  # noqa: B006
+    format_: StudyFormat = Format.TABLE,
+    force: Force = False,
+    verbose: Verbose = 0,
+) -> None:
+    """Find the number of past velocities that makes the best acceleration.
+
+    The slope of the DVL's velocities is held against the acceleration of the reference, at the middle of its window and
+    at its end, with the lever arm compensated and ignored. Several logs are pooled, with rows of their own beside.
+
+    \b
+    Example:
+      insdvl-replay study window dives/*.mcap -c vehicle.toml
+      insdvl-replay study window dive.mcap --longest 20
+    """
+    from insdvl_replay.cli.messages import tell, tell_notes
+    from insdvl_replay.cli.screen import patience
+    from insdvl_replay.cli.study_results import print_study
+    from insdvl_replay.config_file import load_config
+    from insdvl_replay.report.folder import refuse_existing_folder, result_folder
+    from insdvl_replay.studies.window import save_window, study_window
+
+    resolved, target = load_config(preset, config, settings), output / "window"
+    refuse_existing_folder(target, force=force)
+    with patience("comparing accelerations"):
+        report, notes = study_window(logs, resolved, longest)
+    with result_folder(target, force=force) as folder:
+        save_window(report, folder, png=png)
+    print_study(report, format_)
+    tell_notes(notes, verbose=verbose > 0)
+    tell(f"wrote {target}")
+
+
+@study.command()
+def observability(
+    dive: Annotated[str, typer.Argument(metavar="LOG|SCENARIO", help="A recorded dive, or a scenario by its name.")],
+    start: Annotated[
+        float | None, typer.Option(metavar="T", help="Start here, in seconds from the first IMU sample.")
+    ] = None,
+    end: Annotated[float | None, typer.Option(metavar="T", help="End here, likewise.")] = None,
+    no_earth_rate: Annotated[bool, typer.Option("--no-earth-rate", help="Let the Earth be flat and at rest.")] = False,
+    output: StudyOutput = Path("study"),
+    png: Annotated[bool, typer.Option("--png", help="Draw the picture as PNG, too.")] = False,
+    config: ConfigFile = None,
+    preset: Preset = None,
+    settings: Settings = [],  # noqa: B006
+    format_: StudyFormat = Format.TABLE,
+    force: Force = False,
+    verbose: Verbose = 0,
+) -> None:
+    """Say which errors at the start of a dive its measurements can tell apart, and which they cannot.
+
+    For velocities, accelerations in either model, and both together: rank, singular values, and the directions of error
+    that nothing shows, in words and numbers.
+
+    \b
+    Example:
+      insdvl-replay study observability straight --no-earth-rate
+      insdvl-replay study observability dive.mcap --start 60 --end 180
+    """
+    from insdvl_replay.cli.messages import tell, tell_notes
+    from insdvl_replay.cli.screen import compiling, patience
+    from insdvl_replay.cli.study_results import print_study
+    from insdvl_replay.config_file import load_config
+    from insdvl_replay.report.folder import refuse_existing_folder, result_folder
+    from insdvl_replay.studies.observability import save_observability, study_observability
+
+    spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
+    resolved, target = load_config(preset, config, [*settings, *spans]), output / f"observability-{Path(dive).stem}"
+    refuse_existing_folder(target, force=force)
+    with patience(f"stacking the measurements{compiling()}"):
+        report, notes = study_observability(dive, resolved, earth_rate=not no_earth_rate)
+    with result_folder(target, force=force) as folder:
+        save_observability(report, folder, png=png)
+    print_study(report, format_)
+    tell_notes(notes, verbose=verbose > 0)
+    tell(f"wrote {target}")

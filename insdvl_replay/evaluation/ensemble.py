@@ -3,21 +3,13 @@
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
 from insdvl_replay.columns import Floats, ReferenceColumns, TruthColumns, seconds
-from insdvl_replay.evaluation.believed import improvement_pct
-from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, mean_interval, verdict
 from insdvl_replay.history import History
 from insdvl_replay.rotation import vector_from_mat
-from insdvl_replay.states import STATES
-
-DOF = len(STATES)
-"""Degrees of freedom of one NEES."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +60,7 @@ def run_errors(history: History, reference: ReferenceColumns, truth: TruthColumn
     """
     if history.cov is None:
         raise ValueError("NEES needs all of P")
-    time_ns, ours, theirs = np.intersect1d(
-        history.time_ns, reference.time_ns, assume_unique=True, return_indices=True
-    )
+    time_ns, ours, theirs = np.intersect1d(history.time_ns, reference.time_ns, assume_unique=True, return_indices=True)
     error = np.hstack(
         [
             history.velocity_n[ours] - reference.velocity_n[theirs],
@@ -148,12 +138,19 @@ class Tally:
     ----------
     first : RunErrors
         Gives the filter's name and the times; not yet added.
+
+    Attributes
+    ----------
+    filter : str
+    nees_by_run : list of tuple of float
+        Of each run, NEES in the mean over its pings and after the last.
     """
 
     def __init__(self, first: RunErrors) -> None:
-        self._filter, self._time_s, self._runs = first.filter, first.time_s, 0
+        self.filter, self._time_s, self._runs = first.filter, first.time_s, 0
         self._mean, self._squares, self._var = (np.zeros_like(first.error) for _ in range(3))
         self._nees = np.zeros_like(first.nees)
+        self.nees_by_run: list[tuple[float, float]] = []
 
     def add(self, run: RunErrors) -> None:
         """Add a run that has the same times."""
@@ -163,11 +160,12 @@ class Tally:
         self._squares += off * (run.error - self._mean)
         self._var += run.var
         self._nees += run.nees
+        self.nees_by_run.append((float(run.nees[1:].mean()), float(run.nees[-1])))
 
     def ensemble(self) -> Ensemble:
         """Give the runs so far; two at least."""
         return Ensemble(
-            self._filter,
+            self.filter,
             self._runs,
             self._time_s,
             sd=np.sqrt(self._var / self._runs),
@@ -175,116 +173,3 @@ class Tally:
             error_mean=self._mean.copy(),
             nees=self._nees / self._runs,
         )
-
-
-def montecarlo_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
-    """Set what each filter believes at the end beside what is so, state by state.
-
-    Parameters
-    ----------
-    ensembles : sequence of Ensemble
-        The first is the baseline.
-
-    Returns
-    -------
-    DataFrame
-        Columns filter, state, unit, final_sd (from P), ensemble_sd, ensemble_mean, rms_error, ratio (rms_error over
-        final_sd), believed_improvement_pct and true_improvement_pct (of final_sd and rms_error against the baseline's;
-        NaN for itself); 12 rows for each filter. All of them after the last ping.
-    """
-    baseline, rows = ensembles[0], []
-    for ensemble in ensembles:
-        for state in STATES:
-            sd, error_sd, mean, rms, *before = (
-                float(column[-1, state.index]) / state.factor
-                for column in (
-                    ensemble.sd,
-                    ensemble.error_sd,
-                    ensemble.error_mean,
-                    ensemble.error_rms,
-                    baseline.sd,
-                    baseline.error_rms,
-                )
-            )
-            changes = [improvement_pct(old, new) for old, new in zip(before, (sd, rms), strict=True)]
-            changes = [float("nan")] * 2 if ensemble is baseline else changes
-            rows.append((ensemble.filter, state.id, state.unit, sd, error_sd, mean, rms, rms / sd, *changes))
-    names = [
-        "filter", "state", "unit", "final_sd", "ensemble_sd", "ensemble_mean", "rms_error", "ratio",
-        "believed_improvement_pct", "true_improvement_pct",
-    ]  # fmt: skip
-    return pd.DataFrame(rows, columns=names)
-
-
-def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
-    """Judge each filter by its NEES.
-
-    NEES at neighbouring times are nearly the same number. The mean over the dive is therefore held against the interval
-    of a single time, which is too wide for it and never too narrow.
-
-    Parameters
-    ----------
-    ensembles : sequence of Ensemble
-
-    Returns
-    -------
-    DataFrame
-        Columns filter, runs, dof, mean_nees (over runs and pings), low, high (95 % interval at one time), inside_pct
-        (share of pings inside it), final_nees, verdict (``consistent``, ``over-confident``, ``over-cautious``, ``too
-        few``, ``not finite``).
-    """
-    rows = []
-    for ensemble in ensembles:
-        at_pings = ensemble.nees[1:]
-        low, high = mean_interval(DOF, ensemble.runs)
-        mean = float(at_pings.mean())
-        inside_pct = 100.0 * float(np.mean((at_pings >= low) & (at_pings <= high)))
-        word = "too few" if ensemble.runs < FEWEST_UPDATES else verdict(mean, low, high, DOF)
-        rows.append((ensemble.filter, ensemble.runs, DOF, mean, low, high, inside_pct, float(at_pings[-1]), word))
-    names = ["filter", "runs", "dof", "mean_nees", "low", "high", "inside_pct", "final_nees", "verdict"]
-    return pd.DataFrame(rows, columns=names)
-
-
-def nees_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
-    """Lay the mean NEES out over time.
-
-    Parameters
-    ----------
-    ensembles : sequence of Ensemble
-
-    Returns
-    -------
-    DataFrame
-        Columns filter, time_s, mean_nees, low, high (95 % interval).
-    """
-    tables = []
-    for ensemble in ensembles:
-        low, high = mean_interval(DOF, ensemble.runs)
-        columns = {"time_s": ensemble.time_s, "mean_nees": ensemble.nees, "low": low, "high": high}
-        tables.append(pd.DataFrame({"filter": ensemble.filter, **columns}))
-    return pd.concat(tables, ignore_index=True)
-
-
-def ensemble_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
-    """Lay sigma, ensemble sigma and ensemble mean out over time, in shown units.
-
-    Parameters
-    ----------
-    ensembles : sequence of Ensemble
-
-    Returns
-    -------
-    DataFrame
-        Columns filter, state, unit, time_s, sd, ensemble_sd, ensemble_mean.
-    """
-    tables = []
-    for ensemble in ensembles:
-        for state in STATES:
-            columns = {
-                "sd": ensemble.sd[:, state.index] / state.factor,
-                "ensemble_sd": ensemble.error_sd[:, state.index] / state.factor,
-                "ensemble_mean": ensemble.error_mean[:, state.index] / state.factor,
-            }
-            labels = {"filter": ensemble.filter, "state": state.id, "unit": state.unit, "time_s": ensemble.time_s}
-            tables.append(pd.DataFrame({**labels, **columns}))
-    return pd.concat(tables, ignore_index=True)

@@ -1,8 +1,8 @@
 """Directions of error that have a name, since straight and level motion hides them.
 
-A misalignment tilts gravity, and an accelerometer bias can level it out again: the pair stays where it is. So does a
-heading error with the velocity error that makes the way look turned as a whole. On the turning Earth each also needs the
-gyro bias that takes the Earth's rate out.
+A misalignment tilts gravity, and an accelerometer bias can level it out again: the pair stays as it is. So does a
+heading error with the velocity error that turns the way as a whole. On the turning Earth each also needs the gyro bias
+that takes the Earth's rate out.
 """
 
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.columns import Floats
+from insdvl_replay.nav.observability import Observability
 from insdvl_replay.nav.strapdown import (
     earth_rate_n,
     meridian_radius_m,
@@ -42,6 +43,12 @@ class ErrorDirection:
     label: str
     error: Floats
 
+    def scaled(self, prior_sd: Floats) -> Floats:
+        """Give the direction in prior standard deviations, of unit length."""
+        scaled = self.error / prior_sd
+        unit: Floats = scaled / np.linalg.norm(scaled)
+        return unit
+
 
 def named_directions(
     position: Floats, velocity_n: Floats, mat_nb: Floats, *, earth_rate: bool = True
@@ -70,7 +77,7 @@ def named_directions(
     force_n = np.cross(coriolis_n, velocity_n) - gravity_n
     axes_n = np.eye(3)
     velocities = [
-        ErrorDirection(f"dv_{axis[0]}", f"velocity error, {axis}", _error(dv=axis_n))
+        ErrorDirection(f"dv_{axis[0]}", f"velocity error {axis}", _error(dv=axis_n))
         for axis, axis_n in zip(_AXES, axes_n, strict=True)
     ]
     tilts = []
@@ -84,15 +91,49 @@ def named_directions(
     down_b = mat_nb.T @ axes_n[2]
     across_b = -mat_nb.T @ np.cross(velocity_n, axes_n[2])
     gyro = ErrorDirection("bg_d", "gyro bias about down", _error(bg=down_b))
-    centripetal = "gyro bias about down, with the accelerometer bias that bends the way as much"
+    # A heading that drifts by the one bends the way as steadily as the other does.
+    centripetal = "gyro bias about down with accelerometer bias across"
     bent = ErrorDirection("bg_d held", centripetal, _error(ba=across_b, bg=down_b))
     return (*velocities, *tilts, gyro, bent)
 
 
+def name_unobservable(
+    observability: Observability, directions: tuple[ErrorDirection, ...], prior_sd: Floats
+) -> tuple[ErrorDirection, ...]:
+    """Find the named directions that make up what is not observable.
+
+    The least seen come first. A direction is taken if more than half of it lies in what is unobservable and not yet
+    named.
+
+    Parameters
+    ----------
+    observability : Observability
+    directions : tuple of ErrorDirection
+        From `named_directions`.
+    prior_sd : ndarray, shape (12,)
+        Standard deviations of the states at the start, SI units.
+
+    Returns
+    -------
+    tuple of ErrorDirection
+        At most 12 less the rank; in the order of ``directions``.
+    """
+    unnamed, found = observability.unobservable, set()
+    for direction in sorted(directions, key=lambda each: observability.response(each.scaled(prior_sd))):
+        part = unnamed.T @ (unnamed @ direction.scaled(prior_sd))
+        if part @ part > 0.5:
+            found.add(direction.id)
+            # What remains is at right angles to the part just named.
+            _, _, basis = np.linalg.svd(unnamed @ (np.eye(12) - np.outer(part, part) / (part @ part)))
+            unnamed = basis[: len(unnamed) - 1]
+    return tuple(direction for direction in directions if direction.id in found)
+
+
 def _tilt_label(axis: str, earth_rate: bool) -> str:
-    partner = f"the accelerometer bias along {_ACROSS[axis]}" if axis in _ACROSS else "the velocity error across the way"
-    name = f"misalignment about {axis}" if axis in _ACROSS else "heading"
-    return f"{name}, with {partner}{', and the gyro bias that holds it' if earth_rate else ''}"
+    label = "heading with velocity error across"
+    if axis in _ACROSS:
+        label = f"misalignment about {axis} with accelerometer bias {_ACROSS[axis]}"
+    return f"{label} and gyro bias" if earth_rate else label
 
 
 def _error(**parts: Floats) -> Floats:

@@ -101,8 +101,9 @@ def build_timeline(
 
 def _merged(one: TimeNs, other: TimeNs) -> TimeNs:
     """Unite times; a stable sort merges runs that are sorted already in a hundredth of the time of any other."""
-    time_ns: TimeNs = np.sort(np.concatenate([one, other]), kind="stable")
-    return time_ns[np.append(True, time_ns[1:] > time_ns[:-1])]
+    time_ns = np.sort(np.concatenate([one, other]), kind="stable")
+    once: TimeNs = time_ns[np.append(True, time_ns[1:] > time_ns[:-1])]
+    return once
 
 
 def _gap_rows(time_ns: TimeNs, gaps: Gaps) -> NDArray[np.int32]:

@@ -168,7 +168,7 @@ def build_report(
     -------
     Report
     """
-    rows = msgspec.convert({name: _records(table) for name, table in tables.items()}, Tables)
+    rows = msgspec.convert({name: records(table) for name, table in tables.items()}, Tables)
     return Report(
         tool=tool,
         versions={"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES},
@@ -211,7 +211,8 @@ def decode_report(data: bytes) -> Report:
     return msgspec.json.decode(data, type=Report)
 
 
-def _records(table: "pd.DataFrame") -> list[dict[str, Any]]:
+def records(table: "pd.DataFrame") -> list[dict[str, Any]]:
+    """Turn the rows of a table into what JSON can write: None for what is missing or not finite."""
     return [{str(key): _finite_or_none(value) for key, value in row.items()} for row in table.to_dict("records")]
 
 

@@ -1,6 +1,7 @@
 """A report as Markdown, for a merge request, and as LaTeX, for a paper."""
 
 import re
+from collections.abc import Sequence
 from typing import Final
 
 from insdvl_replay.report.json_report import Report
@@ -25,13 +26,24 @@ def markdown_report(report: Report) -> str:
     -------
     str
     """
-    parts = [
-        f"## {heading(report)}",
-        *verdict_lines(report),
-        *(_markdown_table(table) for table in shown_tables(report)),
-        *closing_lines(report),
-    ]
-    return "\n\n".join(parts) + "\n"
+    return markdown_page(heading(report), verdict_lines(report), shown_tables(report), closing_lines(report))
+
+
+def markdown_page(title: str, opening: Sequence[str], tables: Sequence[ShownTable], closing: Sequence[str] = ()) -> str:
+    """Dress tables in Markdown.
+
+    Parameters
+    ----------
+    title : str
+    opening, closing : sequence of str
+        Paragraphs before and after the tables.
+    tables : sequence of ShownTable
+
+    Returns
+    -------
+    str
+    """
+    return "\n\n".join([f"## {title}", *opening, *map(_markdown_table, tables), *closing]) + "\n"
 
 
 def latex_report(report: Report) -> str:
@@ -46,8 +58,26 @@ def latex_report(report: Report) -> str:
     str
         Needs ``\\usepackage{booktabs}``.
     """
-    comments = [f"% {line}" for line in (heading(report), *verdict_lines(report), *closing_lines(report))]
-    return "\n\n".join(["\n".join(comments), *(_latex_table(table) for table in shown_tables(report))]) + "\n"
+    return latex_page(heading(report), [*verdict_lines(report), *closing_lines(report)], shown_tables(report))
+
+
+def latex_page(title: str, opening: Sequence[str], tables: Sequence[ShownTable]) -> str:
+    """Dress tables in LaTeX.
+
+    Parameters
+    ----------
+    title : str
+    opening : sequence of str
+        Sentences, which become comments.
+    tables : sequence of ShownTable
+
+    Returns
+    -------
+    str
+        Needs ``\\usepackage{booktabs}``.
+    """
+    comments = "\n".join(f"% {line}" for line in (title, *opening))
+    return "\n\n".join([comments, *map(_latex_table, tables)]) + "\n"
 
 
 def _markdown_table(table: ShownTable) -> str:

@@ -1,11 +1,11 @@
-"""One run of a Monte Carlo study: draw the errors of the sensors and of the start, and see how far each filter is off."""
+"""One run of a Monte Carlo study: draw errors of the sensors and of the start, and see how far each filter is off."""
 
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import Dive, DvlColumns, Floats
+from insdvl_replay.columns import Dive, DvlColumns
 from insdvl_replay.config import Config
 from insdvl_replay.evaluation.consistency import chi_square_quantile
 from insdvl_replay.evaluation.ensemble import RunErrors, run_errors
@@ -175,7 +175,8 @@ def drawn_start(world: World, seed: int) -> Start:
     # The sensors of `add_errors` draw from the seed's streams 0 to 2.
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
     position, velocity_n, mat_nb = (
-        column[0] for column in (world.exact.reference.position, world.exact.reference.velocity_n, world.exact.reference.mat_nb)
+        column[0]
+        for column in (world.exact.reference.position, world.exact.reference.velocity_n, world.exact.reference.mat_nb)
     )
     sd, turn = initial_sd(world.config.initial), np.empty((3, 3))
     rotation_from_vector(sd[PHI] * rng.standard_normal(3), turn)

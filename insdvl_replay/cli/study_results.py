@@ -1,0 +1,26 @@
+"""Print what a study found."""
+
+from insdvl_replay.cli.messages import emit
+from insdvl_replay.cli.run import Format
+from insdvl_replay.cli.screen import printed
+from insdvl_replay.report.study import (
+    StudyReport,
+    study_csv,
+    study_json,
+    study_latex,
+    study_markdown,
+    study_terminal,
+)
+
+PRINTED = {
+    Format.TABLE: lambda report: printed(study_terminal(report)),
+    Format.JSON: lambda report: study_json(report).decode(),
+    Format.CSV: study_csv,
+    Format.MARKDOWN: study_markdown,
+    Format.LATEX: study_latex,
+}
+
+
+def print_study(report: StudyReport, format_: Format) -> None:
+    """Write a study to stdout."""
+    emit(PRINTED[format_](report))

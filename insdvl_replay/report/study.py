@@ -1,0 +1,112 @@
+"""The result of a study: sentences and tables, for people, for scripts and for the folder that keeps them."""
+
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pandas as pd
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from insdvl_replay.config import Config
+from insdvl_replay.config_file import render_toml
+from insdvl_replay.report.csv_tables import rows_csv, table_csv
+from insdvl_replay.report.folder import COMPLETE
+from insdvl_replay.report.json_report import NUMERICAL_PACKAGES, Tool, records
+from insdvl_replay.report.markup import latex_page, markdown_page
+from insdvl_replay.report.shown import ShownTable
+from insdvl_replay.report.terminal import dressed
+
+
+@dataclass(frozen=True)
+class StudyReport:
+    """What a study found.
+
+    Attributes
+    ----------
+    study : str
+        Name of the command.
+    title : str
+        What was studied, in one line.
+    arguments : mapping of str to anything
+        What it was asked, as JSON can write it.
+    sentences : tuple of str
+        What it found, in words.
+    tables : mapping of str to DataFrame
+        What it found, in numbers.
+    shown : tuple of ShownTable
+        The same for people.
+    config : Config
+        Resolved settings.
+    series : mapping of str to DataFrame
+        Long tables, which go to files alone.
+    """
+
+    study: str
+    title: str
+    arguments: Mapping[str, Any]
+    sentences: tuple[str, ...]
+    tables: Mapping[str, pd.DataFrame]
+    shown: tuple[ShownTable, ...]
+    config: Config
+    series: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+
+
+def write_study(report: StudyReport, folder: Path) -> None:
+    """Write the tables, the settings and, last, the file by which a result is known.
+
+    Parameters
+    ----------
+    report : StudyReport
+    folder : Path
+        Exists; its other files are left alone.
+    """
+    for name, table in {**report.tables, **report.series}.items():
+        (folder / f"{name}.csv").write_bytes(table_csv(table))
+    (folder / "config.toml").write_text(render_toml(report.config), "utf-8")
+    (folder / COMPLETE).write_bytes(study_json(report))
+
+
+def study_json(report: StudyReport) -> bytes:
+    """Write a study as JSON, null for what is missing. The same study gives the same bytes."""
+    content = {
+        "tool": Tool(),
+        "versions": {"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES},
+        "study": report.study,
+        "arguments": report.arguments,
+        "sentences": report.sentences,
+        "tables": {name: records(table) for name, table in report.tables.items()},
+        "config": report.config,
+    }
+    return msgspec.json.format(msgspec.json.encode(content)) + b"\n"
+
+
+def study_csv(report: StudyReport) -> str:
+    """Write the tables one after the other, each line beginning with the table's name, a blank line between them."""
+    blocks = []
+    for name, table in report.tables.items():
+        rows = ((name, *row) for row in table.itertuples(index=False, name=None))
+        blocks.append(rows_csv(("table", *table.columns), rows))
+    return "\n".join(blocks)
+
+
+def study_markdown(report: StudyReport) -> str:
+    """Dress a study in Markdown."""
+    return markdown_page(report.title, report.sentences, report.shown)
+
+
+def study_latex(report: StudyReport) -> str:
+    """Dress a study in LaTeX."""
+    return latex_page(report.title, report.sentences, report.shown)
+
+
+def study_terminal(report: StudyReport) -> Group:
+    """Dress a study for a terminal, to be printed by a rich console."""
+    parts: list[RenderableType] = [Text(report.title, style="bold"), *map(Text, report.sentences)]
+    for table in report.shown:
+        parts += [Text(), dressed(table)]
+    return Group(*parts)

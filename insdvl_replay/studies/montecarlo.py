@@ -1,0 +1,163 @@
+"""The Monte Carlo study: many simulated dives, and whether the filters' uncertainty is as large as their errors."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from insdvl_replay.config import Config
+from insdvl_replay.evaluation.ensemble import Ensemble, Tally
+from insdvl_replay.evaluation.ensemble_tables import (
+    ensemble_table,
+    montecarlo_table,
+    nees_table,
+    run_table,
+    runs_table,
+    verdict_table,
+)
+from insdvl_replay.report.montecarlo import montecarlo_sentences, run_sentences, shown_montecarlo, shown_run
+from insdvl_replay.report.pictures import draw_ensemble, picture_bytes
+from insdvl_replay.report.study import StudyReport, write_study
+from insdvl_replay.states import STATES
+from insdvl_replay.studies.simulated_run import MATCHED, World, make_world, run_seed, simulated_run
+from insdvl_replay.studies.workers import each
+
+PICTURES: Final = {"navigation": STATES[:6], "biases": STATES[6:]}
+"""What the two pictures of a filter show."""
+
+
+def study_montecarlo(
+    scenario: str,
+    config: Config,
+    *,
+    runs: int = 100,
+    seed: int = 1,
+    duration_s: float | None = None,
+    imu: str = MATCHED,
+    jobs: int | None = None,
+    after_run: Callable[[], object] = lambda: None,
+) -> tuple[StudyReport, tuple[Ensemble, ...]]:
+    """Simulate a dive many times and hold the filters' uncertainty against their true errors.
+
+    Parameters
+    ----------
+    scenario : str
+        A name in `trajectories.SCENARIOS`.
+    config : Config
+    runs : int
+        At least two.
+    seed : int
+        Of all runs.
+    duration_s : float, optional
+        Left out: the scenario's own.
+    imu : str
+        `MATCHED`, or a name in `imu_errors.GRADES`.
+    jobs : int, optional
+        Runs at the same time; left out, one for each core. The result does not depend on it.
+    after_run : callable
+        Called after each run, to show progress.
+
+    Returns
+    -------
+    StudyReport
+    tuple of Ensemble
+        One for each filter; the first is the baseline.
+
+    Raises
+    ------
+    ConfigError
+        Unknown scenario or grade, or a duration that cannot be.
+    """
+    world = make_world(scenario, config, imu, duration_s)
+    seeds = [run_seed(seed, run) for run in range(1, runs + 1)]
+    tallies: dict[str, Tally] = {}
+    for errors in each(partial(simulated_run, world), seeds, jobs):
+        for run in errors:
+            tallies.setdefault(run.filter, Tally(run)).add(run)
+        after_run()
+    ensembles = tuple(tally.ensemble() for tally in tallies.values())
+    tables = {"montecarlo": montecarlo_table(ensembles), "verdicts": verdict_table(ensembles)}
+    report = StudyReport(
+        study="montecarlo",
+        title=f"Monte Carlo study: {scenario}, {_length(world)}, {runs} runs, IMU {imu}, seed {seed}",
+        arguments=_arguments(world, imu, seed) | {"runs": runs},
+        sentences=montecarlo_sentences(tables),
+        tables=tables,
+        shown=shown_montecarlo(tables),
+        config=config,
+        series={
+            "nees": nees_table(ensembles),
+            "ensemble": ensemble_table(ensembles),
+            "runs": runs_table(seeds, list(tallies.values())),
+        },
+    )
+    return report, ensembles
+
+
+def save_montecarlo(report: StudyReport, ensembles: tuple[Ensemble, ...], folder: Path, *, png: bool = False) -> None:
+    """Write a study's files into an empty folder; the same study gives the same bytes.
+
+    Parameters
+    ----------
+    report : StudyReport
+    ensembles : tuple of Ensemble
+    folder : Path
+        Exists.
+    png : bool
+        Draw the pictures as PNG, too.
+    """
+    for ensemble in ensembles:
+        for name, states in PICTURES.items():
+            title = f"{ensemble.filter}: {report.title}"
+            columns = (ensemble.time_s, ensemble.sd, ensemble.error_sd, ensemble.error_mean)
+            figure = draw_ensemble(title, states, *columns)
+            for format_ in ("svg", "png") if png else ("svg",):
+                (folder / f"{ensemble.filter}_{name}.{format_}").write_bytes(picture_bytes(figure, format_))
+    write_study(report, folder)
+
+
+def repeat_run(
+    scenario: str, config: Config, run: int, *, seed: int = 1, duration_s: float | None = None, imu: str = MATCHED
+) -> StudyReport:
+    """Repeat one run of a study.
+
+    Parameters
+    ----------
+    scenario, config, seed, duration_s, imu
+        As of `study_montecarlo`.
+    run : int
+        Its number, from 1.
+
+    Returns
+    -------
+    StudyReport
+
+    Raises
+    ------
+    ConfigError
+        As of `study_montecarlo`.
+    """
+    world, own_seed = make_world(scenario, config, imu, duration_s), run_seed(seed, run)
+    table = run_table(simulated_run(world, own_seed))
+    return StudyReport(
+        study="montecarlo",
+        title=f"Run {run} of the Monte Carlo study: {scenario}, {_length(world)}, IMU {imu}, seed {seed}",
+        arguments=_arguments(world, imu, seed) | {"run": run, "run_seed": own_seed},
+        sentences=run_sentences(table),
+        tables={"run": table},
+        shown=shown_run(table),
+        config=config,
+    )
+
+
+def _length(world: World) -> str:
+    return f"{_duration_s(world):g} s"
+
+
+def _duration_s(world: World) -> float:
+    time_ns = world.exact.imu.time_ns
+    return float(time_ns[-1] - time_ns[0]) * 1e-9
+
+
+def _arguments(world: World, imu: str, seed: int) -> dict[str, Any]:
+    return {"scenario": world.exact.name, "duration_s": _duration_s(world), "imu": imu, "seed": seed}

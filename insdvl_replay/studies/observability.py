@@ -1,0 +1,166 @@
+"""The observability study: which errors at the start of a dive its measurements can tell apart, and which not."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from insdvl_replay import logs
+from insdvl_replay.columns import Dive, Floats
+from insdvl_replay.config import Acceleration, Config, Filter, Initial
+from insdvl_replay.errors import ConfigError, Note
+from insdvl_replay.history import History
+from insdvl_replay.nav.aiding import filter_measurements, filter_noise
+from insdvl_replay.nav.error_directions import named_directions
+from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.gaps import find_gaps
+from insdvl_replay.nav.lever_arm import reference_at_imu
+from insdvl_replay.nav.observability import TOLERANCE, analyse, nominal_pings, whitened_rows
+from insdvl_replay.nav.timeline import build_timeline
+from insdvl_replay.preparation import Prepared, prepare_dive
+from insdvl_replay.report.observability import observability_sentences, shown_observability
+from insdvl_replay.report.observability_picture import draw_singular_values
+from insdvl_replay.report.pictures import picture_bytes
+from insdvl_replay.report.study import StudyReport, write_study
+from insdvl_replay.sim.dive import exact_dive
+from insdvl_replay.sim.trajectories import SCENARIOS
+from insdvl_replay.studies.observability_tables import observability_tables
+
+AIDING: Final = {
+    "velocity": ("velocity",),
+    "published": ("published",),
+    "windowed": ("windowed",),
+    "velocity + published": ("velocity", "published"),
+    "velocity + windowed": ("velocity", "windowed"),
+}
+"""What each row of the study stacks: velocities, accelerations in either model, or both."""
+NO_GATE: Final = np.inf
+NO_TIMES: Final = np.empty(0, dtype=np.int64)
+
+
+def study_observability(
+    dive_or_scenario: str, config: Config, *, earth_rate: bool = True
+) -> tuple[StudyReport, tuple[Note, ...]]:
+    """Analyse what velocities and accelerations tell about the errors at the start of a dive.
+
+    The motion around which the errors are linearised is that of the first filter: along a scenario, with perfect
+    sensors, it is the exact one.
+
+    Parameters
+    ----------
+    dive_or_scenario : str
+        Path of a log, or a name in `trajectories.SCENARIOS`.
+    config : Config
+        Its span cuts the dive; its initial uncertainty and its noise are the units in which errors and signals count.
+    earth_rate : bool
+        False: let the Earth be flat and at rest.
+
+    Returns
+    -------
+    StudyReport
+        Tables ``ranks``, ``directions``, ``singular_values``, ``states`` and ``catalogue``.
+    tuple of Note
+        What was dropped, assumed or found odd.
+
+    Raises
+    ------
+    LogError
+        The log cannot be used.
+    ConfigError
+        There is no such log or scenario, or the settings do not fit it.
+    """
+    dive, config = _dive(dive_or_scenario, config)
+    start = prepare_dive(dive, config)
+    nominal, stacks = _stacks(dive, start, config, earth_rate)
+    prior_sd = start.alignment.start.sd
+    found = {
+        name: analyse(np.vstack([stacks[single] for single in aiding]), prior_sd) for name, aiding in AIDING.items()
+    }
+    start_of = (nominal.position[0], nominal.velocity_n[0], nominal.mat_nb[0])
+    tables = observability_tables(found, named_directions(*start_of, earth_rate=earth_rate), prior_sd)
+    seconds_s = (start.end_ns - start.alignment.start_ns) * 1e-9
+    earth = "" if earth_rate else ", Earth rate left out"
+    report = StudyReport(
+        study="observability",
+        title=f"Observability study: {dive.name}, {seconds_s:.1f} s, {len(start.velocities.time_ns)} pings{earth}",
+        arguments={"dive": dive.name, "earth_rate": earth_rate},
+        sentences=observability_sentences(tables, TOLERANCE),
+        tables=tables,
+        shown=shown_observability(tables),
+        config=config,
+    )
+    return report, dive.notes + start.notes
+
+
+def save_observability(report: StudyReport, folder: Path, *, png: bool = False) -> None:
+    """Write a study's files into an empty folder; the same study gives the same bytes.
+
+    Parameters
+    ----------
+    report : StudyReport
+        From `study_observability`.
+    folder : Path
+        Exists.
+    png : bool
+        Draw the picture as PNG, too.
+    """
+    figure = draw_singular_values(report.title, report.tables["singular_values"], TOLERANCE)
+    for format_ in ("svg", "png") if png else ("svg",):
+        (folder / f"singular_values.{format_}").write_bytes(picture_bytes(figure, format_))
+    write_study(report, folder)
+
+
+def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
+    """Read the log, or make the scenario's exact dive, whose sensors have no scale and no biases to take out."""
+    path = Path(dive_or_scenario)
+    if path.exists():
+        dive = logs.read_dive(path, config)
+        if dive.reference is None:
+            return dive, config
+        arm_b = np.array(config.reference.lever_arm_m)
+        return replace(dive, reference=reference_at_imu(dive.reference, dive.imu, arm_b)), config
+    if dive_or_scenario not in SCENARIOS:
+        raise ConfigError(f"{dive_or_scenario}: is neither a log nor a scenario", f"scenarios: {', '.join(SCENARIOS)}")
+    dvl = msgspec.structs.replace(config.dvl, scale=1.0)
+    unbiased = Initial()
+    initial = msgspec.structs.replace(
+        config.initial,
+        source="reference",
+        accel_bias_mg=unbiased.accel_bias_mg,
+        gyro_bias_degph=unbiased.gyro_bias_degph,
+    )
+    dive = exact_dive(dive_or_scenario, lever_arm_m=dvl.lever_arm_m, mounting_rpy_deg=dvl.mounting_rpy_deg)
+    return dive, msgspec.structs.replace(config, dvl=dvl, initial=initial)
+
+
+def _stacks(dive: Dive, start: Prepared, config: Config, earth_rate: bool) -> tuple[History, dict[str, Floats]]:
+    """Run the first filter for the nominal motion, and stack the rows of each measurement around it."""
+    gaps, arm_b, baseline = find_gaps(dive.imu.time_ns, config.imu), np.array(config.dvl.lever_arm_m), config.baseline
+    start_ns, end_ns, filter_ = start.alignment.start_ns, start.end_ns, config.filters[baseline]
+    timeline = build_timeline(dive.imu, start.velocities.time_ns, NO_TIMES, start_ns, end_ns, gaps)
+    noise, aided_by = (
+        filter_noise(filter_, config),
+        filter_measurements(filter_, start.velocities, config, NO_GATE, gaps),
+    )
+    nominal = run_filter(baseline, timeline, start.alignment.start, noise, aided_by, arm_b)
+    pings = nominal_pings(timeline, nominal, earth_rate=earth_rate)
+    stacks = {}
+    for name, single in _single_aidings(config).items():
+        (measurement,) = filter_measurements(single, start.velocities, config, NO_GATE, gaps)
+        stacks[name] = whitened_rows(pings, measurement, arm_b)
+    return nominal, stacks
+
+
+def _single_aidings(config: Config) -> dict[str, Filter]:
+    """Make a filter of each measurement alone: the first filter's velocities, the first accelerations configured."""
+    baseline = config.filters[config.baseline]
+    with_acceleration = (filter_ for filter_ in config.filters.values() if filter_.acceleration is not None)
+    owner = next(with_acceleration, baseline)
+    acceleration = owner.acceleration or Acceleration()
+    change = msgspec.structs.replace
+    return {"velocity": change(baseline, aiding=("velocity",))} | {
+        model: change(owner, aiding=("acceleration",), acceleration=change(acceleration, model=model))
+        for model in ("published", "windowed")
+    }

@@ -1,0 +1,108 @@
+"""The tables of an observability study, in shown units."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.nav.error_directions import ErrorDirection, name_unobservable
+from insdvl_replay.nav.observability import Observability
+from insdvl_replay.states import STATES
+
+_FACTORS = np.array([state.factor for state in STATES])
+
+
+def observability_tables(
+    found: Mapping[str, Observability], directions: tuple[ErrorDirection, ...], prior_sd: Floats
+) -> dict[str, pd.DataFrame]:
+    """Lay out what was found.
+
+    Parameters
+    ----------
+    found : mapping of str to Observability
+        By aiding.
+    directions : tuple of ErrorDirection
+        Those that have a name.
+    prior_sd : ndarray, shape (12,)
+        Standard deviations of the states at the start, SI units.
+
+    Returns
+    -------
+    dict of str to DataFrame
+        ``ranks``: aiding, rank, states, gap, weak (observable directions whose signal is below the noise), unnamed
+        (unobservable directions without a name).
+        ``directions``: aiding, direction, label, signal_to_noise, status (``unobservable``, ``weak``, ``seen``).
+        ``catalogue``: direction, label, and its 12 errors in shown units, the leading one 1.
+        ``singular_values``: aiding, number, singular_value, left_pct of the prior, and the direction's 12 errors in
+        shown units, as large as the prior.
+        ``states``: aiding, state, unit, prior_sd, left_sd, left_pct.
+    """
+    named = {aiding: name_unobservable(one, directions, prior_sd) for aiding, one in found.items()}
+    return {
+        "ranks": _ranks(found, named),
+        "directions": _directions(found, named, directions, prior_sd),
+        "catalogue": _catalogue(directions, prior_sd),
+        "singular_values": _singular_values(found, prior_sd),
+        "states": _states(found, prior_sd),
+    }
+
+
+def _ranks(found: Mapping[str, Observability], named: Mapping[str, tuple[ErrorDirection, ...]]) -> pd.DataFrame:
+    rows = [
+        (
+            aiding,
+            one.rank,
+            len(STATES),
+            one.gap,
+            int(np.sum(one.singular_values[: one.rank] < 1.0)),
+            len(STATES) - one.rank - len(named[aiding]),
+        )
+        for aiding, one in found.items()
+    ]
+    return pd.DataFrame(rows, columns=["aiding", "rank", "states", "gap", "weak", "unnamed"])
+
+
+def _directions(
+    found: Mapping[str, Observability],
+    named: Mapping[str, tuple[ErrorDirection, ...]],
+    directions: tuple[ErrorDirection, ...],
+    prior_sd: Floats,
+) -> pd.DataFrame:
+    rows = []
+    for aiding, one in found.items():
+        for direction in directions:
+            response = one.response(direction.scaled(prior_sd))
+            status = "unobservable" if direction in named[aiding] else "weak" if response < 1.0 else "seen"
+            rows.append((aiding, direction.id, direction.label, response, status))
+    return pd.DataFrame(rows, columns=["aiding", "direction", "label", "signal_to_noise", "status"])
+
+
+def _catalogue(directions: tuple[ErrorDirection, ...], prior_sd: Floats) -> pd.DataFrame:
+    rows = []
+    for direction in directions:
+        shown = direction.error / _FACTORS
+        leading = shown[np.argmax(np.abs(direction.scaled(prior_sd)))]
+        rows.append((direction.id, direction.label, *(shown / leading)))
+    return pd.DataFrame(rows, columns=["direction", "label", *(state.id for state in STATES)])
+
+
+def _singular_values(found: Mapping[str, Observability], prior_sd: Floats) -> pd.DataFrame:
+    rows = [
+        (aiding, number, value, 100.0 / np.sqrt(1.0 + value**2), *(direction * prior_sd / _FACTORS))
+        for aiding, one in found.items()
+        for number, (value, direction) in enumerate(zip(one.singular_values, one.directions, strict=True), start=1)
+    ]
+    columns = ["aiding", "number", "singular_value", "left_pct", *(state.id for state in STATES)]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _states(found: Mapping[str, Observability], prior_sd: Floats) -> pd.DataFrame:
+    rows = []
+    for aiding, one in found.items():
+        left = one.left()
+        for state in STATES:
+            prior = prior_sd[state.index] / state.factor
+            share = left[state.index]
+            rows.append((aiding, state.id, state.unit, prior, share * prior, 100.0 * share))
+    return pd.DataFrame(rows, columns=["aiding", "state", "unit", "prior_sd", "left_sd", "left_pct"])

@@ -1,0 +1,214 @@
+"""The window study: how many past velocities make the best acceleration, by the reference's."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from insdvl_replay import logs
+from insdvl_replay.columns import Dive, Floats, ReferenceColumns, seconds
+from insdvl_replay.config import Acceleration, Config
+from insdvl_replay.errors import ConfigError, LogError, Note
+from insdvl_replay.evaluation.acceleration import (
+    WINDOW_COLUMNS,
+    acceleration_at,
+    best_windows,
+    differentiated_over_s,
+    pooled_windows,
+    reference_acceleration,
+    vector_rmse,
+)
+from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
+from insdvl_replay.nav.gaps import find_gaps
+from insdvl_replay.nav.lever_arm import reference_at_imu
+from insdvl_replay.preparation import prepare_dive
+from insdvl_replay.report.pictures import picture_bytes
+from insdvl_replay.report.study import StudyReport, write_study
+from insdvl_replay.report.window import shown_windows, window_sentences
+from insdvl_replay.report.window_picture import draw_windows
+
+COMPENSATED: Final = "compensated"
+IGNORED: Final = "ignored"
+NO_ARM: Final = "none"
+"""What was done about the lever arm between IMU and DVL; `NO_ARM` where the configuration has none."""
+MIDDLE: Final = "middle"
+END: Final = "end"
+"""Where a slope is held against the reference: at the mean time of its window, or at its last ping, where it serves."""
+
+
+def study_window(paths: Sequence[Path], config: Config, longest: int = 10) -> tuple[StudyReport, tuple[Note, ...]]:
+    """Hold the accelerations from 2 to ``longest`` velocities against the reference of each log.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Logs, each with a name of its own.
+    config : Config
+        The pause that starts a new window is that of the first filter that uses accelerations.
+    longest : int
+        Largest number of velocities, 2 or more.
+
+    Returns
+    -------
+    StudyReport
+        Table ``window``: log, n, at (``middle``, ``end``), lever_arm (``compensated``, ``ignored``, ``none``),
+        rmse_mps2, samples; with several logs, rows of log ``*`` pool them. Table ``best``: those with the least error.
+    tuple of Note
+        What was dropped, assumed or found odd.
+
+    Raises
+    ------
+    LogError
+        A log cannot be used, or its reference gives no acceleration.
+    ConfigError
+        Two logs share a name, or the settings do not fit a log.
+    """
+    _check_names(paths)
+    dives = (logs.read_dive(path, config) for path in paths)
+    tables, spans_s, notes = zip(*(dive_windows(dive, config, longest) for dive in dives), strict=True)
+    windows = pd.concat(tables, ignore_index=True)
+    if len(paths) > 1:
+        windows = pd.concat([pooled_windows(windows), windows], ignore_index=True)
+    best = best_windows(windows)
+    report = StudyReport(
+        study="window",
+        title=f"Window study: {', '.join(path.stem for path in paths)}",
+        arguments={"logs": [path.stem for path in paths], "longest": longest},
+        sentences=window_sentences(best, spans_s),
+        tables={"window": windows, "best": best},
+        shown=shown_windows(windows, best),
+        config=config,
+    )
+    return report, tuple(note for of_dive in notes for note in of_dive)
+
+
+def save_window(report: StudyReport, folder: Path, *, png: bool = False) -> None:
+    """Write a study's files into an empty folder; the same study gives the same bytes.
+
+    Parameters
+    ----------
+    report : StudyReport
+        From `study_window`.
+    folder : Path
+        Exists.
+    png : bool
+        Draw the picture as PNG, too.
+    """
+    figure = draw_windows(report.tables["window"])
+    for format_ in ("svg", "png") if png else ("svg",):
+        (folder / f"window.{format_}").write_bytes(picture_bytes(figure, format_))
+    write_study(report, folder)
+
+
+def dive_windows(dive: Dive, config: Config, longest: int) -> tuple[pd.DataFrame, float, tuple[Note, ...]]:
+    """Hold the accelerations from 2 to ``longest`` velocities of one dive against its reference.
+
+    All windows are judged at the same pings, those whose longest window is whole, so that no number of velocities has
+    an easier dive than another.
+
+    Parameters
+    ----------
+    dive : Dive
+    config : Config
+    longest : int
+        Largest number of velocities.
+
+    Returns
+    -------
+    DataFrame
+        Columns `WINDOW_COLUMNS`.
+    float
+        Time over which the reference is differentiated, s.
+    tuple of Note
+        What was dropped, assumed or found odd.
+
+    Raises
+    ------
+    LogError, ConfigError
+        As of `study_window`.
+    """
+    reference = _reference(dive, config)
+    start = prepare_dive(replace(dive, reference=reference), config)
+    velocities = start.velocities
+    max_gap_s = _max_gap_s(config)
+    time_s = seconds(velocities.time_ns, velocities.time_ns[:1])
+    windows = {n: slope_windows(time_s, n, 1, max_gap_s) for n in range(2, longest + 1)}
+    expected_b = _expected(windows, velocities, reference, max_gap_s)
+    judged = windows[longest].complete & ~_across_gaps(dive, config, velocities, longest)
+    judged &= np.all([np.isfinite(expected).all(axis=1) for expected in expected_b.values()], axis=0)
+    if not judged.any():
+        raise LogError(
+            f"{dive.name}: none of {len(time_s)} pings ends a window of {longest} velocities without a pause above "
+            f"{max_gap_s:g} s in DVL and reference",
+            f"shorten the windows, such as --longest {max(2, longest // 2)}",
+        )
+    rows = []
+    for lever_arm, velocity_b in _velocities_at_imu(dive, velocities, config).items():
+        for (at, n), expected in expected_b.items():
+            slope_b = windowed_sum(windows[n].velocity_weights, velocity_b)
+            rows.append((dive.name, n, at, lever_arm, vector_rmse(slope_b, expected, judged), int(judged.sum())))
+    return pd.DataFrame(rows, columns=WINDOW_COLUMNS), differentiated_over_s(reference), dive.notes + start.notes
+
+
+def _check_names(paths: Sequence[Path]) -> None:
+    seen: dict[str, Path] = {}
+    for path in paths:
+        if path.stem in seen:
+            raise ConfigError(f"{seen[path.stem]} and {path} have the same name", "rename one of them")
+        seen[path.stem] = path
+
+
+def _reference(dive: Dive, config: Config) -> ReferenceColumns:
+    if dive.reference is None or not (dive.reference.has_velocity and dive.reference.has_attitude):
+        raise LogError(
+            f"{dive.name}: there is no reference with velocity and attitude to hold accelerations against",
+            "name its topic, such as --set reference.topic=/ins/odometry",
+        )
+    return reference_at_imu(dive.reference, dive.imu, np.array(config.reference.lever_arm_m))
+
+
+def _max_gap_s(config: Config) -> float:
+    configured = (filter_.acceleration for filter_ in config.filters.values() if filter_.acceleration is not None)
+    return next(configured, Acceleration()).max_window_gap_s
+
+
+def _expected(
+    windows: dict[int, SlopeWindows], velocities: DvlVelocities, reference: ReferenceColumns, max_gap_s: float
+) -> dict[tuple[str, int], Floats]:
+    """Give the reference's acceleration at the middle and at the end of each window, by place and size."""
+    acceleration_b = reference_acceleration(reference, max_gap_s)
+    middle_ns = {
+        n: velocities.time_ns[:1] + np.round(window.middle_s * 1e9).astype(np.int64) for n, window in windows.items()
+    }
+    return {
+        (at, n): acceleration_at(time_ns, reference.time_ns, acceleration_b)
+        for at, times in ((MIDDLE, middle_ns), (END, dict.fromkeys(windows, velocities.time_ns)))
+        for n, time_ns in times.items()
+    }
+
+
+def _across_gaps(dive: Dive, config: Config, velocities: DvlVelocities, longest: int) -> NDArray[np.bool_]:
+    """Tell which pings end a window over a long gap of the IMU, in which nothing is known of the lever arm's swing."""
+    first = np.maximum(np.arange(len(velocities.time_ns)) - longest + 1, 0)
+    return find_gaps(dive.imu.time_ns, config.imu).overlap(velocities.time_ns[first], velocities.time_ns)
+
+
+def _velocities_at_imu(dive: Dive, velocities: DvlVelocities, config: Config) -> dict[str, Floats]:
+    """Take ``w x l`` out of the DVL's velocities, and leave it in.
+
+    The gyro's rate stands for that against the Earth: the Earth's own moves a lever arm of a metre by 0.07 mm/s, and
+    steadily.
+    """
+    lever_arm_b = np.array(config.dvl.lever_arm_m)
+    if not lever_arm_b.any():
+        return {NO_ARM: velocities.velocity_b}
+    ping_s, sample_s = (seconds(time_ns, dive.imu.time_ns[:1]) for time_ns in (velocities.time_ns, dive.imu.time_ns))
+    rate_b = np.column_stack([np.interp(ping_s, sample_s, axis) for axis in dive.imu.angular_rate_b.T])
+    return {
+        COMPENSATED: velocities.velocity_b - np.cross(rate_b, lever_arm_b),
+        IGNORED: velocities.velocity_b,
+    }
