@@ -23,6 +23,9 @@ from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation import Prepared, prepare_dive
 
+WELL_COVERED = 0.9
+"""Share of a replay that a reference has to cover before its errors are taken for those of the whole."""
+
 
 @dataclass(frozen=True)
 class Replay:
@@ -122,7 +125,12 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         "consistency": consistency_table(dive.name, histories),
     }
     judged = verdicts(tables, config.baseline, [history.filter for history in histories[1:]])
-    notes = dive.notes + start.notes + update_notes(histories) + _reference_notes(dive, config)
+    notes = (
+        dive.notes
+        + start.notes
+        + update_notes(histories)
+        + _reference_notes(dive, config, start.alignment.start_ns, start.end_ns)
+    )
     start_ns = start.alignment.start_ns
     return Replay(dive, config, start_ns, start.end_ns, start.velocities, histories, errors, tables, judged, notes)
 
@@ -165,8 +173,19 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool =
     )
 
 
-def _reference_notes(dive: Dive, config: Config) -> tuple[Note, ...]:
-    if dive.reference is None or config.reference.independent:
+def _reference_notes(dive: Dive, config: Config, start_ns: int, end_ns: int) -> tuple[Note, ...]:
+    """Say what the reference cannot tell: errors that it shares, and the part of the dive that it does not see."""
+    if dive.reference is None:
         return ()
-    text = "the reference shares sensors with the filters: errors that they have in common are not seen"
-    return (Note("reference_not_independent", text),)
+    notes = []
+    if not config.reference.independent:
+        text = "the reference shares sensors with the filters: errors that they have in common are not seen"
+        notes.append(Note("reference_not_independent", text))
+    inside = dive.reference.time_ns[(dive.reference.time_ns >= start_ns) & (dive.reference.time_ns <= end_ns)]
+    covered = float(inside[-1] - inside[0]) / (end_ns - start_ns) if len(inside) else 0.0
+    if covered < WELL_COVERED:
+        text = (
+            f"the reference covers {100.0 * covered:.0f} % of the replay; the errors against it are of that part alone"
+        )
+        notes.append(Note("reference_coverage", text, len(inside), "warning", "--start and --end choose that part"))
+    return tuple(notes)

@@ -470,3 +470,11 @@ def test_breakdown_of_a_filter_is_told_as_such_and_not_as_rejection(straight: Di
     assert {found.code for found in replay.notes if found.severity == "warning"} == {"filter_not_finite"}
     assert (replay.tables["consistency"]["rejected"] == 0).all()
     assert set(replay.tables["improvement"]["status"]) == {"not finite", "same"}, "nothing is called improved"
+
+
+def test_reference_that_sees_half_of_the_dive_is_a_warning(straight: Dive) -> None:
+    half = with_reference(straight, lambda time_s: time_s <= 30.0)
+    found = note(replay_dive(half, config()), "reference_coverage")
+    assert found.severity == "warning"
+    assert "covers 50 % of the replay" in found.text
+    assert "reference_coverage" not in {found.code for found in replay_dive(straight, config()).notes}

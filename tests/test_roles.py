@@ -13,6 +13,7 @@ from insdvl_replay.columns import Dive
 from insdvl_replay.config import Config, Dvl, Imu, Reference
 from insdvl_replay.errors import ConfigError, LogError
 from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.bag import bag_parts
 from insdvl_replay.logs.ros2msg import definition_text
 
 Message = tuple[str, str, float, dict[str, Any]]
@@ -293,9 +294,18 @@ def test_a_bag_is_one_dive(tmp_path: Path) -> None:
     assert "imu_out_of_order" not in counts(by_metadata)
 
 
+def test_parts_without_metadata_are_read_as_people_count(tmp_path: Path) -> None:
+    for name in ("part_10.mcap", "part_2.mcap", "part_1.mcap"):
+        (tmp_path / name).touch()
+    assert [part.name for part in bag_parts(tmp_path)] == ["part_1.mcap", "part_2.mcap", "part_10.mcap"]
+
+
 def test_a_bag_that_is_not_whole_is_refused(tmp_path: Path) -> None:
     folder = bag(tmp_path / "dive", ["b.mcap", "lost.mcap"])
     with pytest.raises(LogError, match=r"metadata\.yaml: lists lost\.mcap, which is not there"):
+        read_dive(folder, Config())
+    (folder / "metadata.yaml").write_text("relative_file_paths:\n  - a.mcap\n  - b.mcap\n")
+    with pytest.raises(LogError, match=r"metadata\.yaml: does not list c\.mcap, which lies beside"):
         read_dive(folder, Config())
     (folder / "metadata.yaml").write_text("something: else\n")
     with pytest.raises(LogError, match=r"metadata\.yaml: lists no files"):

@@ -137,7 +137,7 @@ def _type_of(description: tuple[int, object]) -> object:
 
 def test_known_types_agree_with_recorded_logs() -> None:
     if not DATA.exists():
-        pytest.skip("the recorded logs are not there")
+        pytest.skip("needs ../shared/data (recorded logs)")
     compared = set()
     for log in ("cougars/so_lastbag.mcap", "snapir/snapir_01.mcap", "stanford_auv/rotation_z_1.mcap"):
         with (DATA / log).open("rb") as stream:

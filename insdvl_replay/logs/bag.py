@@ -142,11 +142,11 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
     Raises
     ------
     LogError
-        There are none, or one that is listed is not there.
+        There are none, one that is listed is not there, or one that is there is not listed.
     """
     listed = _listed(path / METADATA)
     if listed is None:
-        parts = tuple(sorted(path.glob("*.mcap")))
+        parts = tuple(sorted(path.glob("*.mcap"), key=_by_number))
     else:
         parts = tuple(path / name for name in listed)
         for part in parts:
@@ -155,9 +155,19 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
                     f"{path / METADATA}: lists {part.name}, which is not there",
                     f"copy the whole bag, or remove {METADATA} to read the parts that are there",
                 )
+        for other in sorted(set(path.glob("*.mcap")) - set(parts)):
+            raise LogError(
+                f"{path / METADATA}: does not list {other.name}, which lies beside the parts of the bag",
+                f"move it away, or remove {METADATA} to read all .mcap files of the folder",
+            )
     if not parts:
         raise LogError(f"{path}: is a folder without .mcap files", "name a log, or a folder with the parts of one")
     return parts
+
+
+def _by_number(part: Path) -> list[tuple[str, int]]:
+    """Sort names as people count: part 2 before part 10."""
+    return [(word, int(digits or 0)) for word, digits in re.findall(r"(\D*)(\d*)", part.name)]
 
 
 def _listed(metadata: Path) -> list[str] | None:
