@@ -60,7 +60,7 @@ def test_presets_grow_noisier_from_grade_to_grade() -> None:
     assert len({noise.gyro_white_rad_rts for noise in noises}) == len(noises)
 
 
-@example(scale=1.0, lever=(0.0, 0.0, 0.0), topic="\x7f\x1f\n\"\\é")
+@example(scale=1.0, lever=(0.0, 0.0, 0.0), topic='\x7f\x1f\n"\\é')
 @given(
     scale=st.floats(min_value=1e-6, max_value=1e6),
     lever=st.tuples(*[st.floats(-1e300, 1e300)] * 3),
