@@ -10,7 +10,7 @@ from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, standardise
 
 def random_case(seed: int, n: int = 12, m: int = 3) -> tuple[Floats, Floats, Floats, Floats]:
     rng = np.random.default_rng(seed)
-    scales = 10.0 ** rng.uniform(-3, 1, n)
+    scales = 10.0 ** rng.uniform(-6, 2, n)
     root = rng.normal(size=(n, n)) * scales[:, None]
     noise = rng.normal(size=(m, m))
     return root @ root.T, rng.normal(size=(m, n)), noise @ noise.T + 1e-3 * np.eye(m), rng.normal(size=m)
