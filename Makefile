@@ -34,6 +34,7 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema config > schemas/config.schema.json
 	$(BIN)/insdvl-replay schema report > schemas/report.schema.json
 	$(BIN)/insdvl-replay schema inspection > schemas/inspection.schema.json
+	$(BIN)/insdvl-replay schema study > schemas/study.schema.json
 
 readme: .venv/test.stamp
 	$(BIN)/python tests/readme.py

@@ -48,7 +48,7 @@ def _turns() -> Iterator[None]:
 
 
 def study(scenario: str, *, earth_rate: bool) -> StudyReport:
-    return study_observability(scenario, load_config(), earth_rate=earth_rate)[0]
+    return study_observability(scenario, load_config(), earth_rate=earth_rate)
 
 
 def ranks(report: StudyReport) -> dict[str, int]:
@@ -282,7 +282,7 @@ def test_log_is_studied_like_a_scenario(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_settings_of_one_vehicle_do_not_bend_a_scenario() -> None:
     overrides = ["dvl.scale=1.1", "initial.source=level", "initial.accel_bias_mg=[5, 5, 5]", "initial.heading_deg=0.0"]
-    bent, _ = study_observability("straight", load_config(overrides=overrides), earth_rate=False)
+    bent = study_observability("straight", load_config(overrides=overrides), earth_rate=False)
     pd.testing.assert_frame_equal(bent.tables["ranks"], study("straight", earth_rate=False).tables["ranks"])
 
 
@@ -294,7 +294,16 @@ def test_neither_log_nor_scenario_is_an_error() -> None:
 
 def test_span_without_a_whole_window_leaves_nothing_to_accelerations(tmp_path: Path) -> None:
     config = load_config(overrides=["span.start_s=10.0", "span.end_s=12.0"])
-    report, _ = study_observability("straight", config)
+    report = study_observability("straight", config)
     assert ranks(report)["published"] == ranks(report)["windowed"] == 0
     observability.save_observability(report, tmp_path)
     assert (tmp_path / "singular_values.svg").stat().st_size > 0
+
+
+def test_interrupted_command_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(observability, "write_study", interrupted)
+    assert run_command_line(["study", "observability", "straight", "-o", str(tmp_path / "study")]) == 130
+    assert list(tmp_path.iterdir()) == []

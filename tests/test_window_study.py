@@ -223,6 +223,32 @@ def test_command_writes_the_same_bytes_twice(
     assert msgspec.json.decode((folders[0] / "report.json").read_bytes())["study"] == "window"
 
 
+def test_log_that_cannot_be_used_does_not_stop_the_others(
+    simulated: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(b"no log at all")
+    arguments = ["study", "window", str(broken), *simulated, "-o", str(tmp_path), "--longest", "4", "--format", "json"]
+    assert run_command_line(arguments) == 3
+    printed = capsys.readouterr()
+    assert {row["log"] for row in msgspec.json.decode(printed.out)["tables"]["best"]} == {
+        "*",
+        "lawnmower",
+        "figure-eight",
+    }
+    (left_out,) = (note for note in msgspec.json.decode(printed.out)["notes"] if note["code"] == "log_left_out")
+    assert "broken.mcap" in left_out["text"]
+    assert printed.err.splitlines()[-1].startswith("error: 1 of 3 logs could not be used; the first: ")
+
+
+def test_no_log_that_can_be_used_is_the_first_ones_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(b"no log at all")
+    assert run_command_line(["study", "window", str(broken), "-o", str(tmp_path / "study")]) == 3
+    assert "broken.mcap" in capsys.readouterr().err
+    assert not (tmp_path / "study").exists()
+
+
 def test_interrupted_command_leaves_nothing(
     simulated: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -240,7 +266,7 @@ def test_interrupted_command_leaves_nothing(
 @pytest.fixture(scope="module")
 def real(snapir: Path) -> dict[str, pd.DataFrame]:
     config: Config = load_config(file=SNAPIR)
-    report, _ = study_window(sorted(snapir.glob("*.mcap")), config, 10)
+    report = study_window(sorted(snapir.glob("*.mcap")), config, 10)
     return dict(report.tables)
 
 
@@ -277,6 +303,6 @@ def test_finer_reference_of_real_dives_prefers_two_velocities(snapir: Path, monk
 
     monkeypatch.setattr(window, "reference_acceleration", spline_velocity)
     monkeypatch.setattr(window, "acceleration_at", spline_rate)
-    report, _ = study_window(sorted(snapir.glob("*.mcap")), load_config(file=SNAPIR), 5)
+    report = study_window(sorted(snapir.glob("*.mcap")), load_config(file=SNAPIR), 5)
     best = report.tables["best"].set_index(["log", "lever_arm", "at"])["n"]
     assert best["*", "compensated", "middle"] == 2

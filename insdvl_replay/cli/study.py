@@ -108,11 +108,12 @@ def window(
     format_: StudyFormat = Format.TABLE,
     force: Force = False,
     verbose: Verbose = 0,
-) -> None:
+) -> int:
     """Find the number of past velocities that makes the best acceleration.
 
     The slope of the DVL's velocities is held against the acceleration of the reference, at the middle of its window and
     at its end, with the lever arm compensated and ignored. Several logs are pooled, with rows of their own beside.
+    A log that cannot be used does not stop the others.
 
     \b
     Example:
@@ -123,18 +124,23 @@ def window(
     from insdvl_replay.cli.screen import patience
     from insdvl_replay.cli.study_results import print_study
     from insdvl_replay.config_file import load_config
+    from insdvl_replay.errors import LogError
     from insdvl_replay.report.folder import refuse_existing_folder, result_folder
-    from insdvl_replay.studies.window import save_window, study_window
+    from insdvl_replay.studies.window import LEFT_OUT, save_window, study_window
 
     resolved, target = load_config(preset, config, settings), output / "window"
     refuse_existing_folder(target, force=force)
     with patience("comparing accelerations"):
-        report, notes = study_window(logs, resolved, longest)
+        report = study_window(logs, resolved, longest)
     with result_folder(target, force=force) as folder:
         save_window(report, folder, png=png)
     print_study(report, format_)
-    tell_notes(notes, verbose=verbose > 0)
+    tell_notes(report.notes, verbose=verbose > 0)
     tell(f"wrote {target}")
+    left_out = [note.text for note in report.notes if note.code == LEFT_OUT]
+    if left_out:
+        tell(f"error: {len(left_out)} of {len(logs)} logs could not be used; the first: {left_out[0]}")
+    return LogError.exit_code if left_out else 0
 
 
 @study.command()
@@ -175,9 +181,9 @@ def observability(
     resolved, target = load_config(preset, config, [*settings, *spans]), output / f"observability-{Path(dive).stem}"
     refuse_existing_folder(target, force=force)
     with patience(f"stacking the measurements{compiling()}"):
-        report, notes = study_observability(dive, resolved, earth_rate=not no_earth_rate)
+        report = study_observability(dive, resolved, earth_rate=not no_earth_rate)
     with result_folder(target, force=force) as folder:
         save_observability(report, folder, png=png)
     print_study(report, format_)
-    tell_notes(notes, verbose=verbose > 0)
+    tell_notes(report.notes, verbose=verbose > 0)
     tell(f"wrote {target}")

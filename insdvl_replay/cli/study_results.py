@@ -6,11 +6,11 @@ from insdvl_replay.cli.screen import printed
 from insdvl_replay.report.study import (
     StudyReport,
     study_csv,
-    study_json,
     study_latex,
     study_markdown,
     study_terminal,
 )
+from insdvl_replay.report.study_json import study_json
 
 PRINTED = {
     Format.TABLE: lambda report: printed(study_terminal(report)),

@@ -1,4 +1,4 @@
-"""JSON schemas of settings, report and inspection, generated from the structures that read and write them."""
+"""JSON schemas of settings, reports and inspection, generated from the structures that read and write them."""
 
 from collections.abc import Callable
 from typing import Any, Final
@@ -8,6 +8,7 @@ import msgspec
 from insdvl_replay.config import Config
 from insdvl_replay.inventory import Inventory
 from insdvl_replay.report.json_report import Report
+from insdvl_replay.report.study_json import StudyResult
 
 
 def config_schema() -> bytes:
@@ -25,10 +26,16 @@ def inspection_schema() -> bytes:
     return _schema(Inventory, "insdvl-replay inspection")
 
 
+def study_schema() -> bytes:
+    """Describe the report.json of a study as JSON schema (draft 2020-12)."""
+    return _schema(StudyResult, "insdvl-replay study")
+
+
 SCHEMAS: Final[dict[str, Callable[[], bytes]]] = {
     "config": config_schema,
     "report": report_schema,
     "inspection": inspection_schema,
+    "study": study_schema,
 }
 """By the name that the command line and the files in schemas/ use."""
 

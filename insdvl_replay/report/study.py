@@ -1,24 +1,22 @@
 """The result of a study: sentences and tables, for people, for scripts and for the folder that keeps them."""
 
-import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pandas as pd
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from insdvl_replay.config import Config
 from insdvl_replay.config_file import render_toml
+from insdvl_replay.errors import Note
 from insdvl_replay.report.csv_tables import rows_csv, table_csv
 from insdvl_replay.report.folder import COMPLETE
-from insdvl_replay.report.json_report import NUMERICAL_PACKAGES, Tool, records
 from insdvl_replay.report.markup import latex_page, markdown_page
 from insdvl_replay.report.shown import ShownTable
+from insdvl_replay.report.study_json import study_json
 from insdvl_replay.report.terminal import dressed
 
 
@@ -42,6 +40,8 @@ class StudyReport:
         The same for people.
     config : Config
         Resolved settings.
+    notes : tuple of Note
+        What was dropped, assumed or found odd.
     series : mapping of str to DataFrame
         Long tables, which go to files alone.
     """
@@ -53,6 +53,7 @@ class StudyReport:
     tables: Mapping[str, pd.DataFrame]
     shown: tuple[ShownTable, ...]
     config: Config
+    notes: tuple[Note, ...] = ()
     series: Mapping[str, pd.DataFrame] = field(default_factory=dict)
 
 
@@ -69,20 +70,6 @@ def write_study(report: StudyReport, folder: Path) -> None:
         (folder / f"{name}.csv").write_bytes(table_csv(table))
     (folder / "config.toml").write_text(render_toml(report.config), "utf-8")
     (folder / COMPLETE).write_bytes(study_json(report))
-
-
-def study_json(report: StudyReport) -> bytes:
-    """Write a study as JSON, null for what is missing. The same study gives the same bytes."""
-    content = {
-        "tool": Tool(),
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES},
-        "study": report.study,
-        "arguments": report.arguments,
-        "sentences": report.sentences,
-        "tables": {name: records(table) for name, table in report.tables.items()},
-        "config": report.config,
-    }
-    return msgspec.json.format(msgspec.json.encode(content)) + b"\n"
 
 
 def study_csv(report: StudyReport) -> str:

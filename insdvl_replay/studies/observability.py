@@ -10,7 +10,7 @@ import numpy as np
 from insdvl_replay import logs
 from insdvl_replay.columns import Dive, Floats
 from insdvl_replay.config import Acceleration, Config, Filter, Initial
-from insdvl_replay.errors import ConfigError, Note
+from insdvl_replay.errors import ConfigError
 from insdvl_replay.history import History
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.error_directions import named_directions
@@ -40,9 +40,7 @@ NO_GATE: Final = np.inf
 NO_TIMES: Final = np.empty(0, dtype=np.int64)
 
 
-def study_observability(
-    dive_or_scenario: str, config: Config, *, earth_rate: bool = True
-) -> tuple[StudyReport, tuple[Note, ...]]:
+def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bool = True) -> StudyReport:
     """Analyse what velocities and accelerations tell about the errors at the start of a dive.
 
     The motion around which the errors are linearised is that of the first filter: along a scenario, with perfect
@@ -61,8 +59,6 @@ def study_observability(
     -------
     StudyReport
         Tables ``ranks``, ``directions``, ``singular_values``, ``states`` and ``catalogue``.
-    tuple of Note
-        What was dropped, assumed or found odd.
 
     Raises
     ------
@@ -82,7 +78,7 @@ def study_observability(
     tables = observability_tables(found, named_directions(*start_of, earth_rate=earth_rate), prior_sd)
     seconds_s = (start.end_ns - start.alignment.start_ns) * 1e-9
     earth = "" if earth_rate else ", Earth rate left out"
-    report = StudyReport(
+    return StudyReport(
         study="observability",
         title=f"Observability study: {dive.name}, {seconds_s:.1f} s, {len(start.velocities.time_ns)} pings{earth}",
         arguments={"dive": dive.name, "earth_rate": earth_rate},
@@ -90,8 +86,8 @@ def study_observability(
         tables=tables,
         shown=shown_observability(tables),
         config=config,
+        notes=dive.notes + start.notes,
     )
-    return report, dive.notes + start.notes
 
 
 def save_observability(report: StudyReport, folder: Path, *, png: bool = False) -> None:

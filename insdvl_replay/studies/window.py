@@ -38,9 +38,11 @@ NO_ARM: Final = "none"
 MIDDLE: Final = "middle"
 END: Final = "end"
 """Where a slope is held against the reference: at the mean time of its window, or at its last ping, where it serves."""
+LEFT_OUT: Final = "log_left_out"
+"""Code of the note on a log that cannot be used."""
 
 
-def study_window(paths: Sequence[Path], config: Config, longest: int = 10) -> tuple[StudyReport, tuple[Note, ...]]:
+def study_window(paths: Sequence[Path], config: Config, longest: int = 10) -> StudyReport:
     """Hold the accelerations from 2 to ``longest`` velocities against the reference of each log.
 
     Parameters
@@ -57,24 +59,23 @@ def study_window(paths: Sequence[Path], config: Config, longest: int = 10) -> tu
     StudyReport
         Table ``window``: log, n, at (``middle``, ``end``), lever_arm (``compensated``, ``ignored``, ``none``),
         rmse_mps2, samples; with several logs, rows of log ``*`` pool them. Table ``best``: those with the least error.
-    tuple of Note
-        What was dropped, assumed or found odd.
+        A log that cannot be used is left out, with a note (``log_left_out``).
 
     Raises
     ------
     LogError
-        A log cannot be used, or its reference gives no acceleration.
+        None of the logs can be used, or has a reference that gives an acceleration.
     ConfigError
         Two logs share a name, or the settings do not fit a log.
     """
     _check_names(paths)
-    dives = (logs.read_dive(path, config) for path in paths)
-    tables, spans_s, notes = zip(*(dive_windows(dive, config, longest) for dive in dives), strict=True)
+    studied, left_out = _studied(paths, config, longest)
+    tables, spans_s, notes = zip(*studied, strict=True)
     windows = pd.concat(tables, ignore_index=True)
-    if len(paths) > 1:
+    if len(tables) > 1:
         windows = pd.concat([pooled_windows(windows), windows], ignore_index=True)
     best = best_windows(windows)
-    report = StudyReport(
+    return StudyReport(
         study="window",
         title=f"Window study: {', '.join(path.stem for path in paths)}",
         arguments={"logs": [path.stem for path in paths], "longest": longest},
@@ -82,8 +83,8 @@ def study_window(paths: Sequence[Path], config: Config, longest: int = 10) -> tu
         tables={"window": windows, "best": best},
         shown=shown_windows(windows, best),
         config=config,
+        notes=(*(note for of_dive in notes for note in of_dive), *left_out),
     )
-    return report, tuple(note for of_dive in notes for note in of_dive)
 
 
 def save_window(report: StudyReport, folder: Path, *, png: bool = False) -> None:
@@ -152,6 +153,21 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> tuple[pd.DataFrame
             slope_b = windowed_sum(windows[n].velocity_weights, velocity_b)
             rows.append((dive.name, n, at, lever_arm, vector_rmse(slope_b, expected, judged), int(judged.sum())))
     return pd.DataFrame(rows, columns=WINDOW_COLUMNS), differentiated_over_s(reference), dive.notes + start.notes
+
+
+def _studied(
+    paths: Sequence[Path], config: Config, longest: int
+) -> tuple[list[tuple[pd.DataFrame, float, tuple[Note, ...]]], list[Note]]:
+    """Study each log, and go on where one cannot be used."""
+    studied, refused = [], []
+    for path in paths:
+        try:
+            studied.append(dive_windows(logs.read_dive(path, config), config, longest))
+        except LogError as error:
+            refused.append(error)
+    if not studied:
+        raise refused[0]
+    return studied, [Note(LEFT_OUT, f"{error.message}; left out", 1, "warning", error.hint) for error in refused]
 
 
 def _check_names(paths: Sequence[Path]) -> None:
