@@ -5,7 +5,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: demo test quick lint bench samples schemas readme clean
+.PHONY: demo test quick lint bench samples schemas readme reproduce clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force
@@ -36,8 +36,13 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema inspection > schemas/inspection.schema.json
 	$(BIN)/insdvl-replay schema study > schemas/study.schema.json
 
-readme: .venv/test.stamp
-	$(BIN)/python tests/readme.py
+readme: .venv/run.stamp
+	$(BIN)/python pages/readme.py
+
+# Needs the eight dives of the AUV Snapir, in ../shared/data/snapir or where DIVES says.
+DIVES ?= ../shared/data/snapir
+reproduce: .venv/run.stamp
+	$(BIN)/python pages/reproduction.py $(DIVES)
 
 clean:
 	rm -rf .venv replay build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,0 +1,313 @@
+"""What the paper says in words, each claim beside what the program finds.
+
+Every claim is judged by a rule, so that the word beside it follows from the number.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from insdvl_replay.evaluation.believed import mean_over_nine
+from insdvl_replay.evaluation.ensemble import Ensemble
+from insdvl_replay.history import History
+from insdvl_replay.replay import Replay
+from insdvl_replay.report.study import StudyReport
+from insdvl_replay.states import STATES
+
+REPEATED = "repeated"
+NOT_REPEATED = "**not repeated**"
+INDEX = {state.id: state.index for state in STATES}
+FACTOR = {state.id: state.factor for state in STATES}
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim: where it stands, what it says in our words, what is found, and whether that is so."""
+
+    place: str
+    says: str
+    found: str
+    word: str
+
+
+def judged(place: str, says: str, found: str, holds: bool) -> Claim:
+    """Give a claim its word."""
+    return Claim(place, says, found, REPEATED if holds else NOT_REPEATED)
+
+
+def straight_claims(replay: Replay) -> Iterator[Claim]:
+    """Check what is said of the straight line."""
+    place = "straight line"
+    improvement = by_state(replay.tables["improvement"], "aided")["improvement_pct"]
+    reached = by_state(replay.tables["convergence"], "aided")
+    baseline, aided = named(replay.histories, "baseline"), named(replay.histories, "aided")
+
+    velocity = improvement[["dv_n", "dv_e", "dv_d"]]
+    yield judged(
+        place,
+        "velocity errors are estimated alike by both filters",
+        f"their sigmas differ by at most {velocity.abs().max():.1f} %",
+        bool(velocity.abs().max() < 5.0),
+    )
+    yield judged(
+        place,
+        "the z accelerometer bias is known 53 % better",
+        f"{improvement['ba_z']:.0f} %",
+        abs(improvement["ba_z"] - 53.0) <= 3.0,
+    )
+    gyro = improvement[["bg_x", "bg_y"]]
+    yield judged(
+        place,
+        "x and y gyro biases 48 %",
+        f"{gyro['bg_x']:.0f} % and {gyro['bg_y']:.0f} %",
+        bool((gyro - 48.0).abs().max() <= 3.0),
+    )
+    levelling = improvement[["phi_n", "phi_e"]]
+    yield judged(
+        place,
+        "levelling nearly 7 %",
+        f"{levelling['phi_n']:.1f} % and {levelling['phi_e']:.1f} %",
+        bool((levelling - 7.0).abs().max() <= 2.0),
+    )
+    times_s = reached.loc[["ba_x", "ba_y"], "reached_s"]
+    yield judged(
+        place,
+        "x and y accelerometer biases after 30 s as well known as by the baseline after 424 s",
+        f"{times_s['ba_x']:.0f} s and {times_s['ba_y']:.0f} s",
+        bool((times_s - 30.0).abs().max() <= 8.0),
+    )
+    left = {state: left_share(baseline, state) for state in ("ba_z", "bg_x", "bg_y")}
+    yield judged(
+        place,
+        "z accelerometer bias and x and y gyro biases are observable",
+        "left of their prior sigma: " + ", ".join(f"{name} {share:.1%}" for name, share in left.items()),
+        max(left.values()) < 0.25,
+    )
+    hidden = {state: left_share(aided, state) for state in ("phi_d", "bg_z")}
+    yield judged(
+        place,
+        "heading and z gyro bias are not, with accelerations either",
+        "left with accelerations: " + ", ".join(f"{name} {share:.0%}" for name, share in hidden.items()),
+        min(hidden.values()) > 0.95,
+    )
+    pairs = levelling_pairs(aided)
+    yield judged(
+        place,
+        "levelling and horizontal accelerometer biases hang together",
+        "correlation at the end: " + ", ".join(f"{name} {value:+.3f}" for name, value in pairs.items()),
+        min(map(abs, pairs.values())) > 0.9,
+    )
+
+
+def eight_claims(eight: Replay, straight: Replay) -> Iterator[Claim]:
+    """Check what is said of the figure-eight."""
+    place = "figure-eight"
+    aided, of_straight = named(eight.histories, "aided"), named(straight.histories, "aided")
+    before, after = sd_at(aided, "ba_x", 99.0), sd_at(aided, "ba_x", 130.0)
+    yield judged(
+        place,
+        "the turn after 100 s makes the horizontal accelerometer biases known",
+        f"sigma of ba_x {before:.2f} mg at 99 s, {after:.2f} mg at 130 s",
+        after < 0.5 * before,
+    )
+    ends = [sd_at(history, "phi_n", np.inf) for history in (aided, of_straight)]
+    yield judged(
+        place,
+        "levelling is known better than on the straight line",
+        f"{ends[0]:.2f} mrad instead of {ends[1]:.2f} mrad at the end",
+        ends[0] < 0.5 * ends[1],
+    )
+    left = left_share(aided, "bg_z")
+    yield judged(place, "the z gyro bias stays unobservable", f"left of its prior sigma: {left:.1%}", left > 0.95)
+
+
+def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: StudyReport) -> Iterator[Claim]:
+    """Check what is said of the Monte Carlo runs over legs and U-turns."""
+    place = "S-manoeuvres, Monte Carlo"
+    aided = named(ensembles, "aided")
+    settled_s = max(settling_s(aided, state) for state in ("dv_n", "dv_e", "dv_d"))
+    yield judged(
+        place,
+        "velocity errors converge at once",
+        f"within a fifth of their sigma at 300 s after {settled_s:.1f} s",
+        settled_s <= 10.0,
+    )
+    level, heading = ensemble_sd(aided, "phi_n", 295.0), ensemble_sd(aided, "phi_d", 295.0)
+    level_0, heading_0 = ensemble_sd(aided, "phi_n", 0.0), ensemble_sd(aided, "phi_d", 0.0)
+    yield judged(
+        place,
+        "on the first leg levelling gets slightly better, heading worse",
+        f"phi_n {level_0:.2f} to {level:.2f} mrad, phi_d {heading_0:.2f} to {heading:.2f} mrad",
+        level < level_0 and heading > heading_0,
+    )
+    turned = ensemble_sd(aided, "phi_n", 360.0)
+    yield judged(
+        place,
+        "the first U-turn makes levelling converge promptly",
+        f"phi_n {turned:.2f} mrad at 360 s",
+        turned < 0.5 * level,
+    )
+    turned, end = ensemble_sd(aided, "phi_d", 360.0), ensemble_sd(aided, "phi_d", np.inf)
+    yield judged(
+        place,
+        "after it the heading error is gradually reduced",
+        f"phi_d {heading:.2f} mrad before it, {turned:.2f} mrad at 360 s, {end:.2f} mrad at the end",
+        end < turned < heading,
+    )
+    shares = {
+        state: ensemble_sd(aided, state, np.inf) / ensemble_sd(aided, state, 0.0)
+        for state in ("ba_x", "ba_y", "ba_z", "bg_x", "bg_y", "bg_z")
+    }
+    yield judged(
+        place,
+        "accelerometer biases converge fully, x and y gyro biases well, the z gyro bias more slowly",
+        "left of the prior sigma: " + ", ".join(f"{name} {share:.1%}" for name, share in shares.items()),
+        max(shares[name] for name in ("ba_x", "ba_y", "ba_z")) < 0.1 and shares["bg_z"] > shares["bg_x"],
+    )
+    table = study.tables["montecarlo"]
+    rows = table[table["filter"] == "aided"]
+    off = float((rows["ensemble_mean"].abs() / rows["ensemble_sd"]).max())
+    yield judged(
+        place,
+        "the mean over the runs stays near zero",
+        f"at the end at most {off:.2f} of the ensemble's sigma",
+        off < 0.4,
+    )
+    for filter_, who in (("aided", "sigma from P and over the runs are alike"), ("baseline", "so they are for both")):
+        ratio = table.loc[table["filter"] == filter_, "ratio"]
+        verdict = by_filter(study.tables["verdicts"], filter_)
+        yield judged(
+            place,
+            who,
+            f"{filter_}: rms error over sigma at the end {ratio.min():.2f} to {ratio.max():.2f}; mean NEES "
+            f"{verdict['mean_nees']:.1f}, consistent filters have {verdict['low']:.1f} to {verdict['high']:.1f}: "
+            f"{verdict['verdict']}",
+            verdict["verdict"] == "consistent",
+        )
+
+
+def window_claims(study: StudyReport) -> Iterator[Claim]:
+    """Check how many velocities make the best acceleration, on all dives together."""
+    windows, best = study.tables["window"], study.tables["best"]
+    rows = windows[(windows["log"] == "*") & (windows["lever_arm"] == "compensated")]
+    optimum = best[(best["log"] == "*") & (best["lever_arm"] == "compensated")].set_index("at")
+    for at, where in (("middle", "at the middle of the window"), ("end", "at its end, where it is used")):
+        rmse = rows[rows["at"] == at].set_index("n")["rmse_mps2"]
+        n = int(optimum.loc[at, "n"])
+        falls_and_rises = rmse.index[0] < n < rmse.index[-1]
+        yield judged(
+            "past DVL measurements",
+            f"the error falls and rises with n, {where}",
+            f"{rmse.iloc[0]:.4f} m/s² for n = {rmse.index[0]}, {rmse[n]:.4f} for {n}, {rmse.iloc[-1]:.4f} for "
+            f"{rmse.index[-1]}",
+            bool(falls_and_rises),
+        )
+        yield judged("past DVL measurements", f"three velocities are best, {where}", f"{n}", n == 3)
+
+
+def observability_claims(study: StudyReport) -> Iterator[Claim]:
+    """Check what is said of ranks and unobservable subspaces."""
+    place = "observability"
+    rank = study.tables["ranks"].set_index("aiding")["rank"]
+    yield judged(
+        place,
+        "the unobservable subspace of accelerations is that of velocities",
+        f"rank {rank['velocity']} of 12 for velocities, {rank['published']} for accelerations alone",
+        bool(rank["velocity"] == rank["published"]),
+    )
+    yield judged(
+        place,
+        "accelerations beside velocities do not change what is observable",
+        f"rank {rank['velocity']}, with accelerations {rank['velocity + published']}",
+        bool(rank["velocity"] == rank["velocity + published"]),
+    )
+
+
+def sea_claims(dives: list[Replay]) -> Iterator[Claim]:
+    """Check, on dives of the same vehicle, what is said to follow for the navigation."""
+    believed = [mean_over(replay, "improvement", "windowed") for replay in dives]
+    yield Claim(
+        "sea experiments",
+        "40 % smaller estimated errors where the vehicle turns",
+        f"other segments of the same day: {min(believed):.0f} % to {max(believed):.0f} %, median "
+        f"{float(np.median(believed)):.0f} %",
+        REPEATED if abs(float(np.median(believed)) - 40.0) <= 5.0 else NOT_REPEATED,
+    )
+    errors = position_errors(dives)
+    better = int((errors["windowed"] < 0.95 * errors["baseline"]).sum())
+    yield judged(
+        "conclusion",
+        "accuracy gets better",
+        f"position error against the reference at least 5 % smaller on {better} of {len(errors)} dives, median "
+        f"{errors['baseline'].median():.2f} m before and {errors['windowed'].median():.2f} m after",
+        better > len(errors) / 2,
+    )
+
+
+def position_errors(dives: list[Replay]) -> pd.DataFrame:
+    """Give the rms position error of each filter in each dive, m."""
+    rows = {}
+    for replay in dives:
+        table = replay.tables["reference_error"]
+        table = table[table["quantity"] == "position_h"].set_index("filter")
+        rows[replay.dive.name] = {"baseline": table["baseline_rmse"].iloc[0], **table["rmse"].to_dict()}
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def mean_over(replay: Replay, table: str, filter_: str = "aided") -> float:
+    """Give the paper's mean over nine states; what did not improve counts as 0."""
+    return mean_over_nine(replay.tables[table], filter_)
+
+
+def by_state(table: pd.DataFrame, filter_: str) -> pd.DataFrame:
+    """Give a filter's rows, by state."""
+    return table[table["filter"] == filter_].set_index("state")
+
+
+def by_filter(table: pd.DataFrame, filter_: str) -> Mapping[str, float]:
+    """Give the one row of a filter."""
+    return table.set_index("filter").loc[filter_].to_dict()
+
+
+def named(items, name: str):
+    """Give the history or ensemble of a filter."""
+    return next(item for item in items if item.filter == name)
+
+
+def sd_at(history: History, state: str, time_s: float) -> float:
+    """Give the last sigma up to a time, shown unit."""
+    since_s = (history.time_ns - history.time_ns[0]) * 1e-9
+    row = np.flatnonzero(history.updated & (since_s <= time_s))[-1]
+    return float(history.sd[row, INDEX[state]] / FACTOR[state])
+
+
+def left_share(history: History, state: str) -> float:
+    """Give the final sigma as a share of the first."""
+    return float(sd_at(history, state, np.inf) * FACTOR[state] / history.sd[0, INDEX[state]])
+
+
+def levelling_pairs(history: History) -> dict[str, float]:
+    """Give the correlation of each horizontal accelerometer bias with the misalignment about the other body axis."""
+    row = np.flatnonzero(history.updated)[-1]
+    to_body = np.eye(12)
+    to_body[3:6, 3:6] = history.mat_nb[row].T
+    cov = to_body @ history.cov[row] @ to_body.T
+    sd = np.sqrt(np.diag(cov))
+    pairs = {"ba_x with the tilt about y": (INDEX["ba_x"], 4), "ba_y with that about x": (INDEX["ba_y"], 3)}
+    return {name: float(cov[bias, tilt] / (sd[bias] * sd[tilt])) for name, (bias, tilt) in pairs.items()}
+
+
+def ensemble_sd(ensemble: Ensemble, state: str, time_s: float) -> float:
+    """Give the last sigma from P up to a time, shown unit."""
+    row = np.flatnonzero(ensemble.time_s <= time_s)[-1]
+    return float(ensemble.sd[row, INDEX[state]] / FACTOR[state])
+
+
+def settling_s(ensemble: Ensemble, state: str) -> float:
+    """Give the time after which sigma stays within a fifth of what it is at 300 s, on the first leg."""
+    leg = ensemble.time_s <= 300.0
+    sd = ensemble.sd[leg, INDEX[state]]
+    outside = np.flatnonzero(np.abs(sd / sd[-1] - 1.0) > 0.2)
+    return float(ensemble.time_s[leg][outside[-1] + 1]) if len(outside) else 0.0

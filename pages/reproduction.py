@@ -1,0 +1,245 @@
+"""The parts of REPRODUCTION.md that the program writes: every table, figure and claim of the paper beside ours.
+
+    python pages/reproduction.py [FOLDER]
+
+FOLDER holds the eight dives of the AUV Snapir. A test holds the page equal to what this writes.
+"""
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import claims
+import numpy as np
+import pandas as pd
+from written import PROJECT, markdown_table, renewed
+
+from insdvl_replay import logs
+from insdvl_replay.config import Config
+from insdvl_replay.config_file import load_config
+from insdvl_replay.evaluation.ensemble import Ensemble
+from insdvl_replay.replay import Replay, replay_dive, replay_log
+from insdvl_replay.report.study import StudyReport
+from insdvl_replay.studies.montecarlo import study_montecarlo
+from insdvl_replay.studies.observability import study_observability
+from insdvl_replay.studies.window import study_window
+
+PAGE = PROJECT / "REPRODUCTION.md"
+PUBLISHED = PROJECT / "pages" / "levy_klein_straight.csv"
+"""Levy and Klein, both tables of the straight line."""
+DIVES = PROJECT.parent / "shared" / "data" / "snapir"
+PUBLISHED_FILTER = (
+    'filters.published={aiding=["velocity","acceleration"],'
+    'acceleration={model="published",window=3,sd_mps2=0.103,max_window_gap_s=2.5}}'
+)
+SD_WITHIN = 0.05
+"""Standard deviations agree within this share."""
+REACHED_WITHIN_S = 8.0
+"""Convergence times agree within this."""
+MEAN_WITHIN_PCT = 3.0
+"""Mean improvements agree within this many percent."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """All that the page draws on."""
+
+    straight: Replay
+    eight: Replay
+    ensembles: tuple[Ensemble, ...]
+    montecarlo: StudyReport
+    window: StudyReport
+    observability: StudyReport
+    dives: list[Replay]
+
+
+def find(dives: Path) -> Findings:
+    """Repeat everything."""
+    config, snapir = load_config(), load_config(file=PROJECT / "examples" / "snapir.toml")
+    with_published = load_config(overrides=[PUBLISHED_FILTER])
+    montecarlo, ensembles = study_montecarlo("lawnmower", config)
+    paths = sorted(dives.glob("*.mcap"))
+    return Findings(
+        straight=sample("straight", with_published),
+        eight=sample("figure_eight", with_published),
+        ensembles=ensembles,
+        montecarlo=montecarlo,
+        window=study_window(paths, snapir),
+        observability=study_observability("straight", config, earth_rate=False),
+        dives=[replay_log(path, snapir) for path in paths],
+    )
+
+
+def sample(name: str, config: Config) -> Replay:
+    """Replay a sample log, and keep all of P."""
+    return replay_dive(logs.read_dive(PROJECT / "sample_logs" / f"{name}.mcap", config), config, keep_cov=True)
+
+
+def written(dives: Path) -> str:
+    """REPRODUCTION.md as it should be."""
+    found = find(dives)
+    parts: dict[str, Callable[[], str]] = {
+        name: partial(part, found)
+        for name, part in {
+            "limits": limits,
+            "sigmas": sigmas,
+            "times": times,
+            "eight": eight,
+            "claims": claims_in_words,
+            "verdicts": verdicts,
+            "positions": positions,
+        }.items()
+    }
+    return renewed(PAGE.read_text("utf-8"), parts, "make reproduce")
+
+
+def limits(_: Findings) -> str:
+    """Say what counts as agreement."""
+    return (
+        f"What agrees: a sigma within {SD_WITHIN:.0%}, a time within {REACHED_WITHIN_S:.0f} s, a mean within "
+        f"{MEAN_WITHIN_PCT:.0f} %; a claim in words by the rule that [claims.py](pages/claims.py) states for it."
+    )
+
+
+def sigmas(found: Findings) -> str:
+    """The straight line's sigmas at the end."""
+    published = pd.read_csv(PUBLISHED).set_index("state")
+    ours = claims.by_state(found.straight.tables["improvement"], "aided")
+    there = published["improvement_pct"].fillna(0.0).mean()
+    here = claims.mean_over(found.straight, "improvement")
+    return markdown_table(
+        ("state", "unit", "baseline: paper", "here", "", "aided: paper", "here", "", "improvement: paper", "here"),
+        [
+            *(_sigmas(row, ours.loc[state]) for state, row in published.iterrows()),
+            ("**mean**", *[""] * 7, percent(there), percent(here)),
+        ],
+    )
+
+
+def _sigmas(published: pd.Series, ours: pd.Series) -> tuple[str, ...]:
+    return (
+        str(published.name),
+        str(published["unit"]),
+        f"{published['baseline_sd']:.2f}",
+        f"{ours['baseline_sd']:.2f}",
+        deviation(ours["baseline_sd"], published["baseline_sd"]),
+        f"{published['aided_sd']:.2f}",
+        f"{ours['sd']:.2f}",
+        deviation(ours["sd"], published["aided_sd"]),
+        percent(published["improvement_pct"]),
+        percent(ours["improvement_pct"]),
+    )
+
+
+def times(found: Findings) -> str:
+    """The straight line's times to the baseline's final sigma."""
+    published = pd.read_csv(PUBLISHED).set_index("state")
+    ours = claims.by_state(found.straight.tables["convergence"], "aided")
+    there = published["convergence_improvement_pct"].fillna(0.0).mean()
+    here = claims.mean_over(found.straight, "convergence")
+    return markdown_table(
+        ("state", "paper [s]", "here [s]", "agrees", "sooner: paper", "here"),
+        [
+            *(_times(row, ours.loc[state]) for state, row in published.iterrows()),
+            ("**mean**", "", "", agrees(there, here), percent(there), percent(here)),
+        ],
+    )
+
+
+def _times(published: pd.Series, ours: pd.Series) -> tuple[str, ...]:
+    there, reached = published["reached_s"], ours["status"] == "reached"
+    if np.isnan(there):
+        word = "not in the paper" if reached else "yes"
+    else:
+        word = "yes" if reached and abs(ours["reached_s"] - there) <= REACHED_WITHIN_S else "**no**"
+    return (
+        str(published.name),
+        "-" if np.isnan(there) else f"{there:.0f}",
+        f"{ours['reached_s']:.0f}" if reached else str(ours["status"]).replace("_", " "),
+        word,
+        percent(published["convergence_improvement_pct"]),
+        percent(ours["improvement_pct"]),
+    )
+
+
+def eight(found: Findings) -> str:
+    """The figure-eight's means."""
+    published = {"improvement": 40.0, "convergence": 54.0}
+    here = {table: claims.mean_over(found.eight, table) for table in published}
+    return markdown_table(
+        ("", "paper", "here", "agrees"),
+        [
+            (f"mean {table}", f"{there:.0f} %", percent(here[table]), agrees(there, here[table]))
+            for table, there in published.items()
+        ],
+    )
+
+
+def claims_in_words(found: Findings) -> str:
+    """What the paper says in words, in its order."""
+    return markdown_table(
+        ("where", "the paper says", "here", ""),
+        [(claim.place, claim.says, claim.found, claim.word) for claim in _claims(found)],
+    )
+
+
+def _claims(found: Findings) -> Iterator[claims.Claim]:
+    yield from claims.observability_claims(found.observability)
+    yield from claims.window_claims(found.window)
+    yield from claims.lawnmower_claims(found.ensembles, found.montecarlo)
+    yield from claims.straight_claims(found.straight)
+    yield from claims.eight_claims(found.eight, found.straight)
+    yield from claims.sea_claims(found.dives)
+
+
+def verdicts(found: Findings) -> str:
+    """What the paper does not ask: whether the same improvements are real."""
+    replays = [found.straight, found.eight, *found.dives]
+    return markdown_table(
+        ("dive", "filter", "believed improvement", "position rms [m]: baseline", "with accelerations", "verdict"),
+        [row for replay in replays for row in _verdicts(replay)],
+    )
+
+
+def _verdicts(replay: Replay) -> Iterator[tuple[str, ...]]:
+    errors = claims.position_errors([replay]).iloc[0]
+    for verdict in replay.verdicts:
+        yield (
+            replay.dive.name,
+            verdict.filter,
+            percent(verdict.believed_pct),
+            f"{errors['baseline']:.2f}",
+            f"{errors[verdict.filter]:.2f}",
+            f"{verdict.improvement}, {verdict.consistency}",
+        )
+
+
+def positions(found: Findings) -> str:
+    """The eight dives together."""
+    errors = claims.position_errors(found.dives).median()
+    return markdown_table(
+        ("median of the eight dives", *errors.index), [("position rms [m]", *(f"{error:.2f}" for error in errors))]
+    )
+
+
+def percent(value: float) -> str:
+    """Write a percentage, or a dash."""
+    return "-" if np.isnan(value) else f"{value:.1f} %"
+
+
+def deviation(here: float, there: float) -> str:
+    """Write how far ours is from the paper's, in bold where that is too far."""
+    share = here / there - 1.0
+    text = f"{100.0 * share:+.1f} %"
+    return text if abs(share) <= SD_WITHIN else f"**{text}**"
+
+
+def agrees(there: float, here: float) -> str:
+    """Say whether two means agree."""
+    return "yes" if abs(here - there) <= MEAN_WITHIN_PCT else "**no**"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(written(Path(sys.argv[1]) if len(sys.argv) > 1 else DIVES), "utf-8")
