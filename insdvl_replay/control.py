@@ -8,7 +8,6 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from scipy.optimize import minimize
 
 from insdvl_replay import logs
 from insdvl_replay.columns import Dive, Floats
@@ -104,6 +103,8 @@ def _fitted(dive: Dive, config: Config, baseline: Filter) -> Filter:
     def filter_with(logarithms: Floats) -> Filter:
         values = before * np.exp(np.clip(logarithms, np.log(LOWEST), np.log(HIGHEST)))
         return msgspec.structs.replace(baseline, **{key: float(value) for key, value in zip(keys, values, strict=True)})
+
+    from scipy.optimize import minimize  # a third of a second, which a replay without the control must not wait
 
     def unlikelihood(logarithms: Floats) -> float:
         alone = msgspec.structs.replace(config, filters={NAME: filter_with(logarithms)})
