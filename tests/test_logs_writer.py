@@ -1,6 +1,7 @@
 """Written logs: complete, in order, the same every time, and read in full by two readers that are not ours."""
 
 import hashlib
+import io
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -11,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from pyins.transform import lla_to_ned
 from rosbags.highlevel import AnyReader
@@ -197,6 +199,41 @@ def test_same_input_gives_the_same_bytes(write: Callable[[Path], None], tmp_path
         digests.add(hashlib.sha256((tmp_path / name).read_bytes()).hexdigest())
     assert len(digests) == 1
     assert sorted(file.name for file in tmp_path.iterdir()) == ["one.mcap", "two.mcap"]
+
+
+def test_file_has_the_bytes_of_the_official_writer(tmp_path: Path) -> None:
+    """Chunks, indexes, summary and checksums: all that is put together here by columns, several chunks of it."""
+    rng = np.random.default_rng(11)
+    batches = [
+        Batch("/slow", "sensor_msgs/msg/NavSatFix", np.arange(0, 900, 3), {"altitude": rng.normal(size=300)}),
+        Batch("/fast", "sensor_msgs/msg/Imu", np.arange(9000) // 10, {"header.frame_id": "imu"}),
+        Batch("/slow", "sensor_msgs/msg/NavSatFix", np.arange(5, 800, 5), {"header.frame_id": "a longer name"}),
+        Batch("/never", "sensor_msgs/msg/Imu", np.empty(0, dtype=np.int64), {}),
+    ]
+    write_log(tmp_path / "ours.mcap", batches, {"key": "value"}, {"note.txt": ("text/plain", b"attached")})
+    ours = (tmp_path / "ours.mcap").read_bytes()
+    assert make_reader(io.BytesIO(ours)).get_summary().statistics.chunk_count > 3
+
+    theirs = io.BytesIO()
+    writer = Writer(theirs)
+    reader = make_reader(io.BytesIO(ours), validate_crcs=True)
+    header, summary = reader.get_header(), reader.get_summary()
+    writer.start(profile=header.profile, library=header.library)
+    for record in reader.iter_metadata():
+        writer.add_metadata(record.name, record.metadata)
+    registered = set()
+    for channel in summary.channels.values():
+        if channel.schema_id not in registered:
+            schema = summary.schemas[channel.schema_id]
+            registered.add(writer.register_schema(schema.name, schema.encoding, schema.data))
+        writer.register_channel(channel.topic, channel.message_encoding, channel.schema_id, channel.metadata)
+    for _, channel, message in reader.iter_messages():
+        writer.add_message(channel.id, message.log_time, message.data, message.publish_time)
+    writer.flush()
+    for attachment in reader.iter_attachments():
+        writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
+    writer.finish()
+    assert theirs.getvalue() == ours
 
 
 @pytest.mark.parametrize("log", ["dive_path", "replay_path"])

@@ -3,28 +3,23 @@
 Messages of all topics stand in the order of their times of validity. Source: https://mcap.dev/spec.
 """
 
-import heapq
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import cache
-from operator import itemgetter
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import BinaryIO, Final
 
 import numpy as np
-from mcap.writer import Writer
-from numpy.typing import NDArray
 
 from insdvl_replay.errors import LogError
-from insdvl_replay.logs.layout import layout_for_texts
+from insdvl_replay.logs.log_file import LogFile
+from insdvl_replay.logs.message_records import MessageRecords, in_chunks
 from insdvl_replay.logs.messages import FRAMES, Batch
-from insdvl_replay.logs.ros2msg import Definition, definition_text, parse_definitions
+from insdvl_replay.logs.ros2msg import definition_text
 
 LIBRARY: Final = "insdvl-replay"
 _STAMP_POLICY: Final = "log_time = publish_time = header.stamp = time of validity"
 # No profile at all is the one value that every release of rosbag2 reads.
 _QOS: Final = {"offered_qos_profiles": ""}
-_ROWS_AT_ONCE: Final = 4096
 _MAX_TIME_NS: Final = (2**31 - 1) * 1_000_000_000
 
 
@@ -73,67 +68,28 @@ def _write(
     metadata: Mapping[str, str],
     attachments: Mapping[str, tuple[str, bytes]],
 ) -> None:
-    writer = Writer(stream)
-    writer.start(profile="ros2", library=LIBRARY)
+    log = LogFile(stream, profile="ros2", library=LIBRARY)
     frames = {f"frame.{name}": meaning for name, meaning in FRAMES.items()}
-    writer.add_metadata("insdvl_replay", {**metadata, **frames, "stamps": _STAMP_POLICY})
-    channels = _register(writer, batches)
-    streams = [_serialised(batch, channels[batch.topic]) for batch in batches]
-    for time_ns, channel, payload in heapq.merge(*streams, key=itemgetter(0)):
-        writer.add_message(channel_id=channel, log_time=time_ns, publish_time=time_ns, data=payload)
+    log.add_metadata("insdvl_replay", {**metadata, **frames, "stamps": _STAMP_POLICY})
+    records = _registered(log, batches)
+    for chunk in in_chunks(records, log.registrations()):
+        log.add_chunk(chunk)
     for name, (media_type, content) in attachments.items():
-        writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=content)
-    writer.finish()  # type: ignore[no-untyped-call]
+        log.add_attachment(name, media_type, content)
+    log.finish()
 
 
-def _register(writer: Writer, batches: Sequence[Batch]) -> dict[str, int]:
+def _registered(log: LogFile, batches: Sequence[Batch]) -> list[MessageRecords]:
+    """Give each type a schema and each topic a channel."""
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
     for batch in batches:
         if batch.type_name not in schemas:
             text = definition_text(batch.type_name).encode()
-            schemas[batch.type_name] = writer.register_schema(batch.type_name, "ros2msg", text)
+            schemas[batch.type_name] = log.add_schema(batch.type_name, "ros2msg", text)
         if batch.topic not in channels:
-            channels[batch.topic] = writer.register_channel(batch.topic, "cdr", schemas[batch.type_name], _QOS)
-    return channels
-
-
-def _serialised(batch: Batch, channel: int) -> Iterator[tuple[int, int, bytes]]:
-    """Give time, channel and payload of each message, serialising some thousand at once."""
-    for start in range(0, len(batch.time_ns), _ROWS_AT_ONCE):
-        rows = slice(start, start + _ROWS_AT_ONCE)
-        messages = serialise(batch, rows)
-        size, data = messages.itemsize, messages.tobytes()
-        for i, time_ns in enumerate(batch.time_ns[rows].tolist()):
-            yield time_ns, channel, data[i * size : (i + 1) * size]
-
-
-def serialise(batch: Batch, rows: slice) -> NDArray[np.void]:
-    """Lay some messages of a batch out as CDR.
-
-    Parameters
-    ----------
-    batch : Batch
-    rows : slice
-        Which of its messages.
-
-    Returns
-    -------
-    ndarray of structures
-        Each the bytes of one message.
-    """
-    texts = {path: value.encode() for path, value in batch.columns.items() if isinstance(value, str)}
-    layout = layout_for_texts(_definitions(batch.type_name), batch.type_name, texts)
-    messages = layout.new_messages(len(batch.time_ns[rows]))
-    for path, column in batch.columns.items():
-        value: Any = texts.get(path, column)
-        messages[path] = value[rows] if isinstance(value, np.ndarray) else value
-    return messages
-
-
-@cache
-def _definitions(type_name: str) -> dict[str, Definition]:
-    return parse_definitions(type_name, definition_text(type_name))
+            channels[batch.topic] = log.add_channel(batch.topic, "cdr", schemas[batch.type_name], _QOS)
+    return [MessageRecords(batch, channels[batch.topic]) for batch in batches]
 
 
 def _check_times(batch: Batch) -> None:
