@@ -10,14 +10,13 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.columns import Floats
 from insdvl_replay.janus import beam_vectors
 from insdvl_replay.nav.dvl import DvlVelocities, solve_beams
+from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.measurements import (
     PUBLISHED,
     VELOCITY,
     WINDOWED,
-    InsAtPing,
     Measurement,
     acceleration_measurement,
-    linearise,
     velocity_cov,
     velocity_measurement,
 )

@@ -12,7 +12,8 @@ from insdvl_replay.config import Config, Dvl, Imu, Initial
 from insdvl_replay.config_file import load_config
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.comparison import dvl_by_velocity, gyro_by_attitude, gyro_by_gravity, track_by_positions
+from insdvl_replay.logs.dvl_comparison import dvl_by_velocity, track_by_positions
+from insdvl_replay.logs.gyro_comparison import gyro_by_attitude, gyro_by_gravity
 from insdvl_replay.logs.plausibility import plausibility_notes
 from insdvl_replay.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
 from insdvl_replay.sim.dive import simulate_dive

@@ -12,15 +12,9 @@ import numpy as np
 from insdvl_replay.columns import DvlColumns, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.config import Config, Imu, Initial
 from insdvl_replay.errors import LogError, Note
-from insdvl_replay.logs.comparison import (
-    AttitudeFit,
-    TrackFit,
-    dvl_by_velocity,
-    gyro_by_attitude,
-    gyro_by_gravity,
-    track_by_positions,
-)
 from insdvl_replay.logs.decode import FASTEST_MPS
+from insdvl_replay.logs.dvl_comparison import TrackFit, dvl_by_velocity, track_by_positions
+from insdvl_replay.logs.gyro_comparison import AttitudeFit, gyro_by_attitude, gyro_by_gravity
 from insdvl_replay.logs.imu_health import Check, imu_checks
 from insdvl_replay.rotation import wrap_angle
 from insdvl_replay.states import DEG

@@ -14,8 +14,9 @@ from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.history import History
 from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.error_model import add_noise, propagate_cov, write_system_matrix
+from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, multiply, standardised, update_cov
-from insdvl_replay.nav.measurements import InsAtPing, Measurement, linearise
+from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.recording import Ins, Records, Updates, history_of, new_records, new_updates, write_record
 from insdvl_replay.nav.strapdown import Step, new_step, normal_gravity, propagate, rotate_back, rotation_from_vector
 from insdvl_replay.nav.timeline import Timeline

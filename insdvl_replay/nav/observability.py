@@ -16,7 +16,8 @@ from insdvl_replay.columns import Floats
 from insdvl_replay.history import History
 from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.error_model import write_system_matrix
-from insdvl_replay.nav.measurements import InsAtPing, Measurement, linearise
+from insdvl_replay.nav.innovation import InsAtPing, linearise
+from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.strapdown import Step, new_step, normal_gravity, propagate, rotate_back
 from insdvl_replay.nav.timeline import Timeline
 

@@ -1,8 +1,6 @@
-"""What others say about gyros and DVL: their scale and sign, before any filter has mixed them.
+"""The DVL against the reference: its velocity in body axes, or, where there are positions alone, its track.
 
-Four comparisons, each where the log allows it: the gyros with the reference's change of attitude or with the swing of
-gravity, the DVL's velocity with the reference's in body axes, and, for a reference of positions alone, the track that
-gyros and DVL make together with the positions. Horizontal vectors are complex numbers: forward or north, plus i times
+The track is made by gyros and DVL together. Horizontal vectors are complex numbers: forward or north, plus i times
 starboard or east.
 """
 
@@ -15,20 +13,13 @@ from numpy.typing import NDArray
 from insdvl_replay import earth
 from insdvl_replay.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.config import Config
-from insdvl_replay.logs.imu_health import samples_in
-from insdvl_replay.rotation import mat_from_rpy, vector_from_mat, wrap_angle
+from insdvl_replay.logs.gyro_comparison import ENOUGH, LONGEST_STEP_S, lies_within, turned_by
+from insdvl_replay.rotation import mat_from_rpy, wrap_angle
 from insdvl_replay.states import DEG, DEG_PER_HOUR
 
-ENOUGH: Final = 20
-"""Fewer pairs than this may agree by chance."""
-
-_LONGEST_STEP_S: Final = 2.5
-_LEAST_TURN_RADPS: Final = 0.3 * DEG  # above the noise that differences of attitudes have
 _LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and a lever arm's swing
 _TRACK_WINDOW_S: Final = 10.0
 _LEAST_WINDOW_M: Final = 3.0  # above the noise of a satellite fix
-_TILT_BLOCK_S: Final = 0.25
-_TILT_CORRELATION: Final = 0.7
 _LEAST_TRACK_TURN: Final = np.pi / 2.0
 _CLEARLY: Final = 2.0  # another scale of the gyros has to halve what a scale of 1 leaves unexplained
 _SCALES: Final = np.concatenate([[DEG], np.geomspace(0.3, 3.0, 93), [1.0 / DEG]])
@@ -53,22 +44,6 @@ class Fit:
     scale: float
     turn: float
     coherence: float
-
-
-@dataclass(frozen=True)
-class AttitudeFit:
-    """How the gyros follow the change of the reference's attitude.
-
-    Attributes
-    ----------
-    scale : float
-        Measured over true.
-    correlation : float
-        1 or -1 where the gyros show nothing else.
-    """
-
-    scale: float
-    correlation: float
 
 
 @dataclass(frozen=True)
@@ -111,68 +86,6 @@ def fit(measured: Complex, true: Complex) -> Fit:
     return Fit(abs(product) / power, float(np.angle(product)), abs(product) / float(np.sqrt(power * other_power)))
 
 
-def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFit | None:
-    """Compare what the gyros add up to between two attitudes of the reference with the turn that it shows.
-
-    Parameters
-    ----------
-    imu : ImuColumns
-    reference : ReferenceColumns
-
-    Returns
-    -------
-    AttitudeFit or None
-        None where the vehicle turned too little to tell.
-    """
-    rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)) & _inside(reference.time_ns, imu.time_ns))
-    time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
-    if len(rows) < ENOUGH:
-        return None
-    turned = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:])
-    step_s = np.diff(time_s)
-    summed = np.diff(_integral(imu, time_s), axis=0)
-    turning = np.linalg.norm(turned, axis=1) > _LEAST_TURN_RADPS * step_s
-    good = turning & (step_s <= _LONGEST_STEP_S) & (np.linalg.norm(turned, axis=1) < 1.0)
-    if np.count_nonzero(good) < ENOUGH:
-        return None
-    product, power = float(np.sum(summed[good] * turned[good])), float(np.sum(turned[good] ** 2))
-    summed_power = float(np.sum(summed[good] ** 2))
-    return AttitudeFit(product / power, product / float(np.sqrt(power * summed_power)) if summed_power else 0.0)
-
-
-def gyro_by_gravity(imu: ImuColumns) -> float | None:
-    """Compare the gyros with the change of gravity's direction in body axes, ``du/dt = -w x u``.
-
-    Parameters
-    ----------
-    imu : ImuColumns
-
-    Returns
-    -------
-    float or None
-        Angular rate measured over true; None where the two do not move together enough to tell.
-    """
-    length = samples_in(imu, _TILT_BLOCK_S)
-    blocks = len(imu.time_ns) // length
-    if blocks <= 2 * ENOUGH:
-        return None
-    force_b, rate_b = (
-        readings[: blocks * length].reshape(blocks, length, 3).mean(axis=1)
-        for readings in (imu.specific_force_b, imu.angular_rate_b)
-    )
-    size = np.linalg.norm(force_b, axis=1, keepdims=True)
-    direction = np.divide(force_b, size, out=np.zeros_like(force_b), where=size > 0.0)
-    step_s = seconds(imu.time_ns[length : blocks * length : length], imu.time_ns[: (blocks - 1) * length : length])
-    turned = -np.cross(rate_b[1:] + rate_b[:-1], direction[1:] + direction[:-1]) / 4.0 * step_s[:, None]
-    seen = np.diff(direction, axis=0)
-    good = step_s < 2.0 * _TILT_BLOCK_S
-    product = float(np.sum(turned[good] * seen[good]))
-    power = float(np.sum(turned[good] ** 2))
-    if product**2 <= _TILT_CORRELATION**2 * power * float(np.sum(seen[good] ** 2)):
-        return None
-    return power / product
-
-
 def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Fit | None:
     """Compare the DVL's horizontal velocity in body axes with the reference's.
 
@@ -192,10 +105,10 @@ def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config
     complete = np.isfinite(reference.velocity_n).all(axis=1) & np.isfinite(reference.mat_nb).all(axis=(1, 2))
     if len(ping_ns) < ENOUGH:
         return None
-    rows = np.flatnonzero(complete & _inside(reference.time_ns, ping_ns))
+    rows = np.flatnonzero(complete & lies_within(reference.time_ns, ping_ns))
     velocity_b = np.einsum("kji,kj->ki", reference.mat_nb[rows], reference.velocity_n[rows])
     true = velocity_b[:, 0] + 1j * velocity_b[:, 1]
-    good = (np.abs(true) > _LEAST_SPEED_MPS) & (_pause_s(ping_ns, reference.time_ns[rows]) <= _LONGEST_STEP_S)
+    good = (np.abs(true) > _LEAST_SPEED_MPS) & (_pause_s(ping_ns, reference.time_ns[rows]) <= LONGEST_STEP_S)
     if np.count_nonzero(good) < ENOUGH:
         return None
     at_s = seconds(reference.time_ns[rows][good], ping_ns[0])
@@ -223,7 +136,7 @@ def track_by_positions(
     fixes = np.flatnonzero(np.isfinite(reference.position[:, :2]).all(axis=1))
     if len(ping_ns) < ENOUGH or len(fixes) < ENOUGH:
         return None
-    fixes = fixes[_inside(reference.time_ns[fixes], ping_ns)]
+    fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
     fix_ns, north_east_m = reference.time_ns[fixes], _north_east_m(reference.position[fixes])
     first, last = _windows(fix_ns, ping_ns)
     true = north_east_m[last] - north_east_m[first]
@@ -231,7 +144,7 @@ def track_by_positions(
         return None
     start_s = config.span.start_s or 0.0
     at_s = np.concatenate([[start_s], seconds(ping_ns, imu.time_ns[0])])
-    start_yaw, *yaw = _integral(imu, at_s)[:, 2] - config.initial.gyro_bias_degph[2] * DEG_PER_HOUR * at_s
+    start_yaw, *yaw = turned_by(imu, at_s)[:, 2] - config.initial.gyro_bias_degph[2] * DEG_PER_HOUR * at_s
     turned = np.array(yaw)
 
     def fitted(gyro_scale: float) -> Fit:
@@ -262,21 +175,6 @@ def _pings(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Complex]:
     return dvl.time_ns[good], velocity_b[:, 0] + 1j * velocity_b[:, 1]
 
 
-def _integral(imu: ImuColumns, at_s: Floats) -> Floats:
-    """Add up the angular rate from the first sample on, at times in seconds from it, shape (k, 3), rad."""
-    sample_s = seconds(imu.time_ns, imu.time_ns[0])
-    step_s = np.diff(sample_s)
-    columns = []
-    for rate in imu.angular_rate_b.T:
-        total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step_s)])
-        columns.append(np.interp(at_s, sample_s, total))
-    return np.stack(columns, axis=1)
-
-
-def _inside(time_ns: TimeNs, others_ns: TimeNs) -> NDArray[np.bool_]:
-    return np.asarray((time_ns >= others_ns[0]) & (time_ns <= others_ns[-1]))
-
-
 def _pause_s(time_ns: TimeNs, at_ns: TimeNs) -> Floats:
     """Give the length of the step of ``time_ns`` in which each time lies."""
     after = np.clip(np.searchsorted(time_ns, at_ns), 1, len(time_ns) - 1)
@@ -296,7 +194,7 @@ def _windows(fix_ns: TimeNs, ping_ns: TimeNs) -> tuple[NDArray[np.int64], NDArra
     last = np.searchsorted(fix_ns, fix_ns + round(_TRACK_WINDOW_S * 1e9))
     first = np.flatnonzero(last < len(fix_ns))
     last = last[first]
-    pauses_ns = ping_ns[1:][seconds(ping_ns[1:], ping_ns[:-1]) > _LONGEST_STEP_S]
+    pauses_ns = ping_ns[1:][seconds(ping_ns[1:], ping_ns[:-1]) > LONGEST_STEP_S]
     heard = np.searchsorted(pauses_ns, fix_ns[first]) == np.searchsorted(pauses_ns, fix_ns[last])
     close = fix_ns[last] - fix_ns[first] < round(2.0 * _TRACK_WINDOW_S * 1e9)
     return first[heard & close], last[heard & close]
