@@ -3,7 +3,6 @@
 Precedence: defaults, then preset, then file, then command line.
 """
 
-import difflib
 import math
 import re
 import tomllib
@@ -16,7 +15,7 @@ import msgspec
 from msgspec import Struct
 
 from insdvl_replay.config import Config, Filter
-from insdvl_replay.errors import ConfigError
+from insdvl_replay.errors import ConfigError, nearest
 
 Section = TypeVar("Section", Config, Filter)
 
@@ -139,8 +138,8 @@ def _check_keys(settings: Mapping[str, Any], where: str, struct: type[Struct] = 
     known = struct.__struct_fields__
     for key, value in settings.items():
         if key not in known:
-            nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-            hint = f"did you mean {path}{nearest[0]}?" if nearest else f"known here: {', '.join(known)}"
+            meant = nearest(key, known)
+            hint = f"did you mean {path}{meant}?" if meant else f"known here: {', '.join(known)}"
             raise ConfigError(f"{where}: unknown key {path}{key}", hint)
         inner = sections.get(key)
         if inner is None:

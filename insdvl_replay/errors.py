@@ -1,11 +1,15 @@
 """What the tool says to its user: errors that end the work, notes that go with the result."""
 
-from collections.abc import Iterator
+import difflib
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 Severity = Literal["info", "warning"]
+
+ALIKE: Final = 0.6
+"""Share of letters that a misspelled name has in common with what was meant; of others it is no use to speak."""
 
 
 class UserError(Exception):
@@ -48,6 +52,18 @@ def about(place: str) -> Iterator[None]:
         yield
     except UserError as error:
         raise type(error)(f"{place}: {error.message}", error.hint) from error
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Give the known name of which another may be a misspelling, None where none is like it."""
+    return next(iter(difflib.get_close_matches(name, list(known), n=1, cutoff=ALIKE)), None)
+
+
+def listed(names: Iterable[str], most: int = 8) -> str:
+    """List names for a hint, and count those that would make it too long."""
+    first = list(names)
+    more = f" and {len(first) - most} more" if len(first) > most else ""
+    return ", ".join(first[:most]) + more
 
 
 @dataclass(frozen=True)

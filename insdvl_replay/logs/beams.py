@@ -77,9 +77,8 @@ def note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: F
     part = float(np.median(apart_mps / np.linalg.norm(velocity_d[moving], axis=1)))
     if part > _CONTRADICTION:
         text = f"pings have beams that, with the geometry in use, differ by {part:.0%} from the velocity beside them"
-        cleaner.note(
-            "beam_contradiction", text, int(moving.sum()), "warning", f'{_HINT}; dvl.kind = "velocity" leaves them'
-        )
+        hint = f'{_HINT}; dvl.kind = "velocity" leaves them'
+        cleaner.note("beam_contradiction", text, int(moving.sum()), "warning", hint, first=cleaner.rows[moving])
 
 
 def _geometry(settings: Dvl) -> Floats:

@@ -8,54 +8,79 @@ from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, TimeNs, seconds
 from insdvl_replay.errors import LogError, Note, Severity
+from insdvl_replay.logs.clocks import SAME_CLOCK_S
+from insdvl_replay.logs.order import Mask, Order, Rows, find_order
+from insdvl_replay.logs.tables import Table
 
-GAP_STEPS: Final = 5.0
-"""A pause of this many steps is more than the jitter of stamps that come in bursts."""
-
-Rows = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 Scalar = TypeVar("Scalar", bound=np.generic)
-
 
 FEW: Final = 0.05
 """Faults are single; where a larger share of the readings is impossible, something else is wrong with all of them."""
 
 
+def is_few(count: int, size: int) -> bool:
+    """Tell whether faults are single ones: one, or a small share of all."""
+    return count <= max(1.0, FEW * size)
+
+
+def _same(rows: Floats, others: Floats) -> Mask:
+    """Tell which rows are identical, where NaN is the same as NaN."""
+    return np.asarray(((rows == others) | (np.isnan(rows) & np.isnan(others))).all(axis=1))
+
+
 @dataclass
 class Cleaner:
-    """Chooses the rows of a role that stay, and remembers why the others went.
+    """Chooses the rows of a topic that stay, and remembers why the others went.
 
     Parameters
     ----------
-    role : str
-        Begins the codes of the notes.
-    time_ns : ndarray, shape (k,)
-        Times of validity in the order of the file.
+    table : Table
+        The messages of one topic, whose role begins the codes of the notes.
 
     Attributes
     ----------
+    time_ns : ndarray, shape (k,)
+        Times of validity in the order of the file.
     rows : ndarray, shape (kept,)
         Indices of the rows that stay, in the order of time.
     notes : list of Note
+
+    Raises
+    ------
+    LogError
+        The stamps contradict the recorder's clock in more than single messages.
     """
 
-    role: str
-    time_ns: TimeNs
+    table: Table
+    time_ns: TimeNs = field(init=False)
     rows: Rows = field(init=False)
     notes: list[Note] = field(default_factory=list)
+    _first_ns: int = field(init=False)
 
     def __post_init__(self) -> None:
-        self.rows = np.argsort(self.time_ns, kind="stable")
-        latest = np.maximum.accumulate(self.time_ns)
-        late = np.flatnonzero(self.time_ns < latest)
-        if late.size:
-            worst_s = float(seconds(latest, self.time_ns).max())
-            self.note("out_of_order", f"messages came after later ones (by up to {worst_s:.3f} s); sorted", late.size)
+        self.time_ns, log_time_ns = self.table.time_ns(), self.table.columns["log_time"][:, 0]
+        order = find_order(self.time_ns, log_time_ns)
+        self.rows, self._first_ns = order.rows, int(self.time_ns[order.rows[0]])
+        if order.wrong.size:
+            self._tell_wrong_stamps(order, float(seconds(log_time_ns[order.wrong], log_time_ns.min()).min()))
+        if order.late.size:
+            text = f"messages came after later ones (by up to {order.late_s:.3f} s); sorted"
+            self.note("out_of_order", text, order.late.size, first=order.late)
 
     @property
     def times(self) -> TimeNs:
         """The times of the rows that stay."""
         return self.kept(self.time_ns)
+
+    @property
+    def role(self) -> str:
+        """The role of the topic."""
+        return self.table.source.role
+
+    @property
+    def stamp_hint(self) -> str:
+        """What helps where the stamps are those of a delivery."""
+        return f'{self.role}.stamp = "field.path" names the time of the sensor itself, if the messages hold it'
 
     def kept(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Give the rows that stay, in the order of time.
@@ -73,7 +98,7 @@ class Cleaner:
         # No row is dropped or moved without a note.
         return values[self.rows] if self.notes else values
 
-    def keep(self, good: Mask, code: str, reason: str, severity: Severity = "info") -> None:
+    def keep(self, good: Mask, code: str, reason: str, severity: Severity = "info", hint: str = "") -> None:
         """Drop the rows that are not good.
 
         Parameters
@@ -83,23 +108,29 @@ class Cleaner:
         code, reason : str
             End of the note's code, and what the dropped messages are like.
         severity : {'info', 'warning'}
+        hint : str
         """
-        self._keep_rows(good[self.rows], code, reason, severity)
+        self._keep_rows(good[self.rows], code, reason, severity, hint)
 
-    def keep_finite(self, *values: Floats) -> None:
+    def keep_finite(self, *values: Floats, hint: str = "") -> None:
         """Drop the rows in which a number is missing.
 
         Parameters
         ----------
         *values : ndarray, shape (k, n)
             For each row of the file.
+        hint : str
+            Where given, numbers are expected in each row, and it is a warning that more than single ones lack them.
         """
         finite = np.ones(self.time_ns.size, np.bool_)
         for column in (column for array in values for column in array.T):
             finite &= np.isfinite(column)
-        self.keep(finite, "not_finite", "messages hold a number that is not finite")
+        lost = ~finite[self.rows]
+        single = not np.any(lost[1:] & lost[:-1])
+        severity: Severity = "warning" if hint and not single else "info"
+        self.keep(finite, "not_finite", "messages hold a number that is not finite", severity, hint)
 
-    def keep_possible(self, possible: Mask, reason: str) -> None:
+    def keep_possible(self, possible: Mask, reason: str, hint: str) -> None:
         """Drop the few rows that no sensor can have meant; where they are many, the unit is wrong, and is told as such.
 
         Parameters
@@ -108,18 +139,13 @@ class Cleaner:
             For each row of the file.
         reason : str
             What the dropped messages are like.
+        hint : str
         """
-        few = possible.size - np.count_nonzero(possible) <= FEW * possible.size
-        if few:
-            self.keep(possible, "impossible", reason, "warning")
+        if is_few(int(np.count_nonzero(~possible)), possible.size):
+            self.keep(possible, "impossible", reason, "warning", hint)
 
-    def require_rows(self, place: str) -> None:
+    def require_rows(self) -> None:
         """Refuse a role of which nothing stays.
-
-        Parameters
-        ----------
-        place : str
-            File and topic.
 
         Raises
         ------
@@ -127,14 +153,31 @@ class Cleaner:
         """
         if not self.rows.size:
             reasons = "; ".join(note.text for note in self.notes)
-            raise LogError(f"{place}: no message of {self.time_ns.size} can be used: {reasons}", "see `inspect`")
+            hint = f"`inspect` lists the topics; {self.role}.topic names another one"
+            raise LogError(f"{self.table.place}: no message of {self.time_ns.size} can be used: {reasons}", hint)
 
-    def drop_repeated_times(self) -> None:
-        """Keep the first of several rows with the same time."""
+    def drop_repeated_times(self, *values: Floats) -> None:
+        """Keep the first of several rows with the same time.
+
+        Parameters
+        ----------
+        *values : ndarray, shape (k, n)
+            For each row of the file. Rows with the same time that differ in them were stamped as they were delivered,
+            several together; where these are more than few, it is a warning.
+        """
         times = self.times
+        again = np.flatnonzero(times[1:] == times[:-1]) + 1
+        differ = np.zeros(again.size, np.bool_)
+        for array in values:
+            differ |= ~_same(array[self.rows[again]], array[self.rows[again - 1]])
         first = np.ones(times.size, np.bool_)
-        first[1:] = times[1:] != times[:-1]
-        self._keep_rows(first, "repeats", "messages repeat the time of the one before", "info")
+        if not is_few(int(np.count_nonzero(differ)), times.size):
+            first[again[differ]] = False
+            reason = "messages have the time of the one before and other values, as if several were stamped together"
+            self._keep_rows(first, "same_times", reason, "warning", self.stamp_hint)
+            again, first = (np.cumsum(first) - 1)[again[~differ]], first[first]
+        first[again] = False
+        self._keep_rows(first, "repeats", "messages repeat the time of the one before")
 
     def drop_repeated_values(self, values: Floats) -> None:
         """Keep the first of consecutive rows with identical values, as a recorder writes that publishes faster.
@@ -145,50 +188,46 @@ class Cleaner:
             For each row of the file.
         """
         ordered = values[self.rows]
-        same = (ordered[1:] == ordered[:-1]) | (np.isnan(ordered[1:]) & np.isnan(ordered[:-1]))
         first = np.ones(len(ordered), np.bool_)
-        first[1:] = ~same.all(axis=1)
-        self._keep_rows(first, "same_values", "messages repeat the values of the one before", "info")
+        first[1:] = ~_same(ordered[1:], ordered[:-1])
+        self._keep_rows(first, "same_values", "messages repeat the values of the one before")
 
-    def note_gaps(self, max_gap_s: float) -> None:
-        """Note pauses between rows in which several are missing.
-
-        Parameters
-        ----------
-        max_gap_s : float
-            Pauses up to this count as harmless.
-        """
-        times = self.times
-        pauses_s = seconds(times[1:], times[:-1])
-        short_s = pauses_s[pauses_s <= max_gap_s]
-        least_s = min(GAP_STEPS * float(short_s.mean()), max_gap_s) if short_s.size else max_gap_s
-        gaps = np.flatnonzero(pauses_s > least_s)
-        if not gaps.size:
-            return
-        long = int(np.count_nonzero(pauses_s > max_gap_s))
-        text = (
-            f"gaps are longer than {least_s:.3g} s, the first at {float(seconds(times[gaps[:1]], times[0])[0]):.3f} s, "
-            f"the longest of {pauses_s.max():.3f} s, {pauses_s[gaps].sum():.3f} s in all; "
-            f"{long} longer than {max_gap_s:g} s"
-        )
-        hint = f"{self.role}.max_gap_s says which are harmless" if long else ""
-        self.note("gaps", text, gaps.size, "warning" if long else "info", hint)
-
-    def note(self, code: str, text: str, count: int, severity: Severity = "info", hint: str = "") -> None:
+    def note(
+        self, code: str, text: str, count: int, severity: Severity = "info", hint: str = "", first: Rows | None = None
+    ) -> None:
         """Add a note about some of the rows.
 
         Parameters
         ----------
         code, text : str
-            Without the role and the count, which stand in front of them.
+            Without the role and the count, which stand in front of them, and the first time, which stands behind.
         count : int
         severity : {'info', 'warning'}
         hint : str
+        first : ndarray, optional
+            Rows of the file of which the first is named; left out, it is true from the first message on.
         """
-        self.notes.append(Note(f"{self.role}_{code}", f"{self.role}: {count} {text}", count, severity, hint))
+        first_s = 0.0 if first is None else float(seconds(self.time_ns[first].min(), self._first_ns))
+        since = f"the first {first_s:.3f} s after the first message"
+        self.notes.append(Note(f"{self.role}_{code}", f"{self.role}: {count} {text}; {since}", count, severity, hint))
 
-    def _keep_rows(self, good: Mask, code: str, reason: str, severity: Severity) -> None:
+    def _tell_wrong_stamps(self, order: Order, first_s: float) -> None:
+        """Drop single stamps that are wrong with a warning; refuse many, and those of a clock that was set back."""
+        text = (
+            f"{order.wrong.size} of {self.time_ns.size} messages have stamps '{self.table.source.stamp}' that step "
+            f"back while the log time goes on; the first {first_s:.3f} s after the first message"
+        )
+        hint = f'{self.role}.stamp = "log_time"'
+        if order.jump_s > SAME_CLOCK_S:
+            raise LogError(f"{self.table.place}: {text}; their clock was set back by {order.jump_s:.3f} s", hint)
+        if not is_few(order.wrong.size, self.time_ns.size):
+            raise LogError(f"{self.table.place}: {text}", hint)
+        self.notes.append(
+            Note(f"{self.role}_wrong_stamps", f"{self.role}: {text}; dropped", order.wrong.size, "warning", hint)
+        )
+
+    def _keep_rows(self, good: Mask, code: str, reason: str, severity: Severity = "info", hint: str = "") -> None:
         dropped = int(np.count_nonzero(~good))
         if dropped:
-            self.note(code, f"{reason}; dropped", dropped, severity)
+            self.note(code, f"{reason}; dropped", dropped, severity, hint, first=self.rows[~good])
             self.rows = self.rows[good]

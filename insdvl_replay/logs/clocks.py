@@ -90,14 +90,13 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
             f"{imu.topic} and {other.topic} are stamped by different clocks: log time minus stamp is "
             f"{imu.log_minus_stamp_s:.3f} s on the one and {other.log_minus_stamp_s:.3f} s on the other"
         )
+        by_recorder = f"--set imu.stamp=log_time --set {other.role}.stamp=log_time stamps both by the recorder"
         if apart_s > max_disagreement_s:
-            raise LogError(
-                f"{place}: {text}",
-                f"--set imu.stamp=log_time --set {other.role}.stamp=log_time stamps both by the recorder; "
-                "if they do belong together, raise clocks.max_disagreement_s",
-            )
+            hint = f"{by_recorder}; if they do belong together, raise clocks.max_disagreement_s"
+            raise LogError(f"{place}: {text}", hint)
         if apart_s > SAME_CLOCK_S:
-            notes.append(Note("clocks_apart", f"{text}; the configuration allows it", severity="warning"))
+            text += "; clocks.max_disagreement_s allows it"
+            notes.append(Note("clocks_apart", text, other.messages, "warning", by_recorder))
     return tuple(notes)
 
 

@@ -8,7 +8,9 @@ import numpy as np
 from insdvl_replay.columns import Floats, ImuColumns, TruthColumns
 from insdvl_replay.config import Imu
 from insdvl_replay.errors import ConfigError, Note
-from insdvl_replay.logs.cleaning import Cleaner, Mask
+from insdvl_replay.logs.cleaning import Cleaner
+from insdvl_replay.logs.order import Mask
+from insdvl_replay.logs.pauses import note_bursts, note_gaps
 from insdvl_replay.logs.tables import Table
 from insdvl_replay.states import DEG, MG
 
@@ -30,6 +32,7 @@ FRD: Final = "frd"
 GRAVITY_MPS2: Final = 9.81
 """Near enough to tell a unit by."""
 
+_LOST_HINT: Final = "imu.specific_force and imu.angular_rate name other fields; imu.max_gap_s says what is bridged"
 _NAMED_AXES: Final = {"frd": "+x+y+z", "flu": "+x-y-z"}
 
 
@@ -97,15 +100,17 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
         force_axes, force_key = settings.specific_force_axes, "imu.specific_force_axes"
     specific_force_b = in_frd(_measured(table, "specific_force"), force_axes, force_key, force_unit)
     angular_rate_b = in_frd(_measured(table, "angular_rate"), axes, "imu.axes", rate_unit)
-    cleaner = Cleaner("imu", table.time_ns())
-    cleaner.keep_finite(specific_force_b, angular_rate_b)
+    cleaner = Cleaner(table)
+    cleaner.keep_finite(specific_force_b, angular_rate_b, hint=_LOST_HINT)
     cleaner.keep_possible(
         _is_possible(specific_force_b, angular_rate_b),
         "samples are above 50 g or 2000 deg/s, or zero in all six readings",
+        _LOST_HINT,
     )
-    cleaner.drop_repeated_times()
-    cleaner.require_rows(table.place)
-    cleaner.note_gaps(settings.max_gap_s)
+    cleaner.drop_repeated_times(specific_force_b, angular_rate_b)
+    cleaner.require_rows()
+    note_gaps(cleaner, settings.max_gap_s)
+    note_bursts(cleaner, "noise.accel_white_mps_rts and noise.gyro_white_rad_rts")
     imu = ImuColumns(cleaner.times, cleaner.kept(specific_force_b), cleaner.kept(angular_rate_b))
     return imu, cleaner.notes
 
@@ -132,7 +137,7 @@ def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:
     list of Note
     """
     accel_bias_b, gyro_bias_b = table.values("accel_bias", 3), table.values("gyro_bias", 3)
-    cleaner = Cleaner("truth", table.time_ns())
+    cleaner = Cleaner(table)
     cleaner.drop_repeated_times()
     return TruthColumns(cleaner.times, cleaner.kept(accel_bias_b), cleaner.kept(gyro_bias_b)), cleaner.notes
 

@@ -4,7 +4,6 @@
 at a structure means all numbers in it, in their order; paths joined by commas stand side by side.
 """
 
-import difflib
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,7 +14,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.errors import LogError
+from insdvl_replay.errors import LogError, listed, nearest
 from insdvl_replay.logs.chunks import Block
 
 Columns = dict[str, NDArray[Any]]
@@ -137,17 +136,22 @@ def check_path(path: str, known: Kinds, type_name: str, place: str) -> None:
     Raises
     ------
     LogError
-        With the nearest path that is known.
+        With the path that is like it, else with those that are known, the shortest ways first.
     """
     kind = find_path(path, known)
     if kind is None:
-        nearest = difflib.get_close_matches(path, known, n=1, cutoff=0.0)
+        meant = nearest(path, known)
+        fields = sorted((known_path for known_path in known if known[known_path] not in _TEXTS), key=_depth)
+        hint = f"its fields are {listed(fields)}" if fields else "the type has no fields of numbers"
         raise LogError(
-            f"{place}: {type_name} has no field '{path}'",
-            f"the nearest one is '{nearest[0]}'" if nearest else "the type has no fields",
+            f"{place}: {type_name} has no field '{path}'", f"the nearest one is '{meant}'" if meant else hint
         )
     if kind in _TEXTS:
         raise LogError(f"{place}: field '{path}' of {type_name} is text", "name a field of numbers")
+
+
+def _depth(path: str) -> int:
+    return len(re.findall(r"[.\[]", path))
 
 
 def known_paths(shape: Shape, prefix: str = "") -> Iterator[tuple[str, str]]:

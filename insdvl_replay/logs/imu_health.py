@@ -89,7 +89,7 @@ def _rate_notes(place: str, imu: ImuColumns, settings: Imu) -> list[Note]:
     if len(short_s) < _ENOUGH_STEPS:
         return []
     rate_hz = 1.0 / float(short_s.mean())
-    text = f"the IMU has {rate_hz:.1f} samples a second, too few for an INS to follow a vehicle's motion"
+    text = f"the IMU has {rate_hz:.1f} samples a second, too few for an INS to follow a vehicle's motion, from 0 s on"
     hint = f"imu.topic names a faster one; imu.min_rate_hz = {np.floor(rate_hz):g} tries with this one"
     if rate_hz < NOMINAL * settings.min_rate_hz:
         raise LogError(f"{place}: {text}", hint)

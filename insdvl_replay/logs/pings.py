@@ -11,14 +11,17 @@ from insdvl_replay.columns import DvlColumns, Floats
 from insdvl_replay.config import Dvl
 from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.logs.beams import beam_vectors, note_contradiction
-from insdvl_replay.logs.cleaning import FEW, Cleaner, Mask
+from insdvl_replay.logs.cleaning import Cleaner, is_few
 from insdvl_replay.logs.decode import FASTEST_MPS, FRD, VELOCITY_UNITS, in_frd
+from insdvl_replay.logs.order import Mask
+from insdvl_replay.logs.pauses import note_bursts
 from insdvl_replay.logs.tables import Table
 
 _WATER_TRACK: Final = 2
 _BEAM_COORDINATES: Final = 0
 _INSTRUMENT_COORDINATES: Final = 1
 _BEAMS_FOR_VELOCITY: Final = 3
+_VALID_HINT: Final = 'dvl.valid = "field.path", or dvl.beam_valid, names what marks good pings'
 
 
 def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
@@ -42,7 +45,7 @@ def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
         The axes are none, or the geometry does not fit the number of beams.
     """
     settings = table.source.completed(settings)
-    cleaner = Cleaner("dvl", table.time_ns())
+    cleaner = Cleaner(table)
     _keep_bottom_track(table, cleaner)
     if _reads_beams(table, settings, cleaner):
         return _beams(table, settings, cleaner)
@@ -104,7 +107,7 @@ def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColum
         enough = table.column("good_beams") >= _BEAMS_FOR_VELOCITY
         cleaner.keep(enough, "invalid", "pings have fewer than three good beams")
     cleaner.keep_finite(velocity_d)
-    _drop_repeats(table, cleaner, velocity_d)
+    _drop_repeats(cleaner, velocity_d)
     return DvlColumns(cleaner.times, velocity_d=cleaner.kept(velocity_d)), cleaner.notes
 
 
@@ -119,7 +122,7 @@ def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, l
     if "beam_valid" not in table:
         _keep_valid(table, cleaner)
     cleaner.keep(_has_beams(table), "invalid", "pings have no valid beam")
-    _drop_repeats(table, cleaner, beam_velocity_mps)
+    _drop_repeats(cleaner, beam_velocity_mps)
     vectors_d = beam_vectors(table, settings, cleaner)
     if len(vectors_d) != beam_velocity_mps.shape[1]:
         raise ConfigError(
@@ -151,16 +154,20 @@ def _possible(values_mps: Floats, cleaner: Cleaner) -> Floats:
     """Take single readings that no vehicle can have had for lost; where there are many, the unit is wrong."""
     impossible = np.abs(values_mps) > FASTEST_MPS
     count = int(np.count_nonzero(impossible))
-    if not 0 < count <= FEW * impossible.size:
+    if not count or not is_few(count, impossible.size):
         return values_mps
-    cleaner.note("impossible", f"readings are above {FASTEST_MPS:g} m/s, and are taken for lost", count, "warning")
+    text = f"readings are above {FASTEST_MPS:g} m/s, and are taken for lost"
+    rows = np.flatnonzero(impossible.any(axis=1))
+    cleaner.note("impossible", text, count, "warning", _VALID_HINT, first=rows)
     return np.where(impossible, np.nan, values_mps)
 
 
-def _drop_repeats(table: Table, cleaner: Cleaner, values: Floats) -> None:
+def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
     zero = (values == 0.0).all(axis=1)
     if not zero.all():
-        cleaner.keep(~zero, "zero", "pings are exactly zero, as instruments without a lock report", "warning")
-    cleaner.drop_repeated_times()
+        reason = "pings are exactly zero, as instruments without a lock report"
+        cleaner.keep(~zero, "zero", reason, "warning", _VALID_HINT)
+    cleaner.drop_repeated_times(values)
     cleaner.drop_repeated_values(values)
-    cleaner.require_rows(table.place)
+    cleaner.require_rows()
+    note_bursts(cleaner, "dvl.velocity_sd_mps")

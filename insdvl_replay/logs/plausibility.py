@@ -201,7 +201,7 @@ def _track_notes(track: TrackFit | None, dvl: DvlColumns, config: Config) -> lis
     if track.coherence < INCOHERENT:
         text = (
             "the track of gyros and DVL does not follow the reference's positions, "
-            f"whatever the heading and the scales (coherence {track.coherence:.2f})"
+            f"whatever the heading and the scales, from the first ping on (coherence {track.coherence:.2f})"
         )
         hint = "initial.gyro_bias_degph, imu.axes, dvl.mounting_rpy_deg, or another imu.topic"
         return [Note("track_contradiction", text, len(dvl.time_ns), "warning", hint)]
@@ -217,7 +217,7 @@ def _heading_notes(heading: float, dvl: DvlColumns, initial: Initial) -> list[No
         return []
     text = (
         f"the DVL's track fits the reference's positions with a heading of {heading / DEG:.0f} deg at the start, "
-        f"and {initial.heading_deg:g} deg are configured"
+        f"and {initial.heading_deg:g} deg are configured, from the first ping on"
     )
     hint = f"initial.heading_deg = {heading / DEG:.0f}, or dvl.mounting_rpy_deg where the heading is known"
     return [Note("dvl_direction", text, len(dvl.time_ns), "warning", hint)]

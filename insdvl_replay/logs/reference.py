@@ -55,7 +55,7 @@ def decode_reference(tables: list[Table], settings: Reference) -> tuple[Referenc
 
 def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     settings = table.source.completed(settings)
-    cleaner = Cleaner("reference", table.time_ns())
+    cleaner = Cleaner(table)
     position = _position(table) if "latitude" in table else None
     if "fix_status" in table:
         cleaner.keep(table.column("fix_status") >= 0.0, "no_fix", "positions have no fix")

@@ -1,14 +1,16 @@
 """Which topics play which role: by type where only one can, else as the configuration says."""
 
-import difflib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Final
 
 from insdvl_replay.config import Config
-from insdvl_replay.errors import LogError
+from insdvl_replay.errors import LogError, listed, nearest
 from insdvl_replay.logs.container import LogChannel
 from insdvl_replay.logs.wishes import TRUTH_WISH, Source, Wish, dvl_wish, fix_wish, imu_wish, solution_wish
+
+_NOTHING_RECORDED: Final = "was anything recorded? `insdvl-replay inspect` shows the topics that the log announces"
 
 
 @dataclass(frozen=True)
@@ -147,19 +149,28 @@ class _Topics:
         for channel in channels:
             if channel.messages:
                 self._channels.setdefault(channel.topic, []).append(channel)
+        self._empty = {channel.topic: channel.type_name for channel in channels if channel.topic not in self._channels}
 
     def need(self, wish: Wish) -> Source:
         """Find the topic of a role that a replay cannot do without."""
         source = self.find(wish)
         if source is None:
-            wanted = ", ".join(type_name for types in wish.by_type for type_name in types)
-            found = sorted({channel.type_name for channels in self._channels.values() for channel in channels})
-            raise LogError(
-                f"{self._place}: has no {wish.role.upper()}: no message is of a type known for one ({wanted}); "
-                f"it has {', '.join(found) if found else 'no messages at all'}",
-                wish.how_to_name(),
-            )
+            raise self._lacks(wish)
         return source
+
+    def _lacks(self, wish: Wish) -> LogError:
+        """Say that no topic plays a role, and which might have."""
+        lack = f"{self._place}: has no {wish.role.upper()}"
+        if not self._channels:
+            return LogError(f"{lack}: it has no messages at all", _NOTHING_RECORDED)
+        wanted = ", ".join(type_name for types in wish.by_type for type_name in types)
+        empty = sorted(topic for topic, type_name in self._empty.items() if type_name in wanted.split(", "))
+        found = sorted({channel.type_name for channels in self._channels.values() for channel in channels})
+        but = f"; {listed(empty)} would be, without a single message" if empty else ""
+        return LogError(
+            f"{lack}: no message is of a type known for one ({wanted}); it has {listed(found)}{but}",
+            wish.how_to_name(),
+        )
 
     def find(self, wish: Wish, besides: str = "") -> Source | None:
         """Find the topic of a role, not looking at the topic of another."""
@@ -207,9 +218,10 @@ class _Topics:
 
     def _channels_of(self, topic: str, key: str) -> list[LogChannel]:
         if topic not in self._channels:
-            nearest = difflib.get_close_matches(topic, self._channels, n=1, cutoff=0.0)
+            meant = nearest(topic, self._channels)
+            hint = f"those with messages are {listed(sorted(self._channels))}" if self._channels else _NOTHING_RECORDED
             raise LogError(
                 f"{self._place}: has no messages on topic '{topic}' ({key})",
-                f'the nearest is {key} = "{nearest[0]}"' if nearest else "the log has no messages at all",
+                f'the nearest is {key} = "{meant}"' if meant else hint,
             )
         return self._channels[topic]

@@ -42,7 +42,8 @@ def count_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
         announced, found = sum(channel.messages for channel in table.source.channels), len(table)
         if announced != found:
             text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
-            notes.append(Note("messages_missing", text, abs(announced - found), "warning"))
+            hint = "copy the log again from the recorder if it still has it"
+            notes.append(Note("messages_missing", text, abs(announced - found), "warning", hint))
     return tuple(notes)
 
 
