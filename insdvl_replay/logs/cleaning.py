@@ -23,7 +23,7 @@ def is_few(count: int, size: int) -> bool:
     return count <= max(1.0, FEW * size)
 
 
-def _same(rows: Floats, others: Floats) -> Mask:
+def same_rows(rows: Floats, others: Floats) -> Mask:
     """Tell which rows are identical, where NaN is the same as NaN."""
     return np.asarray(((rows == others) | (np.isnan(rows) & np.isnan(others))).all(axis=1))
 
@@ -169,7 +169,7 @@ class Cleaner:
         again = np.flatnonzero(times[1:] == times[:-1]) + 1
         differ = np.zeros(again.size, np.bool_)
         for array in values:
-            differ |= ~_same(array[self.rows[again]], array[self.rows[again - 1]])
+            differ |= ~same_rows(array[self.rows[again]], array[self.rows[again - 1]])
         first = np.ones(times.size, np.bool_)
         if not is_few(int(np.count_nonzero(differ)), times.size):
             first[again[differ]] = False
@@ -189,7 +189,7 @@ class Cleaner:
         """
         ordered = values[self.rows]
         first = np.ones(len(ordered), np.bool_)
-        first[1:] = ~_same(ordered[1:], ordered[:-1])
+        first[1:] = ~same_rows(ordered[1:], ordered[:-1])
         self._keep_rows(first, "same_values", "messages repeat the values of the one before")
 
     def note(

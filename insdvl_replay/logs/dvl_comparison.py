@@ -18,6 +18,7 @@ from insdvl_replay.rotation import mat_from_rpy, wrap_angle
 from insdvl_replay.states import DEG, DEG_PER_HOUR
 
 _LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and a lever arm's swing
+_LEAST_SWING_MPS: Final = 0.015  # below it a DVL shows its noise
 _TRACK_WINDOW_S: Final = 10.0
 _LEAST_WINDOW_M: Final = 3.0  # above the noise of a satellite fix
 _LEAST_TRACK_TURN: Final = np.pi / 2.0
@@ -101,18 +102,32 @@ def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config
     Fit or None
         None where too few rows move, or lack velocity or attitude.
     """
-    ping_ns, measured = _pings(dvl, config)
-    complete = np.isfinite(reference.velocity_n).all(axis=1) & np.isfinite(reference.mat_nb).all(axis=(1, 2))
-    if len(ping_ns) < ENOUGH:
-        return None
-    rows = np.flatnonzero(complete & lies_within(reference.time_ns, ping_ns))
-    velocity_b = np.einsum("kji,kj->ki", reference.mat_nb[rows], reference.velocity_n[rows])
-    true = velocity_b[:, 0] + 1j * velocity_b[:, 1]
-    good = (np.abs(true) > _LEAST_SPEED_MPS) & (_pause_s(ping_ns, reference.time_ns[rows]) <= LONGEST_STEP_S)
-    if np.count_nonzero(good) < ENOUGH:
-        return None
-    at_s = seconds(reference.time_ns[rows][good], ping_ns[0])
-    return fit(np.interp(at_s, seconds(ping_ns, ping_ns[0]), measured), true[good])
+    measured_b, true_b = _velocity_pairs(dvl, reference, config)
+    measured, true = _horizontal(measured_b), _horizontal(true_b)
+    moving = np.abs(true) > _LEAST_SPEED_MPS
+    return fit(measured[moving], true[moving]) if np.count_nonzero(moving) >= ENOUGH else None
+
+
+def axes_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Floats:
+    """Correlate the DVL's velocity with the reference's along each axis of the body.
+
+    Parameters
+    ----------
+    dvl, reference, config
+        As of `dvl_by_velocity`.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        NaN along axes on which the velocity changes too little to tell.
+    """
+    measured_b, true_b = _velocity_pairs(dvl, reference, config)
+    found = np.full(3, np.nan)
+    if len(true_b) < ENOUGH:
+        return found
+    for axis in np.flatnonzero((true_b.std(axis=0) > _LEAST_SWING_MPS) & (measured_b.std(axis=0) > 0.0)):
+        found[axis] = np.corrcoef(measured_b[:, axis], true_b[:, axis])[0, 1]
+    return found
 
 
 def track_by_positions(
@@ -132,7 +147,8 @@ def track_by_positions(
     TrackFit or None
         None where too few positions lie far enough apart.
     """
-    ping_ns, measured = _pings(dvl, config)
+    ping_ns, measured_b = _pings(dvl, config)
+    measured = _horizontal(measured_b)
     fixes = np.flatnonzero(np.isfinite(reference.position[:, :2]).all(axis=1))
     if len(ping_ns) < ENOUGH or len(fixes) < ENOUGH:
         return None
@@ -161,8 +177,25 @@ def track_by_positions(
     return TrackFit(gyro_scale if turns else None, best.scale, heading, best.coherence)
 
 
-def _pings(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Complex]:
-    """Give the horizontal velocities in body axes of the pings that have a velocity or all beams."""
+def _velocity_pairs(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> tuple[Floats, Floats]:
+    """Give the velocities of DVL and reference in body axes, at times of the reference that have both."""
+    ping_ns, measured_b = _pings(dvl, config)
+    complete = np.isfinite(reference.velocity_n).all(axis=1) & np.isfinite(reference.mat_nb).all(axis=(1, 2))
+    if len(ping_ns) < ENOUGH:
+        return np.empty((0, 3)), np.empty((0, 3))
+    rows = np.flatnonzero(complete & lies_within(reference.time_ns, ping_ns))
+    rows = rows[_pause_s(ping_ns, reference.time_ns[rows]) <= LONGEST_STEP_S]
+    true_b = np.einsum("kji,kj->ki", reference.mat_nb[rows], reference.velocity_n[rows])
+    at_s, ping_s = seconds(reference.time_ns[rows], ping_ns[0]), seconds(ping_ns, ping_ns[0])
+    return np.stack([np.interp(at_s, ping_s, column) for column in measured_b.T], axis=1), true_b
+
+
+def _horizontal(vectors: Floats) -> Complex:
+    return np.asarray(vectors[:, 0] + 1j * vectors[:, 1])
+
+
+def _pings(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:
+    """Give the velocities in body axes of the pings that have a velocity or all beams."""
     if dvl.velocity_d is not None:
         velocity_d = dvl.velocity_d
     elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
@@ -171,8 +204,7 @@ def _pings(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Complex]:
         raise ValueError("a DVL gives beams with their vectors, or velocities")
     good = np.isfinite(velocity_d).all(axis=1)
     mounting_bd = mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG)
-    velocity_b = velocity_d[good] @ mounting_bd.T / config.dvl.scale
-    return dvl.time_ns[good], velocity_b[:, 0] + 1j * velocity_b[:, 1]
+    return dvl.time_ns[good], velocity_d[good] @ mounting_bd.T / config.dvl.scale
 
 
 def _pause_s(time_ns: TimeNs, at_ns: TimeNs) -> Floats:

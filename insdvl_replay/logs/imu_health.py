@@ -13,6 +13,7 @@ from insdvl_replay import earth
 from insdvl_replay.columns import Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.config import Imu
 from insdvl_replay.errors import LogError, Note
+from insdvl_replay.logs.runs import find_runs
 from insdvl_replay.states import DEG, MG
 
 SLOW_HZ: Final = 40.0
@@ -44,7 +45,7 @@ _UNIT_BY_RATIO: Final = (
     (1e3, "mg"),
 )
 """Ratio of what was read to gravity where the readings are in this unit and were taken for another."""
-_AXES: Final = ("forward", "starboard", "down")
+AXES: Final = ("forward", "starboard", "down")
 
 
 Check = Callable[[], Iterable[Note]]
@@ -111,19 +112,17 @@ def _dead_notes(place: str, imu: ImuColumns) -> list[Note]:
         if not readings.any():
             raise LogError(f"{place}: the {words} is zero in all {len(readings)} samples of the IMU", hint)
         for axis in [axis for axis, column in enumerate(readings.T) if np.all(column == column[0])]:
-            text = f"{words} {_AXES[axis]} is {readings[0, axis]:g} {unit} in all {len(readings)} samples, from 0 s on"
+            text = f"{words} {AXES[axis]} is {readings[0, axis]:g} {unit} in all {len(readings)} samples, from 0 s on"
             notes.append(Note("imu_constant", text, len(readings), "warning", hint))
     return notes
 
 
 def _stuck_notes(imu: ImuColumns) -> list[Note]:
     """Find runs in which all six readings repeat."""
-    same = np.ones(len(imu.time_ns) + 1, np.bool_)
+    same = np.ones(len(imu.time_ns) - 1, np.bool_)
     for readings in (*imu.specific_force_b.T, *imu.angular_rate_b.T):
-        same[1:-1] &= readings[1:] == readings[:-1]
-    same[[0, -1]] = False
-    starts = np.flatnonzero(~same[:-1] & same[1:])
-    ends = np.flatnonzero(same[:-1] & ~same[1:])
+        same &= readings[1:] == readings[:-1]
+    starts, ends = find_runs(same)
     lengths_s = seconds(imu.time_ns[ends], imu.time_ns[starts])
     long = np.flatnonzero(lengths_s > STUCK_S)
     if not long.size:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.columns import TimeNs, seconds
 from insdvl_replay.logs.clocks import SAME_CLOCK_S
+from insdvl_replay.logs.runs import find_runs
 
 FEW_PLACES: Final = 5
 """Messages do not overtake more others than this."""
@@ -89,7 +90,7 @@ def _contradictions(stamp_ns: TimeNs, log_time_ns: TimeNs) -> tuple[Mask, float]
     places = np.cumsum(rising, dtype=np.int64)[others]
     far = np.logical_or.reduceat(_is_far(stamp_ns[others], stamp_ns[rising], places), starts)
     bad[others] = np.repeat(far, np.diff(starts, append=others.size))
-    start, end = np.flatnonzero(np.diff(bad, prepend=False, append=False)).reshape(-1, 2).T
+    start, end = find_runs(bad)
     inside = (start > 0) & (end < bad.size)
     behind_ns = log_time_ns - stamp_ns
     jumps_s = seconds(behind_ns[end[inside]], behind_ns[start[inside] - 1])

@@ -7,20 +7,25 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import DvlColumns, Floats
+from insdvl_replay.columns import DvlColumns, Floats, seconds
 from insdvl_replay.config import Dvl
 from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.logs.beams import beam_vectors, note_contradiction
-from insdvl_replay.logs.cleaning import Cleaner, is_few
+from insdvl_replay.logs.cleaning import Cleaner, is_few, same_rows
 from insdvl_replay.logs.decode import FASTEST_MPS, FRD, VELOCITY_UNITS, in_frd
 from insdvl_replay.logs.order import Mask
 from insdvl_replay.logs.pauses import note_bursts
+from insdvl_replay.logs.runs import find_runs
 from insdvl_replay.logs.tables import Table
+
+STUCK_S: Final = 5.0
+"""A DVL on a vehicle in water repeats no ping to the last digit for so long."""
 
 _WATER_TRACK: Final = 2
 _BEAM_COORDINATES: Final = 0
 _INSTRUMENT_COORDINATES: Final = 1
 _BEAMS_FOR_VELOCITY: Final = 3
+_STUCK_PINGS: Final = 5
 _VALID_HINT: Final = 'dvl.valid = "field.path", or dvl.beam_valid, names what marks good pings'
 
 
@@ -168,6 +173,25 @@ def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
         reason = "pings are exactly zero, as instruments without a lock report"
         cleaner.keep(~zero, "zero", reason, "warning", _VALID_HINT)
     cleaner.drop_repeated_times(values)
+    _note_stuck(cleaner, values)
     cleaner.drop_repeated_values(values)
     cleaner.require_rows()
     note_bursts(cleaner, "dvl.velocity_sd_mps")
+
+
+def _note_stuck(cleaner: Cleaner, values: Floats) -> None:
+    """Note values that stay the same for longer than any recorder repeats them; refuse a DVL that has no others."""
+    times, ordered = cleaner.times, values[cleaner.rows]
+    starts, ends = find_runs(same_rows(ordered[1:], ordered[:-1]))
+    lengths_s = seconds(times[ends], times[starts])
+    long = np.flatnonzero((lengths_s > STUCK_S) & (ends - starts >= _STUCK_PINGS))
+    if not long.size:
+        return
+    if ends[long[0]] - starts[long[0]] == times.size - 1:
+        raise LogError(
+            f"{cleaner.table.place}: the values of all {times.size} pings are the same for {lengths_s.max():.1f} s",
+            "dvl.velocity or dvl.beam_velocity names other fields, dvl.topic another DVL",
+        )
+    count = int(np.sum(ends[long] - starts[long]))
+    text = f"pings stand still to the last digit for over {STUCK_S:g} s, the longest run of {lengths_s.max():.1f} s"
+    cleaner.note("stuck", text, count, "warning", _VALID_HINT, first=cleaner.rows[starts[long]])

@@ -9,35 +9,25 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import DvlColumns, ImuColumns, ReferenceColumns, seconds
+from insdvl_replay.columns import DvlColumns, ImuColumns, ReferenceColumns
 from insdvl_replay.config import Config, Imu, Initial
 from insdvl_replay.errors import LogError, Note
-from insdvl_replay.logs.decode import FASTEST_MPS
-from insdvl_replay.logs.dvl_comparison import TrackFit, dvl_by_velocity, track_by_positions
+from insdvl_replay.logs.dvl_comparison import TrackFit, track_by_positions
+from insdvl_replay.logs.dvl_health import COHERENT, INCOHERENT, SCALE_DOUBT, dvl_checks, scale_notes
 from insdvl_replay.logs.gyro_comparison import AttitudeFit, gyro_by_attitude, gyro_by_gravity
 from insdvl_replay.logs.imu_health import Check, imu_checks
+from insdvl_replay.logs.reference_health import reference_checks
 from insdvl_replay.rotation import wrap_angle
 from insdvl_replay.states import DEG
 
 UNIT_WRONG: Final = 5.0
 """Factor of the angular rate at which it is another unit: deg/s are 57 times rad/s."""
-SCALE_DOUBT: Final = 0.1
-"""Share of a speed or a rate beyond what temperature, sound speed and lever arm explain."""
 TRACK_DOUBT: Final = 0.15
 """The same for gyros seen through a track, whose DVL and positions have errors of their own."""
 GRAVITY_SWING: Final = 0.7
 """The same for gyros seen by gravity, which in a moving vehicle swings with its own acceleration."""
-DIRECTION_DOUBT: Final = 10.0 * DEG
-"""Beyond what lever arm and sideslip turn a velocity on average."""
 HEADING_DOUBT: Final = 30.0 * DEG
 """Beyond what gyro bias turns a track during a dive."""
-COHERENT: Final = 0.97
-"""Only what follows the reference this well can be measured by it."""
-FACTOR_OF_UNITS: Final = 5.0
-"""A scale that is off by more is no calibration but another unit."""
-UNIT_HINT: Final = 'dvl.velocity_unit = "mm/s", or "cm/s"; a wrong beam geometry is never that wrong'
-INCOHERENT: Final = 0.95
-"""What follows the reference worse than this contradicts it."""
 
 
 @dataclass(frozen=True)
@@ -75,10 +65,9 @@ def plausibility_checks(
         *imu_checks(place, imu, reference, config.imu),
         partial(_gyro_notes, place, imu, _gyro_scale(imu, by_attitude, track), config.imu),
         partial(_attitude_notes, imu, by_attitude),
-        partial(_speed_notes, place, dvl),
-        partial(_zero_notes, dvl),
-        partial(_direction_notes, dvl, reference, config),
-        partial(_track_notes, track, dvl, config),
+        *dvl_checks(place, dvl, reference, config),
+        *(reference_checks(imu, dvl, reference) if reference is not None else ()),
+        partial(_track_notes, place, track, dvl, config),
     )
 
 
@@ -140,62 +129,7 @@ def _attitude_notes(imu: ImuColumns, by_attitude: AttitudeFit | None) -> list[No
     return [Note("imu_gyro_contradiction", text, len(imu.time_ns), "warning", hint)]
 
 
-def _speed_notes(place: str, dvl: DvlColumns) -> list[Note]:
-    """Refuse speeds that no vehicle has for long."""
-    values = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
-    if values is None or not np.isfinite(values).any():
-        return []
-    speed_mps = float(np.nanmedian(np.abs(values).max(axis=1, initial=0.0, where=np.isfinite(values))))
-    if speed_mps > FASTEST_MPS:
-        raise LogError(
-            f"{place}: the DVL's largest component is {speed_mps:g} m/s in the median of its pings", UNIT_HINT
-        )
-    return []
-
-
-def _zero_notes(dvl: DvlColumns) -> list[Note]:
-    """Find pings that are exactly zero, as some instruments report without a lock."""
-    values = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
-    if values is None:
-        return []
-    zero = np.flatnonzero((values == 0.0).all(axis=1))
-    if not zero.size:
-        return []
-    first_s = float(seconds(dvl.time_ns[zero[:1]], dvl.time_ns[0])[0])
-    text = (
-        f"{zero.size} of {len(values)} pings are exactly zero, the first {first_s:.1f} s after the first ping: "
-        "the instrument may have had no lock"
-    )
-    return [Note("dvl_zero", text, int(zero.size), "warning", 'dvl.valid = "field.path" names what marks good pings')]
-
-
-def _direction_notes(dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> list[Note]:
-    found = dvl_by_velocity(dvl, reference, config) if reference is not None else None
-    if found is None or found.coherence < COHERENT:
-        return []
-    notes = _scale_notes(found.scale, dvl, config)
-    if abs(found.turn) > DIRECTION_DOUBT:
-        roll, pitch, heading = config.dvl.mounting_rpy_deg
-        right = float(wrap_angle(np.asarray(heading * DEG - found.turn))) / DEG
-        text = (
-            f"the DVL's velocity is turned by {found.turn / DEG:.0f} deg from the reference's, from the first ping on"
-        )
-        hint = f"dvl.mounting_rpy_deg = [{roll:g}, {pitch:g}, {right:.0f}], or another reference.axes"
-        notes.append(Note("dvl_direction", text, len(dvl.time_ns), "warning", hint))
-    return notes
-
-
-def _scale_notes(scale: float, dvl: DvlColumns, config: Config) -> list[Note]:
-    if abs(scale - 1.0) <= SCALE_DOUBT:
-        return []
-    text = f"the DVL's velocity is {scale:.3f} times the reference's, from the first ping on"
-    if not 1.0 / FACTOR_OF_UNITS < scale < FACTOR_OF_UNITS:
-        raise LogError(text, UNIT_HINT)
-    hint = f"dvl.scale = {scale * config.dvl.scale:.3f}, or dvl.beam_tilt_deg"
-    return [Note("dvl_scale", text, len(dvl.time_ns), "warning", hint)]
-
-
-def _track_notes(track: TrackFit | None, dvl: DvlColumns, config: Config) -> list[Note]:
+def _track_notes(place: str, track: TrackFit | None, dvl: DvlColumns, config: Config) -> list[Note]:
     if track is None:
         return []
     if track.coherence < INCOHERENT:
@@ -207,7 +141,7 @@ def _track_notes(track: TrackFit | None, dvl: DvlColumns, config: Config) -> lis
         return [Note("track_contradiction", text, len(dvl.time_ns), "warning", hint)]
     if track.coherence < COHERENT:
         return []
-    return [*_scale_notes(track.dvl_scale, dvl, config), *_heading_notes(track.heading, dvl, config.initial)]
+    return [*scale_notes(place, track.dvl_scale, dvl, config), *_heading_notes(track.heading, dvl, config.initial)]
 
 
 def _heading_notes(heading: float, dvl: DvlColumns, initial: Initial) -> list[Note]:

@@ -57,6 +57,8 @@ def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     settings = table.source.completed(settings)
     cleaner = Cleaner(table)
     position = _position(table) if "latitude" in table else None
+    if position is not None:
+        _drop_zeros(position, cleaner)
     if "fix_status" in table:
         cleaner.keep(table.column("fix_status") >= 0.0, "no_fix", "positions have no fix")
     if position is not None and "sensor_id" in table:
@@ -74,6 +76,15 @@ def _position(table: Table) -> Floats:
     height_m = table.column("height") if "height" in table else np.full_like(latitude, np.nan)
     # The wrapped negative lies in [-pi, pi), so that its negative lies in (-pi, pi].
     return np.stack([latitude * DEG, -wrap_angle(-longitude * DEG), height_m], axis=1)
+
+
+def _drop_zeros(position: Floats, cleaner: Cleaner) -> None:
+    """Take latitude and longitude 0 for no position: receivers without satellites report it, and no dive is there."""
+    zero = np.flatnonzero((position[:, :2] == 0.0).all(axis=1))
+    if zero.size:
+        position[zero] = np.nan
+        text = "positions have latitude and longitude 0, as receivers without satellites report, and are left out"
+        cleaner.note("zero", text, zero.size, "warning", "reference.fix names another topic of positions", first=zero)
 
 
 def _of_receiver(table: Table, quantity: str) -> Floats:
