@@ -86,6 +86,20 @@ def test_clock_that_is_set_back_is_measured(back_s: float) -> None:
     np.testing.assert_array_equal(kept, order.rows, "what is kept was recorded in its order")
 
 
+@pytest.mark.parametrize("rows", [slice(0, 20), slice(980, 1000)], ids=["first", "last"])
+def test_stamps_of_no_clock_at_an_end_are_left_out(rows: slice) -> None:
+    stamps = START_NS + steps(1000)
+    stamps[rows] += 7200 * SECOND_NS if rows.start else -START_NS
+    order = find_order(stamps, START_NS + steps(1000))
+    assert order.wrong.tolist() == list(range(1000))[rows]
+    assert order.jump_s == 0.0
+
+
+def test_pauses_that_the_recorder_saw_too_are_no_leaps() -> None:
+    times = np.concatenate([steps(100), 7200 * SECOND_NS + steps(100)])
+    assert find_order(times, times + SECOND_NS).wrong.size == 0
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_as_few_stamps_as_possible_are_wrong(seed: int) -> None:
     """Against the longest common subsequence with the sorted stamps, by the textbook's table."""
@@ -158,10 +172,18 @@ def test_clock_that_is_set_back_is_refused(tmp_path: Path) -> None:
     assert refused.value.hint == 'imu.stamp = "log_time"'
 
 
+def test_stamps_from_before_the_clock_was_set_are_dropped(tmp_path: Path) -> None:
+    stamps = steps(1000)
+    stamps[:20] -= START_NS
+    note = note_of(read(tmp_path, stamps), "imu_wrong_stamps")
+    assert note.count == 20
+    assert "the first 0.000 s after the first message" in note.text
+
+
 def test_stamps_that_are_wrong_all_the_time_are_refused(tmp_path: Path) -> None:
     stamps = steps(200)
     stamps[5::10] -= 2 * SECOND_NS
-    with pytest.raises(LogError, match=r"/imu: 20 of 200 messages have stamps 'header' that step back"):
+    with pytest.raises(LogError, match=r"/imu: 20 of 200 messages have stamps 'header' that jump while"):
         read(tmp_path, stamps)
 
 

@@ -238,6 +238,64 @@ def test_dvl_of_another_scale_is_told(turning: Dive) -> None:
     assert "dvl.scale = 1.3" in note.hint
 
 
+def swaying(dive: Dive) -> Dive:
+    """Give the vehicle a sideslip and a heave that DVL and reference both see."""
+    reference = reference_of(dive)
+    velocity_b = np.einsum("kji,kj->ki", reference.mat_nb, reference.velocity_n)
+    at_s = seconds(reference.time_ns, dive.imu.time_ns[0])
+    velocity_b += np.stack([0.0 * at_s, 0.2 * np.sin(at_s / 9.0), 0.1 * np.cos(at_s / 7.0)], axis=1)
+    ping_s = seconds(dive.dvl.time_ns, dive.imu.time_ns[0])
+    velocity_d = np.stack([np.interp(ping_s, at_s, column) for column in velocity_b.T], axis=1)
+    velocity_n = np.einsum("kij,kj->ki", reference.mat_nb, velocity_b)
+    dvl = DvlColumns(dive.dvl.time_ns, velocity_d=velocity_d)
+    return replace(dive, dvl=dvl, reference=replace(reference, velocity_n=velocity_n))
+
+
+@pytest.mark.parametrize(
+    ("signs", "named"),
+    [
+        ((1, -1, -1), "along starboard and down, "),
+        ((1, -1, 1), "along starboard, "),
+        ((1, 1, -1), "along down, "),
+    ],
+)
+def test_axis_of_the_dvl_that_is_turned_is_named(signs: tuple[int, int, int], named: str, turning: Dive) -> None:
+    dive = swaying(turning)
+    assert not notes_of(dive)
+    assert dive.dvl.velocity_d is not None
+    other = replace(dive, dvl=replace(dive.dvl, velocity_d=dive.dvl.velocity_d * np.array(signs)))
+    note = notes_of(other)["dvl_axes"]
+    assert named in note.text
+    assert 'dvl.axes = "flu"' in note.hint
+
+
+@needs_data
+@pytest.mark.parametrize("run", ["01", "07", "11"])
+def test_turned_axes_of_a_real_dvl_are_named(run: str) -> None:
+    config = load_config(file=PROJECT / "examples" / "snapir.toml", overrides=["dvl.axes=flu"])
+    dive = read_dive(DATA / "snapir" / f"snapir_{run}.mcap", config)
+    assert "starboard and down" in notes_of(dive, config)["dvl_axes"].text
+
+
+def test_beams_in_another_order_contradict_the_reference(turning: Dive) -> None:
+    assert turning.dvl.beam_velocity_mps is not None
+    beams = turning.dvl.beam_velocity_mps[:, [1, 0, 2, 3]]
+    note = notes_of(replace(turning, dvl=replace(turning.dvl, beam_velocity_mps=beams)))["dvl_contradiction"]
+    assert "dvl.beam_azimuth_deg" in note.hint
+
+
+def test_reference_that_never_moves_is_told(turning: Dive) -> None:
+    reference = reference_of(turning)
+    still = replace(
+        reference,
+        position=np.tile(reference.position[0], (len(reference.time_ns), 1)),
+        mat_nb=np.tile(reference.mat_nb[0], (len(reference.time_ns), 1, 1)),
+    )
+    found = plausibility_notes("a.mcap", turning.imu, turning.dvl, still, Config())
+    texts = [note.text for note in found if note.code == "reference_constant"]
+    assert [text.split()[1] for text in texts] == ["position", "attitude"]
+
+
 def test_reversed_dvl_shows_in_the_track_where_the_heading_is_known(turning: Dive) -> None:
     heading_deg = heading_at_start(turning) / DEG
     config = Config(initial=Initial(source="level", heading_deg=heading_deg))

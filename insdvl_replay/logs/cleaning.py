@@ -214,8 +214,8 @@ class Cleaner:
     def _tell_wrong_stamps(self, order: Order, first_s: float) -> None:
         """Drop single stamps that are wrong with a warning; refuse many, and those of a clock that was set back."""
         text = (
-            f"{order.wrong.size} of {self.time_ns.size} messages have stamps '{self.table.source.stamp}' that step "
-            f"back while the log time goes on; the first {first_s:.3f} s after the first message"
+            f"{order.wrong.size} of {self.time_ns.size} messages have stamps '{self.table.source.stamp}' that jump "
+            f"while the log time goes on; the first {first_s:.3f} s after the first message"
         )
         hint = f'{self.role}.stamp = "log_time"'
         if order.jump_s > SAME_CLOCK_S:

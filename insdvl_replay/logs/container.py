@@ -162,7 +162,8 @@ class Log:
             notes.append(damage_note(self.path.name, self._anatomy.damages, self._anatomy.missing))
         elif missing := self._anatomy.missing:
             text = f"the summary of {self.path.name} announces {missing:+d} messages against what the log holds"
-            notes.append(Note("log_summary", text, abs(missing), "warning"))
+            hint = "copy the log again from the recorder if it still has it"
+            notes.append(Note("log_summary", text, abs(missing), "warning", hint))
         if private := self._anatomy.private:
             notes.append(Note("unknown_records", f"{private} records are of kinds that are not MCAP's own", private))
         return tuple(notes)

@@ -1,7 +1,7 @@
 """The order of a topic's messages: by their stamps, as far as the recorder's clock does not contradict these.
 
 Messages that overtake each other on their way, or parts of a log that are joined in another order, are only put in
-their places. A stamp that jumps back while the log time goes on is wrong, and would put its message where it does not
+their places. A stamp that jumps while the log time goes on is wrong, and would put its message where it does not
 belong.
 """
 
@@ -18,6 +18,8 @@ from insdvl_replay.logs.runs import find_runs
 
 FEW_PLACES: Final = 5
 """Messages do not overtake more others than this."""
+LEAP_S: Final = 3600.0
+"""Stamps that run ahead of the log time by more at once are those of a clock that was set, or of none."""
 
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -53,7 +55,8 @@ def find_order(time_ns: TimeNs, log_time_ns: TimeNs) -> Order:
     """Order messages by their stamps, leaving out those that cannot have been made when they are stamped.
 
     The largest number of messages whose stamps rise with the log time are right. A run of others is put among them if
-    it is off by `FEW_PLACES` and `SAME_CLOCK_S` at most, and is wrong else.
+    it is off by `FEW_PLACES` and `SAME_CLOCK_S` at most, and is wrong else. Where the stamps leap ahead by `LEAP_S`,
+    only the longest part without a leap is right.
 
     Parameters
     ----------
@@ -65,7 +68,7 @@ def find_order(time_ns: TimeNs, log_time_ns: TimeNs) -> Order:
     -------
     Order
     """
-    if np.all(time_ns[1:] >= time_ns[:-1]):
+    if np.all(time_ns[1:] >= time_ns[:-1]) and not _leaps(time_ns, log_time_ns).any():
         nothing = np.empty(0, np.int64)
         return Order(np.arange(time_ns.size), nothing, nothing, 0.0, 0.0)
     recorded = np.lexsort((time_ns, log_time_ns))
@@ -90,6 +93,7 @@ def _contradictions(stamp_ns: TimeNs, log_time_ns: TimeNs) -> tuple[Mask, float]
     places = np.cumsum(rising, dtype=np.int64)[others]
     far = np.logical_or.reduceat(_is_far(stamp_ns[others], stamp_ns[rising], places), starts)
     bad[others] = np.repeat(far, np.diff(starts, append=others.size))
+    bad[~bad] = _is_before_or_after_a_leap(stamp_ns[~bad], log_time_ns[~bad])
     start, end = find_runs(bad)
     inside = (start > 0) & (end < bad.size)
     behind_ns = log_time_ns - stamp_ns
@@ -104,6 +108,17 @@ def _is_far(other_ns: TimeNs, rising_ns: TimeNs, places: Rows) -> Mask:
     off_s = np.maximum(seconds(before_ns, other_ns), seconds(other_ns, after_ns))
     off = np.abs(np.searchsorted(rising_ns, other_ns) - places)
     return np.asarray((off_s > SAME_CLOCK_S) | (off > FEW_PLACES))
+
+
+def _leaps(stamp_ns: TimeNs, log_time_ns: TimeNs) -> Mask:
+    """Tell which messages but the first are stamped long after the one before, though recorded soon after it."""
+    return np.asarray(np.diff(stamp_ns - log_time_ns) > round(LEAP_S * 1e9))
+
+
+def _is_before_or_after_a_leap(stamp_ns: TimeNs, log_time_ns: TimeNs) -> Mask:
+    """Tell which messages are not of the longest part without a leap, such as those before a clock was set."""
+    part = np.concatenate([[0], np.cumsum(_leaps(stamp_ns, log_time_ns))])
+    return np.asarray(part != np.bincount(part).argmax())
 
 
 def _rising(values: TimeNs) -> Mask:

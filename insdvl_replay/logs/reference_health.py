@@ -40,8 +40,9 @@ def reference_checks(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColum
 def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns) -> list[Note]:
     found = []
     if median_speed_mps(dvl) > MOVING_MPS:
-        moved = {"position": reference.position[:, :2], "velocity": reference.velocity_n}
-        found += [(name, "the DVL measures a speed") for name, rows in moved.items() if _is_constant(rows)]
+        # A velocity may be constant, but not zero.
+        still = {"position": _is_constant(reference.position[:, :2]), "velocity": not reference.velocity_n.any()}
+        found += [(name, "the DVL measures a speed") for name, stands in still.items() if stands]
     if _is_constant(reference.mat_nb.reshape(-1, 9)) and _turns(imu):
         found.append(("attitude", "the gyros show turns"))
     return [
