@@ -198,10 +198,17 @@ def test_harmless_disorder_is_no_warning(tmp_path: Path) -> None:
 
 
 def test_samples_that_share_a_stamp_are_told_from_repeats(tmp_path: Path) -> None:
-    dive = read(tmp_path, steps(200) // (4 * STEP_NS) * (4 * STEP_NS))
+    dive = read(tmp_path, steps(200) // (2 * STEP_NS) * (2 * STEP_NS))
     note = note_of(dive, "imu_same_times")
-    assert (note.count, note.severity) == (150, "warning")
+    assert (note.count, note.severity) == (100, "warning")
     assert 'imu.stamp = "field.path"' in note.hint
+    assert "imu_repeats" not in {note.code for note in dive.notes}
+
+
+def test_stamps_that_most_samples_share_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"/imu: 150 of 200 messages have the time of the one before") as refused:
+        read(tmp_path, steps(200) // (4 * STEP_NS) * (4 * STEP_NS))
+    assert 'imu.stamp = "log_time"' in refused.value.hint
 
 
 def test_stamps_in_bursts_are_told(tmp_path: Path) -> None:

@@ -16,6 +16,8 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 FEW: Final = 0.05
 """Faults are single; where a larger share of the readings is impossible, something else is wrong with all of them."""
+MOST: Final = 0.5
+"""A topic that loses a larger share of its messages is not the same any more."""
 
 
 def is_few(count: int, size: int) -> bool:
@@ -164,19 +166,25 @@ class Cleaner:
         *values : ndarray, shape (k, n)
             For each row of the file. Rows with the same time that differ in them were stamped as they were delivered,
             several together; where these are more than few, it is a warning.
+
+        Raises
+        ------
+        LogError
+            Most rows were stamped together with others.
         """
         times = self.times
         again = np.flatnonzero(times[1:] == times[:-1]) + 1
         differ = np.zeros(again.size, np.bool_)
         for array in values:
             differ |= ~same_rows(array[self.rows[again]], array[self.rows[again - 1]])
+        several = int(np.count_nonzero(differ))
+        if not is_few(several, times.size):
+            good = np.ones(times.size, np.bool_)
+            good[again[differ]] = False
+            self._drop_stamped_together(good, several)
+            times = self.times
         first = np.ones(times.size, np.bool_)
-        if not is_few(int(np.count_nonzero(differ)), times.size):
-            first[again[differ]] = False
-            reason = "messages have the time of the one before and other values, as if several were stamped together"
-            self._keep_rows(first, "same_times", reason, "warning", self.stamp_hint)
-            again, first = (np.cumsum(first) - 1)[again[~differ]], first[first]
-        first[again] = False
+        first[1:] = times[1:] != times[:-1]
         self._keep_rows(first, "repeats", "messages repeat the time of the one before")
 
     def drop_repeated_values(self, values: Floats) -> None:
@@ -225,6 +233,16 @@ class Cleaner:
         self.notes.append(
             Note(f"{self.role}_wrong_stamps", f"{self.role}: {text}; dropped", order.wrong.size, "warning", hint)
         )
+
+    def _drop_stamped_together(self, good: Mask, count: int) -> None:
+        """Drop the rows that have the time of the one before and other values; refuse to drop most of a topic."""
+        reason = "messages have the time of the one before and other values, as if several were stamped together"
+        if count > MOST * good.size:
+            raise LogError(
+                f"{self.table.place}: {count} of {good.size} {reason}",
+                f'{self.stamp_hint}; {self.role}.stamp = "log_time" takes the recorder\'s',
+            )
+        self._keep_rows(good, "same_times", reason, "warning", self.stamp_hint)
 
     def _keep_rows(self, good: Mask, code: str, reason: str, severity: Severity = "info", hint: str = "") -> None:
         dropped = int(np.count_nonzero(~good))

@@ -3,14 +3,11 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final
 
 from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError, listed, nearest
 from insdvl_replay.logs.container import LogChannel
 from insdvl_replay.logs.wishes import TRUTH_WISH, Source, Wish, dvl_wish, fix_wish, imu_wish, solution_wish
-
-_NOTHING_RECORDED: Final = "was anything recorded? `insdvl-replay inspect` shows the topics that the log announces"
 
 
 @dataclass(frozen=True)
@@ -162,7 +159,7 @@ class _Topics:
         """Say that no topic plays a role, and which might have."""
         lack = f"{self._place}: has no {wish.role.upper()}"
         if not self._channels:
-            return LogError(f"{lack}: it has no messages at all", _NOTHING_RECORDED)
+            return LogError(f"{lack}: it has no messages at all", self._nothing_recorded())
         wanted = ", ".join(type_name for types in wish.by_type for type_name in types)
         empty = sorted(topic for topic, type_name in self._empty.items() if type_name in wanted.split(", "))
         found = sorted({channel.type_name for channels in self._channels.values() for channel in channels})
@@ -171,6 +168,10 @@ class _Topics:
             f"{lack}: no message is of a type known for one ({wanted}); it has {listed(found)}{but}",
             wish.how_to_name(),
         )
+
+    def _nothing_recorded(self) -> str:
+        announced = f" Announced are {listed(sorted(self._empty))}" if self._empty else ""
+        return f"was anything recorded?{announced}"
 
     def find(self, wish: Wish, besides: str = "") -> Source | None:
         """Find the topic of a role, not looking at the topic of another."""
@@ -219,7 +220,8 @@ class _Topics:
     def _channels_of(self, topic: str, key: str) -> list[LogChannel]:
         if topic not in self._channels:
             meant = nearest(topic, self._channels)
-            hint = f"those with messages are {listed(sorted(self._channels))}" if self._channels else _NOTHING_RECORDED
+            there_are = f"those with messages are {listed(sorted(self._channels))}"
+            hint = there_are if self._channels else self._nothing_recorded()
             raise LogError(
                 f"{self._place}: has no messages on topic '{topic}' ({key})",
                 f'the nearest is {key} = "{meant}"' if meant else hint,
