@@ -277,6 +277,18 @@ def test_turned_axes_of_a_real_dvl_are_named(run: str) -> None:
     assert "starboard and down" in notes_of(dive, config)["dvl_axes"].text
 
 
+def test_component_of_the_dvl_that_never_changes_is_named(turning: Dive) -> None:
+    dvl = turned(turning.dvl, 0.0)
+    assert dvl.velocity_d is not None
+    note = notes_of(replace(turning, dvl=replace(dvl, velocity_d=dvl.velocity_d * np.array([1, 0, 1]))))["dvl_constant"]
+    assert "velocity starboard is 0 m/s in all 200 pings" in note.text
+    assert turning.dvl.beam_velocity_mps is not None
+    beams = turning.dvl.beam_velocity_mps.copy()
+    beams[:, 2], beams[50:, 3] = 0.25, np.nan
+    note = notes_of(replace(turning, dvl=replace(turning.dvl, beam_velocity_mps=beams)))["dvl_constant"]
+    assert "along beam 3 is 0.25 m/s in all 200 pings" in note.text
+
+
 def test_beams_in_another_order_contradict_the_reference(turning: Dive) -> None:
     assert turning.dvl.beam_velocity_mps is not None
     beams = turning.dvl.beam_velocity_mps[:, [1, 0, 2, 3]]

@@ -13,6 +13,7 @@ from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.decode import FASTEST_MPS
 from insdvl_replay.logs.dvl_comparison import Fit, axes_by_velocity, dvl_by_velocity
+from insdvl_replay.logs.gyro_comparison import ENOUGH
 from insdvl_replay.logs.imu_health import AXES, Check
 from insdvl_replay.rotation import wrap_angle
 from insdvl_replay.states import DEG
@@ -51,6 +52,7 @@ def dvl_checks(place: str, dvl: DvlColumns, reference: ReferenceColumns | None, 
     return (
         partial(_speed_notes, place, dvl),
         partial(_zero_notes, dvl),
+        partial(_constant_notes, dvl),
         partial(_velocity_notes, place, dvl, reference, config),
     )
 
@@ -117,6 +119,23 @@ def _zero_notes(dvl: DvlColumns) -> list[Note]:
         "the instrument may have had no lock"
     )
     return [Note("dvl_zero", text, int(zero.size), "warning", 'dvl.valid = "field.path" names what marks good pings')]
+
+
+def _constant_notes(dvl: DvlColumns) -> list[Note]:
+    """Find beams or components that never change while others do."""
+    columns = {}
+    if dvl.velocity_d is not None:
+        columns = dict(zip(AXES, dvl.velocity_d.T, strict=True))
+    elif dvl.beam_velocity_mps is not None:
+        columns = {f"along beam {i}": column for i, column in enumerate(dvl.beam_velocity_mps.T, start=1)}
+    notes = []
+    for name, column in columns.items():
+        given = column[np.isfinite(column)]
+        if len(given) >= ENOUGH and np.all(given == given[0]):
+            text = f"the velocity {name} is {given[0] + 0.0:g} m/s in all {len(given)} pings that have it, from the first on"
+            hint = "dvl.velocity or dvl.beam_velocity names other fields"
+            notes.append(Note("dvl_constant", text, len(given), "warning", hint))
+    return notes
 
 
 def _velocity_notes(place: str, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> list[Note]:
