@@ -132,7 +132,10 @@ def _constant_notes(dvl: DvlColumns) -> list[Note]:
     for name, column in columns.items():
         given = column[np.isfinite(column)]
         if len(given) >= ENOUGH and np.all(given == given[0]):
-            text = f"the velocity {name} is {given[0] + 0.0:g} m/s in all {len(given)} pings that have it, from the first on"
+            always_mps = given[0] + 0.0  # which is never a negative zero
+            text = (
+                f"the velocity {name} is {always_mps:g} m/s in all {len(given)} pings that have it, from the first on"
+            )
             hint = "dvl.velocity or dvl.beam_velocity names other fields"
             notes.append(Note("dvl_constant", text, len(given), "warning", hint))
     return notes
