@@ -20,18 +20,16 @@ from insdvl_replay.columns import TimeNs, seconds
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.anatomy import anatomy_of
 from insdvl_replay.logs.attachments import Attachment, attachment_at, attachment_damages, checked_digest
-from insdvl_replay.logs.chunks import Block, Content, blocks_of, index_entries, read_chunk
-from insdvl_replay.logs.damage import DamageError, damage_note
+from insdvl_replay.logs.chunks import Block, Content, blocks_of, read_chunk
+from insdvl_replay.logs.damage import DamageError
+from insdvl_replay.logs.loss import damage_note
+from insdvl_replay.logs.message_index import index_entries
+from insdvl_replay.logs.opening import mapped
 from insdvl_replay.logs.packed import Chunk, chunk_header
-from insdvl_replay.logs.records import MAGIC, parsed
+from insdvl_replay.logs.records import parsed
 
 _AHEAD: Final = 3
 """Chunks that are opened while the one before is read."""
-
-_OTHER_FORMATS: Final = {
-    b"SQLite format 3": ("a ROS 2 bag in SQLite", "`ros2 bag convert` writes it as MCAP"),
-    b"#ROSBAG V2.0": ("a ROS 1 bag", "`mcap convert in.bag out.mcap` writes it as MCAP"),
-}
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ class Log:
     def __init__(self, path: Path, *, allow_damaged: bool = False) -> None:
         self.path = path
         self._allow_damaged = allow_damaged
-        self._map = _mapped(path)
+        self._map = mapped(path)
         self._data = memoryview(self._map)
         self._anatomy = anatomy_of(self._data, self._release)
         self._judge()
@@ -159,7 +157,7 @@ class Log:
         """What was found wrong or was passed over so far."""
         notes = []
         if self._anatomy.damages:
-            notes.append(damage_note(self.path.name, self._anatomy.damages, self._anatomy.missing))
+            notes.append(damage_note(self.path.name, self._data, self._anatomy))
         elif missing := self._anatomy.missing:
             text = f"the summary of {self.path.name} announces {missing:+d} messages against what the log holds"
             notes.append(Note("log_summary", text, abs(missing), "warning"))
@@ -247,7 +245,7 @@ class Log:
         try:
             content = opened.result()
         except DamageError as damage:
-            self._anatomy.lose(self._data, chunk, damage)
+            self._anatomy.lose(chunk, damage)
             return
         if content.damages:
             self._anatomy.accept(chunk, content)
@@ -284,30 +282,6 @@ class Log:
         if hasattr(mmap, "MADV_DONTNEED"):
             page = start - start % mmap.PAGESIZE
             self._map.madvise(mmap.MADV_DONTNEED, page, end - page)
-
-
-def _mapped(path: Path) -> mmap.mmap:
-    if path.is_dir():
-        inside = sorted(path.glob("*.mcap"))
-        raise LogError(f"{path}: is a folder", f"name the log in it: {inside[0]}" if inside else "it has no .mcap file")
-    try:
-        with path.open("rb") as file:
-            start = file.read(16)
-            if not start:
-                raise LogError(f"{path}: is empty (0 bytes)", "the recording never began, or the copy failed")
-            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}", "check the path") from error
-    if not start.startswith(MAGIC):
-        raise _not_mcap(path, start)
-    return data
-
-
-def _not_mcap(path: Path, start: bytes) -> LogError:
-    for magic, (name, hint) in _OTHER_FORMATS.items():
-        if start.startswith(magic):
-            return LogError(f"{path}: is {name}, not an MCAP file", hint)
-    return LogError(f"{path}: is not an MCAP file: it starts with bytes '{start[:8].hex(' ')}'", "name an .mcap file")
 
 
 def _log_channel(channel: records.Channel, schema: Any, messages: int) -> LogChannel:

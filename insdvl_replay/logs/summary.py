@@ -48,6 +48,14 @@ class Summary:
     chunks: dict[int, records.ChunkIndex] = field(default_factory=dict)
     damages: list[Damage] = field(default_factory=list)
 
+    @property
+    def message_count(self) -> int | None:
+        """How many messages the statistics announce; None without statistics, or where they contradict themselves."""
+        stated = self.statistics
+        if stated is None or (not self.checked and sum(stated.channel_message_counts.values()) != stated.message_count):
+            return None
+        return int(stated.message_count)
+
 
 def read_summary(data: memoryview) -> Summary:
     """Read and check the end of a file.
@@ -100,6 +108,36 @@ def _read(data: memoryview, footer_start: int, footer: records.Footer) -> Summar
                 _file(summary, parsed(_KINDS[opcode], data, content, length))
         start = stop
     return summary
+
+
+def summary_behind(data: memoryview, start: int) -> Summary | None:
+    """Read the summary where the messages end, for a file in which the footer no longer tells where that is.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    start : int
+        Where the records behind the messages begin.
+
+    Returns
+    -------
+    Summary or None
+        None if nothing stands there, or its checksum is not that of its bytes.
+    """
+    summary = Summary(start, len(data))
+    batch, _ = find_records(data, start, len(data))
+    for opcode, content, length in batch.rows():
+        try:
+            if opcode in _KINDS:
+                _file(summary, parsed(_KINDS[opcode], data, content, length))
+            elif opcode == Opcode.FOOTER:
+                crc = parsed(records.Footer, data, content, length).summary_crc
+                summary.checked = crc == zlib.crc32(data[start : content + length - 4])
+                return summary if summary.checked or not crc else None
+        except DamageError:
+            return None
+    return summary if len(batch) else None
 
 
 def _file(summary: Summary, record: Any) -> None:
