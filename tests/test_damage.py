@@ -79,6 +79,12 @@ def chunk_twice(data: bytes) -> bytes:
     return data[:following] + data[start:following] + data[following:]
 
 
+def definitions_lost_and_summary_moved(data: bytes) -> bytes:
+    """Harm the chunk that defines the channels, and move the summary, which repeats the definitions."""
+    start, end = records(data, CHUNK)[0]
+    return chunk_twice(flipped(data, (start + end) // 2, 5))
+
+
 def chunk_taken_out(data: bytes) -> bytes:
     (start, _), (following, _) = records(data, CHUNK)[2:4]
     return data[:start] + data[following:]
@@ -195,6 +201,7 @@ MATRIX = {
     "header of another kind": Case("zstd", partial(flip_in, HEADER, 0, 0), "kind 9 are no record", 0),
     "chunk twice": Case("zstd", chunk_twice, "summary", 0),
     "chunk twice, no summary": Case("no summary", chunk_twice, "copy of the one", 0),
+    "definitions lost and summary moved": Case("zstd", definitions_lost_and_summary_moved, "summary", CHUNKFUL, 20),
     "chunk taken out": Case("zstd", chunk_taken_out, "summary", CHUNKFUL, 20),
     "message of an unknown channel": Case("bare", foreign_channel, "the 1 messages of channel 999", 1),
     "message too long in a chunk": Case("bare", partial(wrong_length_in_chunk, 400), "in the chunk", 2, 1),

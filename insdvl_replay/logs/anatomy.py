@@ -41,8 +41,8 @@ def anatomy_of(data: memoryview, release: Callable[[int, int], None]) -> Anatomy
         _count_by_index(data, anatomy, chunk)
     _compare_chunks(data, anatomy)
     _drop_copies(data, anatomy)
-    anatomy.schemas |= _agreed(anatomy, anatomy.schemas, summary.schemas)
-    anatomy.channels |= _agreed(anatomy, anatomy.channels, summary.channels)
+    anatomy.schemas |= _agreed(anatomy, anatomy.schemas, anatomy.announced.schemas)
+    anatomy.channels |= _agreed(anatomy, anatomy.channels, anatomy.announced.channels)
     for chunk in list(anatomy.chunks):
         if chunk.kind != "loose" and not _is_vouched_for(anatomy, chunk):
             _look_into(data, anatomy, chunk)
@@ -136,7 +136,7 @@ def _agreed(anatomy: Anatomy, found: dict[int, Any], repeated: dict[int, Any]) -
             kind = type(found[id_]).__name__.lower()
             text = f"{kind} {id_} is not the same among the messages and in the summary"
             anatomy.mark(Damage(anatomy.summary.end, text))
-    return found | repeated if anatomy.summary.checked else repeated | found
+    return found | repeated if anatomy.announced.checked else repeated | found
 
 
 def _is_vouched_for(anatomy: Anatomy, chunk: Chunk) -> bool:
