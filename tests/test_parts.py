@@ -23,8 +23,8 @@ from insdvl_replay.logs.recording import open_recording
 Choice = Callable[[str, float], bool]
 
 
-def write_part(path: Path, chosen: Choice) -> Path:
-    """Write those messages of the dive that are chosen by topic and time."""
+def write_part(path: Path, chosen: Choice, remark: bytes = b"") -> Path:
+    """Write those messages of the dive that are chosen by topic and time, with a remark in their schemas."""
     stream = BytesIO()
     writer = Writer(stream, chunk_size=15_000)
     writer.start(profile="ros2")
@@ -33,7 +33,7 @@ def write_part(path: Path, chosen: Choice) -> Path:
         assert schema
         if chosen(channel.topic, (message.log_time - START_NS) * 1e-9):
             if channel.topic not in ids:
-                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                schema_id = writer.register_schema(schema.name, schema.encoding, remark + schema.data)
                 ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schema_id)
             writer.add_message(ids[channel.topic], message.log_time, message.data, message.publish_time)
     writer.finish()
@@ -205,6 +205,12 @@ def test_messages_in_two_files_are_used_once_and_counted(tmp_path: Path, whole: 
     assert "imu_out_of_order" not in counts(dive)
     [overlap] = [note for note in dive.notes if note.code == "files_overlap"]
     assert "by up to 0.99" in overlap.text
+
+
+def test_schemas_may_differ_from_file_to_file(tmp_path: Path, whole: Dive) -> None:
+    older = write_part(tmp_path / "older.mcap", between(0.0, 2.5))
+    newer = write_part(tmp_path / "newer.mcap", between(2.5, 9.0), b"# as of a later release\nuint8 MORE=1\n")
+    assert_same(read_dive([newer, older], Config()), whole)
 
 
 def test_a_file_that_is_not_there_is_refused_even_if_damage_is_allowed(bag: Path) -> None:

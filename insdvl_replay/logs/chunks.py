@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import TimeNs
-from insdvl_replay.logs.damage import Damage, DamageError, Span
+from insdvl_replay.logs.damage import Damage, DamageError, Span, plausible_span
 from insdvl_replay.logs.message_index import index_entries
 from insdvl_replay.logs.packed import Chunk, chunk_header, open_chunk
 from insdvl_replay.logs.records import (
@@ -182,7 +182,9 @@ def _lost_span(
     whole = chunk_header(data, chunk.offset, chunk.length).span_ns if chunk.kind != "loose" else None
     first_ns = int(log_time[before - 1]) if before else whole and whole[0]
     last_ns = int(log_time[behind]) if behind < len(messages) else whole and whole[1]
-    return None if first_ns is None or last_ns is None else (min(first_ns, last_ns), max(first_ns, last_ns))
+    if first_ns is None or last_ns is None:
+        return None
+    return plausible_span(min(first_ns, last_ns), max(first_ns, last_ns))
 
 
 def _index_damages(data: memoryview, chunk: Chunk, content: Content) -> list[Damage]:

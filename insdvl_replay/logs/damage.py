@@ -1,9 +1,13 @@
 """Damage: where a file is not what the format says, and which messages are gone there."""
 
 from dataclasses import dataclass
+from typing import Final
 
 Span = tuple[int, int]
 """First and last log time, ns."""
+
+_LONGEST_NS: Final = 10**15
+"""No recording covers more."""
 
 
 class DamageError(Exception):
@@ -53,3 +57,18 @@ class Loss:
 
     messages: int | None
     span_ns: Span | None
+
+
+def plausible_span(first_ns: int, last_ns: int) -> Span | None:
+    """Give a span if it can be one.
+
+    Parameters
+    ----------
+    first_ns, last_ns : int
+
+    Returns
+    -------
+    (int, int) or None
+        None where it ends before it begins, or is longer than any dive.
+    """
+    return (first_ns, last_ns) if first_ns > 0 and 0 <= last_ns - first_ns < _LONGEST_NS else None

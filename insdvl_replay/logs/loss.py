@@ -4,13 +4,14 @@ The summary's statistics tell how many messages there were, its chunk index when
 indexes and the log times of the messages on both sides tell what they can.
 """
 
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from typing import Final
 
 from insdvl_replay.errors import Note
 from insdvl_replay.logs.chunks import read_chunk
-from insdvl_replay.logs.damage import DamageError, Loss, Span
-from insdvl_replay.logs.packed import Chunk, chunk_header, plausible_span
+from insdvl_replay.logs.damage import DamageError, Loss, Span, plausible_span
+from insdvl_replay.logs.packed import Chunk, chunk_header
 from insdvl_replay.logs.records import RECORD_HEADER_SIZE
 from insdvl_replay.logs.walk import Anatomy
 
@@ -83,10 +84,10 @@ def _reason(is_counted: bool, is_timed: bool, is_cut: bool) -> str:
 
 def _covered_s(spans: Sequence[Span]) -> float:
     """Give the time that spans cover together."""
-    covered_ns, reached = 0, None
-    for first, last in sorted(spans):
-        covered_ns += max(last - (first if reached is None else max(first, reached)), 0)
-        reached = last if reached is None else max(last, reached)
+    covered_ns = reached_ns = 0
+    for first_ns, last_ns in sorted(spans):
+        covered_ns += max(last_ns - max(first_ns, reached_ns), 0)
+        reached_ns = max(last_ns, reached_ns)
     return covered_ns * 1e-9
 
 
@@ -117,9 +118,8 @@ class _Spans:
 
     def __init__(self, data: memoryview, anatomy: Anatomy) -> None:
         self._data = data
-        self._chunks = anatomy.chunks
-        stated = anatomy.announced.statistics
-        self._whole = plausible_span(stated.message_start_time, stated.message_end_time) if stated else None
+        self._chunks = sorted(anatomy.chunks, key=_offset)
+        self._whole = anatomy.announced.span_ns
 
     def of(self, chunk: Chunk) -> Span | None:
         """Give the span of a chunk."""
@@ -127,14 +127,19 @@ class _Spans:
 
     def between(self, start: int, end: int | None) -> Span | None:
         """Give the span from the messages before some bytes to those behind them; None where an end is unknown."""
-        before = (self.of(chunk) for chunk in reversed(self._chunks) if chunk.offset < start)
-        behind = (self.of(chunk) for chunk in self._chunks if end is not None and chunk.offset >= end)
-        first, last = next(filter(None, before), None), next(filter(None, behind), None)
+        before = self._chunks[: bisect_left(self._chunks, start, key=_offset)]
+        behind = [] if end is None else self._chunks[bisect_left(self._chunks, end, key=_offset) :]
+        first = next(filter(None, map(self.of, reversed(before))), None)
+        last = next(filter(None, map(self.of, behind)), None)
         first_ns = first[1] if first else self._whole[0] if self._whole else None
         last_ns = last[0] if last else self._whole[1] if self._whole else None
         if first_ns is None or last_ns is None:
             return None
-        return min(first_ns, last_ns), max(first_ns, last_ns)
+        return plausible_span(min(first_ns, last_ns), max(first_ns, last_ns))
+
+
+def _offset(chunk: Chunk) -> int:
+    return chunk.offset
 
 
 def chunk_span(data: memoryview, chunk: Chunk) -> Span | None:

@@ -12,7 +12,7 @@ from typing import Final, Literal
 import lz4.frame
 import zstandard
 
-from insdvl_replay.logs.damage import DamageError, Span
+from insdvl_replay.logs.damage import DamageError, Span, plausible_span
 
 _CHUNK: Final = struct.Struct("<qqQII")
 COMPRESSED: Final = ("zstd", "lz4")
@@ -21,9 +21,6 @@ COMPRESSED: Final = ("zstd", "lz4")
 _USUAL_SIZE: Final = 64 << 20
 _MOST_COMPRESSED: Final = 256
 """Chunks larger than usual are taken at their word only if they are not packed more densely than this."""
-
-_LONGEST_NS: Final = 10**15
-"""No recording covers more."""
 
 
 @dataclass
@@ -76,21 +73,6 @@ class ChunkHeader:
     def span_ns(self) -> Span | None:
         """The span of the log times, if it can be so."""
         return plausible_span(self.first_ns, self.last_ns)
-
-
-def plausible_span(first_ns: int, last_ns: int) -> Span | None:
-    """Give a span if it can be one.
-
-    Parameters
-    ----------
-    first_ns, last_ns : int
-
-    Returns
-    -------
-    (int, int) or None
-        None where it ends before it begins, or is longer than any dive.
-    """
-    return (first_ns, last_ns) if first_ns > 0 and 0 <= last_ns - first_ns < _LONGEST_NS else None
 
 
 def chunk_header(data: memoryview, offset: int, room: int) -> ChunkHeader:

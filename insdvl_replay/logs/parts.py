@@ -70,10 +70,13 @@ class Parts:
     @property
     def notes(self) -> tuple[Note, ...]:
         """What was found wrong or was passed over so far."""
-        inside = [note for part in self.parts for note in part.notes]
-        names = ", ".join(part.path.name for part in self.parts)
-        joined = Note("joined_files", f"read as one dive: {names}", len(self.parts))
-        return joined, *inside, *self._unusable_notes(), *self._overlap_notes()
+        inside = (note for part in self.parts for note in part.notes)
+        return (*self._joined_notes(), *inside, *self._unusable_notes(), *self._overlap_notes())
+
+    def _joined_notes(self) -> Iterator[Note]:
+        if len(self.parts) > 1:
+            names = ", ".join(part.path.name for part in self.parts)
+            yield Note("joined_files", f"read as one dive: {names}", len(self.parts))
 
     def _unusable_notes(self) -> Iterator[Note]:
         for error in self._unusable.values():

@@ -7,7 +7,7 @@ from typing import Any, Final
 from mcap import records
 from mcap.opcode import Opcode
 
-from insdvl_replay.logs.damage import Damage, DamageError
+from insdvl_replay.logs.damage import Damage, DamageError, Span, plausible_span
 from insdvl_replay.logs.records import MAGIC, RECORD_HEADER_SIZE, find_records, parsed, what_stands
 
 _FOOTER_SIZE: Final = RECORD_HEADER_SIZE + 20
@@ -55,6 +55,14 @@ class Summary:
         if stated is None or (not self.checked and sum(stated.channel_message_counts.values()) != stated.message_count):
             return None
         return int(stated.message_count)
+
+    @property
+    def span_ns(self) -> Span | None:
+        """First and last log time of all messages, where the statistics can be believed."""
+        stated = self.statistics
+        if stated is None or self.message_count is None:
+            return None
+        return plausible_span(stated.message_start_time, stated.message_end_time)
 
 
 def read_summary(data: memoryview) -> Summary:
