@@ -3,6 +3,7 @@
 The fit takes the noise under which the baseline's own innovations are most likely. It knows nothing of the reference.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,12 +26,12 @@ LOWEST, HIGHEST = 1e-3, 1e3
 """Factors of the baseline's noise between which the fit looks."""
 
 
-def replay_with_control(path: Path, config: Config, *, allow_damaged: bool = False) -> Replay:
+def replay_with_control(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Replay:
     """Replay the dive in a log, with the control beside the configured filters.
 
     Parameters
     ----------
-    path : Path
+    path : Path or sequence of Path
     config : Config
     allow_damaged : bool
         As of `replay.replay_log`.

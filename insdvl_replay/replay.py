@@ -1,5 +1,6 @@
 """The hall: read a dive, run every configured filter over it, and lay what they believe beside what is so."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -65,13 +66,13 @@ class Replay:
     notes: tuple[Note, ...]
 
 
-def replay_log(path: Path, config: Config, *, allow_damaged: bool = False) -> Replay:
+def replay_log(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Replay:
     """Replay the dive in a log.
 
     Parameters
     ----------
-    path : Path
-        An MCAP file.
+    path : Path or sequence of Path
+        An MCAP file, a bag folder, or several of them that are one dive.
     config : Config
     allow_damaged : bool
         Replay what can be believed of a damaged log; what is lost is a note.

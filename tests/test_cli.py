@@ -17,7 +17,7 @@ DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--format <table|json|csv|md|latex>",
-        "--allow-damaged", "--control", "--strict", "--force", "-v, --verbose", "--help",
+        "--allow-damaged", "--one-dive", "--control", "--strict", "--force", "-v, --verbose", "--help",
     ],
     "inspect": [
         "LOG", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json>",

@@ -1,5 +1,6 @@
 """Damaged logs: refused with the place and what could be saved, or read as far as the bytes can be believed."""
 
+import re
 import resource
 import struct
 import time
@@ -40,6 +41,12 @@ def zero_tail(data: bytes) -> bytes:
     return data[:half] + bytes(len(data) - half)
 
 
+def zeros_inside(data: bytes) -> bytes:
+    """Write zeros over a tenth of the file, as a disk does that lost some blocks."""
+    start, size = 2 * len(data) // 5, len(data) // 10
+    return changed(data, start, bytes(size))
+
+
 def zeros_appended(data: bytes) -> bytes:
     return data + bytes(4096)
 
@@ -70,6 +77,12 @@ def with_right_checksum(harm: Harm, data: bytes) -> bytes:
 def chunk_twice(data: bytes) -> bytes:
     (start, _), (following, _) = records(data, CHUNK)[2:4]
     return data[:following] + data[start:following] + data[following:]
+
+
+def definitions_lost_and_summary_moved(data: bytes) -> bytes:
+    """Harm the chunk that defines the channels, and move the summary, which repeats the definitions."""
+    start, end = records(data, CHUNK)[0]
+    return chunk_twice(flipped(data, (start + end) // 2, 5))
 
 
 def chunk_taken_out(data: bytes) -> bytes:
@@ -117,7 +130,12 @@ class Case:
 
 
 CHUNKFUL = 60
+CHUNK_S = 0.45
+STEP_S = 0.01
 INSIDE = 9 + 32 + 4
+
+ALTERED = "flip without chunks"
+"""Here no message is lost, and one is not what it was; no checksum tells which."""
 
 MATRIX = {
     "cut in the middle": Case("zstd", partial(cut_at, 0.5), "without the closing bytes", 330, 200),
@@ -130,15 +148,18 @@ MATRIX = {
     "cut behind the start": Case("zstd", nothing_but_a_start, "without the closing bytes", MESSAGES, MESSAGES),
     "zero tail": Case("zstd", zero_tail, "without the closing bytes", 330, 200),
     "zero tail without chunks": Case("no chunks", zero_tail, "without the closing bytes", 330, 200),
+    "zeros inside": Case("zstd", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
+    "zeros inside, no summary": Case("no summary", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
+    "zeros inside, uncompressed": Case("uncompressed", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
+    "zeros inside, without chunks": Case("no chunks", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
+    "zeros inside and no end": Case("no chunks", lambda data: zeros_inside(data)[:-8], "without the closing", 180, 20),
     "zeros appended": Case("zstd", zeros_appended, "without the closing bytes", 0),
     "flip in a zstd chunk": Case("zstd", flip_payload, "chunk", CHUNKFUL, 20),
     "flip in an lz4 chunk": Case("lz4", flip_payload, "chunk", CHUNKFUL, 20),
     "flip in an open chunk": Case("uncompressed", flip_payload, "checksum of a chunk", CHUNKFUL, 20),
     "flip in a chunk's checksum": Case("zstd", partial(flip_in, CHUNK, 3, 9 + 24), "checksum of a chunk", CHUNKFUL, 20),
     "flip in a chunk's kind": Case("zstd", partial(flip_in, CHUNK, 3, 0), "an index stands behind no chunk", 0),
-    "flip without chunks": Case(
-        "no chunks", partial(flip_in, MESSAGE, 30, 200), "checksum of all messages", MESSAGES, 0
-    ),
+    ALTERED: Case("no chunks", partial(flip_in, MESSAGE, 30, 200), "checksum of all messages", MESSAGES, 0),
     "unknown compression": Case(
         "zstd", partial(in_record, CHUNK, 2, INSIDE - 4, b"brot"), "about its compression", CHUNKFUL, 20
     ),
@@ -180,6 +201,7 @@ MATRIX = {
     "header of another kind": Case("zstd", partial(flip_in, HEADER, 0, 0), "kind 9 are no record", 0),
     "chunk twice": Case("zstd", chunk_twice, "summary", 0),
     "chunk twice, no summary": Case("no summary", chunk_twice, "copy of the one", 0),
+    "definitions lost and summary moved": Case("zstd", definitions_lost_and_summary_moved, "summary", CHUNKFUL, 20),
     "chunk taken out": Case("zstd", chunk_taken_out, "summary", CHUNKFUL, 20),
     "message of an unknown channel": Case("bare", foreign_channel, "the 1 messages of channel 999", 1),
     "message too long in a chunk": Case("bare", partial(wrong_length_in_chunk, 400), "in the chunk", 2, 1),
@@ -211,11 +233,42 @@ def test_damage_is_refused_with_its_place_and_the_rest_is_saved(name: str, tmp_p
     lost = MESSAGES - len(found)
     assert case.least <= lost <= case.most
     assert len(set(found)) == len(found)
-    if "without chunks" not in name or "flip" not in name:
+    gone = true_messages() - set(found)
+    if name == ALTERED:
+        assert len(gone) == 1
+        gone = set()
+    else:
         assert set(found) <= true_messages()
     [note] = [note for note in log.notes if note.code == "log_damaged"]
     assert note.severity == "warning"
+    assert_loss_is_told(note.text, sorted(time_ns for _, time_ns, _ in gone))
     assert_hint(refused.value, len(found))
+
+
+LOSS = re.compile(
+    r"places?, (?:(?P<none>no messages are lost)"
+    r"|(?P<count>\d+|at least \d+|an unknown number of) messages? \((?P<time>[^)]*)\) (?:is|are) lost)(?P<why>; [^(]*)?"
+)
+
+
+def assert_loss_is_told(text: str, lost_ns: list[int]) -> None:
+    """Hold what is said of the loss against what was lost: exact, or at least so much and why not more is known."""
+    told = LOSS.search(text)
+    assert told
+    if told["none"]:
+        assert not lost_ns
+        return
+    span_s = (lost_ns[-1] - lost_ns[0]) * 1e-9
+    if told["count"].isdigit():
+        assert int(told["count"]) == len(lost_ns)
+    elif told["count"].startswith("at least"):
+        assert 0 < int(told["count"].removeprefix("at least ")) <= len(lost_ns)
+    if told["time"].endswith(" s") and not told["time"].startswith("at least"):
+        assert span_s - 3 * STEP_S <= float(told["time"].removesuffix(" s")) <= span_s + CHUNK_S
+    elif told["time"].startswith("at least"):
+        assert 0.0 < float(told["time"].removeprefix("at least ").removesuffix(" s")) <= span_s + 0.001
+    is_known = told["count"].isdigit() and told["time"][0].isdigit()
+    assert is_known == (told["why"] is None)
 
 
 def everything(path: Path, *, allow_damaged: bool) -> tuple[Log, list[tuple[str, int, bytes]]]:

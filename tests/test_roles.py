@@ -1,4 +1,4 @@
-"""Types known by name give the right columns; two candidates are named; several files are one dive."""
+"""Types known by name give the right columns; two candidates are named."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,7 +13,6 @@ from insdvl_replay.columns import Dive
 from insdvl_replay.config import Config, Dvl, Imu, Reference
 from insdvl_replay.errors import ConfigError, LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.bag import bag_parts
 from insdvl_replay.logs.ros2msg import definition_text
 
 Message = tuple[str, str, float, dict[str, Any]]
@@ -263,50 +262,3 @@ def test_geographic_pose_gives_position_and_attitude(read: Callable[..., Dive]) 
     assert not reference.has_velocity
     named = Config(reference=Reference(topic="/pose"))
     assert read([*poses, water_linked(0.0), water_linked(0.2)], named).reference is not None
-
-
-# Bags
-
-
-def bag(folder: Path, order: Sequence[str] | None) -> Path:
-    folder.mkdir()
-    everything = [*(imu(0.01 * i) for i in range(100)), *(water_linked(0.2 * i) for i in range(5))]
-    everything.sort(key=lambda message: message[2])
-    for number, name in enumerate(("b.mcap", "a.mcap", "c.mcap")):
-        write(folder / name, everything[35 * number : 35 * (number + 1)])
-    if order is not None:
-        listed = "".join(f"    - {name}\n" for name in order)
-        text = f"rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n{listed}  message_count: 105\n"
-        (folder / "metadata.yaml").write_text(text)
-    return folder
-
-
-def test_a_bag_is_one_dive(tmp_path: Path) -> None:
-    by_metadata = read_dive(bag(tmp_path / "dive", ["b.mcap", "a.mcap", "c.mcap"]), Config())
-    by_name = read_dive(bag(tmp_path / "other", None), Config())
-    for dive in (by_metadata, by_name):
-        np.testing.assert_array_equal(dive.imu.time_ns, START_NS + np.arange(100) * 10**7)
-        assert len(dive.dvl.time_ns) == 5
-        assert {channel.topic: channel.messages for channel in dive.channels} == {"/imu": 100, "/dvl": 5}
-    assert by_metadata.name == "dive"
-    assert by_metadata.sha256 != by_name.sha256
-    assert "imu_out_of_order" in counts(by_name)
-    assert "imu_out_of_order" not in counts(by_metadata)
-
-
-def test_parts_without_metadata_are_read_as_people_count(tmp_path: Path) -> None:
-    for name in ("part_10.mcap", "part_2.mcap", "part_1.mcap"):
-        (tmp_path / name).touch()
-    assert [part.name for part in bag_parts(tmp_path)] == ["part_1.mcap", "part_2.mcap", "part_10.mcap"]
-
-
-def test_a_bag_that_is_not_whole_is_refused(tmp_path: Path) -> None:
-    folder = bag(tmp_path / "dive", ["b.mcap", "lost.mcap"])
-    with pytest.raises(LogError, match=r"metadata\.yaml: lists lost\.mcap, which is not there"):
-        read_dive(folder, Config())
-    (folder / "metadata.yaml").write_text("relative_file_paths:\n  - a.mcap\n  - b.mcap\n")
-    with pytest.raises(LogError, match=r"metadata\.yaml: does not list c\.mcap, which lies beside"):
-        read_dive(folder, Config())
-    (folder / "metadata.yaml").write_text("something: else\n")
-    with pytest.raises(LogError, match=r"metadata\.yaml: lists no files"):
-        read_dive(folder, Config())

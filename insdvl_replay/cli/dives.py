@@ -13,6 +13,7 @@ from insdvl_replay.cli.screen import compiling, patience, rendered
 from insdvl_replay.config import Config
 from insdvl_replay.control import replay_with_control
 from insdvl_replay.errors import ConfigError, LogError
+from insdvl_replay.logs import name_giver
 from insdvl_replay.replay import replay_log
 from insdvl_replay.report.csv_tables import report_csv
 from insdvl_replay.report.folder import (
@@ -38,8 +39,10 @@ PRINTED = {
 }
 
 
-def result_targets(logs: Sequence[Path], output: Path, *, force: bool) -> dict[Path, Path]:
-    """Name each log's result folder before any work is done.
+def result_targets(
+    logs: Sequence[Path], output: Path, *, force: bool, one_dive: bool = False
+) -> dict[Path, tuple[Path, ...]]:
+    """Name each dive's result folder before any work is done.
 
     Parameters
     ----------
@@ -48,35 +51,40 @@ def result_targets(logs: Sequence[Path], output: Path, *, force: bool) -> dict[P
         The folder above.
     force : bool
         Results that exist may be replaced.
+    one_dive : bool
+        All logs are one dive; else each is one.
 
     Returns
     -------
-    dict of Path to Path
-        Result folder to log, in the order of the logs.
+    dict of Path to tuple of Path
+        Result folder to the logs of the dive, in the order of the logs.
 
     Raises
     ------
     ConfigError
         Two logs would share a folder, or a result exists.
     """
-    targets: dict[Path, Path] = {}
-    for log in logs:
+    targets: dict[Path, tuple[Path, ...]] = {}
+    dives = [tuple(logs)] if one_dive else [(log,) for log in logs]
+    for dive in dives:
+        log = name_giver(dive)
         target = output / log.absolute().stem
-        if len(logs) > 1 and target.name == SUMMARY:
+        if len(dives) > 1 and target.name == SUMMARY:
             raise ConfigError(f"{log}: its results would bear the name of the summary", "rename it, or replay it alone")
         if target in targets:
             raise ConfigError(
-                f"{targets[target]} and {log} would both write {target}", "replay them one by one, each with its own -o"
+                f"{targets[target][0]} and {log} would both write {target}",
+                "replay them one by one, each with its own -o, or with --one-dive if they are parts of one dive",
             )
         refuse_existing_folder(target, force=force)
-        targets[target] = log
-    if len(logs) > 1:
+        targets[target] = dive
+    if len(dives) > 1:
         refuse_existing_file(output / SUMMARY, force=force)
     return targets
 
 
 def replay_dives(
-    targets: Mapping[Path, Path],
+    targets: Mapping[Path, tuple[Path, ...]],
     config: Config,
     output: Path,
     format_: Format,
@@ -91,7 +99,7 @@ def replay_dives(
 
     Parameters
     ----------
-    targets : mapping of Path to Path
+    targets : mapping of Path to tuple of Path
         From `result_targets`.
     config : Config
     output : Path
@@ -117,9 +125,9 @@ def replay_dives(
     outcomes: list[Report | Failure] = []
     codes: dict[str, int] = {}
     together = format_ is Format.JSON and len(targets) > 1
-    for target, log in targets.items():
+    for target, logs in targets.items():
         try:
-            report = _replayed(log, target, config, allow_damaged=allow_damaged, control=control, force=force)
+            report = _replayed(logs, target, config, allow_damaged=allow_damaged, control=control, force=force)
         except Exception as error:
             outcomes.append(Failure(target.name, str(error)))
             codes[target.name] = tell_failure(error, verbosity)
@@ -137,11 +145,13 @@ def replay_dives(
     return max(codes.values())
 
 
-def _replayed(log: Path, target: Path, config: Config, *, allow_damaged: bool, control: bool, force: bool) -> Report:
-    """Replay one log into its folder. The time of day is added here: what the hall writes depends on the log alone."""
+def _replayed(
+    logs: tuple[Path, ...], target: Path, config: Config, *, allow_damaged: bool, control: bool, force: bool
+) -> Report:
+    """Replay one dive into its folder. The time of day is added here: what the hall writes depends on the log alone."""
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
-    with patience(f"replaying {log.name}{compiling()}"):
-        replay = (replay_with_control if control else replay_log)(log, config, allow_damaged=allow_damaged)
+    with patience(f"replaying {name_giver(logs).name}{compiling()}"):
+        replay = (replay_with_control if control else replay_log)(logs, config, allow_damaged=allow_damaged)
         with result_folder(target, force=force) as folder:
             save_replay(replay, folder)
             tool = Tool(started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3))

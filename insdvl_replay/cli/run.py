@@ -37,6 +37,9 @@ def run(
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Use what can be read of a damaged log; what is lost is said.")
     ] = False,
+    one_dive: Annotated[
+        bool, typer.Option("--one-dive", help="Read all files as one dive, named after the first by name.")
+    ] = False,
     control: Annotated[
         bool, typer.Option("--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log.")
     ] = False,
@@ -54,6 +57,7 @@ def run(
     Example:
       insdvl-replay run dive.mcap
       insdvl-replay run dives/*.mcap -o results -c vehicle.toml --format md
+      insdvl-replay run sensors.mcap gnss.mcap --one-dive
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
     """
     from insdvl_replay.cli.dives import replay_dives, result_targets
@@ -61,7 +65,7 @@ def run(
 
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
     resolved = load_config(preset, config, [*settings, *spans])
-    targets = result_targets(logs, output, force=force)
+    targets = result_targets(logs, output, force=force, one_dive=one_dive)
     return replay_dives(
         targets,
         resolved,

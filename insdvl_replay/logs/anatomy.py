@@ -9,11 +9,12 @@ from typing import Any
 
 from mcap import records
 
-from insdvl_replay.logs.chunks import index_count, read_chunk
+from insdvl_replay.logs.chunks import read_chunk
 from insdvl_replay.logs.damage import Damage, DamageError
+from insdvl_replay.logs.message_index import index_count
 from insdvl_replay.logs.packed import Chunk, chunk_header
-from insdvl_replay.logs.records import RECORD_HEADER_SIZE
-from insdvl_replay.logs.summary import read_summary
+from insdvl_replay.logs.records import DATA_END_SIZE, RECORD_HEADER_SIZE
+from insdvl_replay.logs.summary import read_summary, summary_behind
 from insdvl_replay.logs.walk import Anatomy, Walk, file_definition
 
 
@@ -34,12 +35,14 @@ def anatomy_of(data: memoryview, release: Callable[[int, int], None]) -> Anatomy
     summary = read_summary(data)
     anatomy = Anatomy(summary, damages=list(summary.damages))
     Walk(data, anatomy, release).run()
+    if anatomy.data_end is not None and summary.message_count is None:
+        anatomy.displaced = summary_behind(data, anatomy.data_end[0] + DATA_END_SIZE)
     for chunk in list(anatomy.chunks):
         _count_by_index(data, anatomy, chunk)
     _compare_chunks(data, anatomy)
     _drop_copies(data, anatomy)
-    anatomy.schemas |= _agreed(anatomy, anatomy.schemas, summary.schemas)
-    anatomy.channels |= _agreed(anatomy, anatomy.channels, summary.channels)
+    anatomy.schemas |= _agreed(anatomy, anatomy.schemas, anatomy.announced.schemas)
+    anatomy.channels |= _agreed(anatomy, anatomy.channels, anatomy.announced.channels)
     for chunk in list(anatomy.chunks):
         if chunk.kind != "loose" and not _is_vouched_for(anatomy, chunk):
             _look_into(data, anatomy, chunk)
@@ -61,7 +64,7 @@ def _count_by_index(data: memoryview, anatomy: Anatomy, chunk: Chunk) -> None:
         if chunk.kind != "loose":
             chunk_header(data, chunk.offset, chunk.length)
     except DamageError as damage:
-        anatomy.lose(data, chunk, damage)
+        anatomy.lose(chunk, damage)
 
 
 def _compare_chunks(data: memoryview, anatomy: Anatomy) -> None:
@@ -133,7 +136,7 @@ def _agreed(anatomy: Anatomy, found: dict[int, Any], repeated: dict[int, Any]) -
             kind = type(found[id_]).__name__.lower()
             text = f"{kind} {id_} is not the same among the messages and in the summary"
             anatomy.mark(Damage(anatomy.summary.end, text))
-    return found | repeated if anatomy.summary.checked else repeated | found
+    return found | repeated if anatomy.announced.checked else repeated | found
 
 
 def _is_vouched_for(anatomy: Anatomy, chunk: Chunk) -> bool:
@@ -151,7 +154,7 @@ def _look_into(data: memoryview, anatomy: Anatomy, chunk: Chunk) -> None:
     try:
         content = read_chunk(data, chunk)
     except DamageError as damage:
-        anatomy.lose(data, chunk, damage)
+        anatomy.lose(chunk, damage)
         return
     anatomy.accept(chunk, content)
     for opcode, start, length in content.others:
@@ -166,4 +169,4 @@ def _check_channels(anatomy: Anatomy) -> None:
     for channel_id, count in anatomy.counts.items():
         if channel_id not in anatomy.channels:
             text = f"{count} messages are of channel {channel_id}, which is nowhere defined"
-            anatomy.mark(Damage(anatomy.summary.end, text, count))
+            anatomy.mark(Damage(anatomy.summary.end, text))

@@ -116,7 +116,7 @@ def checked_digest(path: Path, section_end: int, section_crc: int) -> tuple[str,
     digest, crc = _digest(path, section_end if section_crc else 0)
     if crc == section_crc:
         return digest, []
-    return digest, [Damage(section_end, "the checksum of all messages is not that of their bytes", None)]
+    return digest, [Damage(section_end, "the checksum of all messages is not that of their bytes; some may be wrong")]
 
 
 def _digest(path: Path, section_end: int) -> tuple[str, int]:

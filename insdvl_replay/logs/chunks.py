@@ -5,7 +5,6 @@ chunk the records themselves are followed, and the index must agree with them.
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
-import struct
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -16,8 +15,9 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import TimeNs
-from insdvl_replay.logs.damage import Damage, DamageError
-from insdvl_replay.logs.packed import Chunk, open_chunk
+from insdvl_replay.logs.damage import Damage, DamageError, Span, plausible_span
+from insdvl_replay.logs.message_index import index_entries
+from insdvl_replay.logs.packed import Chunk, chunk_header, open_chunk
 from insdvl_replay.logs.records import (
     MESSAGE_FIELDS_SIZE,
     Records,
@@ -27,8 +27,6 @@ from insdvl_replay.logs.records import (
     what_stands,
 )
 
-_INDEX: Final = struct.Struct("<HI")
-_ENTRY: Final = np.dtype([("log_time", "<i8"), ("start", "<i8")])
 _MESSAGE: Final = np.dtype(
     [
         ("opcode", "u1"),
@@ -57,6 +55,8 @@ class Content:
         Kind, start and size of the content of every other record.
     damages : list of Damage
         What is wrong although the chunk can be read.
+    lost_span_ns : (int, int) or None
+        Log times between which messages are lost, where bytes of the chunk are no record.
     """
 
     buffer: memoryview
@@ -64,6 +64,7 @@ class Content:
     headers: NDArray[Any]
     others: list[tuple[int, int, int]]
     damages: list[Damage]
+    lost_span_ns: Span | None = None
 
     def counts(self) -> Counter[int]:
         """Count the messages of each channel."""
@@ -139,28 +140,51 @@ def read_chunk(data: memoryview, chunk: Chunk) -> Content:
         Nothing in the chunk can be believed.
     """
     buffer = open_chunk(data, chunk)
-    batches, damages = _batches(buffer, chunk)
+    batches, passed = _batches(buffer)
     messages = np.concatenate([batch.starts[batch.opcodes == Opcode.MESSAGE] for batch in batches])
     others = [row for batch in batches for row in batch.where(batch.opcodes != Opcode.MESSAGE).rows()]
-    content = Content(buffer, messages, gather(buffer, messages, _MESSAGE), others, damages)
+    headers = gather(buffer, messages, _MESSAGE)
+    damages = [Damage(chunk.offset, f"in the chunk, {stop} bytes on, {reason}") for stop, _, reason in passed]
+    holes = [(start, stop) for start, stop, _ in passed] + [(len(buffer),) * 2] * (chunk.kind == "cut")
+    span_ns = _lost_span(data, chunk, messages, headers["log_time"], holes) if holes else None
+    content = Content(buffer, messages, headers, others, damages, span_ns)
     if chunk.indexes and chunk.kind == "whole":
         damages += _index_damages(data, chunk, content)
     return content
 
 
-def _batches(buffer: memoryview, chunk: Chunk) -> tuple[list[Records], list[Damage]]:
+def _batches(buffer: memoryview) -> tuple[list[Records], list[tuple[int, int, str]]]:
+    """Find the records of a chunk, and where bytes between them are none: from where to where, and why."""
     batches: list[Records] = []
-    damages: list[Damage] = []
+    passed: list[tuple[int, int, str]] = []
     place, end = 0, len(buffer)
     while place < end or not batches:
         batch, stop = find_records(buffer, place, end)
         if is_broken(batch, stop, end):
-            found = f"in the chunk, {stop} bytes on, {what_stands(buffer, stop, end)}"
-            damages.append(Damage(chunk.offset, found, None))
+            broken, reason = stop, what_stands(buffer, stop, end)
             batch, stop = go_on(buffer, batch, stop, end)
+            passed.append((broken, stop, reason))
         batches.append(batch)
         place = stop
-    return batches, damages
+    return batches, passed
+
+
+def _lost_span(
+    data: memoryview,
+    chunk: Chunk,
+    messages: NDArray[np.int64],
+    log_time: TimeNs,
+    holes: list[tuple[int, int]],
+) -> Span | None:
+    """Give the log times between which messages are lost: those of the messages on both sides, else of the chunk."""
+    before = np.searchsorted(messages, holes[0][0])
+    behind = np.searchsorted(messages, holes[-1][1])
+    whole = chunk_header(data, chunk.offset, chunk.length).span_ns if chunk.kind != "loose" else None
+    first_ns = int(log_time[before - 1]) if before else whole and whole[0]
+    last_ns = int(log_time[behind]) if behind < len(messages) else whole and whole[1]
+    if first_ns is None or last_ns is None:
+        return None
+    return plausible_span(min(first_ns, last_ns), max(first_ns, last_ns))
 
 
 def _index_damages(data: memoryview, chunk: Chunk, content: Content) -> list[Damage]:
@@ -195,57 +219,6 @@ def _names_all(entries: NDArray[Any], places: NDArray[np.int64], log_time: TimeN
     named = np.zeros(places.size, np.bool_)
     named[nearest[right]] = True
     return bool(named.all())
-
-
-def index_count(data: memoryview, offset: int, length: int) -> tuple[int, int]:
-    """Read of which channel an index record is, and how many messages it names.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    offset, length : int
-        Where its content stands.
-
-    Returns
-    -------
-    channel_id, count : int
-
-    Raises
-    ------
-    DamageError
-        The lengths do not agree.
-    """
-    channel_id, size = _INDEX.unpack_from(data, offset)
-    if size > length - _INDEX.size or size % _ENTRY.itemsize:
-        raise DamageError(offset, f"an index record of {length} bytes says it has {size} bytes of entries")
-    return channel_id, size // _ENTRY.itemsize
-
-
-def index_entries(data: memoryview, offset: int, length: int) -> tuple[int, NDArray[Any]]:
-    """Read an index record.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    offset, length : int
-        Where its content stands.
-
-    Returns
-    -------
-    int
-        A channel.
-    ndarray, shape (k,)
-        Fields ``log_time``, ns, and ``start`` of the message record in the open chunk.
-
-    Raises
-    ------
-    DamageError
-        The lengths do not agree.
-    """
-    channel_id, count = index_count(data, offset, length)
-    return channel_id, np.frombuffer(data, _ENTRY, count, offset + _INDEX.size)
 
 
 def blocks_of(content: Content, channel_ids: Collection[int]) -> Iterator[Block]:

@@ -9,62 +9,28 @@ import mmap
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from mcap import records
 
-from insdvl_replay.columns import TimeNs, seconds
+from insdvl_replay.columns import TimeNs
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.anatomy import anatomy_of
 from insdvl_replay.logs.attachments import Attachment, attachment_at, attachment_damages, checked_digest
-from insdvl_replay.logs.chunks import Block, Content, blocks_of, index_entries, read_chunk
-from insdvl_replay.logs.damage import DamageError, damage_note
+from insdvl_replay.logs.channel import described
+from insdvl_replay.logs.chunks import Block, Content, blocks_of, read_chunk
+from insdvl_replay.logs.damage import DamageError, Span
+from insdvl_replay.logs.loss import chunk_span, damage_note
+from insdvl_replay.logs.message_index import index_entries
+from insdvl_replay.logs.opening import mapped
 from insdvl_replay.logs.packed import Chunk, chunk_header
-from insdvl_replay.logs.records import MAGIC, parsed
+from insdvl_replay.logs.records import parsed
+from insdvl_replay.logs.refusal import refused
 
 _AHEAD: Final = 3
 """Chunks that are opened while the one before is read."""
-
-_OTHER_FORMATS: Final = {
-    b"SQLite format 3": ("a ROS 2 bag in SQLite", "`ros2 bag convert` writes it as MCAP"),
-    b"#ROSBAG V2.0": ("a ROS 1 bag", "`mcap convert in.bag out.mcap` writes it as MCAP"),
-}
-
-
-@dataclass(frozen=True)
-class LogChannel:
-    """One channel of a log; a topic may have several.
-
-    Attributes
-    ----------
-    id : int
-        Number that the messages carry.
-    topic, type_name, encoding : str
-        As the log names them.
-    schema_encoding : str
-        Language of the schema, ``ros2msg`` for ROS 2.
-    schema_text : str
-        The schema; may be empty.
-    messages : int
-        How many messages are found.
-    schema_data : bytes
-        The schema as it stands in the log; protobuf's are no text.
-    metadata : mapping of str to str
-        What the recorder wrote beside it.
-    """
-
-    id: int
-    topic: str
-    type_name: str
-    encoding: str
-    schema_encoding: str
-    schema_text: str
-    messages: int
-    schema_data: bytes = b""
-    metadata: Mapping[str, str] = field(default_factory=dict)
 
 
 class Log:
@@ -79,6 +45,7 @@ class Log:
     Attributes
     ----------
     path : Path
+    allow_damaged : bool
     channels : tuple of LogChannel
 
     Raises
@@ -89,13 +56,14 @@ class Log:
 
     def __init__(self, path: Path, *, allow_damaged: bool = False) -> None:
         self.path = path
-        self._allow_damaged = allow_damaged
-        self._map = _mapped(path)
+        self.allow_damaged = allow_damaged
+        self._map = mapped(path)
         self._data = memoryview(self._map)
         self._anatomy = anatomy_of(self._data, self._release)
+        self._opened: set[int] = set()
         self._judge()
         self.channels = tuple(
-            _log_channel(channel, self._anatomy.schemas.get(channel.schema_id), self._anatomy.counts[channel.id])
+            described(channel, self._anatomy.schemas.get(channel.schema_id), self._anatomy.counts[channel.id])
             for channel in self._anatomy.channels.values()
         )
 
@@ -135,6 +103,12 @@ class Log:
         return (self,)
 
     @property
+    def span_ns(self) -> Span | None:
+        """First and last log time; None without messages."""
+        spans = [span for chunk in self._anatomy.chunks if (span := chunk_span(self._data, chunk))]
+        return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
+
+    @property
     def size_bytes(self) -> int:
         """How large the file is."""
         return len(self._data)
@@ -159,7 +133,7 @@ class Log:
         """What was found wrong or was passed over so far."""
         notes = []
         if self._anatomy.damages:
-            notes.append(damage_note(self.path.name, self._anatomy.damages, self._anatomy.missing))
+            notes.append(damage_note(self.path.name, self._data, self._anatomy))
         elif missing := self._anatomy.missing:
             text = f"the summary of {self.path.name} announces {missing:+d} messages against what the log holds"
             hint = "copy the log again from the recorder if it still has it"
@@ -210,6 +184,22 @@ class Log:
             yield from blocks_of(content, channel_ids)
         self._judge()
 
+    def check_unopened(self) -> None:
+        """Open the chunks that nobody has opened so far, for their checksums alone.
+
+        Raises
+        ------
+        LogError
+            One is damaged.
+        """
+        unopened = [chunk for chunk in self._anatomy.chunks if chunk.offset not in self._opened]
+        for _ in self._contents([chunk for chunk in unopened if self._has_checksum(chunk)]):
+            self._judge()
+        self._judge()
+
+    def _has_checksum(self, chunk: Chunk) -> bool:
+        return chunk.kind == "whole" and chunk_header(self._data, chunk.offset, chunk.length).crc != 0
+
     def log_times(self) -> dict[int, TimeNs]:
         """Give the log times of all messages from the indexes; only chunks without one are opened.
 
@@ -245,81 +235,38 @@ class Log:
                     yield from self._content(*ahead.popleft())
 
     def _content(self, chunk: Chunk, opened: Future[Content]) -> Iterator[Content]:
+        self._opened.add(chunk.offset)
         try:
             content = opened.result()
         except DamageError as damage:
-            self._anatomy.lose(self._data, chunk, damage)
+            self._anatomy.lose(chunk, damage)
             return
         if content.damages:
             self._anatomy.accept(chunk, content)
         yield content
         self._release(chunk.offset, chunk.offset + chunk.length)
 
-    def _judge(self) -> None:
-        """Refuse a damaged file unless that is allowed."""
-        if self._anatomy.damages and not self._allow_damaged:
-            raise self._refusal()
+    def complaints(self) -> list[str]:
+        """Give a sentence for each damaged place found so far."""
+        return [f"{self.path}: is damaged at byte {one.offset}: {one.found}" for one in self._anatomy.damages]
+
+    def saved_times(self) -> Iterator[TimeNs]:
+        """Read all that can be read and give the log times, a block of messages at a time; ns."""
+        ids = self._anatomy.channels.keys()
+        for content in self._contents(list(self._anatomy.chunks)):
+            yield from (block.log_time for block in blocks_of(content, ids))
 
     def refusal(self) -> LogError | None:
         """Give the error with which the file would be refused, by the damage found so far."""
-        return self._refusal() if self._anatomy.damages else None
+        complaints = self.complaints()
+        return refused(complaints, self.saved_times()) if complaints else None
 
-    def _refusal(self) -> LogError:
-        first, more = self._anatomy.damages[0], len(self._anatomy.damages) - 1
-        places = f" ({more} more damaged places)" if more else ""
-        return LogError(f"{self.path}: is damaged at byte {first.offset}: {first.found}{places}", self._hint())
-
-    def _hint(self) -> str:
-        """Say what could be saved, by reading all of it."""
-        ids = self._anatomy.channels.keys()
-        contents = self._contents(list(self._anatomy.chunks))
-        times = [block.log_time for content in contents for block in blocks_of(content, ids)]
-        saved = np.concatenate([np.empty(0, np.int64), *times])
-        if not saved.size:
-            return "no message in it can be read; copy it again from the recorder"
-        span_s = float(seconds(saved.max(), int(saved.min())))
-        return f"--allow-damaged uses the {span_s:.1f} s and {saved.size} messages that can be read"
+    def _judge(self) -> None:
+        if not self.allow_damaged and (error := self.refusal()) is not None:
+            raise error
 
     def _release(self, start: int, end: int) -> None:
         """Keep what was read from counting as memory of this process; the system reads it again if need be."""
         if hasattr(mmap, "MADV_DONTNEED"):
             page = start - start % mmap.PAGESIZE
             self._map.madvise(mmap.MADV_DONTNEED, page, end - page)
-
-
-def _mapped(path: Path) -> mmap.mmap:
-    if path.is_dir():
-        inside = sorted(path.glob("*.mcap"))
-        raise LogError(f"{path}: is a folder", f"name the log in it: {inside[0]}" if inside else "it has no .mcap file")
-    try:
-        with path.open("rb") as file:
-            start = file.read(16)
-            if not start:
-                raise LogError(f"{path}: is empty (0 bytes)", "the recording never began, or the copy failed")
-            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}", "check the path") from error
-    if not start.startswith(MAGIC):
-        raise _not_mcap(path, start)
-    return data
-
-
-def _not_mcap(path: Path, start: bytes) -> LogError:
-    for magic, (name, hint) in _OTHER_FORMATS.items():
-        if start.startswith(magic):
-            return LogError(f"{path}: is {name}, not an MCAP file", hint)
-    return LogError(f"{path}: is not an MCAP file: it starts with bytes '{start[:8].hex(' ')}'", "name an .mcap file")
-
-
-def _log_channel(channel: records.Channel, schema: Any, messages: int) -> LogChannel:
-    return LogChannel(
-        id=channel.id,
-        topic=channel.topic,
-        type_name=schema.name if schema else "",
-        encoding=channel.message_encoding,
-        schema_encoding=schema.encoding if schema else "",
-        schema_text=schema.data.decode("utf-8", "replace") if schema else "",
-        messages=messages,
-        schema_data=schema.data if schema else b"",
-        metadata=channel.metadata,
-    )

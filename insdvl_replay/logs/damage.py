@@ -1,13 +1,13 @@
-"""Damage: where a file is not what the format says, and what was lost by it."""
+"""Damage: where a file is not what the format says, and which messages are gone there."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from insdvl_replay.errors import Note
+Span = tuple[int, int]
+"""First and last log time, ns."""
 
-_SHOWN: Final = 3
-"""Places that are told one by one."""
+_LONGEST_NS: Final = 10**15
+"""No recording covers more."""
 
 
 class DamageError(Exception):
@@ -37,61 +37,38 @@ class Damage:
         Where in the file.
     found : str
         What stands there.
-    messages : int or None
-        How many messages were lost; None where nobody knows.
-    seconds : float or None
-        The time that these span.
     """
 
     offset: int
     found: str
-    messages: int | None = 0
-    seconds: float | None = None
 
 
-def lost(damages: Sequence[Damage], missing: int | None) -> str:
-    """Say what was lost in all.
+@dataclass(frozen=True)
+class Loss:
+    """Messages that cannot be read.
+
+    Attributes
+    ----------
+    messages : int or None
+        How many; None where nothing tells.
+    span_ns : (int, int) or None
+        Log times between which they were; None where nothing tells.
+    """
+
+    messages: int | None
+    span_ns: Span | None
+
+
+def plausible_span(first_ns: int, last_ns: int) -> Span | None:
+    """Give a span if it can be one.
 
     Parameters
     ----------
-    damages : sequence of Damage
-    missing : int or None
-        Messages that the log announces and that are not found, where it announces any.
+    first_ns, last_ns : int
 
     Returns
     -------
-    str
+    (int, int) or None
+        None where it ends before it begins, or is longer than any dive.
     """
-    known = [damage.messages for damage in damages if damage.messages is not None]
-    messages, seconds = sum(known), sum(damage.seconds or 0.0 for damage in damages)
-    if missing is not None:
-        amount = str(max(missing, 0))
-    elif len(known) == len(damages):
-        amount = str(messages)
-    else:
-        amount = f"at least {messages}" if messages else "an unknown number of"
-    return f"{amount} messages" + (f" ({seconds:.3f} s)" if seconds else "") + " are lost"
-
-
-def damage_note(name: str, damages: Sequence[Damage], missing: int | None) -> Note:
-    """Say what was found and lost in a damaged log.
-
-    Parameters
-    ----------
-    name : str
-        Of the log.
-    damages : sequence of Damage
-        At least one.
-    missing : int or None
-        As of `lost`.
-
-    Returns
-    -------
-    Note
-        A warning, ``log_damaged``.
-    """
-    shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
-    more = f"; and {len(damages) - _SHOWN} more" if len(damages) > _SHOWN else ""
-    places = "1 place" if len(damages) == 1 else f"{len(damages)} places"
-    text = f"{name} is damaged in {places}, {lost(damages, missing)} ({shown}{more})"
-    return Note("log_damaged", text, len(damages), "warning", "copy the log again from the recorder if it still has it")
+    return (first_ns, last_ns) if first_ns > 0 and 0 <= last_ns - first_ns < _LONGEST_NS else None

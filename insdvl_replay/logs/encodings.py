@@ -6,7 +6,7 @@ from typing import Final
 
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs.cdr import CdrReader, cdr_paths
-from insdvl_replay.logs.container import LogChannel
+from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.field_paths import FieldReader, Kinds, known_paths
 from insdvl_replay.logs.json_fields import JsonReader, json_shape
 from insdvl_replay.logs.protobuf_fields import ProtobufReader, protobuf_shape

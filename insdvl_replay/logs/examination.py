@@ -13,17 +13,17 @@ from insdvl_replay.columns import DvlColumns, ImuColumns, ReferenceColumns, Time
 from insdvl_replay.config import Config
 from insdvl_replay.errors import ConfigError, Note, UserError
 from insdvl_replay.inventory import Clock, Obstacle, PingFacts, ReferenceFacts
-from insdvl_replay.logs.bag import Recording
+from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.clocks import clock_notes
-from insdvl_replay.logs.container import LogChannel
 from insdvl_replay.logs.decode import decode_imu
 from insdvl_replay.logs.encodings import channel_paths, check_encoding
 from insdvl_replay.logs.imu_health import Check
 from insdvl_replay.logs.pings import decode_dvl
 from insdvl_replay.logs.plausibility import plausibility_checks
+from insdvl_replay.logs.recording import Recording
 from insdvl_replay.logs.reference import decode_reference
 from insdvl_replay.logs.roles import Finding
-from insdvl_replay.logs.table_notes import count_notes, schema_notes, stamp_notes
+from insdvl_replay.logs.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.tables import Table, read_sample, read_tables
 from insdvl_replay.logs.wishes import Source
 
@@ -106,7 +106,7 @@ class Examination:
             tables = [self._read(source, self._stopped_by) for source in finding.sources]
             self._remark([*schema_notes(finding.sources), *stamp_notes(tables)])
             if self.deep:
-                self._remark(count_notes(tables))
+                self._remark([*count_notes(tables), *left_out_notes(tables)])
         except UserError as error:
             self._stopped_by(error)
             return
@@ -135,6 +135,8 @@ class Examination:
     def _read(self, source: Source, complain: Callable[[UserError], None]) -> Table:
         """Read a topic; where its stamps are no times, tell so and go on with the recorder's."""
         table = read_tables(self.log, [source])[0] if self.deep else read_sample(self.log, source, _ENOUGH)
+        if table.unreadable_ns:
+            complain(table.refusal())
         try:
             clock = table.clock()
         except UserError as error:

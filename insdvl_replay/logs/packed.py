@@ -12,7 +12,7 @@ from typing import Final, Literal
 import lz4.frame
 import zstandard
 
-from insdvl_replay.logs.damage import DamageError
+from insdvl_replay.logs.damage import DamageError, Span, plausible_span
 
 _CHUNK: Final = struct.Struct("<qqQII")
 COMPRESSED: Final = ("zstd", "lz4")
@@ -68,6 +68,11 @@ class ChunkHeader:
     compression: str
     packed_start: int
     packed_size: int
+
+    @property
+    def span_ns(self) -> Span | None:
+        """The span of the log times, if it can be so."""
+        return plausible_span(self.first_ns, self.last_ns)
 
 
 def chunk_header(data: memoryview, offset: int, room: int) -> ChunkHeader:

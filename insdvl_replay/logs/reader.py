@@ -6,25 +6,25 @@ from pathlib import Path
 
 from insdvl_replay.columns import Channel, Dive
 from insdvl_replay.config import Config
-from insdvl_replay.logs.bag import open_recording
+from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.clocks import clock_notes
-from insdvl_replay.logs.container import LogChannel
 from insdvl_replay.logs.decode import decode_imu, decode_truth
 from insdvl_replay.logs.pings import decode_dvl
 from insdvl_replay.logs.plausibility import plausibility_notes
+from insdvl_replay.logs.recording import open_recording
 from insdvl_replay.logs.reference import decode_reference
 from insdvl_replay.logs.roles import Roles, assign_roles
-from insdvl_replay.logs.table_notes import count_notes, schema_notes, stamp_notes
+from insdvl_replay.logs.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.tables import read_tables
 
 
-def read_dive(path: Path, config: Config, *, allow_damaged: bool = False) -> Dive:
+def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:
     """Read everything that is needed to replay a dive.
 
     Parameters
     ----------
-    path : Path
-        An MCAP file, or a folder with the parts of one recording.
+    path : Path or sequence of Path
+        An MCAP file, a folder with the parts of one recording, or several of them that are one dive.
     config : Config
         Names topics, fields, units and axes where the types do not tell them.
     allow_damaged : bool
@@ -44,22 +44,25 @@ def read_dive(path: Path, config: Config, *, allow_damaged: bool = False) -> Div
         The axes or the beam geometry of the configuration cannot be.
     """
     log = open_recording(path, allow_damaged=allow_damaged)
-    roles = assign_roles(str(path), log.channels, config)
+    place = str(log.path)
+    roles = assign_roles(place, log.channels, config)
     with ThreadPoolExecutor(1) as checker:
         digest = checker.submit(log.sha256)
         tables = read_tables(log, roles.sources)
+        log.check_unopened()
         sha256 = digest.result()
-    notes = [*log.notes, *schema_notes(roles.sources), *count_notes(tables), *stamp_notes(tables)]
-    notes += clock_notes(str(path), [table.clock() for table in tables], config.clocks.max_disagreement_s)
+    notes = [*log.notes, *schema_notes(roles.sources), *count_notes(tables)]
+    notes += [*left_out_notes(tables), *stamp_notes(tables)]
+    notes += clock_notes(place, [table.clock() for table in tables], config.clocks.max_disagreement_s)
     # The raw columns of a long dive are large, and let go one by one.
     imu, imu_notes = decode_imu(tables.pop(0), config.imu)
     dvl, dvl_notes = decode_dvl(tables.pop(0), config.dvl)
     truth, truth_notes = decode_truth(tables.pop()) if roles.truth else (None, [])
     reference, reference_notes = decode_reference(tables, config.reference)
     notes += [*imu_notes, *dvl_notes, *reference_notes, *truth_notes]
-    notes += plausibility_notes(str(path), imu, dvl, reference, config)
+    notes += plausibility_notes(place, imu, dvl, reference, config)
     return Dive(
-        name=path.stem,
+        name=log.path.absolute().stem,
         imu=imu,
         dvl=dvl,
         reference=reference,

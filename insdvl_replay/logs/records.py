@@ -29,6 +29,9 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 RECORD_HEADER_SIZE: Final = 9
 """Bytes in front of each record's content: its kind and its length."""
 
+DATA_END_SIZE: Final = RECORD_HEADER_SIZE + 4
+"""Bytes of the record behind the last message."""
+
 MESSAGE_FIELDS_SIZE: Final = 22
 """Bytes of a message record in front of the payload."""
 

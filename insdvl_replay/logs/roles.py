@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError, listed, nearest
-from insdvl_replay.logs.container import LogChannel
+from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.wishes import TRUTH_WISH, Source, Wish, dvl_wish, fix_wish, imu_wish, solution_wish
 
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.errors import LogError
-from insdvl_replay.logs.bag import Recording
-from insdvl_replay.logs.container import LogChannel
+from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.decode import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.logs.encodings import channel_paths, check_encoding, open_reader
 from insdvl_replay.logs.field_paths import split_paths
+from insdvl_replay.logs.recording import Recording
 from insdvl_replay.logs.vectors import vector_paths
 
 _BLOCKS: Final = 2

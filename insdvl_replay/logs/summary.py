@@ -7,7 +7,7 @@ from typing import Any, Final
 from mcap import records
 from mcap.opcode import Opcode
 
-from insdvl_replay.logs.damage import Damage, DamageError
+from insdvl_replay.logs.damage import Damage, DamageError, Span, plausible_span
 from insdvl_replay.logs.records import MAGIC, RECORD_HEADER_SIZE, find_records, parsed, what_stands
 
 _FOOTER_SIZE: Final = RECORD_HEADER_SIZE + 20
@@ -47,6 +47,22 @@ class Summary:
     statistics: records.Statistics | None = None
     chunks: dict[int, records.ChunkIndex] = field(default_factory=dict)
     damages: list[Damage] = field(default_factory=list)
+
+    @property
+    def message_count(self) -> int | None:
+        """How many messages the statistics announce; None without statistics, or where they contradict themselves."""
+        stated = self.statistics
+        if stated is None or (not self.checked and sum(stated.channel_message_counts.values()) != stated.message_count):
+            return None
+        return int(stated.message_count)
+
+    @property
+    def span_ns(self) -> Span | None:
+        """First and last log time of all messages, where the statistics can be believed."""
+        stated = self.statistics
+        if stated is None or self.message_count is None:
+            return None
+        return plausible_span(stated.message_start_time, stated.message_end_time)
 
 
 def read_summary(data: memoryview) -> Summary:
@@ -100,6 +116,36 @@ def _read(data: memoryview, footer_start: int, footer: records.Footer) -> Summar
                 _file(summary, parsed(_KINDS[opcode], data, content, length))
         start = stop
     return summary
+
+
+def summary_behind(data: memoryview, start: int) -> Summary | None:
+    """Read the summary where the messages end, for a file in which the footer no longer tells where that is.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    start : int
+        Where the records behind the messages begin.
+
+    Returns
+    -------
+    Summary or None
+        None if nothing stands there, or its checksum is not that of its bytes.
+    """
+    summary = Summary(start, len(data))
+    batch, _ = find_records(data, start, len(data))
+    for opcode, content, length in batch.rows():
+        try:
+            if opcode in _KINDS:
+                _file(summary, parsed(_KINDS[opcode], data, content, length))
+            elif opcode == Opcode.FOOTER:
+                crc = parsed(records.Footer, data, content, length).summary_crc
+                summary.checked = crc == zlib.crc32(data[start : content + length - 4])
+                return summary if summary.checked or not crc else None
+        except DamageError:
+            return None
+    return summary if len(batch) else None
 
 
 def _file(summary: Summary, record: Any) -> None:

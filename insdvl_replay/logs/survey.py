@@ -13,10 +13,10 @@ import numpy as np
 from insdvl_replay.columns import TimeNs, seconds
 from insdvl_replay.config import Config, Initial
 from insdvl_replay.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
-from insdvl_replay.logs.bag import Recording, open_recording
-from insdvl_replay.logs.container import LogChannel
+from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.examination import Examination
 from insdvl_replay.logs.proposal import propose_choice, propose_fields, propose_start
+from insdvl_replay.logs.recording import Recording, open_recording
 from insdvl_replay.logs.roles import Finding, explain_roles
 from insdvl_replay.logs.sightings import see_topics
 
@@ -51,7 +51,7 @@ def survey_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
     seen.examine_others(channel for channel in log.channels if channel.topic not in looked_at)
     log_times = log.log_times()
     # Last of all, since damage inside the chunks is found as they are opened.
-    refusals = [error for part in log.parts if (error := part.refusal()) is not None]
+    refusals = [error] if (error := log.refusal()) is not None else []
     return Inventory(
         log=_log_facts(log, log_times),
         reading="whole" if deep else "sample",

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from insdvl_replay.errors import Note
 from insdvl_replay.logs.clocks import stamp_unit
 from insdvl_replay.logs.tables import RECORDER_STAMPS, Table, stamp_path
@@ -39,11 +41,39 @@ def count_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
     """
     notes = []
     for table in tables:
-        announced, found = sum(channel.messages for channel in table.source.channels), len(table)
+        announced = sum(channel.messages for channel in table.source.channels)
+        found = len(table) + table.repeats + len(table.unreadable_ns)
         if announced != found:
             text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
             hint = "copy the log again from the recorder if it still has it"
             notes.append(Note("messages_missing", text, abs(announced - found), "warning", hint))
+    return tuple(notes)
+
+
+def left_out_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
+    """Say which messages do not fit their schema, and which are in more than one channel or file.
+
+    Parameters
+    ----------
+    tables : iterable of Table
+
+    Returns
+    -------
+    tuple of Note
+    """
+    notes = []
+    for table in tables:
+        topic = table.source.topic
+        if count := len(table.unreadable_ns):
+            behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9
+            text = (
+                f"{topic}: {count} messages cannot be read and are left out, the first {behind_s.min():.3f} s and the "
+                f"last {behind_s.max():.3f} s behind the first that can: {table.fault}"
+            )
+            notes.append(Note("messages_unreadable", text, count, "warning"))
+        if table.repeats:
+            text = f"{topic}: {table.repeats} messages are in two channels or files; each is used once"
+            notes.append(Note("messages_repeated", text, table.repeats))
     return tuple(notes)
 
 

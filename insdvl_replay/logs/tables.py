@@ -9,13 +9,16 @@ import numpy as np
 from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.errors import LogError
 from insdvl_replay.inventory import Clock
-from insdvl_replay.logs.bag import Recording
+from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.clocks import measure_clock, stamp_unit
-from insdvl_replay.logs.container import LogChannel
 from insdvl_replay.logs.encodings import open_reader
 from insdvl_replay.logs.field_paths import Columns, FieldReader, split_paths
 from insdvl_replay.logs.filling import Filling
+from insdvl_replay.logs.merging import merged
+from insdvl_replay.logs.recording import Recording
+from insdvl_replay.logs.refusal import refused
+from insdvl_replay.logs.salvage import Salvage
 from insdvl_replay.logs.wishes import Source
 
 _NS_PER_S: Final = 1_000_000_000
@@ -34,11 +37,20 @@ class Table:
     source : Source
     columns : dict of str to ndarray, shape (k, n)
         By field path; ``log_time`` and ``publish_time`` are the recorder's.
+    unreadable_ns : tuple of int
+        Log times of messages that are left out because they do not fit their schema.
+    fault : str
+        What is wrong with the first of these.
+    repeats : int
+        Messages that are left out because another channel or file holds them too.
     """
 
     place: str
     source: Source
     columns: Columns
+    unreadable_ns: tuple[int, ...] = ()
+    fault: str = ""
+    repeats: int = 0
 
     def __len__(self) -> int:
         """Give the number of messages."""
@@ -132,6 +144,10 @@ class Table:
         source = self.source
         return measure_clock(source.role, source.topic, source.stamp, self.time_ns(), self.columns["log_time"][:, 0])
 
+    def refusal(self) -> LogError:
+        """Give the error with which a log is refused of which messages cannot be read."""
+        return refused([self.fault] * len(self.unreadable_ns), [self.columns["log_time"][:, 0]], "messages")
+
     def _stamped(self, path: str) -> TimeNs:
         values = self.columns[path]
         if values.shape[1] == 2:
@@ -155,7 +171,7 @@ def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
 
     Parameters
     ----------
-    log : Log or Bag
+    log : Log or Parts
     sources : sequence of Source
 
     Returns
@@ -180,7 +196,7 @@ def read_sample(log: Recording, source: Source, enough: int) -> Table:
 
     Parameters
     ----------
-    log : Log or Bag
+    log : Log or Parts
     source : Source
     enough : int
         Stop after the block with which there are that many.
@@ -211,6 +227,8 @@ class _Builder:
     source: Source
     readers: dict[int, FieldReader] = field(init=False)
     filling: dict[str, Filling] = field(init=False)
+    stretches: list[tuple[int, int]] = field(default_factory=list)
+    salvage: Salvage = field(default_factory=Salvage)
 
     def __post_init__(self) -> None:
         self.place = f"{self.log.path}: {self.source.topic}"
@@ -228,16 +246,23 @@ class _Builder:
         reader = self.readers.get(block.channel_id)
         if reader is None:
             return
-        recorder = {"log_time": block.log_time[:, None], "publish_time": block.publish_time[:, None]}
-        columns = recorder | reader.columns(block)
-        for path, column in self.filling.items():
-            column.add(columns[path])
+        for part, fields in self.salvage.read(reader, block):
+            recorder = {"log_time": part.log_time[:, None], "publish_time": part.publish_time[:, None]}
+            columns = recorder | fields
+            for path, column in self.filling.items():
+                column.add(columns[path])
+            self.stretches.append((part.channel_id, part.log_time.size))
 
     def table(self) -> Table:
         """Give what has been read."""
+        unreadable, error = tuple(self.salvage.unreadable_ns), self.salvage.error
         if not all(self.filling.values()):
-            raise LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
-        return Table(self.place, self.source, {path: column.rows() for path, column in self.filling.items()})
+            raise error or LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
+        columns, repeats = merged({path: column.rows() for path, column in self.filling.items()}, self.stretches)
+        table = Table(self.place, self.source, columns, unreadable, error.message if error else "", repeats)
+        if unreadable and not self.log.allow_damaged:
+            raise table.refusal()
+        return table
 
 
 def stamp_path(stamp: str) -> str:

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 
 from insdvl_replay.logs.attachments import attachment_at
 from insdvl_replay.logs.chunks import Content, gather
-from insdvl_replay.logs.damage import Damage, DamageError
+from insdvl_replay.logs.damage import Damage, DamageError, Loss
 from insdvl_replay.logs.packed import COMPRESSED, Chunk, chunk_header
 from insdvl_replay.logs.records import (
     MAGIC,
@@ -31,9 +31,6 @@ from insdvl_replay.logs.records import (
 from insdvl_replay.logs.summary import Summary
 
 _CHANNEL_ID: Final = np.dtype([("header", f"V{RECORD_HEADER_SIZE}"), ("channel_id", "<u2")])
-_LONGEST_S: Final = 1e6
-"""No chunk covers more."""
-
 _SUMMARY_ONLY: Final = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
 
 
@@ -57,6 +54,14 @@ class Anatomy:
     private : int
         Records of kinds that the format leaves to others.
     damages : list of Damage
+    lost : list of Chunk
+        Those that cannot be opened.
+    passed : list of (int, int)
+        Start and end of bytes in which no record was found.
+    losses : dict of int to Loss
+        Of messages inside chunks that can be opened, by the place of the chunk.
+    displaced : Summary or None
+        What stands behind the messages where the end of the file tells no summary.
     """
 
     summary: Summary
@@ -69,6 +74,10 @@ class Anatomy:
     data_end: tuple[int, int] | None = None
     private: int = 0
     damages: list[Damage] = field(default_factory=list)
+    lost: list[Chunk] = field(default_factory=list)
+    passed: list[tuple[int, int]] = field(default_factory=list)
+    losses: dict[int, Loss] = field(default_factory=dict)
+    displaced: Summary | None = None
 
     @property
     def counts(self) -> Counter[int]:
@@ -79,10 +88,21 @@ class Anatomy:
         return total
 
     @property
+    def announced(self) -> Summary:
+        """What the recorder said of the whole, wherever it stands."""
+        return self.displaced or self.summary
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether the end is gone with all that is said there of the whole."""
+        return self.data_end is None and self.announced.message_count is None
+
+    @property
     def missing(self) -> int | None:
         """How many of the announced messages are not found, where a number is announced."""
-        stated = self.summary.statistics
-        return None if stated is None else stated.message_count - self.counts.total()
+        announced = self.announced.message_count
+        found = sum(count for channel_id, count in self.counts.items() if channel_id in self.channels)
+        return None if announced is None else announced - found
 
     def mark(self, damage: Damage) -> None:
         """Note a damaged place, once."""
@@ -91,26 +111,21 @@ class Anatomy:
 
     def accept(self, chunk: Chunk, content: Content) -> None:
         """Believe the content of a chunk more than its index."""
+        named = chunk.counts.total() if chunk.indexes else None
         chunk.counts = content.counts()
         for damage in content.damages:
             self.mark(damage)
+        if content.lost_span_ns:
+            missing = None if named is None else max(named - chunk.counts.total(), 0)
+            self.losses.setdefault(chunk.offset, Loss(missing, content.lost_span_ns))
         if content.damages:
             chunk.indexes.clear()
 
-    def lose(self, data: memoryview, chunk: Chunk, damage: DamageError) -> None:
+    def lose(self, chunk: Chunk, damage: DamageError) -> None:
         """Note a chunk that cannot be read, and do without it."""
-        self.mark(Damage(damage.offset, damage.found, chunk.counts.total() or None, _span_s(data, chunk)))
+        self.mark(Damage(damage.offset, damage.found))
         self.chunks.remove(chunk)
-
-
-def _span_s(data: memoryview, chunk: Chunk) -> float | None:
-    """Give the time that a chunk says it covers, if it can be so."""
-    try:
-        header = chunk_header(data, chunk.offset, chunk.length)
-    except DamageError:
-        return None
-    seconds = (header.last_ns - header.first_ns) * 1e-9
-    return seconds if header.first_ns > 0 and 0.0 <= seconds < _LONGEST_S else None
+        self.lost.append(chunk)
 
 
 class Walk:
@@ -130,7 +145,7 @@ class Walk:
         while place < end and anatomy.data_end is None:
             batch, stop = find_records(self.data, place, end)
             if is_broken(batch, stop, end):
-                anatomy.mark(Damage(stop, what_stands(self.data, stop, end), None))
+                anatomy.mark(Damage(stop, what_stands(self.data, stop, end)))
                 batch, stop = self.behind(batch, stop, end)
             self.take(batch)
             self.release(place, stop)
@@ -151,7 +166,10 @@ class Walk:
         if chunk := self.chunk_at(stop, end):
             return self.with_chunk(batch, chunk)
         signpost = next((post for post in self.signposts if post > stop), end)
-        return go_on(self.data, batch, stop, signpost)
+        kept, resumed = go_on(self.data, batch, stop, signpost)
+        passed_from = stop if len(kept) == len(batch) else int(batch.starts[-1])
+        self.anatomy.passed.append((passed_from, resumed))
+        return kept, resumed
 
     def with_chunk(self, batch: Records, chunk: Chunk) -> tuple[Records, int]:
         """File a chunk behind the records of a batch, and go on behind it."""
@@ -197,9 +215,11 @@ class Walk:
         for opcode, start, length in batch.rows():
             try:
                 self._file(opcode, start, length)
+                self.latest = opcode
             except DamageError as damage:
                 self.anatomy.mark(Damage(damage.offset, damage.found))
-            self.latest = opcode
+                # What follows, such as further indexes, belongs to nothing that was filed before.
+                self.latest = 0
 
     def _file(self, opcode: int, start: int, length: int) -> None:
         anatomy = self.anatomy

@@ -1,0 +1,61 @@
+"""Opening a file as an MCAP file; what is none is refused by name."""
+
+import mmap
+from pathlib import Path
+from typing import Final
+
+from insdvl_replay.errors import LogError
+from insdvl_replay.logs.records import MAGIC
+
+_OTHER_FORMATS: Final = {
+    b"SQLite format 3": ("a ROS 2 bag in SQLite", "`ros2 bag convert` writes it as MCAP"),
+    b"#ROSBAG V2.0": ("a ROS 1 bag", "`mcap convert in.bag out.mcap` writes it as MCAP"),
+    b"\x28\xb5\x2f\xfd": ("compressed as a whole with zstd", "`zstd -d {path}` unpacks it"),
+}
+
+
+class UnusableFileError(LogError):
+    """A file of which not even the first bytes are those of an MCAP file."""
+
+
+def mapped(path: Path) -> mmap.mmap:
+    """Map an MCAP file into memory.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    mmap
+
+    Raises
+    ------
+    UnusableFileError
+        The file is empty, or begins unlike an MCAP file.
+    LogError
+        It is a folder, or cannot be opened.
+    """
+    if path.is_dir():
+        inside = sorted(path.glob("*.mcap"))
+        raise LogError(f"{path}: is a folder", f"name the log in it: {inside[0]}" if inside else "it has no .mcap file")
+    try:
+        with path.open("rb") as file:
+            start = file.read(16)
+            if not start:
+                hint = "the recording never began, or the copy failed"
+                raise UnusableFileError(f"{path}: is empty (0 bytes)", hint)
+            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}", "check the path") from error
+    if not start.startswith(MAGIC):
+        raise _not_mcap(path, start)
+    return data
+
+
+def _not_mcap(path: Path, start: bytes) -> LogError:
+    for magic, (name, hint) in _OTHER_FORMATS.items():
+        if start.startswith(magic):
+            return LogError(f"{path}: is {name}, not an MCAP file", hint.format(path=path))
+    found = start[:8].hex(" ")
+    return UnusableFileError(f"{path}: is not an MCAP file: it starts with bytes '{found}'", "name an .mcap file")
