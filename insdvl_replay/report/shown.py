@@ -292,5 +292,6 @@ def _credibility(name: str, rows: Sequence[CredibilityRow]) -> Iterator[ShownTab
                 )
                 for row in compared
             ),
-            f"Expected: NEES 1, all together {compared[-1].dof}; 68.3 % and 99.7 %. The reference is taken as exact.",
+            f"Expected: NEES 1, all together {compared[-1].dof}; 68.3 % and 99.7 %. The reference is taken as exact. "
+            "indep.: samples that do not repeat each other.",
         )
