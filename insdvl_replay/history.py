@@ -52,6 +52,12 @@ class Innovations:
         """Degrees of freedom of one innovation."""
         return int(self.innovation_b.shape[1])
 
+    @property
+    def standardised_b(self) -> Floats:
+        """Each component of the innovation in its own standard deviation, shape (m, 3)."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            return self.innovation_b / self.sd_b
+
 
 @dataclass(frozen=True)
 class History:

@@ -9,7 +9,7 @@ from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError, Note, about
 from insdvl_replay.nav.alignment import Alignment, align
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
-from insdvl_replay.nav.gaps import find_gaps, settle_gaps
+from insdvl_replay.nav.gaps import Gaps, find_gaps, settle_gaps
 from insdvl_replay.rotation import mat_from_rpy
 from insdvl_replay.states import DEG
 
@@ -26,6 +26,8 @@ class Prepared:
         When and where the filters start.
     end_ns : int
         End of the span.
+    gaps : Gaps
+        The IMU's long gaps inside the span, which the filters bridge.
     notes : tuple of Note
         What was dropped or assumed on the way.
     """
@@ -33,6 +35,7 @@ class Prepared:
     velocities: DvlVelocities
     alignment: Alignment
     end_ns: int
+    gaps: Gaps
     notes: tuple[Note, ...]
 
 
@@ -58,14 +61,13 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     velocities, notes = _velocities(dive, config)
     start_ns, end_ns = _span(dive, velocities, config)
     lever_arm_b = np.array(config.dvl.lever_arm_m)
+    gaps = find_gaps(dive.imu.time_ns, config.imu)
     with about(dive.name):
-        start_ns, end_ns, gap_notes = settle_gaps(
-            find_gaps(dive.imu.time_ns, config.imu), config.imu, start_ns, end_ns, int(dive.imu.time_ns[0])
-        )
+        start_ns, end_ns, gap_notes = settle_gaps(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
         alignment = align(dive.imu, velocities, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
     inside = velocities.within(alignment.start_ns, end_ns)
     notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside)
-    return Prepared(inside, alignment, end_ns, notes)
+    return Prepared(inside, alignment, end_ns, gaps.within(alignment.start_ns, end_ns), notes)
 
 
 def _velocities(dive: Dive, config: Config) -> tuple[DvlVelocities, tuple[Note, ...]]:

@@ -13,19 +13,23 @@ from insdvl_replay.config import Config
 from insdvl_replay.errors import Note
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table
 from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table, update_notes
+from insdvl_replay.evaluation.credibility import credibility_table
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
+from insdvl_replay.evaluation.reference_rate import reference_rate_notes
+from insdvl_replay.evaluation.state_errors import state_errors
 from insdvl_replay.evaluation.verdicts import Verdict, verdicts
 from insdvl_replay.history import History
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.gaps import find_gaps
 from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation import Prepared, prepare_dive
 
 WELL_COVERED = 0.9
 """Share of a replay that a reference has to cover before its errors are taken for those of the whole."""
+MOST_COVARIANCES = 50_000
+"""So many P, 58 MB of them, are kept until the errors are judged; a longer dive is judged by standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class Replay:
     errors : dict of str to ReferenceErrors
         By filter name; empty without a reference.
     tables : dict of str to DataFrame
-        ``improvement``, ``convergence``, ``reference_error``, ``consistency``.
+        ``improvement``, ``convergence``, ``reference_error``, ``consistency``, ``credibility``.
     verdicts : tuple of Verdict
         One for each candidate.
     notes : tuple of Note
@@ -116,24 +120,44 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         lever_arm_b = np.array(config.reference.lever_arm_m)
         dive = replace(dive, reference=reference_at_imu(dive.reference, dive.imu, lever_arm_b))
     start = prepare_dive(dive, config)
-    histories = run_filters(dive, start, config, keep_cov=keep_cov)
-    reference = dive.reference
-    errors = {history.filter: reference_errors(history, reference) for history in histories} if reference else {}
-    tables = {
+    start_ns = start.alignment.start_ns
+    histories = run_filters(dive, start, config, keep_cov=keep_cov or _affordable(dive, start, config))
+    errors, tables = _tables(dive, start, histories)
+    judged = verdicts(tables, config.baseline, [history.filter for history in histories[1:]])
+    notes = dive.notes + start.notes + update_notes(histories) + _reference_notes(dive, config, start, histories[0])
+    if not keep_cov:
+        histories = tuple(replace(history, cov=None) for history in histories)
+    return Replay(dive, config, start_ns, start.end_ns, start.velocities, histories, errors, tables, judged, notes)
+
+
+def _affordable(dive: Dive, start: Prepared, config: Config) -> bool:
+    """Tell whether the filters may keep all of P at the times that are compared."""
+    if dive.reference is None:
+        return False
+    return len(config.filters) * (len(dive.reference.time_ns) + len(start.velocities.time_ns)) <= MOST_COVARIANCES
+
+
+def _tables(
+    dive: Dive, start: Prepared, histories: tuple[History, ...]
+) -> tuple[dict[str, ReferenceErrors], dict[str, pd.DataFrame]]:
+    """Compare the filters with the reference and with each other."""
+    errors, in_states = {}, {}
+    if dive.reference is not None:
+        errors = {history.filter: reference_errors(history, dive.reference) for history in histories}
+        in_states = {
+            history.filter: state_errors(history, dive.reference, dive.truth).after(start.alignment.start_ns)
+            for history in histories
+        }
+    names = [history.filter for history in histories]
+    return errors, {
         "improvement": improvement_table(dive.name, histories),
         "convergence": convergence_table(dive.name, histories),
-        "reference_error": reference_error_table(dive.name, histories, errors),
+        "reference_error": reference_error_table(
+            dive.name, histories, errors, bridged_gaps=len(start.gaps.start_ns) > 0
+        ),
         "consistency": consistency_table(dive.name, histories),
+        "credibility": credibility_table(dive.name, names, in_states),
     }
-    judged = verdicts(tables, config.baseline, [history.filter for history in histories[1:]])
-    notes = (
-        dive.notes
-        + start.notes
-        + update_notes(histories)
-        + _reference_notes(dive, config, start.alignment.start_ns, start.end_ns)
-    )
-    start_ns = start.alignment.start_ns
-    return Replay(dive, config, start_ns, start.end_ns, start.velocities, histories, errors, tables, judged, notes)
 
 
 def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool = False) -> tuple[History, ...]:
@@ -154,9 +178,8 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool =
         In the order of the configuration.
     """
     reference_ns = dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64)
-    gaps = find_gaps(dive.imu.time_ns, config.imu)
     timeline = build_timeline(
-        dive.imu, start.velocities.time_ns, reference_ns, start.alignment.start_ns, start.end_ns, gaps
+        dive.imu, start.velocities.time_ns, reference_ns, start.alignment.start_ns, start.end_ns, start.gaps
     )
     return tuple(
         run_filter(
@@ -165,7 +188,7 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool =
             start.alignment.start,
             filter_noise(filter_, config),
             filter_measurements(
-                filter_, start.velocities, config, chi_square_quantile(filter_.gate_probability, 3), gaps
+                filter_, start.velocities, config, chi_square_quantile(filter_.gate_probability, 3), start.gaps
             ),
             np.array(config.dvl.lever_arm_m),
             keep_cov=keep_cov,
@@ -174,11 +197,11 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool =
     )
 
 
-def _reference_notes(dive: Dive, config: Config, start_ns: int, end_ns: int) -> tuple[Note, ...]:
-    """Say what the reference cannot tell: errors that it shares, and the part of the dive that it does not see."""
+def _reference_notes(dive: Dive, config: Config, start: Prepared, history: History) -> tuple[Note, ...]:
+    """Say what the reference cannot tell: errors that it shares, and what of the dive it does not see."""
     if dive.reference is None:
         return ()
-    notes = []
+    notes, start_ns, end_ns = [], start.alignment.start_ns, start.end_ns
     if not config.reference.independent:
         text = "the reference shares sensors with the filters: errors that they have in common are not seen"
         notes.append(Note("reference_not_independent", text))
@@ -189,4 +212,4 @@ def _reference_notes(dive: Dive, config: Config, start_ns: int, end_ns: int) -> 
             f"the reference covers {100.0 * covered:.0f} % of the replay; the errors against it are of that part alone"
         )
         notes.append(Note("reference_coverage", text, len(inside), "warning", "--start and --end choose that part"))
-    return tuple(notes)
+    return (*notes, *reference_rate_notes(history, dive.reference.time_ns))

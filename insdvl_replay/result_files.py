@@ -61,6 +61,7 @@ def _candidate(verdict: Verdict, tables: dict[str, pd.DataFrame]) -> Candidate:
         mean_improvement_pct=verdict.believed_pct,
         mean_convergence_improvement_pct=mean_over_nine(tables["convergence"], verdict.filter),
         reference_improvement_pct=verdict.actual_pct,
+        credibility=verdict.credibility,
     )
 
 

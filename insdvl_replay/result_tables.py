@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
-"""What is better: ``nearer zero`` for signed errors, ``nearer dof`` for a mean NIS or NEES."""
+"""What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES."""
 
 
 @dataclass(frozen=True)
@@ -47,5 +47,23 @@ TABLES: Final[tuple[TableLayout, ...]] = (
             "final": "nearer zero",
         },
     ),
-    TableLayout("consistency", "measurement", {"rejected": "lower", "mean_nis": "nearer dof"}),
+    TableLayout(
+        "consistency",
+        "measurement",
+        {"rejected": "lower", "mean_nis": "nearer dof", "autocorrelation": "nearer zero"},
+    ),
+    TableLayout("credibility", "quantity", {"mean_nees": "nearer dof"}),
 )
+
+AXES: Final = ("x", "y", "z")
+"""Axes of a measurement in b."""
+
+
+def axis_of(measurement: str, axis: str) -> str:
+    """Name the row that a measurement has for one of its axes."""
+    return f"{measurement}_{axis}"
+
+
+def is_whole(measurement: str) -> bool:
+    """Tell a whole measurement, which stands for a filter's verdict, from one of its axes, which say where."""
+    return not measurement.endswith(tuple(axis_of("", axis) for axis in AXES))

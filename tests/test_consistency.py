@@ -64,7 +64,8 @@ def history(
 
 
 def judged(nis: Floats, used: Floats | NDArray[np.bool_] | None = None) -> Any:
-    return consistency_table("dive", (history("baseline", nis, used),)).squeeze(axis=0)
+    """Give the row of the whole measurement."""
+    return consistency_table("dive", (history("baseline", nis, used),)).iloc[0]
 
 
 # --- Chi-square.
@@ -138,12 +139,48 @@ def test_every_filter_and_measurement_has_a_row() -> None:
     table = consistency_table("dive", (baseline, aided))
     assert table.columns.tolist() == [
         "log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict",
+        "autocorrelation", "autocorrelation_limit", "whiteness",
     ]  # fmt: skip
+    expected = [("baseline", "velocity", 20), ("aided", "velocity", 20), ("aided", "acceleration", 30)]
     assert table[["filter", "measurement", "used"]].to_numpy().tolist() == [
-        ["baseline", "velocity", 20], ["aided", "velocity", 20], ["aided", "acceleration", 30],
-    ]  # fmt: skip
+        [name, row, used]
+        for name, measurement, used in expected
+        for row in (measurement, *(f"{measurement}_{axis}" for axis in "xyz"))
+    ]
     assert set(table["log"]) == {"dive"}
-    assert set(table["dof"]) == {3}
+    assert table["dof"].tolist() == [3, 1, 1, 1] * 3
+
+
+def with_innovations(innovation_b: Floats, sd_b: Floats, used: NDArray[np.bool_] | None = None) -> Any:
+    """Give the rows of a velocity whose components are independent."""
+    made = history("baseline", np.sum((innovation_b / sd_b) ** 2, axis=1), used)
+    innovations = replace(made.innovations[0], innovation_b=innovation_b, sd_b=sd_b)
+    table = consistency_table("dive", (replace(made, innovations=(innovations,)),))
+    return table.set_index("measurement")
+
+
+def test_axes_are_judged_each_by_its_own_variance() -> None:
+    """Too sure along x and not sure enough along z make a mean that looks right."""
+    rng, sd_b = np.random.default_rng(3), np.tile([0.1, 0.2, 0.3], (2000, 1))
+    innovation_b = rng.standard_normal((2000, 3)) * sd_b * np.sqrt([1.9, 1.0, 0.1])
+    table = with_innovations(innovation_b, sd_b)
+    assert table.loc["velocity", "verdict"] == "consistent"
+    assert table.loc["velocity_x":"velocity_z", "verdict"].tolist() == [
+        "over-confident", "consistent", "over-cautious",
+    ]  # fmt: skip
+    # The mean of 2000 squares scatters by 3.2 %.
+    np.testing.assert_allclose(table.loc["velocity_x":"velocity_z", "mean_nis"], [1.9, 1.0, 0.1], rtol=0.1)
+    np.testing.assert_allclose(table.loc["velocity_x", ["low", "high"]].tolist(), mean_interval(1, 2000))
+
+
+def test_rejected_innovations_do_not_spoil_the_axes() -> None:
+    innovation_b, used = np.random.default_rng(4).standard_normal((200, 3)), np.arange(200) != 80
+    innovation_b[80] = 1e6
+    table = with_innovations(innovation_b, np.ones((200, 3)), used)
+    assert table["used"].tolist() == [199] * 4
+    assert table["rejected"].tolist() == [1] * 4
+    assert (table["verdict"] == "consistent").all()
+    assert (table["whiteness"] == "white").all()
 
 
 def test_rejected_innovations_are_counted_and_not_averaged() -> None:
@@ -159,7 +196,8 @@ def test_rejected_innovations_are_counted_and_not_averaged() -> None:
 def test_too_few_updates_are_not_judged(used: int) -> None:
     row = judged(np.full(20, 3.0), np.arange(20) < used)
     assert (row["used"], row["rejected"], row["verdict"]) == (used, 20 - used, "too few")
-    assert row[["mean_nis", "low", "high"]].isna().all()
+    assert row[["mean_nis", "low", "high", "autocorrelation", "autocorrelation_limit"]].isna().all()
+    assert row["whiteness"] == "too few"
     assert judged(np.full(FEWEST_UPDATES, 3.0))["verdict"] == "consistent"
 
 
@@ -193,7 +231,9 @@ def replayed(dive: Dive, *, beam_sd_mps: float = BEAM_SD_MPS, gate_probability: 
 
 
 def rows(replay: Replay) -> Any:
-    return replay.tables["consistency"].set_index(["filter", "measurement"])
+    """Give the rows of the measurements, without those of their axes."""
+    table = replay.tables["consistency"]
+    return table[table["dof"] == 3].set_index(["filter", "measurement"])
 
 
 @pytest.mark.parametrize(

@@ -63,9 +63,9 @@ def test_fit_finds_the_noise_that_the_dive_was_made_with(dive: Dive) -> None:
     assert tuned.accel_white_mps_rts == pytest.approx(TRUE["accel_white_mps_rts"], rel=0.15)
     assert tuned.beam_sd_mps == pytest.approx(TRUE["beam_sd_mps"], rel=0.05)
     assert "[filters.tuned] accel_white_mps_rts = 0.00" in note.text
-    nis = replay_dive(dive, config).tables["consistency"].set_index("filter")
-    assert nis.loc["tuned", "verdict"] == "consistent"
-    assert nis.loc["baseline", "verdict"] == "over-cautious"
+    nis = replay_dive(dive, config).tables["consistency"].set_index(["filter", "measurement"])
+    assert nis.loc[("tuned", "velocity"), "verdict"] == "consistent"
+    assert nis.loc[("baseline", "velocity"), "verdict"] == "over-cautious"
 
 
 def test_control_needs_its_name_and_a_baseline_aided_by_velocity(dive: Dive) -> None:

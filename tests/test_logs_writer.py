@@ -112,8 +112,22 @@ TABLES = {
         columns=["log", "filter", "state", "unit", "baseline_sd", "sd", "improvement_pct", "status"],
     ),
     "consistency": pd.DataFrame(
-        [("Nordsee ü", "aided", "velocity", 3, 424, 2, 2.9, 2.77, 3.24, "consistent")],
-        columns=["log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict"],
+        [("Nordsee ü", "aided", "velocity", 3, 424, 2, 2.9, 2.77, 3.24, "consistent", 0.01, 0.1, "white")],
+        columns=[
+            "log",
+            "filter",
+            "measurement",
+            "dof",
+            "used",
+            "rejected",
+            "mean_nis",
+            "low",
+            "high",
+            "verdict",
+            "autocorrelation",
+            "autocorrelation_limit",
+            "whiteness",
+        ],
     ),
 }
 NOTES = (Note("imu_gaps", "2 gaps, the longest 0.7 s", 2, "warning", "--set imu.max_gap_s=1"), Note("x", "y"))

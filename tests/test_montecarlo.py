@@ -21,8 +21,9 @@ from insdvl_replay.columns import Floats, ReferenceColumns, TruthColumns
 from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Initial, Noise
 from insdvl_replay.config_file import load_config
 from insdvl_replay.errors import ConfigError
-from insdvl_replay.evaluation.ensemble import Ensemble, RunErrors, Tally, nees, run_errors
+from insdvl_replay.evaluation.ensemble import Ensemble, RunErrors, Tally, run_errors
 from insdvl_replay.evaluation.ensemble_tables import montecarlo_table, verdict_table
+from insdvl_replay.evaluation.state_errors import nees
 from insdvl_replay.history import History
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.report.pictures import draw_ensemble, picture_bytes

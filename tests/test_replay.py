@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Dive, DvlColumns, Floats, ReferenceColumns, TimeNs, seconds
-from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Initial, Noise, Span
+from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Imu, Initial, Noise, Span
 from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.history import History, Innovations
 from insdvl_replay.logs import write_dive
@@ -25,7 +25,7 @@ NOISE = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=2e-6)
 VELOCITY = Filter(aiding=("velocity",))
 Rows = Callable[[Floats], NDArray[np.bool_]]
 """Chooses rows by their seconds from the start of the dive."""
-TABLES = ("improvement", "convergence", "reference_error", "consistency")
+TABLES = ("improvement", "convergence", "reference_error", "consistency", "credibility")
 
 
 def aided(**settings: object) -> Filter:
@@ -142,7 +142,9 @@ def test_tables_have_a_row_for_every_state_quantity_and_measurement(straight: Di
     assert tables["improvement"]["state"].tolist() == [state.id for state in STATES]
     assert tables["convergence"]["state"].tolist() == [state.id for state in STATES]
     assert len(tables["reference_error"]) == 9
-    assert tables["consistency"]["measurement"].tolist() == ["velocity", "velocity", "acceleration"]
+    measurements = tables["consistency"].loc[tables["consistency"]["dof"] == 3, "measurement"]
+    assert measurements.tolist() == ["velocity", "velocity", "acceleration"]
+    assert len(tables["credibility"]) == 2 * (12 + 1)
     assert {name for table in tables.values() for name in table["log"]} == {"straight"}
 
 
@@ -168,12 +170,14 @@ def test_same_dive_gives_the_same_tables(straight: Dive) -> None:
 
 def test_date_of_the_dive_does_not_matter(straight: Dive) -> None:
     shift_ns = -START_NS + 12_345_678_901
-    reference = reference_of(straight)
+    reference, truth = reference_of(straight), straight.truth
+    assert truth is not None
     moved = replace(
         straight,
         imu=replace(straight.imu, time_ns=straight.imu.time_ns + shift_ns),
         dvl=replace(straight.dvl, time_ns=straight.dvl.time_ns + shift_ns),
         reference=replace(reference, time_ns=reference.time_ns + shift_ns),
+        truth=replace(truth, time_ns=truth.time_ns + shift_ns),
     )
     assert_same(replay_dive(straight, config()), replay_dive(moved, config()))
 
@@ -470,6 +474,53 @@ def test_breakdown_of_a_filter_is_told_as_such_and_not_as_rejection(straight: Di
     assert {found.code for found in replay.notes if found.severity == "warning"} == {"filter_not_finite"}
     assert (replay.tables["consistency"]["rejected"] == 0).all()
     assert set(replay.tables["improvement"]["status"]) == {"not finite", "same"}, "nothing is called improved"
+
+
+@pytest.mark.parametrize(("rate_hz", "severity"), [(5.0, ""), (1.0, "info"), (0.1, "warning")])
+def test_reference_that_is_too_slow_for_the_turns_is_said_to_be(rate_hz: float, severity: str) -> None:
+    """The eight turns by 138.9 deg at 17 deg/s, once within 130 s, at 0.9 m/s."""
+    dive = exact_dive("figure-eight", duration_s=130.0, imu_rate_hz=50.0, reference_rate_hz=rate_hz)
+    notes = [note for note in replay_dive(dive, config()).notes if note.code == "reference_slow"]
+    assert [note.severity for note in notes] == [severity] * bool(severity)
+    if severity == "info":
+        assert "1 s apart, the vehicle turns by up to 17 deg" in notes[0].text
+        assert notes[0].count == pytest.approx(138.9 / 17.0, abs=2.0)
+    if severity == "warning":
+        assert "10 s apart, the vehicle turns by up to 13" in notes[0].text
+        assert "1.4 Hz" in notes[0].hint
+
+
+def test_long_dive_is_judged_without_the_whole_of_the_covariance(
+    straight: Dive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("insdvl_replay.replay.MOST_COVARIANCES", 700)
+    short, long = (
+        replay_dive(dive, config()).tables["credibility"].set_index(["filter", "quantity"])
+        for dive in (with_reference(straight, lambda time_s: time_s < 50.0), straight)
+    )
+    assert (long["verdict"].xs("all", level="quantity") == "no covariance").all()
+    assert (short["verdict"].xs("all", level="quantity") != "no covariance").all()
+    assert long.loc[("aided", "all"), "mean_nees"] != long.loc[("aided", "all"), "mean_nees"]
+    assert long.loc[("aided", "velocity_n"), "mean_nees"] > 0.0
+
+
+def test_position_after_a_long_gap_of_the_imu_is_not_taken_for_a_result(straight: Dive) -> None:
+    heard = (straight.imu.time_ns <= START_NS + 30 * SECOND) | (straight.imu.time_ns >= START_NS + 31 * SECOND)
+    imu = replace(
+        straight.imu,
+        time_ns=straight.imu.time_ns[heard],
+        specific_force_b=straight.imu.specific_force_b[heard],
+        angular_rate_b=straight.imu.angular_rate_b[heard],
+    )
+    silent = replace(straight, imu=imu)
+    replay = replay_dive(silent, config())
+    statuses = errors_of(replay).loc["aided", "status"]
+    assert statuses[statuses == "lost in gap"].index.tolist() == ["position_h", "depth", "position_h_pct"]
+    assert set(statuses) == {"compared", "lost in gap"}
+    assert errors_of(replay).loc["aided", "rmse"].notna().all(), "the numbers stand"
+    assert "(position" not in replay.verdicts[0].sentence
+    patient = replay_dive(silent, config(imu=Imu(max_gap_s=2.0)))
+    assert set(errors_of(patient).loc["aided", "status"]) == {"compared"}
 
 
 def test_reference_that_sees_half_of_the_dive_is_a_warning(straight: Dive) -> None:

@@ -33,7 +33,11 @@ HEADERS = {
     "reference_error": (
         "log,filter,quantity,unit,baseline_rmse,rmse,improvement_pct,baseline_final,final,samples,status"
     ),
-    "consistency": "log,filter,measurement,dof,used,rejected,mean_nis,low,high,verdict",
+    "consistency": "log,filter,measurement,dof,used,rejected,mean_nis,low,high,verdict,"
+    "autocorrelation,autocorrelation_limit,whiteness",
+    "credibility": (
+        "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,effective_samples"
+    ),
 }
 """What other people's scripts rely on."""
 SCHEMA_FOLDER = Path(__file__).resolve().parents[1] / "schemas"
@@ -53,15 +57,23 @@ def tables() -> dict[str, pd.DataFrame]:
         ("dive", "aided", "heading", "deg", NAN, NAN, NAN, NAN, NAN, 0, "not in reference"),
     ]
     consistency = [
-        ("dive", "baseline", "velocity", 3, 424, 0, 3.01, 2.77, 3.24, "consistent"),
-        ("dive", "aided", "velocity", 3, 424, 0, 3.01, 2.77, 3.24, "consistent"),
-        ("dive", "aided", "acceleration", 3, 420, 2, 5.0, 2.77, 3.24, "over-confident"),
+        ("dive", "baseline", "velocity", 3, 424, 0, 3.01, 2.77, 3.24, "consistent", -0.05, 0.095, "white"),
+        ("dive", "aided", "velocity", 3, 424, 0, 3.01, 2.77, 3.24, "consistent", 0.3, 0.095, "correlated"),
+        ("dive", "aided", "acceleration", 3, 420, 2, 5.0, 2.77, 3.24, "over-confident", NAN, NAN, "not finite"),
+        ("dive", "aided", "acceleration_x", 1, 420, 2, 12.0, 0.9, 1.1, "over-confident", 0.1, 0.095, "white"),
+    ]
+    credibility = [
+        ("dive", "aided", "velocity_n", 1, 424, 1.1, 0.87, 1.14, 66.0, 99.5, "consistent", 400.1),
+        ("dive", "aided", "heading", 1, 0, NAN, NAN, NAN, NAN, NAN, "not in reference", NAN),
+        ("dive", "aided", "ba_x", 1, 424, 5.0, 0.01, 4.9, 10.0, 90.0, "over-confident", 1.2),
+        ("dive", "aided", "all", 5, 424, 9.0, 3.9, 6.1, 30.0, 97.0, "over-confident", 40.0),
     ]
     rows: dict[str, list[Any]] = {
         "improvement": improvement,
         "convergence": convergence,
         "reference_error": reference,
         "consistency": consistency,
+        "credibility": credibility,
     }
     return {name: pd.DataFrame(rows[name], columns=header.split(",")) for name, header in HEADERS.items()}
 
@@ -84,6 +96,7 @@ def report(name: str = "dive", **changes: pd.DataFrame) -> Report:
         mean_over_nine(used["improvement"], "aided"),
         mean_over_nine(used["convergence"], "aided"),
         float("nan"),
+        "over-confident",
     )
     return build_report(dive, Config(), used, {"aided": aided}, notes, 1_000_000_000, 425_000_000_000)
 
@@ -144,6 +157,19 @@ def test_report_survives_being_saved_and_read() -> None:
     assert set(json.loads(first)["tool"].values()) == {"insdvl-replay", Tool().version, None}
 
 
+def test_report_from_before_there_were_these_columns_is_still_read() -> None:
+    document = json.loads(encode_report(report()))
+    del document["tables"]["credibility"], document["filters"]["aided"]["credibility"]
+    for row in document["tables"]["consistency"]:
+        del row["autocorrelation"], row["autocorrelation_limit"], row["whiteness"]
+    early = decode_report(json.dumps(document).encode())
+    assert early.tables.credibility == []
+    assert early.tables.consistency[0].verdict == "consistent"
+    assert "Consistency" in markdown_report(early)
+    assert "Innovations" not in markdown_report(early)
+    assert b"velocity consistent; acceleration over-confident," in summary_csv([early])
+
+
 @pytest.mark.parametrize("name", sorted(SCHEMAS))
 def test_schema_file_is_what_the_code_generates(name: str) -> None:
     assert (SCHEMA_FOLDER / f"{name}.schema.json").read_bytes() == SCHEMAS[name](), (
@@ -158,7 +184,15 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped() -> None:
         text = console.export_text()
         assert max(len(line.rstrip()) for line in text.split("\n")) <= width
         assert "…" not in text
-    for cell in ("accelerometer bias, z", "deg/h", "75.0 %", "over-confident", "not in reference"):
+    for cell in (
+        "accelerometer bias, z",
+        "deg/h",
+        "75.0 %",
+        "over-confident",
+        "not in reference",
+        "accel. bias, x",
+        "correlated",
+    ):
         assert cell in text
     assert "mean improvement over nine states 6.7 %" in text
     assert "believed by the filter's own covariance; see reference error and consistency" in text
@@ -166,14 +200,14 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped() -> None:
 
 def test_markdown_tables_have_one_cell_per_column() -> None:
     lines = [line for line in markdown_report(report()).split("\n") if line.startswith("|")]
-    assert len(lines) == 12 + 12 + 3 + 3 + 4 * 2
+    assert len(lines) == 12 + 12 + 3 + 3 + 4 + 3 + 6 * 2
     assert {line.count("|") for line in lines} == {7, 8, 9}
     assert "| accelerometer bias, z | mg | 1.000 | 0.8000 | - | improved |" in lines
 
 
 def test_latex_escapes_what_latex_would_read() -> None:
     text = latex_report(report())
-    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 4
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 6
     assert r"20.0 \% & improved \\" in text
     assert r"m/s & 1.000" in text
 
@@ -195,7 +229,7 @@ def test_summary_has_a_row_for_each_log_and_a_reason_for_a_failed_one() -> None:
         ("two", "", "failed"),
     ]
     assert (rows[0]["position_h_baseline_rmse_m"], rows[0]["position_h_rmse_m"]) == ("1.25", "1.5")
-    assert rows[0]["verdicts"] == "velocity consistent; acceleration over-confident"
+    assert rows[0]["verdicts"] == "velocity consistent; acceleration over-confident; errors over-confident"
     assert rows[1]["reason"] == "two.mcap: is empty"
 
 

@@ -18,7 +18,7 @@ from insdvl_replay.result_files import save_replay
 SAMPLE = Path(__file__).parents[1] / "sample_logs" / "figure_eight.mcap"
 FILES = {
     "improvement.csv", "convergence.csv", "reference_error.csv", "consistency.csv",
-    "report.json", "replay.mcap", "config.toml", "run.log",
+    "credibility.csv", "report.json", "replay.mcap", "config.toml", "run.log",
 }  # fmt: skip
 
 
@@ -79,7 +79,8 @@ def test_mcap_ros2_support_reads_every_message_of_the_replay(results: tuple[Path
         "/insdvl/table/improvement": 12,
         "/insdvl/table/convergence": 12,
         "/insdvl/table/reference_error": 9,
-        "/insdvl/table/consistency": 3,
+        "/insdvl/table/consistency": 3 * 4,
+        "/insdvl/table/credibility": 2 * 13,
     }
     assert {topic: counts[topic] for topic in expected} == expected
     for name in ("baseline", "aided"):

@@ -18,7 +18,10 @@ TABLES = {
     "ConvergenceRow": "log,filter,state,unit,target_sd,baseline_s,reached_s,improvement_pct,status",
     "ReferenceErrorRow": "log,filter,quantity,unit,baseline_rmse,rmse,improvement_pct,baseline_final,final,samples,"
     "status",
-    "ConsistencyRow": "log,filter,measurement,dof,used,rejected,mean_nis,low,high,verdict",
+    "ConsistencyRow": "log,filter,measurement,dof,used,rejected,mean_nis,low,high,verdict,autocorrelation,"
+    "autocorrelation_limit,whiteness",
+    "CredibilityRow": "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,"
+    "effective_samples",
 }
 UNITS = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
 

@@ -5,12 +5,17 @@ import pandas as pd
 import pytest
 
 from insdvl_replay.evaluation.reference import QUANTITIES
-from insdvl_replay.evaluation.verdicts import Verdict, consistency_of, verdicts
+from insdvl_replay.evaluation.verdicts import Verdict, consistency_of, credibility_of, verdicts
 from insdvl_replay.states import STATES
 
 
 def judged(
-    believed_pct: float, actual_pct: float | None, of_aided: str = "consistent", of_baseline: str = "consistent"
+    believed_pct: float,
+    actual_pct: float | None,
+    of_aided: str = "consistent",
+    of_baseline: str = "consistent",
+    errors_of_aided: str = "consistent",
+    errors_of_baseline: str = "consistent",
 ) -> Verdict:
     """Judge a candidate whose states all improved alike, and whose errors all did."""
     improvement = pd.DataFrame(
@@ -27,9 +32,23 @@ def judged(
         columns=["filter", "quantity", "baseline_rmse", "rmse", "improvement_pct", "status"],
     )
     consistency = pd.DataFrame(
-        [("baseline", of_baseline), ("aided", "consistent"), ("aided", of_aided)], columns=["filter", "verdict"]
+        [
+            ("baseline", "velocity", of_baseline),
+            ("aided", "velocity", of_aided),
+            ("aided", "acceleration", of_aided),
+        ],
+        columns=["filter", "measurement", "verdict"],
     )
-    tables = {"improvement": improvement, "reference_error": reference_error, "consistency": consistency}
+    credibility = pd.DataFrame(
+        [("baseline", "all", errors_of_baseline), ("aided", "all", errors_of_aided)],
+        columns=["filter", "quantity", "verdict"],
+    )
+    tables = {
+        "improvement": improvement,
+        "reference_error": reference_error,
+        "consistency": consistency,
+        "credibility": credibility,
+    }
     (verdict,) = verdicts(tables, "baseline", ["aided"])
     return verdict
 
@@ -54,7 +73,7 @@ def test_improvement_is_judged_by_the_reference(believed_pct: float, actual_pct:
 
 
 def test_sentence_holds_the_numbers_that_it_was_judged_by() -> None:
-    sentence = judged(40.0, -75.0, of_aided="over-confident").sentence
+    sentence = judged(40.0, -75.0, of_aided="over-confident", errors_of_aided="over-confident").sentence
     assert "40.0 % smaller errors than baseline" in sentence
     assert "75.0 % larger in the median (position 2.00 m, now 3.50 m): it is WORSE" in sentence
     assert "aided is over-confident, baseline consistent." in sentence
@@ -64,13 +83,47 @@ def test_sentence_without_a_reference_says_so() -> None:
     assert "there is no reference to compare with: nothing tells whether that is so" in judged(40.0, None).sentence
 
 
+@pytest.mark.parametrize(
+    ("innovations", "errors", "words"),
+    [
+        ("consistent", "consistent", "Both filters are consistent."),
+        (
+            "consistent",
+            "over-confident",
+            "aided is consistent by the innovations and over-confident against the reference, baseline consistent.",
+        ),
+        ("over-confident", "too few", "aided is over-confident, baseline consistent."),
+        ("over-confident", "no reference", "aided is over-confident, baseline consistent."),
+        ("too few", "over-confident", "aided is over-confident against the reference, baseline consistent."),
+    ],
+)
+def test_sentence_says_whether_innovations_or_errors_speak(innovations: str, errors: str, words: str) -> None:
+    verdict = judged(40.0, 0.0, of_aided=innovations, errors_of_aided=errors)
+    assert verdict.sentence.endswith(words)
+    assert (verdict.consistency, verdict.credibility) == (innovations, errors)
+
+
 def test_gravest_verdict_of_the_measurements_stands_for_the_filter() -> None:
     rows = [
-        ("a", "consistent"),
-        ("a", "over-cautious"),
-        ("a", "over-confident"),
-        ("b", "over-cautious"),
-        ("c", "too few"),
+        ("a", "velocity", "consistent"),
+        ("a", "acceleration", "over-cautious"),
+        ("a", "velocity", "over-confident"),
+        ("b", "velocity", "over-cautious"),
+        ("b", "velocity_x", "over-confident"),
+        ("c", "velocity", "too few"),
     ]
-    table = pd.DataFrame(rows, columns=["filter", "verdict"])
+    table = pd.DataFrame(rows, columns=["filter", "measurement", "verdict"])
     assert [consistency_of(table, name) for name in "abcd"] == ["over-confident", "over-cautious", "too few", "too few"]
+
+
+def test_errors_of_all_states_together_stand_for_the_filter() -> None:
+    rows = [
+        ("a", "velocity_n", "over-confident"),
+        ("a", "all", "consistent"),
+        ("b", "velocity_n", "over-cautious"),
+        ("b", "heading", "too few"),
+        ("b", "all", "no covariance"),
+        ("c", "all", "no reference"),
+    ]
+    table = pd.DataFrame(rows, columns=["filter", "quantity", "verdict"])
+    assert [credibility_of(table, name) for name in "abc"] == ["consistent", "over-cautious", "no reference"]

@@ -1,14 +1,19 @@
-"""Whether a filter's innovations are as large as it says: the mean NIS and its chi-square interval.
+"""Whether a filter's innovations are as large as it says: the mean NIS, its chi-square interval, and each axis.
 
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
 """
+
+from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
 from scipy.special import chdtri
 
+from insdvl_replay.columns import Floats
 from insdvl_replay.errors import Note
+from insdvl_replay.evaluation.whiteness import autocorrelation, whiteness
 from insdvl_replay.history import History, Innovations
+from insdvl_replay.result_tables import AXES, axis_of
 
 CONFIDENCE = 0.95
 """Share of consistent filters whose mean lies inside the interval."""
@@ -25,7 +30,7 @@ def chi_square_quantile(probability: float, dof: float) -> float:
     return float("inf") if probability >= 1.0 else float(chdtri(dof, 1.0 - probability))
 
 
-def mean_interval(dof: int, count: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Give the interval in which the mean of chi-square variables lies.
 
     The sum of ``count`` independent variables with ``dof`` degrees of freedom has ``count * dof`` of them.
@@ -34,8 +39,8 @@ def mean_interval(dof: int, count: int, confidence: float = CONFIDENCE) -> tuple
     ----------
     dof : int
         Of one variable.
-    count : int
-        How many are averaged.
+    count : float
+        How many are averaged; of variables that depend on each other the effective number, which need not be whole.
     confidence : float
         Probability of the interval, two-sided.
 
@@ -75,7 +80,7 @@ def verdict(mean: float, low: float, high: float, dof: int) -> str:
 
 
 def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
-    """Judge each filter's innovations, measurement by measurement.
+    """Judge each filter's innovations, measurement by measurement and axis by axis.
 
     Parameters
     ----------
@@ -88,26 +93,45 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
     -------
     DataFrame
         Columns log, filter, measurement, dof, used, rejected, mean_nis, low, high, verdict (``consistent``,
-        ``over-confident``, ``over-cautious``, ``too few``). The mean is over the innovations that the gate let pass.
+        ``over-confident``, ``over-cautious``, ``too few``, ``not finite``), autocorrelation (with the innovation
+        before), autocorrelation_limit, whiteness (``white``, ``correlated``, ``too few``, ``not finite``). All over the
+        innovations that the gate let pass. After the row of a whole measurement, such as ``velocity``, stand those of
+        its axes in b, ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``.
     """
     rows = [
-        (log, history.filter, innovations.measurement, innovations.dof, *_judged(innovations))
+        (log, history.filter, *row)
         for history in histories
         for innovations in history.innovations
+        for row in _rows(innovations)
     ]
-    names = ["log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict"]
+    names = [
+        "log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict",
+        "autocorrelation", "autocorrelation_limit", "whiteness",
+    ]  # fmt: skip
     return pd.DataFrame(rows, columns=names)
 
 
-def _judged(innovations: Innovations) -> tuple[int, int, float, float, float, str]:
-    used = int(innovations.used.sum())
-    rejected = _rejected(innovations)
+def _rows(innovations: Innovations) -> Iterator[tuple[str | int | float, ...]]:
+    """Give the row of a whole measurement, then those of its axes, without log and filter."""
+    standardised, rejected = innovations.standardised_b, _rejected(innovations)
+    whole = (innovations.measurement, innovations.dof, innovations.nis, standardised)
+    axes = (
+        (axis_of(innovations.measurement, axis), 1, standardised[:, i] ** 2, standardised[:, i : i + 1])
+        for i, axis in enumerate(AXES)
+    )
+    for name, dof, nis, components in (whole, *axes):
+        correlation = autocorrelation(components, innovations.used)
+        yield name, dof, *_judged(nis[innovations.used], dof, rejected), *correlation, whiteness(*correlation)
+
+
+def _judged(nis: Floats, dof: int, rejected: int) -> tuple[int, int, float, float, float, str]:
+    used = len(nis)
     if used < FEWEST_UPDATES:
         nan = float("nan")
         return used, rejected, nan, nan, nan, "too few"
-    mean_nis = float(innovations.nis[innovations.used].mean())
-    low, high = mean_interval(innovations.dof, used)
-    return used, rejected, mean_nis, low, high, verdict(mean_nis, low, high, innovations.dof)
+    mean_nis = float(nis.mean())
+    low, high = mean_interval(dof, used)
+    return used, rejected, mean_nis, low, high, verdict(mean_nis, low, high, dof)
 
 
 def log_likelihood(innovations: Innovations) -> float:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from insdvl_replay.columns import Floats, ReferenceColumns, TruthColumns, seconds
+from insdvl_replay.evaluation.state_errors import nees, state_errors
 from insdvl_replay.history import History
-from insdvl_replay.rotation import vector_from_mat
 
 
 @dataclass(frozen=True)
@@ -58,41 +58,11 @@ def run_errors(history: History, reference: ReferenceColumns, truth: TruthColumn
     ValueError
         The history holds no P.
     """
-    if history.cov is None:
+    errors = state_errors(history, reference, truth)
+    if errors.cov is None:
         raise ValueError("NEES needs all of P")
-    time_ns, ours, theirs = np.intersect1d(history.time_ns, reference.time_ns, assume_unique=True, return_indices=True)
-    error = np.hstack(
-        [
-            history.velocity_n[ours] - reference.velocity_n[theirs],
-            vector_from_mat(history.mat_nb[ours] @ np.swapaxes(reference.mat_nb[theirs], 1, 2)),
-            truth.accel_bias_b[theirs] - history.accel_bias_b[ours],
-            truth.gyro_bias_b[theirs] - history.gyro_bias_b[ours],
-        ]
-    )
-    time_s = seconds(time_ns, history.time_ns[0])
-    return RunErrors(history.filter, time_s, error, history.sd[ours] ** 2, nees(error, history.cov[ours]))
-
-
-def nees(error: Floats, cov: Floats) -> Floats:
-    """Give the normalised estimation error squared, ``x' P^-1 x``.
-
-    The states are scaled by their standard deviations first: in SI units P spans some fifteen decades.
-
-    Parameters
-    ----------
-    error : ndarray, shape (k, n)
-    cov : ndarray, shape (k, n, n)
-
-    Returns
-    -------
-    ndarray, shape (k,)
-    """
-    sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
-    scaled = error / sd
-    correlation = cov / (sd[:, :, None] * sd[:, None, :])
-    whitened = np.linalg.solve(correlation, scaled[..., None])[..., 0]
-    squared: Floats = np.sum(scaled * whitened, axis=1)
-    return squared
+    time_s = seconds(errors.time_ns, history.time_ns[0])
+    return RunErrors(history.filter, time_s, errors.error, errors.sd**2, nees(errors.error, errors.cov))
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,8 @@ QUANTITIES = {
 }
 """Rows of the table and their units; ``position_h_pct`` is of the distance travelled."""
 
-
+DEAD_RECKONED = ("position_h", "depth", "position_h_pct")
+"""Quantities that keep what went wrong in a gap of the IMU: nothing brings position and its heading back."""
 SHORTEST_M = 10.0
 """Over a shorter way, percent of distance says nothing: at rest a filter's noise alone travels some metres."""
 
@@ -148,7 +149,9 @@ def attitude_error(mat_nb: Floats, mat_nb_reference: Floats) -> Floats:
     return error
 
 
-def reference_error_table(log: str, histories: tuple[History, ...], errors: dict[str, ReferenceErrors]) -> pd.DataFrame:
+def reference_error_table(
+    log: str, histories: tuple[History, ...], errors: dict[str, ReferenceErrors], *, bridged_gaps: bool = False
+) -> pd.DataFrame:
     """Set the candidates' error against the reference beside the baseline's.
 
     Parameters
@@ -159,13 +162,16 @@ def reference_error_table(log: str, histories: tuple[History, ...], errors: dict
         The first is the baseline.
     errors : dict of str to ReferenceErrors
         By filter name; empty where the dive has no reference.
+    bridged_gaps : bool
+        Whether the filters went through long gaps of the IMU.
 
     Returns
     -------
     DataFrame
         Columns log, filter, quantity, unit, baseline_rmse, rmse, improvement_pct, baseline_final, final, samples,
-        status (``compared``, ``no reference``, ``not in reference``, ``no distance``); 9 rows for each candidate. Final
-        errors keep their sign.
+        status (``compared``, ``no reference``, ``not in reference``, ``no distance``, and of the position ``lost in
+        gap`` where the IMU was silent for long: the numbers stand, but say nothing of the filters); 9 rows for each
+        candidate. Final errors keep their sign.
     """
     names = [
         "log", "filter", "quantity", "unit", "baseline_rmse", "rmse", "improvement_pct",
@@ -182,7 +188,7 @@ def reference_error_table(log: str, histories: tuple[History, ...], errors: dict
                 continue
             before_rmse, before_final, samples = summaries[baseline][quantity]
             rmse, final, _ = summaries[candidate][quantity]
-            status = _status(quantity, samples, errors[candidate])
+            status = _status(quantity, samples, errors[candidate], bridged_gaps)
             change_pct = improvement_pct(before_rmse, rmse)
             rows.append(
                 (log, candidate, quantity, unit, before_rmse, rmse, change_pct, before_final, final, samples, status)
@@ -190,9 +196,9 @@ def reference_error_table(log: str, histories: tuple[History, ...], errors: dict
     return pd.DataFrame(rows, columns=names)
 
 
-def _status(quantity: str, samples: int, errors: ReferenceErrors) -> str:
+def _status(quantity: str, samples: int, errors: ReferenceErrors, bridged_gaps: bool) -> str:
     if samples:
-        return "compared"
+        return "lost in gap" if bridged_gaps and quantity in DEAD_RECKONED else "compared"
     known = np.isfinite(errors.position_error_ned_m[:, :2]).all(axis=1).any()
     return "no distance" if quantity == "position_h_pct" and known else "not in reference"
 

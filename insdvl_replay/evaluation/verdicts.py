@@ -1,8 +1,8 @@
 """Verdicts in words: whether a filter is as good as it says, and whether a believed improvement is one.
 
 An improvement is borne out when the error against the reference falls by at least half of what the filter believes. A
-filter is called over-confident or over-cautious when its innovations say so with significance and by a size that
-matters.
+filter is called over-confident or over-cautious when its innovations, or its errors against the reference, say so with
+significance and by a size that matters. Where the two disagree, the sentence names both.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,8 @@ import numpy as np
 import pandas as pd
 
 from insdvl_replay.evaluation.believed import mean_over_nine
+from insdvl_replay.evaluation.credibility import JOINT
+from insdvl_replay.result_tables import is_whole
 
 NOTABLE_PCT: Final = 5.0
 """A smaller change, believed or real, is not spoken of as an improvement."""
@@ -32,7 +34,9 @@ class Verdict:
     filter : str
         Its name.
     consistency : str
-        The gravest of its measurements' verdicts.
+        The gravest of its measurements' verdicts, each as a whole.
+    credibility : str
+        The verdict of its errors against the reference; ``no reference`` and the like where there is none.
     believed_pct : float
         Mean improvement over nine states.
     actual_pct : float
@@ -45,6 +49,7 @@ class Verdict:
 
     filter: str
     consistency: str
+    credibility: str
     believed_pct: float
     actual_pct: float
     improvement: str
@@ -57,7 +62,7 @@ def verdicts(tables: dict[str, pd.DataFrame], baseline: str, candidates: Sequenc
     Parameters
     ----------
     tables : dict of str to DataFrame
-        ``improvement``, ``reference_error`` and ``consistency``.
+        ``improvement``, ``reference_error``, ``consistency`` and ``credibility``.
     baseline : str
         Name of the first filter.
     candidates : sequence of str
@@ -73,6 +78,8 @@ def verdicts(tables: dict[str, pd.DataFrame], baseline: str, candidates: Sequenc
 def consistency_of(table: pd.DataFrame, filter_name: str) -> str:
     """Give the gravest verdict among a filter's measurements.
 
+    Their axes say where and do not count: of eight tests one fails by chance in every third honest filter.
+
     Parameters
     ----------
     table : DataFrame
@@ -83,8 +90,31 @@ def consistency_of(table: pd.DataFrame, filter_name: str) -> str:
     -------
     str
     """
-    found = set(table.loc[table["filter"] == filter_name, "verdict"])
-    return next((word for word in GRAVEST_FIRST if word in found), "too few")
+    whole = table["measurement"].map(is_whole)
+    return _gravest(table.loc[(table["filter"] == filter_name) & whole, "verdict"]) or "too few"
+
+
+def credibility_of(table: pd.DataFrame, filter_name: str) -> str:
+    """Give the verdict of a filter's errors against the reference.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `credibility.credibility_table`.
+    filter_name : str
+
+    Returns
+    -------
+    str
+        Of all states together; the gravest of the quantities where the dive was too long to keep P.
+    """
+    rows = table[table["filter"] == filter_name].set_index("quantity")["verdict"]
+    joint = str(rows[JOINT])
+    return (_gravest(rows) or joint) if joint == "no covariance" else joint
+
+
+def _gravest(found: "pd.Series[str]") -> str | None:
+    return next((word for word in GRAVEST_FIRST if word in set(found)), None)
 
 
 def _verdict(tables: dict[str, pd.DataFrame], baseline: str, candidate: str) -> Verdict:
@@ -94,12 +124,16 @@ def _verdict(tables: dict[str, pd.DataFrame], baseline: str, candidate: str) -> 
     compared = rows.loc[rows.index.isin(COMPARED), "improvement_pct"].dropna()
     actual_pct = float(compared.median()) if len(compared) else float("nan")
     improvement = _borne_out(believed_pct, actual_pct)
-    consistency, of_baseline = (consistency_of(tables["consistency"], name) for name in (candidate, baseline))
+    (consistency, credibility), of_baseline = (
+        (consistency_of(tables["consistency"], name), credibility_of(tables["credibility"], name))
+        for name in (candidate, baseline)
+    )
     sentence = (
         f"{candidate} {_believes(believed_pct, baseline)}; {_against_reference(rows, actual_pct)}: "
-        f"{_CONCLUSION[improvement]}. {_on_consistency(consistency, of_baseline, candidate, baseline)}"
+        f"{_CONCLUSION[improvement]}. "
+        f"{_on_trust(_trust(consistency, credibility), _trust(*of_baseline), candidate, baseline)}"
     )
-    return Verdict(candidate, consistency, believed_pct, actual_pct, improvement, sentence)
+    return Verdict(candidate, consistency, credibility, believed_pct, actual_pct, improvement, sentence)
 
 
 def _borne_out(believed_pct: float, actual_pct: float) -> str:
@@ -140,7 +174,16 @@ def _against_reference(rows: pd.DataFrame, actual_pct: float) -> str:
     return f"{change} (position {position['baseline_rmse']:.2f} m, now {position['rmse']:.2f} m)"
 
 
-def _on_consistency(consistency: str, of_baseline: str, candidate: str, baseline: str) -> str:
-    if consistency != of_baseline:
-        return f"{candidate} is {consistency}, {baseline} {of_baseline}."
-    return "Too few updates to judge either." if consistency == "too few" else f"Both filters are {consistency}."
+def _trust(consistency: str, credibility: str) -> str:
+    """Join what innovations and errors say; the one word where they agree or only one of them speaks."""
+    if credibility in (consistency, "too few") or credibility not in GRAVEST_FIRST:
+        return consistency
+    if consistency == "too few":
+        return f"{credibility} against the reference"
+    return f"{consistency} by the innovations and {credibility} against the reference"
+
+
+def _on_trust(trust: str, of_baseline: str, candidate: str, baseline: str) -> str:
+    if trust != of_baseline:
+        return f"{candidate} is {trust}, {baseline} {of_baseline}."
+    return "Too few updates to judge either." if trust == "too few" else f"Both filters are {trust}."

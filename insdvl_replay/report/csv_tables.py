@@ -28,7 +28,7 @@ def table_csv(table: pd.DataFrame) -> bytes:
 
 
 def report_csv(report: Report) -> str:
-    """Write the four tables one after the other, a blank line between them.
+    """Write the tables one after the other, a blank line between them.
 
     Parameters
     ----------

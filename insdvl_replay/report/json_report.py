@@ -78,15 +78,36 @@ class ConsistencyRow(Struct, frozen=True):
     low: float | None
     high: float | None
     verdict: str
+    autocorrelation: float | None = None
+    autocorrelation_limit: float | None = None
+    whiteness: str = ""
+
+
+class CredibilityRow(Struct, frozen=True):
+    """Whether a filter's errors against the reference, or the truth, are as large as it says."""
+
+    log: str
+    filter: str
+    quantity: str
+    dof: int
+    samples: int
+    mean_nees: float | None
+    low: float | None
+    high: float | None
+    within_1sd_pct: float | None
+    within_3sd_pct: float | None
+    verdict: str
+    effective_samples: float | None
 
 
 class Tables(Struct, frozen=True):
-    """The four tables, row for row as in the CSV files; null for what is missing."""
+    """The tables, row for row as in the CSV files; null for what is missing. Early reports lack ``credibility``."""
 
     improvement: list[ImprovementRow]
     convergence: list[ConvergenceRow]
     reference_error: list[ReferenceErrorRow]
     consistency: list[ConsistencyRow]
+    credibility: list[CredibilityRow] = []
 
 
 class Candidate(Struct, frozen=True):
@@ -102,6 +123,7 @@ class Candidate(Struct, frozen=True):
         float | None, Meta(description="the same nine; never and at start count 0")
     ]
     reference_improvement_pct: Annotated[float | None, Meta(description="actual; median over the compared quantities")]
+    credibility: Annotated[str, Meta(description="the verdict of its errors against the reference")] = ""
 
 
 class Log(Struct, frozen=True):
@@ -155,7 +177,7 @@ def build_report(
     config : Config
         Resolved settings.
     tables : mapping of str to DataFrame
-        ``improvement``, ``convergence``, ``reference_error``, ``consistency``.
+        ``improvement``, ``convergence``, ``reference_error``, ``consistency``, ``credibility``.
     candidates : mapping of str to Candidate
         By filter name.
     notes : sequence of Note

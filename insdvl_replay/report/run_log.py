@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from insdvl_replay.report.json_report import Report
+from insdvl_replay.result_tables import is_whole
 
 
 def run_log(report: Report) -> str:
@@ -29,7 +30,8 @@ def _lines(report: Report) -> Iterator[str]:
         yield f"channel {channel.topic} ({channel.type_name}, {channel.encoding}): {channel.messages} messages, {role}"
     yield f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock"
     for row in report.tables.consistency:
-        yield f"filter {row.filter}: {row.used} {row.measurement} updates, {row.rejected} rejected by the gate"
+        if is_whole(row.measurement):
+            yield f"filter {row.filter}: {row.used} {row.measurement} updates, {row.rejected} rejected by the gate"
     for candidate in report.filters.values():
         yield candidate.verdict
     for note in report.notes:

@@ -5,7 +5,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeVar
 
-from insdvl_replay.report.json_report import ConsistencyRow, ConvergenceRow, ImprovementRow, ReferenceErrorRow, Report
+from insdvl_replay.report.json_report import (
+    ConsistencyRow,
+    ConvergenceRow,
+    CredibilityRow,
+    ImprovementRow,
+    ReferenceErrorRow,
+    Report,
+)
+from insdvl_replay.result_tables import is_whole
 from insdvl_replay.states import STATES
 
 MISSING: Final = "-"
@@ -20,6 +28,7 @@ _QUANTITIES: Final = {
     "position_h": "position",
     "depth": "depth",
     "position_h_pct": "pos. / distance",
+    "all": "all together",
 }
 
 
@@ -56,7 +65,7 @@ class ShownTable:
 
 
 def shown_tables(report: Report) -> list[ShownTable]:
-    """Turn a report into tables for people, four for each candidate.
+    """Turn a report into tables for people, three for each candidate and three on how far to trust each filter.
 
     Parameters
     ----------
@@ -112,6 +121,11 @@ def number(value: float | None) -> str:
     return f"{value:.2e}"
 
 
+def decimal(value: float | None, digits: int) -> str:
+    """Write a number with a fixed number of digits after the point."""
+    return MISSING if value is None else f"{value:.{digits}f}"
+
+
 def percent(value: float | None) -> str:
     """Write a percentage with one digit."""
     return MISSING if value is None else f"{value:.1f} %"
@@ -123,7 +137,10 @@ def _tables(report: Report) -> Iterator[ShownTable]:
         yield from _improvement(report.baseline, name, _of(name, tables.improvement))
         yield from _convergence(report.baseline, name, _of(name, tables.convergence))
         yield from _reference_error(report.baseline, name, _of(name, tables.reference_error))
-    yield from _consistency(tables.consistency)
+    yield from _consistency([row for row in tables.consistency if is_whole(row.measurement)])
+    yield from _innovations([row for row in tables.consistency if row.whiteness])
+    for name in (report.baseline, *report.filters):
+        yield from _credibility(name, _of(name, tables.credibility))
 
 
 def _of(name: str, rows: Iterable[Row]) -> list[Row]:
@@ -202,7 +219,7 @@ def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]
 
 
 def _not_compared(rows: Sequence[ReferenceErrorRow]) -> str:
-    """Say why numbers are missing; the word alone where it holds for all rows."""
+    """Say why numbers are missing or mean nothing; the word alone where it holds for all rows."""
     quantities: dict[str, list[str]] = {}
     for row in rows:
         quantities.setdefault(row.status, []).append(_QUANTITIES.get(row.quantity, row.quantity))
@@ -231,4 +248,50 @@ def _consistency(rows: Sequence[ConsistencyRow]) -> Iterator[ShownTable]:
                 )
                 for row in rows
             ),
+        )
+
+
+def _innovations(rows: Sequence[ConsistencyRow]) -> Iterator[ShownTable]:
+    if rows:
+        yield ShownTable(
+            "Innovations by axis: size, and likeness of each to the one before",
+            ("filter", "measurement", "NIS / dof", "verdict", "likeness", "limit", "whiteness"),
+            "llrlrrl",
+            tuple(
+                (
+                    row.filter,
+                    row.measurement.replace("_", " "),
+                    number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof),
+                    row.verdict,
+                    decimal(row.autocorrelation, 2),
+                    decimal(row.autocorrelation_limit, 2),
+                    row.whiteness,
+                )
+                for row in rows
+            ),
+        )
+
+
+def _credibility(name: str, rows: Sequence[CredibilityRow]) -> Iterator[ShownTable]:
+    compared = [row for row in rows if row.samples]
+    if compared:
+        yield ShownTable(
+            f"Credibility: errors of {name} in its own standard deviations",
+            ("quantity", "NEES", "low", "high", "in\n1 sd", "in\n3 sd", "indep.", "verdict"),
+            "lrrrrrrl",
+            tuple(
+                (
+                    _QUANTITIES.get(row.quantity) or _LABELS[row.quantity].replace("accelerometer", "accel."),
+                    number(row.mean_nees),
+                    decimal(row.low, 2),
+                    decimal(row.high, 2),
+                    decimal(row.within_1sd_pct, 1),
+                    decimal(row.within_3sd_pct, 1),
+                    decimal(row.effective_samples, 0),
+                    row.verdict,
+                )
+                for row in compared
+            ),
+            f"Expected: NEES 1, all together {compared[-1].dof}; 68.3 % and 99.7 %. The reference is taken as exact. "
+            "indep.: samples that do not repeat each other.",
         )

@@ -6,6 +6,7 @@ from typing import Final
 
 from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.report.json_report import Report
+from insdvl_replay.result_tables import is_whole
 
 COLUMNS: Final = (
     "log", "filter", "mean_improvement_pct", "mean_convergence_improvement_pct", "position_h_baseline_rmse_m",
@@ -71,4 +72,7 @@ def _position_rmse(report: Report, name: str, quantity: str) -> tuple[float | No
 
 
 def _verdicts(report: Report, name: str) -> str:
-    return "; ".join(f"{row.measurement} {row.verdict}" for row in report.tables.consistency if row.filter == name)
+    """Name the verdicts of the whole measurements, and that of the errors."""
+    measurements = (row for row in report.tables.consistency if row.filter == name and is_whole(row.measurement))
+    errors = (f"errors {word}" for word in [report.filters[name].credibility] if word)
+    return "; ".join([*(f"{row.measurement} {row.verdict}" for row in measurements), *errors])

@@ -1,0 +1,142 @@
+"""Whether a filter's errors are as large as it says: errors against the reference in its own standard deviations.
+
+The reference is taken as exact: where it is no better than the filter, its own errors count as the filter's. Source:
+Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.special import chdtr
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, chi_square_quantile, mean_interval, verdict
+from insdvl_replay.evaluation.effective_samples import effective_samples
+from insdvl_replay.evaluation.state_errors import StateErrors, whitened
+from insdvl_replay.states import BA, PHI, STATES
+
+QUANTITIES: Final = (
+    "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", *(state.id for state in STATES[BA.start :]),
+)  # fmt: skip
+"""Rows of the table in the order of the error state; the attitude about the vehicle's level axes."""
+JOINT: Final = "all"
+"""The row of all compared states together."""
+FAR_SMALLER: Final = 0.25
+"""Share of the expected NEES, half of the believed size, below which errors count as small. A filter starts at the
+reference, so that for a while the errors of an honest one are smaller than it says."""
+
+_NAMES: Final = (
+    "log", "filter", "quantity", "dof", "samples", "mean_nees", "low", "high", "within_1sd_pct", "within_3sd_pct",
+    "verdict", "effective_samples",
+)  # fmt: skip
+Row = tuple[str | int | float, ...]
+
+
+def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, StateErrors]) -> pd.DataFrame:
+    """Judge each filter by its errors against the reference.
+
+    Errors of neighbouring times are nearly the same, so that a mean over a dive scatters more than its number of
+    samples suggests: `effective_samples` counts the independent ones, and the interval is theirs.
+
+    Parameters
+    ----------
+    log : str
+        Name of the dive.
+    filters : sequence of str
+        All filters; the baseline has rows of its own.
+    errors : mapping of str to StateErrors
+        By filter; empty where the dive has no reference.
+
+    Returns
+    -------
+    DataFrame
+        Columns log, filter, quantity, dof, samples, mean_nees (squared error in the filter's own standard deviations;
+        ``dof`` expected), low, high (95 % interval of a consistent filter's mean), within_1sd_pct, within_3sd_pct (68.3
+        % and 99.7 % expected; of ``all`` the shares inside the ellipsoids with these probabilities), verdict
+        (``consistent``, ``over-confident``, ``over-cautious``, ``too few`` independent samples, ``not finite``, ``not
+        in reference``, ``no reference``, ``no covariance``), effective_samples. Rows for velocity and attitude, for the
+        biases where the log carries the true ones, and for ``all`` of them with the whole of P.
+    """
+    rows = [
+        (log, name, *row) for name in filters for row in (_rows(errors[name]) if errors else _missing("no reference"))
+    ]
+    return pd.DataFrame(rows, columns=list(_NAMES))
+
+
+def _missing(word: str) -> Iterator[Row]:
+    for quantity in (*QUANTITIES[: BA.start], JOINT):
+        yield quantity, *_without_numbers(1, 0, word)
+
+
+def _without_numbers(dof: int, samples: int, word: str) -> Row:
+    return dof, samples, *[float("nan")] * 5, word, float("nan")
+
+
+def _rows(errors: StateErrors) -> Iterator[Row]:
+    known = np.isfinite(errors.error)
+    standardised = _standardised(errors)
+    for i, quantity in enumerate(QUANTITIES):
+        if i < BA.start or known[:, i].any():
+            yield quantity, *_judged(standardised[known[:, i], i : i + 1])
+    yield JOINT, *_joint(errors, known)
+
+
+def _standardised(errors: StateErrors) -> Floats:
+    """Divide each error by its own standard deviation; misalignment turns from north and east to roll and pitch.
+
+    Without P the errors about north and east are taken to be uncorrelated.
+    """
+    error, var = errors.error.copy(), errors.sd**2
+    cos, sin = np.cos(errors.heading), np.sin(errors.heading)
+    north, east = error[:, PHI.start], error[:, PHI.start + 1]
+    var_north, var_east = var[:, PHI.start].copy(), var[:, PHI.start + 1].copy()
+    cov = errors.cov[:, PHI.start, PHI.start + 1] if errors.cov is not None else 0.0
+    error[:, PHI.start : PHI.stop - 1] = np.column_stack([cos * north + sin * east, cos * east - sin * north])
+    var[:, PHI.start] = cos**2 * var_north + sin**2 * var_east + 2.0 * cos * sin * cov
+    var[:, PHI.start + 1] = sin**2 * var_north + cos**2 * var_east - 2.0 * cos * sin * cov
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        return np.asarray(error / np.sqrt(var))
+
+
+def _joint(errors: StateErrors, known: NDArray[np.bool_]) -> Row:
+    """Judge all states that are ever compared, at the times when all of them are."""
+    states = np.flatnonzero(known.any(axis=0))
+    times = known[:, states].all(axis=1)
+    if not len(states):
+        return _without_numbers(0, 0, "not in reference")
+    if errors.cov is None:
+        return _without_numbers(len(states), int(times.sum()), "no covariance")
+    return _judged(whitened(errors.error[np.ix_(times, states)], errors.cov[np.ix_(times, states, states)]))
+
+
+def _judged(standardised: Floats) -> Row:
+    """Judge errors in standard deviations, shape (k, dof), that are uncorrelated in a consistent filter."""
+    samples, dof = standardised.shape
+    if not samples:
+        return _without_numbers(dof, 0, "not in reference")
+    if not np.isfinite(standardised).all():
+        return _without_numbers(dof, samples, "not finite")
+    nees = np.sum(standardised**2, axis=1)
+    mean_nees, independent = float(nees.mean()), effective_samples(standardised)
+    low, high = mean_interval(dof, independent)
+    within_pct = [100.0 * float(np.mean(nees <= _ellipsoid(sigmas, dof))) for sigmas in (1.0, 3.0)]
+    word = _word(mean_nees, low, high, dof, independent)
+    return dof, samples, mean_nees, low, high, *within_pct, word, independent
+
+
+def _word(mean_nees: float, low: float, high: float, dof: int, independent: float) -> str:
+    """Judge a mean NEES; few samples prove that errors are too large, but not that they are as they should be."""
+    word = verdict(mean_nees, low, high, dof)
+    if word == "over-confident":
+        return word
+    if dof * independent < FEWEST_UPDATES:
+        return "too few"
+    return "consistent" if mean_nees >= FAR_SMALLER * dof else word
+
+
+def _ellipsoid(sigmas: float, dof: int) -> float:
+    """Give the NEES that is exceeded as rarely as a normal variable exceeds so many standard deviations."""
+    return chi_square_quantile(float(chdtr(1, sigmas**2)), dof)

@@ -1,0 +1,117 @@
+"""Errors of a filter in its own 12 states, where a reference or the truth knows them, and how large P lets them be.
+
+Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs, TruthColumns
+from insdvl_replay.history import History
+from insdvl_replay.rotation import rpy_from_mat, vector_from_mat
+from insdvl_replay.states import BA, BG, DV, PHI
+
+
+@dataclass(frozen=True)
+class StateErrors:
+    """Estimated minus true in the order of `states.STATES`, with what the filter believes of it.
+
+    Attributes
+    ----------
+    filter : str
+    time_ns : ndarray, shape (k,)
+        Times that the history and the reference have.
+    error : ndarray, shape (k, 12)
+        SI units; a bias is what is left in the compensated readings. NaN where neither reference nor truth knows.
+    sd : ndarray, shape (k, 12)
+        Square roots of the diagonal of P.
+    cov : ndarray, shape (k, 12, 12), or None
+        P, where the history holds it.
+    heading : ndarray, shape (k,)
+        Of the reference, rad.
+    """
+
+    filter: str
+    time_ns: TimeNs
+    error: Floats
+    sd: Floats
+    cov: Floats | None
+    heading: Floats
+
+    def after(self, time_ns: int) -> "StateErrors":
+        """Keep the times after one, such as the start, where a filter is set to the reference."""
+        rows = slice(int(np.searchsorted(self.time_ns, time_ns, side="right")), None)
+        cov = None if self.cov is None else self.cov[rows]
+        return StateErrors(self.filter, self.time_ns[rows], self.error[rows], self.sd[rows], cov, self.heading[rows])
+
+
+def state_errors(history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> StateErrors:
+    """Compare one filter with the reference, and its biases with the truth.
+
+    Parameters
+    ----------
+    history : History
+    reference : ReferenceColumns
+    truth : TruthColumns or None
+        The biases, at any of the reference's times.
+
+    Returns
+    -------
+    StateErrors
+        At the times that history and reference share, the start included.
+    """
+    time_ns, ours, theirs = np.intersect1d(history.time_ns, reference.time_ns, assume_unique=True, return_indices=True)
+    error = np.full((len(time_ns), 12), np.nan)
+    mat_nb = reference.mat_nb[theirs]
+    known = np.isfinite(mat_nb).all(axis=(1, 2))
+    error[:, DV] = history.velocity_n[ours] - reference.velocity_n[theirs]
+    error[known, PHI] = vector_from_mat(history.mat_nb[ours][known] @ np.swapaxes(mat_nb[known], 1, 2))
+    if truth is not None:
+        _, rows, of_truth = np.intersect1d(time_ns, truth.time_ns, assume_unique=True, return_indices=True)
+        error[rows, BA] = truth.accel_bias_b[of_truth] - history.accel_bias_b[ours][rows]
+        error[rows, BG] = truth.gyro_bias_b[of_truth] - history.gyro_bias_b[ours][rows]
+    cov = None if history.cov is None else history.cov[ours]
+    return StateErrors(history.filter, time_ns, error, history.sd[ours], cov, rpy_from_mat(mat_nb)[:, 2])
+
+
+def nees(error: Floats, cov: Floats) -> Floats:
+    """Give the normalised estimation error squared, ``x' P^-1 x``.
+
+    Parameters
+    ----------
+    error : ndarray, shape (k, n)
+    cov : ndarray, shape (k, n, n)
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        NaN as in `whitened`.
+    """
+    squared: Floats = np.sum(whitened(error, cov) ** 2, axis=1)
+    return squared
+
+
+def whitened(error: Floats, cov: Floats) -> Floats:
+    """Give ``L^-1 x`` with ``L L' = P``: errors in standard deviations, uncorrelated if P is right.
+
+    The states are scaled by their standard deviations first: in SI units P spans some fifteen decades.
+
+    Parameters
+    ----------
+    error : ndarray, shape (k, n)
+    cov : ndarray, shape (k, n, n)
+
+    Returns
+    -------
+    ndarray, shape (k, n)
+        All NaN if one of the P is not positive definite: a filter that broke down has no better rows.
+    """
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+        correlation = cov / (sd[:, :, None] * sd[:, None, :])
+        try:
+            factor = np.linalg.cholesky(correlation)
+        except np.linalg.LinAlgError:
+            return np.full_like(error, np.nan)
+        return np.asarray(np.linalg.solve(factor, (error / sd)[..., None])[..., 0])
