@@ -1,6 +1,7 @@
 """What the tool says to its user: errors that end the work, notes that go with the result."""
 
-from collections.abc import Iterator
+import difflib
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
@@ -41,6 +42,18 @@ class LogError(UserError):
     exit_code = 3
 
 
+class ResultError(UserError):
+    """A stored result cannot be read (exit code 3)."""
+
+    exit_code = 3
+
+
+class LimitError(UserError):
+    """A result is worse than its user allows (exit code 1)."""
+
+    exit_code = 1
+
+
 @contextmanager
 def about(place: str) -> Iterator[None]:
     """Begin the sentence of any user error inside with the place it concerns."""
@@ -48,6 +61,22 @@ def about(place: str) -> Iterator[None]:
         yield
     except UserError as error:
         raise type(error)(f"{place}: {error.message}", error.hint) from error
+
+
+def refuse_unknown(kind: str, name: str, known: Collection[str]) -> None:
+    """Raise a ConfigError, with the nearest name that is known, if a name is not known.
+
+    Parameters
+    ----------
+    kind : str
+        What it names.
+    name : str
+    known : collection of str
+    """
+    if name not in known:
+        nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+        hint = f"did you mean {nearest[0]}?" if nearest else f"known: {', '.join(known)}"
+        raise ConfigError(f"{kind} '{name}' is not known", hint)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """A simulated dive: the exact one, and the one that sensors report of it."""
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, TypeVar
@@ -10,7 +9,7 @@ import numpy as np
 from insdvl_replay import janus
 from insdvl_replay.columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, TimeNs, TruthColumns, seconds
 from insdvl_replay.config import Vector
-from insdvl_replay.errors import ConfigError
+from insdvl_replay.errors import ConfigError, refuse_unknown
 from insdvl_replay.rotation import mat_from_rpy
 from insdvl_replay.sim.dvl_errors import DvlErrors, LostBeam, add_dvl_errors, beam_vectors_d
 from insdvl_replay.sim.imu_errors import GRADES, ImuErrors, add_imu_errors
@@ -212,10 +211,7 @@ def named(kind: str, name: str, known: Mapping[str, T]) -> T:
     ConfigError
         The name is not known.
     """
-    if name not in known:
-        nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-        hint = f"did you mean {nearest[0]}?" if nearest else f"known: {', '.join(known)}"
-        raise ConfigError(f"{kind} '{name}' is not known", hint)
+    refuse_unknown(kind, name, known)
     return known[name]
 
 
