@@ -68,7 +68,7 @@ def compare(
     from insdvl_replay.report.comparison import breach_sentence
 
     limit = None if fail_on is None else parse_limit(fail_on)
-    tolerance_pct = None if tolerance is None else parse_percentage(tolerance, "--tolerance")
+    tolerance_pct = None if tolerance is None else parse_percentage(tolerance, "--tolerance ")
     selection = Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
     comparison = compare_results(old, new, selection)
     print_comparison(arranged(comparison, sort.value, only_changed=only_changed), format_)

@@ -8,14 +8,14 @@ from insdvl_replay.evaluation.cell_change import ROUNDING
 from insdvl_replay.evaluation.over_dives import loss_of, worst_of
 
 
-def parse_percentage(text: str, option: str) -> float:
+def parse_percentage(text: str, before: str) -> float:
     """Read a percentage such as ``0.1%``.
 
     Parameters
     ----------
     text : str
-    option : str
-        Where it was given, for the message.
+    before : str
+        What was typed before it, for the message.
 
     Returns
     -------
@@ -29,7 +29,7 @@ def parse_percentage(text: str, option: str) -> float:
     """
     match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+) ?%", text.strip())
     if match is None:
-        raise ConfigError(f"{option} {text}: is not a percentage", f"write {option} 0.1%")
+        raise ConfigError(f"{before}{text}: is not a percentage", f"write {before}0.5%")
     return float(match[1])
 
 
@@ -52,7 +52,7 @@ def parse_limit(text: str) -> Limit:
     """
     word, colon, percentage = text.partition(":")
     if word == "worse":
-        return Limit("worse", parse_percentage(percentage, "--fail-on worse with") if colon else 0.0)
+        return Limit("worse", parse_percentage(percentage, "--fail-on worse:") if colon else 0.0)
     if text == "changed":
         return Limit("changed")
     raise ConfigError(
