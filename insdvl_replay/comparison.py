@@ -10,9 +10,9 @@ from insdvl_replay.evaluation.causes import differences
 from insdvl_replay.evaluation.dive_matching import Matching, match_dives
 from insdvl_replay.evaluation.filter_pairs import refuse_strangers, with_new_names
 from insdvl_replay.evaluation.over_dives import aggregates, tally
-from insdvl_replay.evaluation.row_changes import LAYOUTS, compare_tables, named_rows
+from insdvl_replay.evaluation.row_changes import compare_tables, named_rows
 from insdvl_replay.report.stored_results import read_results
-from insdvl_replay.result_tables import TableLayout
+from insdvl_replay.result_tables import LAYOUTS, TableLayout
 from insdvl_replay.stored_result import StoredResult
 
 _Pairs = Sequence[tuple[StoredResult, StoredResult]]

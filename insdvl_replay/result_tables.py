@@ -102,3 +102,5 @@ CANDIDATES: Final = TableLayout(
     },
 )
 """The block ``filters`` of a report, read as a table with one row for each candidate."""
+LAYOUTS: Final = (CANDIDATES, *TABLES)
+"""All that results are compared by, in the order of what a reader asks first."""

@@ -22,8 +22,13 @@ from insdvl_replay.errors import ConfigError, ResultError
 from insdvl_replay.evaluation.arrangement import Order, arranged
 from insdvl_replay.evaluation.limits import breach, parse_limit
 from insdvl_replay.evaluation.over_dives import aggregates
-from insdvl_replay.report.comparison_output import comparison_csv, comparison_json, comparison_terminal
-from insdvl_replay.result_tables import CANDIDATES, TABLES
+from insdvl_replay.report.comparison_output import (
+    comparison_csv,
+    comparison_json,
+    comparison_markdown,
+    comparison_terminal,
+)
+from insdvl_replay.result_tables import LAYOUTS
 
 
 def compared(folder: Path, old: dict[str, Any], new: dict[str, Any], **selection: Any) -> Comparison:
@@ -62,9 +67,7 @@ def test_nothing_differs_between_a_result_and_itself(tmp_path: Path) -> None:
 
 def test_every_column_that_can_be_better_is_compared(tmp_path: Path) -> None:
     listed = {(change.table, change.column) for change in compared(tmp_path, content(), content()).changes}
-    assert listed == {
-        (layout.name, column) for layout in (CANDIDATES, *TABLES) for column in (*layout.better, *layout.words)
-    }
+    assert listed == {(layout.name, column) for layout in LAYOUTS for column in (*layout.better, *layout.words)}
 
 
 def test_each_column_is_judged_in_its_own_direction(tmp_path: Path) -> None:
@@ -271,7 +274,16 @@ def test_only_changed_leaves_the_counts_alone(tmp_path: Path) -> None:
     assert less.total == whole.total
     assert {change.word for change in less.changes} == {"better", "worse"}
     assert [aggregate.column for aggregate in less.aggregates] == ["rmse"]
-    assert [dive.log for dive in less.dives] == [dive.log for dive in whole.dives]
+    assert less.dives == whole.dives
+
+
+def test_dives_in_which_nothing_moved_are_counted(tmp_path: Path) -> None:
+    old, new = two_sets(tmp_path)
+    write(new / "four", content("four"))
+    text = comparison_markdown(arranged(compare_results(old, new), "table", only_changed=True))
+    assert text.startswith("## 4 dives: ")
+    assert "| four |" not in text
+    assert "and 1 dive in which nothing moved" in text
 
 
 # --- The door.

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final, Literal
 
-from insdvl_replay.changes import Aggregate, Change, Comparison, Counts
+from insdvl_replay.changes import Aggregate, Change, Comparison
 from insdvl_replay.evaluation.over_dives import loss, loss_of
 
 Order = Literal["table", "name", "change", "worse"]
@@ -20,25 +20,20 @@ def arranged(comparison: Comparison, order: Order, *, only_changed: bool) -> Com
     comparison : Comparison
     order : str
     only_changed : bool
-        Leave out what is the same; of the aggregates what is the same in all dives, and dives in which nothing moved.
+        Leave out what is the same, and of the aggregates what is the same in all dives.
 
     Returns
     -------
     Comparison
     """
-    changes, overall, dives = comparison.changes, comparison.aggregates, comparison.dives
+    changes, overall = comparison.changes, comparison.aggregates
     if only_changed:
         changes = tuple(change for change in changes if change.word != "same")
         overall = tuple(aggregate for aggregate in overall if aggregate.same < aggregate.dives)
-        dives = tuple(dive for dive in dives if dive.tally is None or _moved(dive.tally.counts))
     if order != "table":
         changes = tuple(sorted(changes, key=_CHANGE_KEYS[order]))
         overall = tuple(sorted(overall, key=_AGGREGATE_KEYS[order]))
-    return replace(comparison, changes=changes, aggregates=overall, dives=dives)
-
-
-def _moved(counts: Counts) -> bool:
-    return any(count for word, count in counts.items() if word != "same")
+    return replace(comparison, changes=changes, aggregates=overall)
 
 
 def _size(change_pct: float | None) -> float:

@@ -6,9 +6,11 @@ from statistics import median
 from typing import Final
 
 from insdvl_replay.changes import Aggregate, Change, Counts, Tally, Word
-from insdvl_replay.result_tables import CANDIDATES, TABLES
+from insdvl_replay.result_tables import LAYOUTS
 
-_CHIEF: Final = {(layout.name, column) for layout in (CANDIDATES, *TABLES) for column in (layout.chief, *layout.words)}
+_CHIEF: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.chief, *layout.words)}
+"""Columns that a reader looks at first, and words with a rank, which sum up numbers."""
+_ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
 
 
 def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
@@ -30,14 +32,15 @@ def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
     Returns
     -------
     tuple of Aggregate
-        For the cells whose word is better, worse or same in some dive, in the order in which they first appear.
+        For the cells whose word is better, worse or same in some dive, table by table.
     """
     cells: dict[tuple[str, str, str, str, str], list[Change]] = {}
     for change in changes:
         if change.word in {"better", "worse", "same"}:
             key = change.table, change.filter, change.row, change.unit, change.column
             cells.setdefault(key, []).append(change)
-    return tuple(_aggregate(key, together) for key, together in cells.items())
+    gathered = [_aggregate(key, together) for key, together in cells.items()]
+    return tuple(sorted(gathered, key=lambda aggregate: _ORDER[aggregate.table]))
 
 
 def tally(changes: Sequence[Change]) -> Tally:

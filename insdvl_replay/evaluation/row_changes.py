@@ -6,11 +6,9 @@ from typing import Final
 from insdvl_replay.changes import Change
 from insdvl_replay.errors import ResultError
 from insdvl_replay.evaluation.cell_change import Moved, judge_number, rank_word
-from insdvl_replay.result_tables import CANDIDATES, TABLES, TableLayout
+from insdvl_replay.result_tables import CANDIDATES, TableLayout
 from insdvl_replay.stored_result import Cell, Row, StoredReport, StoredResult
 
-LAYOUTS: Final = (CANDIDATES, *TABLES)
-"""What is compared, in the order of what matters."""
 NAMES: Final = frozenset(("log", "filter", "unit"))
 """Columns that name a row, with its key."""
 SENTENCES: Final = frozenset((("filters", "verdict"),))
@@ -31,7 +29,7 @@ def compare_tables(
     ----------
     old, new : StoredResult
     layouts : sequence of TableLayout
-        Which tables, from `LAYOUTS`.
+        Which tables.
     tolerance_pct : float or None
         Up to which a change is none; None: up to the last printed digit.
 

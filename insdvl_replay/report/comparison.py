@@ -1,6 +1,7 @@
 """A comparison as sentences and tables for people: what differs, where it moved, then row by row."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 from insdvl_replay.changes import Breach, Comparison, Difference, DiveComparison, Limit, Tally, Word
@@ -10,7 +11,7 @@ from insdvl_replay.report.shown import MISSING, ShownTable
 
 WORDS: Final[tuple[Word, ...]] = ("better", "worse", "same", "changed", "new", "gone")
 _HASH_SHOWN: Final = 12
-_NAMED_DIVES: Final = 3
+_NAMED_DIVES: Final = 2
 
 
 def comparison_heading(comparison: Comparison) -> str:
@@ -70,7 +71,7 @@ def breach_sentence(breach: Breach) -> str:
         much = f"{_counted(breach.count, 'value')} {_too_far(breach.limit, verb)}"
         reasons.append(f"{much}; worst: {described(breach.worst)}")
     if breach.dives:
-        reasons.append(f"{_counted(len(breach.dives), 'dive')} without counterpart: {_where(breach.dives)}")
+        reasons.append(f"{_counted(len(breach.dives), 'dive')} without counterpart: {', '.join(breach.dives)}")
     return "; ".join(reasons)
 
 
@@ -114,35 +115,36 @@ def _shown(difference: Difference, value: str | None) -> str:
     return value[:_HASH_SHOWN] if difference.key == "sha256" else value
 
 
-def _where(logs: Sequence[str], dives: int = 0) -> str:
-    """Name some dives, or say that it is all of them."""
+def _where(logs: Sequence[str], dives: int) -> str:
+    """Say which dives it is: all, a few by name, or how many."""
     if len(logs) == dives:
         return "all"
-    more = len(logs) - _NAMED_DIVES
-    return ", ".join(logs[:_NAMED_DIVES]) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(logs) if len(logs) <= _NAMED_DIVES else f"{len(logs)} of {dives}"
 
 
 def _dives(dives: Sequence[DiveComparison]) -> ShownTable:
-    return _tallies("Dives", "dive", [(dive.log, dive.tally, _only_side(dive)) for dive in dives])
+    """Show the dives in which something moved, and count the others."""
+    moved = [dive for dive in dives if dive.tally is None or _has_moved(dive.tally)]
+    table = _tallies("Dives", "dive", [(dive.log, dive.tally, "gone" if dive.new is None else "new") for dive in moved])
+    still = len(dives) - len(moved)
+    return replace(table, footnote=f"and {_counted(still, 'dive')} in which nothing moved") if still else table
+
+
+def _has_moved(tally: Tally) -> bool:
+    return tally.counts["same"] < sum(tally.counts.values())
 
 
 def _by_table(tables: Mapping[str, Tally]) -> ShownTable:
     return _tallies("Tables", "table", [(name, tally, "") for name, tally in tables.items()])
 
 
-def _only_side(dive: DiveComparison) -> str:
-    return "gone" if dive.new is None else "new"
-
-
 def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]]) -> ShownTable:
-    """Show counts by word, those that occur, and the largest loss; of what has no tally, why."""
+    """Show counts by word, those that occur, and the largest loss; of what has no tally, a word instead."""
     words = [word for word in WORDS if any(tally is not None and tally.counts[word] for _, tally, _ in named)]
     rows = []
     for name, tally, otherwise in named:
-        if tally is None:
-            rows.append((name, *[MISSING] * len(words), otherwise))
-        else:
-            rows.append((name, *(str(tally.counts[word]) for word in words), _worst(tally)))
+        counts = [MISSING if tally is None else str(tally.counts[word]) for word in words]
+        rows.append((name, *counts, otherwise if tally is None else _worst(tally)))
     return ShownTable(title, (key, *words, "worst"), f"l{'r' * len(words)}l", tuple(rows))
 
 

@@ -7,10 +7,10 @@ from typing import Final, TypeVar
 from insdvl_replay.changes import Aggregate, Change
 from insdvl_replay.report.comparison_cells import change_text, growth, is_percentage, old_and_new, percent_text
 from insdvl_replay.report.shown import MISSING, ShownTable, row_label
-from insdvl_replay.result_tables import CANDIDATES, TABLES
+from insdvl_replay.result_tables import CANDIDATES, LAYOUTS
 
-_BETTER: Final = {(layout.name, column): better for layout in TABLES for column, better in layout.better.items()}
-_KEYS: Final = {layout.name: layout.key for layout in TABLES}
+_BETTER: Final = {(layout.name, column): better for layout in LAYOUTS for column, better in layout.better.items()}
+_KEYS: Final = {layout.name: layout.key for layout in LAYOUTS}
 _MEANING: Final = {
     "lower": "lower is better",
     "higher": "higher is better",
@@ -111,6 +111,7 @@ def _share_columns(aggregates: Sequence[Aggregate]) -> Columns[Aggregate]:
     return [
         ("dives", "r", lambda cell: str(cell.dives)),
         ("better\n[%]", "r", lambda cell: f"{cell.share_better_pct:.0f}"),
+        ("worse\n[%]", "r", lambda cell: f"{100.0 * cell.worse / cell.dives:.0f}"),
         (f"median\n[{unit}]", "r", lambda cell: percent_text(cell.median_change_pct)),
         (f"worst\n[{unit}]", "r", lambda cell: percent_text(cell.worst_change_pct)),
         ("in", "l", lambda cell: MISSING if cell.worst_word == "same" else cell.worst_log),
