@@ -114,8 +114,14 @@ def _share_columns(aggregates: Sequence[Aggregate]) -> Columns[Aggregate]:
         ("worse\n[%]", "r", lambda cell: f"{100.0 * cell.worse / cell.dives:.0f}"),
         (f"median\n[{unit}]", "r", lambda cell: percent_text(cell.median_change_pct)),
         (f"worst\n[{unit}]", "r", lambda cell: percent_text(cell.worst_change_pct)),
-        ("in", "l", lambda cell: MISSING if cell.worst_word == "same" else cell.worst_log),
+        ("in", "l", _worst_in),
     ]
+
+
+def _worst_in(cell: Aggregate) -> str:
+    """Name the dive that lost most; of words, only if one fell."""
+    nothing = cell.worst_word == "same" or (cell.worst_word == "better" and cell.worst_change_pct is None)
+    return MISSING if nothing else cell.worst_log
 
 
 def _title(items: Sequence[Item]) -> str:
