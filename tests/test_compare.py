@@ -66,8 +66,17 @@ def test_nothing_differs_between_a_result_and_itself(tmp_path: Path) -> None:
 
 
 def test_every_column_that_can_be_better_is_compared(tmp_path: Path) -> None:
-    listed = {(change.table, change.column) for change in compared(tmp_path, content(), content()).changes}
-    assert listed == {(layout.name, column) for layout in LAYOUTS for column in (*layout.better, *layout.words)}
+    report = content()
+    rows = {**report["tables"], "filters": list(report["filters"].values())}
+    expected = {
+        (layout.name, column)
+        for layout in LAYOUTS
+        for column in (*layout.better, *layout.words)
+        if column in rows.get(layout.name, [{}])[0]
+    }
+    assert {table for table, _ in expected} == rows.keys()
+    listed = {(change.table, change.column) for change in compared(tmp_path, report, report).changes}
+    assert listed == expected
 
 
 def test_each_column_is_judged_in_its_own_direction(tmp_path: Path) -> None:
@@ -289,11 +298,6 @@ def test_dives_in_which_nothing_moved_are_counted(tmp_path: Path) -> None:
 # --- The door.
 
 
-def tool(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from insdvl_replay.cli import main; main()", "compare", *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
-
-
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
     """A folder with results that can and cannot be compared."""
@@ -362,14 +366,38 @@ def place(tmp_path: Path) -> Path:
         (["old", "future"], 3, "(written by version 9.0): object missing required field `name` - at `$.log`"),
     ],
 )
-def test_exit_codes_and_reasons(arguments: Sequence[str], code: int, reason: str, place: Path) -> None:
-    done = tool(*arguments, cwd=place)
-    assert done.returncode == code, done.stderr
-    assert "Traceback" not in done.stderr
-    assert bool(done.stdout) is (code in {0, 1})
-    last = done.stderr.rstrip("\n").split("\n")[-1]
+def test_exit_codes_and_reasons(
+    arguments: Sequence[str],
+    code: int,
+    reason: str,
+    place: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(place)
+    assert run_command_line(["compare", *arguments]) == code
+    captured = capsys.readouterr()
+    assert bool(captured.out) is (code in {0, 1})
+    last = captured.err.rstrip("\n").split("\n")[-1]
     assert last.startswith("error: ") is (code > 0)
     assert reason in last
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["old", "worse", "--fail-on", "worse:50%"], 0),
+        (["old", "worse", "--fail-on", "worse:5%"], 1),
+        (["old", "empty"], 2),
+        (["old", "broken"], 3),
+    ],
+)
+def test_exit_codes_reach_the_shell(arguments: Sequence[str], code: int, place: Path) -> None:
+    command = [sys.executable, "-c", "from insdvl_replay.cli import main; main()", "compare", *arguments]
+    done = subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.startswith("error: ") is (code > 0)
 
 
 def test_comparing_loads_neither_the_filters_nor_pandas(place: Path) -> None:
@@ -443,3 +471,19 @@ def test_real_results_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "tool, settings and log do not differ" in capsys.readouterr().out
     assert run_command_line(["compare", old, new, "--fail-on", "changed"]) == 1
     assert "config filters.aided.acceleration.window  3    5" in capsys.readouterr().out
+
+
+def test_what_is_neither_better_nor_worse_comes_last(tmp_path: Path) -> None:
+    new = content(rmse=0.2, final=0.4)
+    new["tables"]["reference_error"][0]["samples"] = 290
+    text = comparison_markdown(arranged(compared(tmp_path, content(), new), "table", only_changed=True))
+    titles = [line for line in text.split("\n") if line.startswith("**Reference error")]
+    assert [title.split(": ")[1].split()[0].strip("*") for title in titles] == ["rmse", "final", "samples"]
+
+
+def test_what_is_new_is_no_gain(tmp_path: Path) -> None:
+    old = content()
+    del old["tables"]["reference_error"]
+    total = compared(tmp_path, old, content()).total
+    assert total.counts["new"] > 0
+    assert (total.worst, total.best) == (None, None)

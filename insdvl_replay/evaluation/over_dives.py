@@ -71,13 +71,13 @@ def loss(word: Word, change_pct: float | None) -> float:
     Returns
     -------
     float
-        Positive where it is worse or gone, negative where better or new, zero otherwise; infinite where there is no
+        Positive where it is worse or gone, negative where it is better, zero otherwise; infinite where there is no
         percentage.
     """
-    if word in {"same", "changed"}:
+    if word not in {"better", "worse", "gone"}:
         return 0.0
     amount = math.inf if change_pct is None else abs(change_pct)
-    return amount if word in {"worse", "gone"} else -amount
+    return -amount if word == "better" else amount
 
 
 def loss_of(change: Change) -> float:

@@ -30,13 +30,15 @@ def change_tables(changes: Iterable[Change]) -> list[ShownTable]:
     Parameters
     ----------
     changes : iterable of Change
-        Their order is kept, that of the tables too: the first cell of each decides.
+        Their order is kept, that of the tables too: the first cell of each decides. What is neither better nor worse
+        comes last.
 
     Returns
     -------
     list of ShownTable
     """
-    return [_table(group, _value_columns(group)) for group in _grouped(changes)]
+    groups = sorted(_grouped(changes), key=lambda group: all(change.word == "changed" for change in group))
+    return [_table(group, _value_columns(group)) for group in groups]
 
 
 def aggregate_tables(aggregates: Iterable[Aggregate]) -> list[ShownTable]:
