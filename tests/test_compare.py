@@ -317,6 +317,8 @@ def place(tmp_path: Path) -> Path:
     (tmp_path / "empty").mkdir()
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "report.json").write_text('{"tool": ')
+    (tmp_path / "bytes").mkdir()
+    (tmp_path / "bytes" / "report.json").write_bytes(b'{"tool": {"name": "\xff"}}')
     return tmp_path
 
 
@@ -362,6 +364,7 @@ def place(tmp_path: Path) -> Path:
         (["old", "study"], 2, "study: holds results of studies alone"),
         (["old"], 2, "missing argument"),
         (["old", "broken"], 3, "broken/report.json: is not JSON"),
+        (["old", "bytes"], 3, "bytes/report.json: is not JSON"),
         (["old", "list"], 3, "list/report.json: is not a report that version"),
         (["old", "future"], 3, "(written by version 9.0): object missing required field `name` - at `$.log`"),
     ],

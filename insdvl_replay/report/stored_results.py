@@ -87,8 +87,9 @@ def _read_report(file: Path) -> StoredReport | None:
             f"{reason[:1].lower()}{reason[1:]}",
             "replay the log again with this version, or compare with the version that wrote it",
         ) from error
-    except msgspec.DecodeError as error:
-        raise ResultError(f"{file}: is not JSON: {error}", "replay the log again with --force") from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        hint = "name a result folder or its report.json; a broken one is replaced by replaying its log with --force"
+        raise ResultError(f"{file}: is not JSON: {error}", hint) from error
 
 
 def _made_by(data: bytes) -> str:
