@@ -1,12 +1,15 @@
 """Which old result belongs to which new one."""
 
+import errno
+import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from small_results import content, write
 
 from insdvl_replay.comparison import compare_results
-from insdvl_replay.errors import ConfigError
+from insdvl_replay.errors import ConfigError, ResultError
 
 
 def matched(old: Path, new: Path) -> list[tuple[str, str | None, str | None, str]]:
@@ -89,6 +92,22 @@ def test_no_dive_on_both_sides_is_refused(tmp_path: Path) -> None:
         for name in names:
             write(tmp_path / root / name, content(name))
     with pytest.raises(ConfigError, match="no dive of a, b is among c, d, by hash or by name"):
+        compare_results(tmp_path / "old", tmp_path / "new")
+
+
+def test_a_folder_that_cannot_be_read_is_not_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for root in ("old", "new"):
+        write(tmp_path / root / "dive", content())
+    (tmp_path / "new" / "locked").mkdir()
+    scan = os.scandir
+
+    def guarded(folder: str) -> Any:
+        if str(folder).endswith("locked"):
+            raise PermissionError(errno.EACCES, "Permission denied", folder)
+        return scan(folder)
+
+    monkeypatch.setattr(os, "scandir", guarded)
+    with pytest.raises(ResultError, match="locked: cannot be read: Permission denied"):
         compare_results(tmp_path / "old", tmp_path / "new")
 
 

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NoReturn
 
 import msgspec
 
@@ -65,11 +66,17 @@ def _report_files(root: Path) -> Iterator[Path]:
     if root.is_file():
         yield root
         return
-    for folder, below, names in os.walk(root):
+    for folder, below, names in os.walk(root, onerror=_refuse):
         below[:] = [name for name in below if not name.startswith(".")]
         if COMPLETE in names:
             yield Path(folder, COMPLETE)
             below.clear()
+
+
+def _refuse(error: OSError) -> NoReturn:
+    raise ResultError(
+        f"{error.filename}: cannot be read: {error.strerror or error}", "check its permissions"
+    ) from error
 
 
 def _read_report(file: Path) -> StoredReport | None:
@@ -79,7 +86,7 @@ def _read_report(file: Path) -> StoredReport | None:
         label = msgspec.json.decode(data, type=_Label)
         return None if label.study is not None else msgspec.json.decode(data, type=StoredReport)
     except OSError as error:
-        raise ResultError(f"{file}: cannot be read: {error.strerror or error}", "check its permissions") from error
+        _refuse(error)
     except msgspec.ValidationError as error:
         reason = str(error)
         raise ResultError(
