@@ -35,6 +35,7 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema report > schemas/report.schema.json
 	$(BIN)/insdvl-replay schema inspection > schemas/inspection.schema.json
 	$(BIN)/insdvl-replay schema study > schemas/study.schema.json
+	$(BIN)/insdvl-replay schema comparison > schemas/comparison.schema.json
 
 readme: .venv/run.stamp
 	$(BIN)/python pages/readme.py

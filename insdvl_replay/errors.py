@@ -1,7 +1,7 @@
 """What the tool says to its user: errors that end the work, notes that go with the result."""
 
 import difflib
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -45,6 +45,18 @@ class LogError(UserError):
     exit_code = 3
 
 
+class ResultError(UserError):
+    """A stored result cannot be read (exit code 3)."""
+
+    exit_code = 3
+
+
+class LimitError(UserError):
+    """A result is worse than its user allows (exit code 1)."""
+
+    exit_code = 1
+
+
 @contextmanager
 def about(place: str) -> Iterator[None]:
     """Begin the sentence of any user error inside with the place it concerns."""
@@ -64,6 +76,22 @@ def listed(names: Iterable[str], most: int = 8) -> str:
     first = list(names)
     more = f" and {len(first) - most} more" if len(first) > most else ""
     return ", ".join(first[:most]) + more
+
+
+def refuse_unknown(kind: str, name: str, known: Collection[str]) -> None:
+    """Raise a ConfigError, with the nearest name that is known, if a name is not known.
+
+    Parameters
+    ----------
+    kind : str
+        What it names.
+    name : str
+    known : collection of str
+    """
+    if name not in known:
+        meant = nearest(name, known)
+        hint = f"did you mean {meant}?" if meant else f"known: {listed(known)}"
+        raise ConfigError(f"{kind} '{name}' is not known", hint)
 
 
 @dataclass(frozen=True)

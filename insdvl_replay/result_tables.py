@@ -3,11 +3,15 @@
 Whoever lists, compares or judges tables takes their names from here.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Literal
 
 Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
 """What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES."""
+PERCENTAGE: Final = "_pct"
+"""End of the name of a column whose numbers are percentages, and change by percentage points."""
+VERDICTS_BEST_FIRST: Final = ("consistent", "over-cautious", "over-confident", "not finite")
+"""On a filter's consistency; ``too few`` says nothing of it and has no rank."""
 
 
 @dataclass(frozen=True)
@@ -22,19 +26,45 @@ class TableLayout:
         The column that, with log and filter, names a row.
     better : dict of str to str
         By column of numbers, what counts as better. Counts and limits that are neither better nor worse are left out.
+    chief : str
+        The column that a reader looks at first.
+    words : dict of str to tuple of str
+        By column of words, the words that have a rank, best first.
     """
 
     name: str
     key: str
     better: dict[str, Better]
+    chief: str
+    words: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def unit_of(self, column: str, row_unit: str) -> str:
+        """Give the unit of a column's numbers; empty for those without, and for words.
+
+        Parameters
+        ----------
+        column : str
+        row_unit : str
+            What the row's ``unit`` says, which holds for its physical quantities alone.
+
+        Returns
+        -------
+        str
+        """
+        if column.endswith(PERCENTAGE):
+            return "%"
+        if column.endswith("_s"):
+            return "s"
+        return row_unit if column in self.better else ""
 
 
 TABLES: Final[tuple[TableLayout, ...]] = (
-    TableLayout("improvement", "state", {"baseline_sd": "lower", "sd": "lower", "improvement_pct": "higher"}),
+    TableLayout("improvement", "state", {"baseline_sd": "lower", "sd": "lower", "improvement_pct": "higher"}, "sd"),
     TableLayout(
         "convergence",
         "state",
         {"target_sd": "lower", "baseline_s": "lower", "reached_s": "lower", "improvement_pct": "higher"},
+        "reached_s",
     ),
     TableLayout(
         "reference_error",
@@ -46,14 +76,35 @@ TABLES: Final[tuple[TableLayout, ...]] = (
             "baseline_final": "nearer zero",
             "final": "nearer zero",
         },
+        "rmse",
     ),
     TableLayout(
         "consistency",
         "measurement",
         {"rejected": "lower", "mean_nis": "nearer dof", "autocorrelation": "nearer zero"},
+        "mean_nis",
+        {"verdict": VERDICTS_BEST_FIRST, "whiteness": ("white", "correlated")},
     ),
-    TableLayout("credibility", "quantity", {"mean_nees": "nearer dof"}),
+    TableLayout("credibility", "quantity", {"mean_nees": "nearer dof"}, "mean_nees", {"verdict": VERDICTS_BEST_FIRST}),
 )
+
+CANDIDATES: Final = TableLayout(
+    "filters",
+    "filter",
+    {
+        "mean_improvement_pct": "higher",
+        "mean_convergence_improvement_pct": "higher",
+        "reference_improvement_pct": "higher",
+    },
+    "reference_improvement_pct",
+    {
+        "improvement": ("borne out", "none believed", "not borne out", "worse"),
+        "consistency": VERDICTS_BEST_FIRST,
+    },
+)
+"""The block ``filters`` of a report, read as a table with one row for each candidate."""
+LAYOUTS: Final = (CANDIDATES, *TABLES)
+"""All that results are compared by, in the order of what a reader asks first."""
 
 AXES: Final = ("x", "y", "z")
 """Axes of a measurement in b."""

@@ -19,6 +19,11 @@ DOCUMENTED = {
         "--format <table|json|csv|md|latex>",
         "--allow-damaged", "--one-dive", "--control", "--strict", "--force", "-v, --verbose", "--help",
     ],
+    "compare": [
+        "OLD", "NEW", "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
+        "--only-changed", "--sort <table|name|change|worse>", "--fail-on LIMIT", "--format <table|json|csv|md|latex>",
+        "-v, --verbose", "--help",
+    ],
     "inspect": [
         "LOG", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json>",
         "-v, --verbose", "--help",
@@ -90,7 +95,7 @@ def test_help_names_every_command_and_exit_code(capsys: pytest.CaptureFixture[st
     assert [line.split()[0] for line in text.split("Commands:\n")[1].strip().split("\n")] == list(
         dict.fromkeys(name.split()[0] for name in DOCUMENTED)
     )
-    for code in ("0 done", "2 usage", "3 a log", "4 a", "130 interrupted"):
+    for code in ("0 done", "1 a limit", "2 usage", "3 a log", "4 a", "130 interrupted"):
         assert code in text
 
 

@@ -4,8 +4,9 @@ from typing import get_args, get_type_hints
 
 import pytest
 
-from insdvl_replay.report.json_report import Tables
-from insdvl_replay.result_tables import TABLES
+from insdvl_replay.evaluation import verdicts
+from insdvl_replay.report.json_report import Candidate, Tables
+from insdvl_replay.result_tables import CANDIDATES, LAYOUTS, TABLES
 
 
 def test_every_table_of_a_report_has_a_layout() -> None:
@@ -15,4 +16,28 @@ def test_every_table_of_a_report_has_a_layout() -> None:
 @pytest.mark.parametrize("layout", TABLES, ids=lambda layout: layout.name)
 def test_a_layout_names_columns_that_its_rows_have(layout) -> None:
     columns = get_args(get_type_hints(Tables)[layout.name])[0].__struct_fields__
-    assert {"log", "filter", layout.key, *layout.better} <= set(columns)
+    assert {"log", "filter", layout.key, layout.chief, *layout.better, *layout.words} <= set(columns)
+
+
+def test_the_layout_of_the_candidates_names_what_is_said_of_them() -> None:
+    assert {CANDIDATES.chief, *CANDIDATES.better, *CANDIDATES.words} <= set(Candidate.__struct_fields__)
+
+
+def test_every_verdict_on_an_improvement_has_a_rank() -> None:
+    assert {*CANDIDATES.words["improvement"], "no reference"} == set(verdicts._CONCLUSION)
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "unit"),
+    [
+        ("improvement", "sd", "mg"),
+        ("improvement", "improvement_pct", "%"),
+        ("improvement", "status", ""),
+        ("convergence", "reached_s", "s"),
+        ("convergence", "target_sd", "mg"),
+        ("reference_error", "samples", ""),
+    ],
+)
+def test_a_unit_holds_for_the_physical_quantities_of_its_row(table: str, column: str, unit: str) -> None:
+    (layout,) = (layout for layout in LAYOUTS if layout.name == table)
+    assert layout.unit_of(column, "mg") == unit

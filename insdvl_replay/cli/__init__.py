@@ -1,6 +1,7 @@
 """The door: it parses, calls, prints and exits. Nothing else prints, and exit codes are made here alone.
 
-0 done; 2 usage or configuration; 3 a log cannot be used; 4 a mistake of ours; 130 interrupted.
+0 done; 1 a limit is exceeded; 2 usage or configuration; 3 a log or a stored result cannot be used; 4 a mistake of ours;
+130 interrupted.
 """
 
 import signal

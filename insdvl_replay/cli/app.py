@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from insdvl_replay import __version__
+from insdvl_replay.cli.compare import compare
 from insdvl_replay.cli.config import config
 from insdvl_replay.cli.inspection import inspect
 from insdvl_replay.cli.messages import emit
@@ -15,7 +16,7 @@ from insdvl_replay.cli.study import study
 
 # Plain help: rich would add 0.1 s to it, and cut it where it is piped.
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-for command in (run, inspect, simulate, config, schema):
+for command in (run, compare, inspect, simulate, config, schema):
     app.command()(command)
 app.add_typer(study, name="study")
 
@@ -34,7 +35,8 @@ def insdvl_replay(
 ) -> None:
     """Replay a dive through two navigation filters and say whether the change really helped.
 
-    Exit codes: 0 done; 2 usage or configuration; 3 a log cannot be used; 4 a mistake of ours; 130 interrupted.
+    Exit codes: 0 done; 1 a limit is exceeded; 2 usage or configuration; 3 a log or a stored result cannot be used; 4 a
+    mistake of ours; 130 interrupted.
 
     \b
     Example:

@@ -13,7 +13,7 @@ def schema(
         str | None,
         typer.Argument(
             metavar="NAME",
-            help="config, report, inspection, study, or a message type. Left out: list the names of the JSON schemas.",
+            help="config, report, inspection, study, comparison, or a message type. Left out: list the JSON schemas.",
         ),
     ] = None,
     verbose: Verbose = 0,

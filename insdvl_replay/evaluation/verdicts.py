@@ -14,7 +14,7 @@ import pandas as pd
 
 from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.evaluation.credibility import JOINT
-from insdvl_replay.result_tables import is_whole
+from insdvl_replay.result_tables import VERDICTS_BEST_FIRST, is_whole
 
 NOTABLE_PCT: Final = 5.0
 """A smaller change, believed or real, is not spoken of as an improvement."""
@@ -22,7 +22,7 @@ BORNE_OUT: Final = 0.5
 """Share of the believed improvement that the reference has to confirm."""
 COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
 """Quantities whose median change stands for the error against the reference."""
-GRAVEST_FIRST: Final = ("not finite", "over-confident", "over-cautious", "consistent", "too few")
+GRAVEST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), "too few")
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,18 @@ import csv
 import io
 import math
 from collections.abc import Iterable, Sequence
-from typing import get_args, get_type_hints
+from typing import TYPE_CHECKING, get_args, get_type_hints
 
 import msgspec
-import pandas as pd
 
 from insdvl_replay.report.json_report import Report, Tables
 
+if TYPE_CHECKING:
+    # Only its type is needed, and whoever compares stored results must not wait for it.
+    import pandas as pd
 
-def table_csv(table: pd.DataFrame) -> bytes:
+
+def table_csv(table: "pd.DataFrame") -> bytes:
     """Write a table as CSV.
 
     Parameters

@@ -1,10 +1,11 @@
-"""JSON schemas of settings, reports and inspection, generated from the structures that read and write them."""
+"""JSON schemas of settings and results, generated from the structures that read and write them."""
 
 from collections.abc import Callable
 from typing import Any, Final
 
 import msgspec
 
+from insdvl_replay.changes import Comparison
 from insdvl_replay.config import Config
 from insdvl_replay.inventory import Inventory
 from insdvl_replay.report.json_report import Report
@@ -31,11 +32,17 @@ def study_schema() -> bytes:
     return _schema(StudyResult, "insdvl-replay study")
 
 
+def comparison_schema() -> bytes:
+    """Describe what ``compare --format json`` prints as JSON schema (draft 2020-12)."""
+    return _schema(Comparison, "insdvl-replay comparison")
+
+
 SCHEMAS: Final[dict[str, Callable[[], bytes]]] = {
     "config": config_schema,
     "report": report_schema,
     "inspection": inspection_schema,
     "study": study_schema,
+    "comparison": comparison_schema,
 }
 """By the name that the command line and the files in schemas/ use."""
 

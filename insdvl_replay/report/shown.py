@@ -100,6 +100,11 @@ def closing_lines(report: Report) -> list[str]:
     ]
 
 
+def row_label(name: str) -> str:
+    """Name a state or quantity in words; other names stand for themselves."""
+    return _LABELS.get(name) or _QUANTITIES.get(name, name)
+
+
 def number(value: float | None) -> str:
     """Write a number with four significant digits, without an exponent where that stays short.
 

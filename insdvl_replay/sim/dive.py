@@ -9,7 +9,7 @@ import numpy as np
 from insdvl_replay import janus
 from insdvl_replay.columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, TimeNs, TruthColumns, seconds
 from insdvl_replay.config import Vector
-from insdvl_replay.errors import ConfigError, nearest
+from insdvl_replay.errors import ConfigError, refuse_unknown
 from insdvl_replay.rotation import mat_from_rpy
 from insdvl_replay.sim.dvl_errors import DvlErrors, LostBeam, add_dvl_errors, beam_vectors_d
 from insdvl_replay.sim.imu_errors import GRADES, ImuErrors, add_imu_errors
@@ -211,10 +211,7 @@ def named(kind: str, name: str, known: Mapping[str, T]) -> T:
     ConfigError
         The name is not known.
     """
-    if name not in known:
-        meant = nearest(name, known)
-        hint = f"did you mean {meant}?" if meant else f"known: {', '.join(known)}"
-        raise ConfigError(f"{kind} '{name}' is not known", hint)
+    refuse_unknown(kind, name, known)
     return known[name]
 
 

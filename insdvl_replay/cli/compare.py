@@ -1,0 +1,77 @@
+"""``insdvl-replay compare``."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from insdvl_replay.cli.messages import tell_notes
+from insdvl_replay.cli.options import Verbose
+from insdvl_replay.cli.run import Format
+
+
+class Sort(StrEnum):
+    """The order of rows."""
+
+    TABLE = "table"
+    NAME = "name"
+    CHANGE = "change"
+    WORSE = "worse"
+
+
+def compare(
+    old: Annotated[Path, typer.Argument(metavar="OLD", help="Result folder, report.json, or folder of results.")],
+    new: Annotated[Path, typer.Argument(metavar="NEW", help="The same after the change.")],
+    dives: Annotated[
+        list[str], typer.Option("--dive", metavar="NAME", help="Compare this dive alone. May be repeated.")
+    ] = [],  # noqa: B006
+    tables: Annotated[
+        list[str], typer.Option("--table", metavar="NAME", help="Compare this table alone. May be repeated.")
+    ] = [],  # noqa: B006
+    columns: Annotated[
+        list[str], typer.Option("--column", metavar="NAME", help="Compare this column alone. May be repeated.")
+    ] = [],  # noqa: B006
+    pairs: Annotated[
+        list[str],
+        typer.Option("--pair", metavar="OLD=NEW", help="Compare filters of different names. May be repeated."),
+    ] = [],  # noqa: B006
+    tolerance: Annotated[
+        str | None,
+        typer.Option(metavar="P%", help="Up to here a change is none. Left out: up to the last printed digit."),
+    ] = None,
+    only_changed: Annotated[bool, typer.Option("--only-changed", help="Leave out what is the same.")] = False,
+    sort: Annotated[Sort, typer.Option(help="The order of rows.")] = Sort.TABLE,
+    fail_on: Annotated[
+        str | None,
+        typer.Option(metavar="LIMIT", help="Exit with 1 on `worse`, on `worse:5%` (by more than that), or `changed`."),
+    ] = None,
+    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
+    verbose: Verbose = 0,
+) -> None:
+    """Compare stored results: what moved, by how much, and whether that is better.
+
+    What differs in tool, settings and log comes first. Dives are matched by the hash of their log, then by name. Rows
+    that are gone and numbers that were lost count as worse.
+
+    \b
+    Example:
+      insdvl-replay compare before/dive after/dive --only-changed
+      insdvl-replay compare before after --table reference_error --column rmse --fail-on worse:5%
+    """
+    from insdvl_replay.cli.comparison_results import print_comparison
+    from insdvl_replay.comparison import Selection, compare_results
+    from insdvl_replay.errors import LimitError
+    from insdvl_replay.evaluation.arrangement import arranged
+    from insdvl_replay.evaluation.filter_pairs import parse_pairs
+    from insdvl_replay.evaluation.limits import breach, parse_limit, parse_percentage
+    from insdvl_replay.report.comparison import breach_sentence
+
+    limit = None if fail_on is None else parse_limit(fail_on)
+    tolerance_pct = None if tolerance is None else parse_percentage(tolerance, "--tolerance ")
+    selection = Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
+    comparison = compare_results(old, new, selection)
+    print_comparison(arranged(comparison, sort.value, only_changed=only_changed), format_)
+    tell_notes(comparison.notes, verbose=verbose > 0)
+    if limit is not None and (found := breach(comparison, limit)):
+        raise LimitError(breach_sentence(found))

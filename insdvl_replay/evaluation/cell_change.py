@@ -1,0 +1,166 @@
+"""What became of one number or one word: by how much it moved, and whether that is better.
+
+A number is better when its size is smaller (larger for ``higher``). The size is the value itself, its magnitude for
+signed errors, and for a mean NIS or NEES the factor by which it is off its degrees of freedom.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from insdvl_replay.changes import Word
+from insdvl_replay.result_tables import PERCENTAGE, Better
+from insdvl_replay.stored_result import Cell
+
+PRINTED_DIGITS: Final = 4
+"""Significant digits of a printed number."""
+PRINTED_PERCENT_UNIT: Final = 0.1
+"""One unit of the last printed digit of a percentage."""
+ROUNDING: Final = 1e-9
+"""Share of a limit that binary fractions may add: 0.3 - 0.2 is not more than 0.1."""
+
+
+def size(value: float, better: Better, dof: float = math.nan) -> float:
+    """Give what is compared of a number.
+
+    Parameters
+    ----------
+    value : float
+    better : str
+        What counts as better.
+    dof : float
+        Mean of a consistent filter, for ``nearer dof``.
+
+    Returns
+    -------
+    float
+        For ``nearer dof`` the larger of ``value / dof`` and ``dof / value``: 1 at best, infinite for a mean of zero.
+    """
+    if better == "nearer zero":
+        return abs(value)
+    if better == "nearer dof":
+        ratio = value / dof
+        return max(ratio, 1.0 / ratio) if ratio > 0.0 else math.inf
+    return value
+
+
+def size_change_pct(old: float, new: float, column: str) -> float | None:
+    """Say by how much a size grew, in percent of the old one; in percentage points where it is a percentage.
+
+    Parameters
+    ----------
+    old, new : float
+        From `size`.
+    column : str
+
+    Returns
+    -------
+    float or None
+        None where there is no percentage: from zero, or from or to an infinite size.
+    """
+    if old == new:
+        return 0.0
+    if column.endswith(PERCENTAGE):
+        return new - old
+    if old == 0.0 or math.isinf(old) or math.isinf(new):
+        return None
+    return 100.0 * (new - old) / abs(old)
+
+
+def prints_alike(old: float, new: float, column: str) -> bool:
+    """Say whether two sizes differ by no more than one unit of the last digit that is printed of the larger.
+
+    Parameters
+    ----------
+    old, new : float
+        From `size`.
+    column : str
+
+    Returns
+    -------
+    bool
+    """
+    largest = max(abs(old), abs(new))
+    if math.isinf(largest) or largest == 0.0:
+        return old == new
+    if column.endswith(PERCENTAGE):
+        unit = PRINTED_PERCENT_UNIT
+    else:
+        unit = 10.0 ** (math.floor(math.log10(largest)) - PRINTED_DIGITS + 1)
+    return abs(new - old) <= unit * (1.0 + ROUNDING)
+
+
+@dataclass(frozen=True)
+class Moved:
+    """What became of a cell.
+
+    Attributes
+    ----------
+    change, change_pct : float or None
+        As in `insdvl_replay.changes.Change`.
+    word : str
+    """
+
+    change: float | None
+    change_pct: float | None
+    word: Word
+
+
+def judge_number(
+    old: float | None,
+    new: float | None,
+    column: str,
+    better: Better,
+    *,
+    dofs: tuple[float, float] = (math.nan, math.nan),
+    tolerance_pct: float | None = None,
+) -> Moved:
+    """Say what became of a number.
+
+    Parameters
+    ----------
+    old, new : float or None
+        A number that was lost is worse, one that was found is better; missing on both sides is the same.
+    column : str
+        Its name, which says whether it is a percentage.
+    better : str
+        What counts as better.
+    dofs : tuple of float
+        Old and new, for ``nearer dof``.
+    tolerance_pct : float or None
+        Up to which a change is none, in percent or percentage points; None: up to the last printed digit.
+
+    Returns
+    -------
+    Moved
+    """
+    if old is None or new is None:
+        return Moved(None, None, "same" if old is new else "worse" if new is None else "better")
+    before, after = size(old, better, dofs[0]), size(new, better, dofs[1])
+    change_pct = size_change_pct(before, after, column)
+    if tolerance_pct is None:
+        alike = prints_alike(before, after, column)
+    else:
+        alike = before == after or (change_pct is not None and abs(change_pct) <= tolerance_pct * (1.0 + ROUNDING))
+    if alike:
+        return Moved(new - old, change_pct, "same")
+    return Moved(new - old, change_pct, "better" if (after > before) == (better == "higher") else "worse")
+
+
+def rank_word(old: Cell, new: Cell, best_first: tuple[str, ...]) -> Word:
+    """Say what became of a word: better or worse if both words have a rank, else whether it changed.
+
+    Parameters
+    ----------
+    old, new : str or None
+    best_first : tuple of str
+
+    Returns
+    -------
+    str
+    """
+    if old == new:
+        return "same"
+    if old not in best_first or new not in best_first:
+        return "changed"
+    return "worse" if best_first.index(str(new)) > best_first.index(str(old)) else "better"
