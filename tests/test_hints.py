@@ -7,7 +7,7 @@ import pytest
 from insdvl_replay.config import Config, Imu
 from insdvl_replay.config_file import load_config
 from insdvl_replay.errors import ConfigError, LogError, listed, nearest
-from insdvl_replay.logs.container import LogChannel
+from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.field_paths import check_path
 from insdvl_replay.logs.roles import assign_roles
 

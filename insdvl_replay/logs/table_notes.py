@@ -1,6 +1,7 @@
 """What the tables of a log say about the log itself: schemas and messages that are missing, stamps that are numbers."""
 
 from collections.abc import Iterable
+from typing import Final
 
 import numpy as np
 
@@ -8,6 +9,8 @@ from insdvl_replay.errors import Note
 from insdvl_replay.logs.clocks import stamp_unit
 from insdvl_replay.logs.tables import RECORDER_STAMPS, Table, stamp_path
 from insdvl_replay.logs.wishes import Source
+
+_COPY_AGAIN: Final = "copy the log again from the recorder if it still has it"
 
 
 def schema_notes(sources: Iterable[Source]) -> tuple[Note, ...]:
@@ -45,8 +48,7 @@ def count_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
         found = len(table) + table.repeats + len(table.unreadable_ns)
         if announced != found:
             text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
-            hint = "copy the log again from the recorder if it still has it"
-            notes.append(Note("messages_missing", text, abs(announced - found), "warning", hint))
+            notes.append(Note("messages_missing", text, abs(announced - found), "warning", _COPY_AGAIN))
     return tuple(notes)
 
 
@@ -70,7 +72,7 @@ def left_out_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
                 f"{topic}: {count} messages cannot be read and are left out, the first {behind_s.min():.3f} s and the "
                 f"last {behind_s.max():.3f} s behind the first that can: {table.fault}"
             )
-            notes.append(Note("messages_unreadable", text, count, "warning"))
+            notes.append(Note("messages_unreadable", text, count, "warning", _COPY_AGAIN))
         if table.repeats:
             text = f"{topic}: {table.repeats} messages are in two channels or files; each is used once"
             notes.append(Note("messages_repeated", text, table.repeats))
