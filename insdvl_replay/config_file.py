@@ -256,16 +256,26 @@ def _toml_lines(section: Struct, path: str) -> Iterator[str]:
 
 
 def _toml_key(name: str, value: object, comment: str) -> str:
-    text = f"# {name} =" if value is None else f"{name} = {_toml_value(value)}"
+    text = f"# {name} =" if value is None else f"{name} = {toml_value(value)}"
     return f"{text:<40}  # {comment}"
 
 
-def _toml_value(value: object) -> str:
+def toml_value(value: object) -> str:
+    """Write a value as TOML.
+
+    Parameters
+    ----------
+    value : bool, str, float, or tuple or list of them
+
+    Returns
+    -------
+    str
+    """
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         # A JSON string is one in TOML too, but for the one control character that JSON leaves as it is.
         return msgspec.json.encode(value).decode().replace("\x7f", "\\u007f")
     if isinstance(value, tuple | list):
-        return f"[{', '.join(_toml_value(item) for item in value)}]"
+        return f"[{', '.join(toml_value(item) for item in value)}]"
     return repr(value)

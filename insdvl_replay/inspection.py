@@ -10,7 +10,7 @@ from insdvl_replay.inventory import Inventory, Obstacle
 from insdvl_replay.nav.alignment import check_start
 
 
-def inspect_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
+def inspect_log(path: Path, config: Config, *, deep: bool = False, allow_damaged: bool = False) -> Inventory:
     """Say what a log holds and whether it can be replayed.
 
     Parameters
@@ -20,6 +20,8 @@ def inspect_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
     deep : bool
         Read the messages of all roles whole, and go as far as a replay would before its filters run; else the first
         messages of each role tell about its clock and units.
+    allow_damaged : bool
+        Damage is told, and is no obstacle.
 
     Returns
     -------
@@ -30,7 +32,7 @@ def inspect_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
     LogError
         The file cannot be read at all.
     """
-    inventory = logs.survey_log(path, config, deep=deep)
+    inventory = logs.survey_log(path, config, deep=deep, allow_damaged=allow_damaged)
     try:
         if inventory.obstacles or not deep:
             _check_start(inventory, config)
@@ -38,7 +40,7 @@ def inspect_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
         # Not imported before it is needed: a look at the file alone takes less than the filters' import.
         from insdvl_replay.preparation import prepare_dive
 
-        dive = logs.read_dive(path, config)
+        dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
         notes = prepare_dive(dive, config).notes
     except UserError as error:
         obstacle = Obstacle(error.message, error.hint)

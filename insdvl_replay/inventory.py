@@ -118,6 +118,7 @@ class Clock:
     stamp : str
         Where the stamps come from, as the configuration names it.
     messages : int
+        How many were read to know it.
     log_minus_stamp_s : float
         Median.
     spread_s : float
@@ -125,7 +126,7 @@ class Clock:
     back_steps, repeats : int
         Stamps that lie before, or at, the one before in the file.
     rate_hz : float or None
-        By the stamps: one over their median step; None where all repeat.
+        By the stamps: those that differ, over the time between the first and the last; None where all repeat.
     """
 
     role: str
@@ -215,7 +216,11 @@ class Inventory:
         Empty where nothing was found that would stop a replay.
     notes : tuple of Note
     configuration : str
-        TOML to start from, for the roles that nobody plays yet; empty where all are taken.
+        TOML to start from where something stops a replay; empty where nothing does.
+    decisions : tuple of str
+        Keys of this configuration about which a person must decide.
+    remaining : tuple of Obstacle
+        What stops a replay with this configuration too, besides decisions that have no value yet.
     """
 
     log: LogFacts
@@ -229,3 +234,5 @@ class Inventory:
     obstacles: tuple[Obstacle, ...] = ()
     notes: tuple[Note, ...] = field(default=())
     configuration: str = ""
+    decisions: tuple[str, ...] = ()
+    remaining: tuple[Obstacle, ...] = ()

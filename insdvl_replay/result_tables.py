@@ -100,7 +100,6 @@ CANDIDATES: Final = TableLayout(
     {
         "improvement": ("borne out", "none believed", "not borne out", "worse"),
         "consistency": VERDICTS_BEST_FIRST,
-        "credibility": VERDICTS_BEST_FIRST,
     },
 )
 """The block ``filters`` of a report, read as a table with one row for each candidate."""

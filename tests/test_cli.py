@@ -25,8 +25,8 @@ DOCUMENTED = {
         "-v, --verbose", "--help",
     ],
     "inspect": [
-        "LOG", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json>",
-        "-v, --verbose", "--help",
+        "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json>",
+        "--allow-damaged", "-v, --verbose", "--help",
     ],
     "simulate": [
         "SCENARIO", "-o, --output LOG", "--seed N", "--duration S", "--imu GRADE", "--outage START:END",

@@ -40,7 +40,14 @@ def test_offset_spread_steps_and_rate_are_measured() -> None:
     assert found.log_minus_stamp_s == pytest.approx(5.96 * DAY_S + 0.05, abs=2e-3)
     assert found.spread_s == pytest.approx(0.09, abs=5e-3)
     assert (found.messages, found.back_steps, found.repeats) == (101, 1, 1)
-    assert found.rate_hz == pytest.approx(1.0 / 0.099, rel=1e-6)
+    assert found.rate_hz == pytest.approx(99 / 9.9, rel=1e-6), "a repeat is no stamp of its own"
+
+
+def test_rate_of_messages_that_come_in_pairs_is_that_of_all() -> None:
+    stamps_s = np.repeat(np.arange(11) * 0.1, 2)
+    stamps_s[1::2] += 0.0002
+    found = measure_clock("", "/leak", "header", ns(stamps_s), ns(stamps_s))
+    assert found.rate_hz == pytest.approx(21 / 1.0002, rel=1e-6)
 
 
 def test_offset_of_decades_keeps_its_nanoseconds() -> None:

@@ -8,11 +8,15 @@ from insdvl_replay.config import Config, Imu
 from insdvl_replay.config_file import load_config
 from insdvl_replay.errors import ConfigError, LogError, listed, nearest
 from insdvl_replay.logs.channel import LogChannel
-from insdvl_replay.logs.field_paths import check_path
+from insdvl_replay.logs.field_errors import check_path
 from insdvl_replay.logs.roles import assign_roles
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELDS = {"header": "H", "header.frame_id": "string", "angular_velocity": "V", "angular_velocity.x": "float64"}
+
+LISTED = (
+    'its fields are header (H), angular_velocity (V), angular_velocity.x (float64); "p, q, r" sets fields side by side'
+)
 
 
 def channel(topic: str, type_name: str, messages: int) -> LogChannel:
@@ -57,8 +61,8 @@ def test_empty_log_is_no_matter_of_types(topic: str | None) -> None:
 @pytest.mark.parametrize(
     ("path", "hint"),
     [
-        ("angular_velocty", "the nearest one is 'angular_velocity'"),
-        ("gyro", "its fields are header, angular_velocity, angular_velocity.x"),
+        ("angular_velocty", f"the nearest one is 'angular_velocity'; {LISTED}"),
+        ("gyro", LISTED),
     ],
 )
 def test_field_that_is_like_none_is_answered_with_those_there_are(path: str, hint: str) -> None:

@@ -2,12 +2,15 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insdvl_replay.cli.messages import emit
+from insdvl_replay.cli.messages import emit, tell_failure
 from insdvl_replay.cli.options import Preset, Settings, Verbose
+
+if TYPE_CHECKING:
+    from insdvl_replay.inventory import Inventory
 
 
 class InspectionFormat(StrEnum):
@@ -18,7 +21,7 @@ class InspectionFormat(StrEnum):
 
 
 def inspect(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="A recorded dive.")],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded dives: MCAP files or bag folders.")],
     deep: Annotated[
         bool, typer.Option("--deep", help="Read the messages of all roles whole, not only the first of each.")
     ] = False,
@@ -28,28 +31,47 @@ def inspect(
     preset: Preset = None,
     settings: Settings = [],  # noqa: B006
     format_: Annotated[InspectionFormat, typer.Option("--format", help="How it is printed.")] = InspectionFormat.TABLE,
+    allow_damaged: Annotated[
+        bool, typer.Option("--allow-damaged", help="Damage is no obstacle; what is lost is said.")
+    ] = False,
     verbose: Verbose = 0,
-) -> None:
+) -> int:
     """Say what is in a log, which topics a replay would use and why, and what would stop it.
 
     For what it cannot assign it prints settings to start from. The exit code is 0 whether or not the log can be
-    replayed, and 3 when the file cannot be read at all.
+    replayed, and 3 when a file cannot be read at all; this does not stop the others.
 
     \b
     Example:
       insdvl-replay inspect dive.mcap
       insdvl-replay inspect dive.mcap --deep -c vehicle.toml
-      insdvl-replay inspect dive.mcap --format json
+      insdvl-replay inspect dives/*.mcap --format json
     """
-    from insdvl_replay.cli.screen import patience, printed
+    from insdvl_replay.cli.screen import patience
     from insdvl_replay.config_file import load_config
     from insdvl_replay.inspection import inspect_log
-    from insdvl_replay.report.inspection import encode_inventory, terminal_inventory
+    from insdvl_replay.report.inspection import encode_inventory
 
-    with patience(f"reading {log.name}"):
-        inventory = inspect_log(log, load_config(preset, config, settings), deep=deep)
+    resolved, code = load_config(preset, config, settings), 0
+    inventories: list[Inventory] = []
+    for log in logs:
+        try:
+            with patience(f"reading {log.name}"):
+                inventory = inspect_log(log, resolved, deep=deep, allow_damaged=allow_damaged)
+        except Exception as error:
+            code = max(code, tell_failure(error, verbose))
+            continue
+        if format_ is InspectionFormat.TABLE:
+            _print(inventory, is_first=not inventories)
+        inventories.append(inventory)
     if format_ is InspectionFormat.JSON:
-        emit(encode_inventory(inventory).decode())
-    else:
-        tables, sentences = terminal_inventory(inventory)
-        emit(printed(tables) + "".join(f"{line}\n" for line in sentences))
+        for found in [inventories] if len(logs) > 1 else inventories:
+            emit(encode_inventory(found).decode())
+    return code
+
+
+def _print(inventory: "Inventory", *, is_first: bool) -> None:
+    from insdvl_replay.cli.screen import printed
+    from insdvl_replay.report.inspection import terminal_inventory
+
+    emit(("" if is_first else "\n") + printed(terminal_inventory(inventory)))

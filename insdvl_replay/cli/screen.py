@@ -9,7 +9,7 @@ from rich.console import Console, RenderableType
 from insdvl_replay.report.json_report import Report
 from insdvl_replay.report.terminal import terminal_report
 
-PIPED_COLUMNS = 1000
+PIPED_COLUMNS = 10_000
 """Wide enough that nothing is ever folded where no terminal limits the width."""
 
 
@@ -22,7 +22,7 @@ def printed(content: RenderableType) -> str:
     """Lay tables out for stdout: as wide as the terminal, or as wide as it takes."""
     console = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     with console.capture() as capture:
-        console.print(content)
+        console.print(content, crop=False)
     return "\n".join(line.rstrip() for line in capture.get().split("\n"))
 
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs.chunks import Block, gather
-from insdvl_replay.logs.field_paths import Columns, check_path
+from insdvl_replay.logs.field_errors import check_path
+from insdvl_replay.logs.field_paths import Columns
 from insdvl_replay.logs.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
 from insdvl_replay.logs.ros2msg import PRIMITIVES, Definition, full_name
 
@@ -59,9 +60,9 @@ class CdrReader:
         self._layouts: dict[tuple[int, ...], Layout] = {}
         self._leaves: dict[tuple[tuple[int, ...], str], list[tuple[str, int | None]]] = {}
         self._latest: Layout | None = None
-        known = dict(cdr_paths(definitions, self._type_name))
+        self.known = dict(cdr_paths(definitions, self._type_name))
         for path in paths:
-            check_path(path, known, self._type_name, place)
+            check_path(path, self.known, self._type_name, place)
 
     def columns(self, block: Block) -> Columns:
         """Read the fields of all messages of a block.

@@ -3,6 +3,7 @@
 Where a dive is read, the first error ends the work; here each is kept, and the rest is looked at too.
 """
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -30,6 +31,8 @@ from insdvl_replay.logs.wishes import Source
 _ENOUGH: Final = 1000
 """Messages of a topic that show its clock and its units."""
 _ENOUGH_OF_OTHERS: Final = 10
+_MEASURED: Final = re.compile(r"(scale|heading_deg|mounting_rpy_deg) = ")
+_LOOK_DEEPER: Final = "`inspect --deep` measures by how much; the first messages only show that something is off"
 _NO_PINGS: Final = DvlColumns(np.empty(0, np.int64), velocity_d=np.empty((0, 3)))
 
 
@@ -52,6 +55,10 @@ class Examination:
     obstacles : list of Obstacle
     pings : PingFacts or None
     reference : ReferenceFacts or None
+    imu : ImuColumns or None
+    dvl : DvlColumns
+    solution : ReferenceColumns or None
+        What was read of the roles.
     """
 
     log: Recording
@@ -62,9 +69,9 @@ class Examination:
     obstacles: list[Obstacle] = field(default_factory=list)
     pings: PingFacts | None = None
     reference: ReferenceFacts | None = None
-    _imu: ImuColumns | None = None
-    _dvl: DvlColumns = _NO_PINGS
-    _solution: ReferenceColumns | None = None
+    imu: ImuColumns | None = None
+    dvl: DvlColumns = _NO_PINGS
+    solution: ReferenceColumns | None = None
     _other_imus: dict[str, ImuColumns] = field(default_factory=dict)
 
     def examine(self, findings: Sequence[Finding]) -> None:
@@ -81,9 +88,9 @@ class Examination:
             self._look_at(finding)
             for source in finding.candidates:
                 self._look_at_candidate(source)
-        if self._imu is not None:
+        if self.imu is not None:
             self._compare_clocks()
-            self._judge(self._imu)
+            self._judge(self.imu)
         for topic, imu in self._other_imus.items():
             self._judge_candidate(topic, imu)
 
@@ -149,14 +156,14 @@ class Examination:
     def _decode(self, role: str, tables: list[Table]) -> None:
         notes: list[Note] = []
         if role == "imu":
-            self._imu, notes = decode_imu(tables[0], self.config.imu)
+            self.imu, notes = decode_imu(tables[0], self.config.imu)
         elif role == "dvl":
-            self._dvl, notes = decode_dvl(tables[0], self.config.dvl)
-            self.pings = _ping_facts(len(tables[0]), self._dvl, notes)
+            self.dvl, notes = decode_dvl(tables[0], self.config.dvl)
+            self.pings = _ping_facts(len(tables[0]), self.dvl, notes)
         elif role == "reference":
-            self._solution, notes = decode_reference(tables, self.config.reference)
-            if self._solution is not None and self._imu is not None and self.deep:
-                self.reference = _reference_facts(self._solution, self._imu)
+            self.solution, notes = decode_reference(tables, self.config.reference)
+            if self.solution is not None and self.imu is not None and self.deep:
+                self.reference = _reference_facts(self.solution, self.imu)
         self._remark(notes)
 
     def _compare_clocks(self) -> None:
@@ -181,18 +188,23 @@ class Examination:
                 self._doubt(topic, error)
 
     def _checks(self, imu: ImuColumns) -> tuple[Check, ...]:
-        return plausibility_checks(str(self.log.path), imu, self._dvl, self._solution, self.config)
+        return plausibility_checks(str(self.log.path), imu, self.dvl, self.solution, self.config)
 
     def _remark(self, notes: Iterable[Note]) -> None:
         """Keep notes; of those from a sample the warnings alone, since its counts are not the log's."""
-        self.notes += [note for note in notes if self.deep or note.severity == "warning"]
+        kept = (note for note in notes if self.deep or note.severity == "warning")
+        self.notes += [replace(note, hint=self._hint(note.hint)) for note in kept]
+
+    def _hint(self, hint: str) -> str:
+        """Give no value to copy that only the whole log shows well enough."""
+        return hint if self.deep or not _MEASURED.search(hint) else _LOOK_DEEPER
 
     def _doubt(self, topic: str, error: UserError) -> None:
         sentence = error.message.removeprefix(f"{self.log.path}: ").removeprefix(f"{topic}: ")
-        self.notes.append(Note("candidate", f"{topic}: {sentence}", 1, "warning", error.hint))
+        self.notes.append(Note("candidate", f"{topic}: {sentence}", 1, "warning", self._hint(error.hint)))
 
     def _stopped_by(self, error: UserError) -> None:
-        self.obstacles.append(Obstacle(error.message, error.hint))
+        self.obstacles.append(Obstacle(error.message, self._hint(error.hint)))
 
 
 def _has_header(channel: LogChannel) -> bool:

@@ -14,7 +14,6 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.errors import LogError, listed, nearest
 from insdvl_replay.logs.chunks import Block
 
 Columns = dict[str, NDArray[Any]]
@@ -28,11 +27,16 @@ NUMBER: Final = "number"
 TEXT: Final = "text"
 """Kind of a `Shape` that holds no numbers."""
 
-_TEXTS: Final = (TEXT, "string", "wstring")
+TEXTS: Final = (TEXT, "string", "wstring")
+"""Kinds of what holds no numbers."""
 
 
 class FieldReader(Protocol):
     """Reads some fields of all messages of one channel."""
+
+    @property
+    def known(self) -> Kinds:
+        """Every path that there is; where no schema tells, those of the messages read so far."""
 
     def columns(self, block: Block) -> Columns:
         """Read the fields of all messages of a block.
@@ -121,37 +125,6 @@ def find_path(path: str, known: Kinds) -> str | None:
     str or None
     """
     return known.get(re.sub(r"\[\d+\]", "[*]", path))
-
-
-def check_path(path: str, known: Kinds, type_name: str, place: str) -> None:
-    """Refuse a path that a type does not know, or at which there are no numbers.
-
-    Parameters
-    ----------
-    path : str
-    known : mapping of str to str
-    type_name, place : str
-        For messages to the user.
-
-    Raises
-    ------
-    LogError
-        With the path that is like it, else with those that are known, the shortest ways first.
-    """
-    kind = find_path(path, known)
-    if kind is None:
-        meant = nearest(path, known)
-        fields = sorted((known_path for known_path in known if known[known_path] not in _TEXTS), key=_depth)
-        hint = f"its fields are {listed(fields)}" if fields else "the type has no fields of numbers"
-        raise LogError(
-            f"{place}: {type_name} has no field '{path}'", f"the nearest one is '{meant}'" if meant else hint
-        )
-    if kind in _TEXTS:
-        raise LogError(f"{place}: field '{path}' of {type_name} is text", "name a field of numbers")
-
-
-def _depth(path: str) -> int:
-    return len(re.findall(r"[.\[]", path))
 
 
 def known_paths(shape: Shape, prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -9,13 +9,13 @@ import msgspec
 
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs.chunks import Block
+from insdvl_replay.logs.field_errors import check_path
 from insdvl_replay.logs.field_paths import (
     NUMBER,
     TEXT,
     Columns,
     Numbers,
     Shape,
-    check_path,
     known_paths,
     numbers_at,
     rows_as_columns,
@@ -55,6 +55,7 @@ class JsonReader:
         self._place = place
         self._paths = tuple(paths)
         self._shape = json_shape(schema_data, place)
+        self.known = dict(known_paths(self._shape))
         self._numbers: dict[str, Numbers] = {}
         self._decode = msgspec.json.Decoder().decode
 
@@ -85,9 +86,9 @@ class JsonReader:
     def _learn(self, messages: Sequence[Any]) -> None:
         for message in islice(messages, _EXAMPLES):
             self._shape = _merged(self._shape, _shape_of(message))
-        known = dict(known_paths(self._shape))
+        self.known = dict(known_paths(self._shape))
         for path in self._paths:
-            check_path(path, known, self._type_name, self._place)
+            check_path(path, self.known, self._type_name, self._place)
         self._numbers = {path: numbers_at(path, self._shape, _access) for path in self._paths}
 
     def _decoded(self, block: Block) -> list[Any]:

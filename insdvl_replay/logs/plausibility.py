@@ -31,12 +31,27 @@ HEADING_DOUBT: Final = 30.0 * DEG
 
 
 @dataclass(frozen=True)
-class _GyroScale:
-    """Angular rate measured over true, by whom, and the factor up to which it is in order."""
+class GyroScale:
+    """How the gyros compare with what others show.
+
+    Attributes
+    ----------
+    scale : float
+        Angular rate measured over true.
+    by : str
+        Who says so.
+    tolerance : float
+        Factor up to which it is in order.
+    """
 
     scale: float
     by: str
     tolerance: float
+
+    @property
+    def off(self) -> float:
+        """Factor by which the scale is off, 1 or more; infinite where the sign is wrong."""
+        return max(self.scale, 1.0 / self.scale) if self.scale > 0.0 else np.inf
 
 
 def plausibility_checks(
@@ -58,12 +73,10 @@ def plausibility_checks(
     tuple of Check
         They find what cannot be: each note says how often, since when, and which key helps.
     """
-    track, by_attitude = None, gyro_by_attitude(imu, reference) if reference is not None else None
-    if reference is not None and not (reference.has_attitude and reference.has_velocity):
-        track = track_by_positions(imu, dvl, reference, config)
+    by_attitude, track = _comparisons(imu, dvl, reference, config)
     return (
         *imu_checks(place, imu, reference, config.imu),
-        partial(_gyro_notes, place, imu, _gyro_scale(imu, by_attitude, track), config.imu),
+        partial(_gyro_notes, place, imu, _best_scale(imu, by_attitude, track), config.imu),
         partial(_attitude_notes, imu, by_attitude),
         *dvl_checks(place, dvl, reference, config),
         *(reference_checks(imu, dvl, reference) if reference is not None else ()),
@@ -93,18 +106,46 @@ def plausibility_notes(
     return tuple(note for check in plausibility_checks(place, imu, dvl, reference, config) for note in check())
 
 
-def _gyro_scale(imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFit | None) -> _GyroScale | None:
+def gyro_scale(
+    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+) -> GyroScale | None:
+    """Compare the gyros with whoever knows their scale best.
+
+    Parameters
+    ----------
+    imu, dvl, reference, config
+        As of `plausibility_checks`.
+
+    Returns
+    -------
+    GyroScale or None
+        None where the vehicle moved too little to tell.
+    """
+    return _best_scale(imu, *_comparisons(imu, dvl, reference, config))
+
+
+def _comparisons(
+    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+) -> tuple[AttitudeFit | None, TrackFit | None]:
+    if reference is None:
+        return None, None
+    complete = reference.has_attitude and reference.has_velocity
+    track = None if complete else track_by_positions(imu, dvl, reference, config)
+    return gyro_by_attitude(imu, reference), track
+
+
+def _best_scale(imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFit | None) -> GyroScale | None:
     """Ask for the scale of the gyros whoever knows it best."""
     if by_attitude is not None and abs(by_attitude.correlation) > COHERENT:
-        return _GyroScale(by_attitude.scale, "the reference's attitude", 1.0 + SCALE_DOUBT)
+        return GyroScale(by_attitude.scale, "the reference's attitude", 1.0 + SCALE_DOUBT)
     if track is not None and track.gyro_scale is not None and track.coherence > COHERENT:
-        return _GyroScale(track.gyro_scale, "the DVL's track against the reference's positions", 1.0 + TRACK_DOUBT)
+        return GyroScale(track.gyro_scale, "the DVL's track against the reference's positions", 1.0 + TRACK_DOUBT)
     by_gravity = gyro_by_gravity(imu)
-    return _GyroScale(by_gravity, "the swing of gravity", 1.0 + GRAVITY_SWING) if by_gravity is not None else None
+    return GyroScale(by_gravity, "the swing of gravity", 1.0 + GRAVITY_SWING) if by_gravity is not None else None
 
 
-def _gyro_notes(place: str, imu: ImuColumns, found: _GyroScale | None, settings: Imu) -> list[Note]:
-    if found is None or 1.0 / found.tolerance < found.scale < found.tolerance:
+def _gyro_notes(place: str, imu: ImuColumns, found: GyroScale | None, settings: Imu) -> list[Note]:
+    if found is None or found.off < found.tolerance:
         return []
     text = f"the angular rate is {found.scale:.3g} times what {found.by} shows, from 0 s on"
     if found.scale < 0.0:

@@ -1,162 +1,174 @@
-"""Settings to start from, for a log whose topics nobody has told the tool about.
+"""Settings to start from, for a log that cannot be replayed as it is.
 
-Names of fields say what could be what; the size of the numbers says in which unit. What is proposed stands beside what
-was seen, so that a person can judge it.
+In three steps, each of which reads with what the one before has found: who plays which role, with which fields and
+stamps; what units and axes those show; and whether their clocks agree. What then stops a replay is said too.
 """
 
-import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
-import numpy as np
+from insdvl_replay.columns import ImuColumns
+from insdvl_replay.config import Config, Initial
+from insdvl_replay.errors import LogError
+from insdvl_replay.inventory import Clock, Obstacle
+from insdvl_replay.logs.clocks import clock_notes
+from insdvl_replay.logs.dvl_proposal import dvl_settings, dvl_topic, judged_dvl
+from insdvl_replay.logs.examination import Examination
+from insdvl_replay.logs.field_proposal import listed_settings
+from insdvl_replay.logs.imu_proposal import imu_settings, imu_topic, judged_imu, judged_rates, measured_scale
+from insdvl_replay.logs.plausibility import gyro_scale
+from insdvl_replay.logs.recording import Recording
+from insdvl_replay.logs.roles import Finding, explain_roles
+from insdvl_replay.logs.settings import Setting, decisions, not_yet_set, settings_toml, with_settings
+from insdvl_replay.logs.sightings import SeenTopic, see_topics
+from insdvl_replay.logs.stamp_proposal import recorder_stamps
+from insdvl_replay.logs.wishes import Source
 
-from insdvl_replay.logs.sightings import Candidate, SeenTopic
-
-_DVL_WORDS: Final = re.compile(r"dvl|doppler|bottom")
-_FASTEST_RADPS: Final = 5.0
-"""A vehicle does not turn faster than this on the whole; a gyro that says so counts degrees."""
-_START_LINES: Final = {
-    "source": 'source = "level"  # there is no reference to start from: roll and pitch come from gravity',
-    "heading_deg": "# heading_deg =   # needed: at the start, from north over east",
-    "latitude_deg": "# latitude_deg =  # needed: for gravity and Earth rate",
-}
+_DEFAULTS: Final = ("frd", "rad/s")
+"""What a known type is taken to give; only something else is worth a setting."""
 
 
-def propose_choice(role: str, topics: Sequence[str]) -> str:
-    """Write the setting that chooses between topics that could each play a role.
+@dataclass(frozen=True)
+class Proposal:
+    """Settings that nobody has made yet.
+
+    Attributes
+    ----------
+    configuration : str
+        TOML; empty where there is nothing to propose.
+    decisions : tuple of str
+        Keys in it about which a person must decide.
+    obstacles : tuple of Obstacle
+        What stops a replay with these settings too.
+    """
+
+    configuration: str = ""
+    decisions: tuple[str, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
+
+
+def propose(
+    log: Recording, findings: Sequence[Finding], obstacles: Sequence[Obstacle], config: Config, *, deep: bool
+) -> Proposal:
+    """Propose what a replay lacks.
 
     Parameters
     ----------
-    role : str
-    topics : sequence of str
-        The first is proposed.
+    log : Recording
+    findings : sequence of Finding
+        With the configuration as it is.
+    obstacles : sequence of Obstacle
+        What stops a replay with it.
+    config : Config
+    deep : bool
+        Judge by all messages, not only by the first.
 
     Returns
     -------
-    str
-        TOML.
+    Proposal
     """
-    first, *others = (f'"{topic}"' for topic in topics)
-    return f"[{role}]\ntopic = {first}  # or {', '.join(others)}\n"
+    if not obstacles and not list(_start(findings, config.initial)):
+        return Proposal()
+    settings = [*_choices(findings), *not_yet_set(_fields(log, findings, config), config)]
+    settings += _judged(log, with_settings(config, settings), settings, deep=deep)
+    draft = with_settings(config, settings)
+    found = explain_roles(str(log.path), log.channels, draft)
+    settings += _start(found, draft.initial)
+    last = Examination(log, with_settings(config, settings), deep=False)
+    last.examine(found)
+    return Proposal(settings_toml(settings), decisions(settings), tuple(last.obstacles))
 
 
-def propose_fields(seen: Sequence[SeenTopic], roles: Collection[str]) -> list[str]:
-    """Write settings to start from for roles that no topic of a known type plays.
-
-    Parameters
-    ----------
-    seen : sequence of SeenTopic
-        Topics that could.
-    roles : collection of str
-        ``imu``, ``dvl``.
-
-    Returns
-    -------
-    list of str
-        TOML for each role; what a person must decide is a comment.
-    """
-    imu = _imu_topic(seen) if "imu" in roles else None
-    dvl = _dvl_topic([topic for topic in seen if topic is not imu])
-    proposals = []
-    if "imu" in roles and seen:
-        proposals.append(["[imu]", *(_imu_lines(imu) if imu else _vector_lines(seen))])
-    if "dvl" in roles and seen:
-        proposals.append(["[dvl]", *(_dvl_lines(dvl) if dvl else _vector_lines(seen))])
-    return ["\n".join(lines) + "\n" for lines in proposals]
+def _choices(findings: Sequence[Finding]) -> Iterator[Setting]:
+    """Choose between topics that could each play a role."""
+    for finding in findings:
+        if finding.error and finding.candidates:
+            first, *others = (source.topic for source in finding.candidates)
+            lines = tuple(f'topic = "{topic}"' for topic in others)
+            yield Setting(f"{finding.role}.topic", first, open="each of these could be it", others=lines)
 
 
-def propose_start(lacks: Collection[str]) -> str:
-    """Write the settings of the start that no reference gives.
-
-    Parameters
-    ----------
-    lacks : collection of str
-        Keys of the section ``initial``.
-
-    Returns
-    -------
-    str
-        TOML; empty where nothing lacks. What only a person can know is a comment.
-    """
-    lines = [line for key, line in _START_LINES.items() if key in lacks]
-    return "\n".join(["[initial]", *lines]) + "\n" if lines else ""
-
-
-def _imu_topic(seen: Sequence[SeenTopic]) -> SeenTopic | None:
-    """Choose a topic with a specific force; an angular rate beside it and the size of gravity speak for it."""
-    felt = [topic for topic in seen if topic.forces]
-    return max(felt, key=lambda topic: (bool(topic.rates), bool(topic.forces[0].force_unit)), default=None)
+def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> list[Setting]:
+    """Find topics of unknown types for the roles without which there is no replay."""
+    wanted = {finding.role for finding in findings if finding.error and not finding.candidates} & {"imu", "dvl"}
+    if not wanted:
+        return []
+    taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
+    seen = see_topics(log, [channel for channel in log.channels if channel.topic not in taken])
+    settings: list[Setting] = []
+    if "imu" in wanted:
+        felt = _named([topic for topic in seen if topic.topic != config.dvl.topic], config.imu.topic)
+        imu = imu_topic(felt)
+        settings += imu_settings(log, imu) if imu else listed_settings("imu", felt)
+        seen = [topic for topic in seen if topic is not imu]
+    if "dvl" in wanted:
+        heard = _named(seen, config.dvl.topic)
+        dvl = dvl_topic(heard)
+        settings += dvl_settings(log, dvl) if dvl else listed_settings("dvl", heard)
+    return settings
 
 
-def _dvl_topic(seen: Sequence[SeenTopic]) -> SeenTopic | None:
-    moving = [topic for topic in seen if topic.likely("velocity") or topic.likely("beam_velocity")]
-    named = [topic for topic in moving if _DVL_WORDS.search(f"{topic.topic} {topic.type_name}".lower())]
-    return next(iter([*named, *moving]), None)
+def _named(seen: Sequence[SeenTopic], topic: str | None) -> Sequence[SeenTopic]:
+    """Look at the topic alone that the configuration names, if the log has it."""
+    return [found for found in seen if found.topic == topic] or seen
 
 
-def _imu_lines(topic: SeenTopic) -> Iterator[str]:
-    force, rates = topic.forces[0], topic.rates
-    yield f'topic = "{topic.topic}"'
-    yield from _path_lines("specific_force", topic.forces)
-    if force.force_unit:
-        yield f'specific_force_unit = "{force.force_unit}"'
-    else:
-        yield "# specific_force_unit =  # m/s2, g or mg; the size is none of 9.81, 1 and 1000"
-    if rates:
-        yield from _path_lines("angular_rate", rates)
-        yield f'angular_rate_unit = "{"deg/s" if rates[0].size > _FASTEST_RADPS else "rad/s"}"  # rad/s or deg/s'
-    else:
-        for candidate in topic.candidates:
-            if candidate not in topic.forces:
-                yield f'# angular_rate = "{candidate.path}"  # {candidate}'
-        yield '# angular_rate_unit = "rad/s"  # or deg/s'
-    yield _axes_line(force)
-    yield from _stamp_lines(topic)
+def _judged(log: Recording, config: Config, settings: Sequence[Setting], *, deep: bool) -> list[Setting]:
+    """Judge units, axes and clocks by what the messages show, read as proposed so far."""
+    findings = explain_roles(str(log.path), log.channels, config)
+    seen = Examination(log, config, deep)
+    seen.examine(findings)
+    named = {setting.key for setting in settings}
+    judged = _stamps(log, findings, seen.clocks, config)
+    if seen.imu is not None:
+        (source,) = findings[0].sources
+        found = list(_judged_imu(seen, seen.imu, source))
+        judged += found if "imu.angular_rate" in named else _worth_saying(found, source.topic)
+    if "dvl.velocity" in named and len(seen.dvl.time_ns):
+        judged += judged_dvl(seen.dvl, seen.solution, config)
+    return judged
 
 
-def _axes_line(force: Candidate) -> str:
-    strongest = int(np.argmax(np.abs(force.median)))
-    seen = f"gravity is felt along {'+' if force.median[strongest] > 0 else '-'}{'xyz'[strongest]}"
-    if seen.endswith("-z"):
-        return f'axes = "frd"  # {seen}, as forward-starboard-down has it'
-    if seen.endswith("+z"):
-        return f'axes = "flu"  # {seen}, as forward-port-up has it; or "-x-y-z", if all signs are turned'
-    return f'# axes =  # {seen}; a level vehicle must feel it along -z, as with "+x-z+y"'
+def _judged_imu(seen: Examination, imu: ImuColumns, source: Source) -> Iterator[Setting]:
+    scale = gyro_scale(imu, seen.dvl, seen.solution, seen.config)
+    settings = source.completed(seen.config.imu)
+    judged = judged_imu(imu, settings, seen.solution, scale)
+    yield from judged
+    if seen.deep:
+        turned = judged_rates(imu, settings, judged)
+        yield from measured_scale(settings, gyro_scale(turned, seen.dvl, seen.solution, seen.config))
 
 
-def _dvl_lines(topic: SeenTopic) -> Iterator[str]:
-    beams, velocities = topic.likely("beam_velocity"), topic.likely("velocity")
-    yield f'topic = "{topic.topic}"'
-    if beams:
-        yield from _path_lines("beam_velocity", beams)
-        yield from _path_lines("beam_valid", topic.likely("beam_valid"))
-        yield "# beam_tilt_deg = 30.0  # from the instrument's z axis"
-        yield "# beam_azimuth_deg = [45, 135, 225, 315]  # from forward towards starboard"
-    if velocities:
-        yield from _path_lines("velocity", velocities)
-        yield f'kind = "velocity"{"  # or beams, once their angles are known" if beams else ""}'
-    yield '# velocity_unit = "m/s"  # or mm/s, cm/s'
-    yield '# axes = "frd"  # or flu, or a signed permutation'
-    yield "# lever_arm_m = [0.0, 0.0, 0.0]  # IMU to DVL, forward-starboard-down"
-    yield "# mounting_rpy_deg = [0.0, 0.0, 0.0]  # DVL to body"
-    yield from _stamp_lines(topic)
+def _worth_saying(judged: Sequence[Setting], topic: str) -> list[Setting]:
+    """Of an IMU of a known type, say only what is unlike its type, and of which topic it holds."""
+    return [replace(found, seen=f"{topic}: {found.seen}") for found in judged if found.value not in _DEFAULTS]
 
 
-def _path_lines(quantity: str, candidates: Sequence[Candidate]) -> Iterator[str]:
-    """Propose the first of several fields; the others stand below it."""
-    for rank, candidate in enumerate(candidates):
-        yield f'{"# or " if rank else ""}{quantity} = "{candidate.path}"  # {candidate}'
+def _stamps(log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config) -> list[Setting]:
+    """Stamp all roles by the recorder where their own clocks do not belong together."""
+    stamps = {source.topic: source.stamp for finding in findings for source in finding.sources}
+    if any(clock.stamp != stamps.get(clock.topic, clock.stamp) for clock in clocks):
+        return recorder_stamps(clocks, "not all stamps of the roles are times")
+    if not clocks or clocks[0].role != "imu":
+        return []
+    try:
+        clock_notes(str(log.path), clocks, config.clocks.max_disagreement_s)
+    except LogError:
+        return recorder_stamps(clocks, "the clocks of the roles have nothing to do with each other")
+    return []
 
 
-def _stamp_lines(topic: SeenTopic) -> Iterator[str]:
-    if not topic.has_header:
-        yield 'stamp = "log_time"  # the messages have no header; a field path names another stamp'
-
-
-def _vector_lines(seen: Sequence[SeenTopic]) -> Iterator[str]:
-    """List every vector, where none is named like what is needed."""
-    yield "# no field is named like what is needed; the vectors in the log are"
-    for topic in seen:
-        yield f'# topic = "{topic.topic}"'
-        for candidate in topic.candidates:
-            yield f'#   "{candidate.path}"  # {candidate}'
+def _start(findings: Sequence[Finding], initial: Initial) -> Iterator[Setting]:
+    """Name the keys without which a replay has no start, by what the type of the reference can give."""
+    reference = next(finding for finding in findings if finding.role == "reference")
+    if reference.candidates:
+        return
+    given = {quantity for source in reference.sources for quantity in source.fields}
+    if not given and initial.source == "reference":
+        yield Setting("initial.source", "level", "no reference to start from: roll and pitch come from gravity")
+    given = set() if initial.source == "level" else given
+    if initial.heading_deg is None and not given & {"quaternion", "roll"}:
+        yield Setting("initial.heading_deg", None, open="at the start, from north over east")
+    if initial.latitude_deg is None and "latitude" not in given:
+        yield Setting("initial.latitude_deg", None, open="for gravity and Earth rate; half a degree will do")

@@ -13,12 +13,12 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs.chunks import Block
+from insdvl_replay.logs.field_errors import check_path
 from insdvl_replay.logs.field_paths import (
     NUMBER,
     TEXT,
     Columns,
     Shape,
-    check_path,
     known_paths,
     numbers_at,
     rows_as_columns,
@@ -50,9 +50,9 @@ class ProtobufReader:
         self._type_name = type_name
         self._message_class = _message_class(type_name, schema_data, place)
         shape = protobuf_shape(type_name, schema_data, place)
-        known = dict(known_paths(shape))
+        self.known = dict(known_paths(shape))
         for path in paths:
-            check_path(path, known, type_name, place)
+            check_path(path, self.known, type_name, place)
         self._numbers = {path: numbers_at(path, shape, _access) for path in paths}
 
     def columns(self, block: Block) -> Columns:

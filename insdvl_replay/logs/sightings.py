@@ -1,8 +1,9 @@
-"""What topics of unknown types show in their first messages: vectors and beams, by name and by size."""
+"""What topics of unknown types show in their first messages: vectors and beams by name and size, and single numbers."""
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Final
 
@@ -11,20 +12,23 @@ import numpy as np
 from insdvl_replay.columns import Floats
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs.channel import LogChannel
+from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.decode import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
-from insdvl_replay.logs.encodings import channel_paths, check_encoding, open_reader
-from insdvl_replay.logs.field_paths import split_paths
+from insdvl_replay.logs.encodings import check_encoding, open_reader
+from insdvl_replay.logs.field_paths import Kinds, split_paths
 from insdvl_replay.logs.recording import Recording
-from insdvl_replay.logs.vectors import vector_paths
+from insdvl_replay.logs.vectors import scalar_paths, vector_paths
 
 _BLOCKS: Final = 2
+_MESSAGES: Final = 1000
+_LARGEST_BYTES: Final = 1_000_000
 _WIDTHS: Final = range(3, 9)
-_NEVER: Final = re.compile(r"cov|var|std|bias|offset|magn|time|stamp|ang\w*acc")
+_NEVER: Final = re.compile(r"cov|var|std|bias|offset|magn|time|stamp|ang\w*acc|quat|orient")
 _WORDS: Final = {
     "specific_force": re.compile(r"acc|force|\b[af]x\b"),
-    "angular_rate": re.compile(r"gyr|ang|rate|omega|rot|turn|\b[gw]x\b"),
-    "velocity": re.compile(r"^(?!.*(ang|gyr)).*(vel|speed|twist|\bvx\b)"),
-    "beam_velocity": re.compile(r"(\[\*\]|beam|trans).*vel"),
+    "angular_rate": re.compile(r"gyr|ang|rate|omega|rot|turn|\b[gw]x\b|\bp, (\S+\.)?q, "),
+    "velocity": re.compile(r"^(?!.*(ang|gyr)).*(vel|speed|twist|surge|\bvx\b|\bu, (\S+\.)?v, )"),
+    "beam_velocity": re.compile(r"(\[\*\]|beam|trans).*vel|vel.*(beam|trans)"),
     "beam_valid": re.compile(r"(\[\*\]|beam|trans).*(valid|lock)"),
 }
 _GRAVITY_PART: Final = 0.1
@@ -43,11 +47,14 @@ class Candidate:
         Of each number.
     size : float
         Median length of the vector.
+    largest : float
+        The longest.
     """
 
     path: str
     median: Floats
     size: float
+    largest: float
 
     @property
     def is_beams(self) -> bool:
@@ -65,7 +72,7 @@ class Candidate:
     def __str__(self) -> str:
         """Say what was seen."""
         numbers = ", ".join(f"{value:.3g}" for value in self.median)
-        return f"median ({numbers}), size {self.size:.3g}"
+        return f"median ({numbers}), size {self.size:.3g}, at most {self.largest:.3g}"
 
 
 @dataclass(frozen=True)
@@ -74,40 +81,52 @@ class SeenTopic:
 
     Attributes
     ----------
-    topic, type_name : str
+    channel : LogChannel
+    known : mapping of str to str
+        Every path that the messages have, with the type of what is there.
     candidates : tuple of Candidate
-    has_header : bool
-        Whether there is a stamp where ROS 2 messages have it.
+    scalars : dict of str to float
+        Median by the path of each single number.
     """
 
-    topic: str
-    type_name: str
+    channel: LogChannel
+    known: Kinds
     candidates: tuple[Candidate, ...]
-    has_header: bool
+    scalars: dict[str, float]
+
+    @property
+    def topic(self) -> str:
+        """Its name."""
+        return self.channel.topic
 
     @property
     def forces(self) -> list[Candidate]:
         """What could be the specific force: what is named like it, else what has the size of gravity."""
-        return self.likely("specific_force") or [candidate for candidate in self._sound if candidate.force_unit]
+        return self.likely("specific_force") or [candidate for candidate in self.sound if candidate.force_unit]
 
     @property
     def rates(self) -> list[Candidate]:
         """What is named like an angular rate and is no specific force."""
         return [candidate for candidate in self.likely("angular_rate") if candidate not in self.forces]
 
-    def likely(self, quantity: str) -> list[Candidate]:
-        """Give those that are named like a quantity, and have as many numbers as it."""
-        named = [candidate for candidate in self._sound if _WORDS[quantity].search(candidate.path.lower())]
-        return [candidate for candidate in named if candidate.is_beams == quantity.startswith("beam")]
+    @property
+    def vectors(self) -> list[Candidate]:
+        """Those of three numbers that are not named like something else."""
+        return [candidate for candidate in self.sound if not candidate.is_beams]
 
     @property
-    def _sound(self) -> list[Candidate]:
+    def sound(self) -> list[Candidate]:
         """Those that are not named like something else."""
         return [candidate for candidate in self.candidates if not _NEVER.search(candidate.path.lower())]
 
+    def likely(self, quantity: str) -> list[Candidate]:
+        """Give those that are named like a quantity, and have as many numbers as it."""
+        named = [candidate for candidate in self.sound if _WORDS[quantity].search(candidate.path.lower())]
+        return [candidate for candidate in named if candidate.is_beams == quantity.startswith("beam")]
+
 
 def see_topics(log: Recording, channels: Sequence[LogChannel]) -> list[SeenTopic]:
-    """Look at the first messages of some topics for vectors and beams.
+    """Look at the first messages of some topics for vectors, beams and single numbers.
 
     Parameters
     ----------
@@ -118,38 +137,57 @@ def see_topics(log: Recording, channels: Sequence[LogChannel]) -> list[SeenTopic
     Returns
     -------
     list of SeenTopic
-        Those with any vector or beams.
+        Those with any.
     """
     seen = []
     for channel in channels:
-        if channel.messages:
-            try:
+        # What cannot be read cannot be proposed; it is no error before someone asks for it.
+        with suppress(LogError):
+            if channel.messages:
                 seen.append(_see(log, channel))
-            except LogError:
-                # What cannot be read cannot be proposed; it is no error before someone asks for it.
-                continue
-    return [topic for topic in seen if topic.candidates]
+    return [topic for topic in seen if topic.candidates or topic.scalars]
 
 
 def _see(log: Recording, channel: LogChannel) -> SeenTopic:
+    place = f"{log.path}: {channel.topic}"
     check_encoding(channel, str(log.path))
-    known = channel_paths(channel, str(log.path))
-    found: dict[str, Candidate] = {}
+    blocks = [_first_of(block) for block in islice(log.blocks({channel.id}), _BLOCKS)]
+    reader = open_reader(channel, (), place)
+    # In JSON without schema only the messages tell which fields there are.
+    for block in blocks[:1]:
+        reader.columns(block)
+    candidates: dict[str, Candidate] = {}
+    scalars: dict[str, float] = {}
     # Read one by one, since one field that is not what it seems would spoil the others.
-    for path in vector_paths(known):
-        values = _first_values(log, channel, path)
+    for path in (*vector_paths(reader.known), *scalar_paths(reader.known)):
+        values = _values(channel, path, blocks, place)
         finite = values[np.isfinite(values).all(axis=1)]
-        if values.shape[1] in _WIDTHS and len(finite):
-            found[path] = Candidate(path, np.median(finite, axis=0), float(np.median(np.linalg.norm(finite, axis=1))))
-    has_header = "header.stamp" in known
-    return SeenTopic(channel.topic, channel.type_name, tuple(found.values()), has_header)
+        sizes = np.linalg.norm(finite, axis=1)
+        if len(finite) and values.shape[1] in _WIDTHS:
+            candidates[path] = Candidate(path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max()))
+        elif len(finite) and values.shape[1] == 1:
+            scalars[path] = float(np.median(finite))
+    return SeenTopic(channel, reader.known, tuple(candidates.values()), scalars)
 
 
-def _first_values(log: Recording, channel: LogChannel, path: str) -> Floats:
+def _first_of(block: Block) -> Block:
+    """Give a block's first messages; of images and sonar records one or two."""
+    few = slice(max(1, min(_MESSAGES, int(np.searchsorted(np.cumsum(block.sizes), _LARGEST_BYTES)))))
+    return replace(
+        block,
+        offsets=block.offsets[few],
+        sizes=block.sizes[few],
+        log_time=block.log_time[few],
+        publish_time=block.publish_time[few],
+        sequence=block.sequence[few],
+    )
+
+
+def _values(channel: LogChannel, path: str, blocks: Sequence[Block], place: str) -> Floats:
     paths = split_paths(path)
-    reader = open_reader(channel, paths, f"{log.path}: {channel.topic}")
+    reader = open_reader(channel, paths, place)
     parts = []
-    for block in islice(log.blocks({channel.id}), _BLOCKS):
+    for block in blocks:
         columns = reader.columns(block)
         parts.append(np.concatenate([columns[part].astype(np.float64) for part in paths], axis=1))
     width = min((part.shape[1] for part in parts), default=0)

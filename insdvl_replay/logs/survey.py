@@ -11,19 +11,18 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.columns import TimeNs, seconds
-from insdvl_replay.config import Config, Initial
+from insdvl_replay.config import Config
 from insdvl_replay.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
 from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.examination import Examination
-from insdvl_replay.logs.proposal import propose_choice, propose_fields, propose_start
+from insdvl_replay.logs.proposal import propose
 from insdvl_replay.logs.recording import Recording, open_recording
 from insdvl_replay.logs.roles import Finding, explain_roles
-from insdvl_replay.logs.sightings import see_topics
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def survey_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
+def survey_log(path: Path, config: Config, *, deep: bool = False, allow_damaged: bool = False) -> Inventory:
     """Take stock of a log.
 
     Parameters
@@ -32,6 +31,8 @@ def survey_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
     config : Config
     deep : bool
         Read the messages of all roles whole, not only the first of each.
+    allow_damaged : bool
+        Damage is told, and is no obstacle.
 
     Returns
     -------
@@ -50,8 +51,9 @@ def survey_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
     looked_at = {source.topic for source in sources}
     seen.examine_others(channel for channel in log.channels if channel.topic not in looked_at)
     log_times = log.log_times()
+    proposal = propose(log, findings, seen.obstacles, config, deep=deep)
     # Last of all, since damage inside the chunks is found as they are opened.
-    refusals = [error] if (error := log.refusal()) is not None else []
+    refusals = [error] if not allow_damaged and (error := log.refusal()) is not None else []
     return Inventory(
         log=_log_facts(log, log_times),
         reading="whole" if deep else "sample",
@@ -63,7 +65,9 @@ def survey_log(path: Path, config: Config, *, deep: bool = False) -> Inventory:
         reference=seen.reference,
         obstacles=(*(Obstacle(error.message, error.hint) for error in refusals), *seen.obstacles),
         notes=(*log.notes, *seen.notes),
-        configuration=_proposal(log, findings, config.initial),
+        configuration=proposal.configuration,
+        decisions=proposal.decisions,
+        remaining=proposal.obstacles,
     )
 
 
@@ -111,7 +115,8 @@ def _topics(
 def _topic_facts(same: Sequence[LogChannel], log_time: TimeNs, start_ns: int, role: str) -> TopicFacts:
     # The channel that has messages is the one to describe: some recorders register every topic twice.
     channel = max(same, key=lambda channel: channel.messages)
-    time_s = np.sort(seconds(log_time, start_ns))
+    # A stable sort takes next to no time for what is in order already.
+    time_s = np.sort(seconds(log_time, start_ns), kind="stable")
     span_s = float(time_s[-1] - time_s[0]) if time_s.size > 1 else 0.0
     return TopicFacts(
         topic=channel.topic,
@@ -133,32 +138,3 @@ def _role_facts(finding: Finding) -> RoleFacts:
     fields = {quantity: path for source in finding.sources for quantity, path in source.fields.items()}
     candidates = tuple(source.topic for source in finding.candidates)
     return RoleFacts(finding.role, topics or None, finding.reason, candidates, fields)
-
-
-def _proposal(log: Recording, findings: Sequence[Finding], initial: Initial) -> str:
-    """Propose settings for what a replay lacks."""
-    choices = {finding.role: [source.topic for source in finding.candidates] for finding in findings if finding.error}
-    unknown = {role for role, topics in choices.items() if not topics and role in ("imu", "dvl")}
-    taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
-    free = [channel for channel in log.channels if channel.topic not in taken] if unknown else []
-    parts = [
-        *(propose_choice(role, topics) for role, topics in choices.items() if topics),
-        *propose_fields(see_topics(log, free), unknown),
-        propose_start(_start_lacks(findings, initial)),
-    ]
-    return "\n".join(part for part in parts if part)
-
-
-def _start_lacks(findings: Sequence[Finding], initial: Initial) -> list[str]:
-    """Name the keys without which a replay has no start, by what the type of the reference can give."""
-    reference = next(finding for finding in findings if finding.role == "reference")
-    if reference.candidates:
-        return []
-    given = {quantity for source in reference.sources for quantity in source.fields}
-    lacks = [] if given or initial.source == "level" else ["source"]
-    given = set() if initial.source == "level" else given
-    if initial.heading_deg is None and not given & {"quaternion", "roll"}:
-        lacks.append("heading_deg")
-    if initial.latitude_deg is None and "latitude" not in given:
-        lacks.append("latitude_deg")
-    return lacks

@@ -13,7 +13,8 @@ from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.clocks import measure_clock, stamp_unit
 from insdvl_replay.logs.encodings import open_reader
-from insdvl_replay.logs.field_paths import Columns, FieldReader, split_paths
+from insdvl_replay.logs.field_errors import fields_hint
+from insdvl_replay.logs.field_paths import Columns, FieldReader, Kinds, split_paths
 from insdvl_replay.logs.filling import Filling
 from insdvl_replay.logs.merging import merged
 from insdvl_replay.logs.recording import Recording
@@ -43,6 +44,8 @@ class Table:
         What is wrong with the first of these.
     repeats : int
         Messages that are left out because another channel or file holds them too.
+    known : mapping of str to str
+        Every path that the messages have, with the type of what is there.
     """
 
     place: str
@@ -51,6 +54,7 @@ class Table:
     unreadable_ns: tuple[int, ...] = ()
     fault: str = ""
     repeats: int = 0
+    known: Kinds = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Give the number of messages."""
@@ -85,7 +89,7 @@ class Table:
         if width is not None and values.shape[1] != width:
             raise LogError(
                 f"{self.place}: field '{path}' holds {values.shape[1]} numbers where {width} are needed",
-                f"{self.source.role}.{quantity} must name a vector",
+                f"{self.source.role}.{quantity} must name {width} numbers; {fields_hint(self.known, path)}",
             )
         return values
 
@@ -259,7 +263,8 @@ class _Builder:
         if not all(self.filling.values()):
             raise error or LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
         columns, repeats = merged({path: column.rows() for path, column in self.filling.items()}, self.stretches)
-        table = Table(self.place, self.source, columns, unreadable, error.message if error else "", repeats)
+        known = next(iter(self.readers.values())).known
+        table = Table(self.place, self.source, columns, unreadable, error.message if error else "", repeats, known)
         if unreadable and not self.log.allow_damaged:
             raise table.refusal()
         return table

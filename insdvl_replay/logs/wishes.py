@@ -144,7 +144,7 @@ class Wish:
         section = self.role
         needed = sorted({quantity for quantities in self.enough for quantity in quantities})
         joined = (" and " if section == "imu" else " or ").join(f'{section}.{name} = "field.path"' for name in needed)
-        return f'for other types, set {self.key} = "/topic" with {joined}'
+        return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` proposes what to set'
 
 
 def imu_wish(config: Config) -> Wish:

@@ -1,26 +1,26 @@
 """What a log holds, for people and for scripts: an `Inventory` as tables, sentences and JSON."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import msgspec
 from rich.console import Group, RenderableType
+from rich.padding import Padding
 from rich.text import Text
 
-from insdvl_replay.errors import Note
-from insdvl_replay.inventory import Inventory, LogFacts, Obstacle, PingFacts, ReferenceFacts, TopicFacts
+from insdvl_replay.inventory import Inventory, LogFacts, PingFacts, ReferenceFacts, TopicFacts
 from insdvl_replay.report.shown import MISSING, ShownTable, number
 from insdvl_replay.report.terminal import dressed
 
 _PREFIXES: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
-def encode_inventory(inventory: Inventory) -> bytes:
-    """Write an inventory as JSON, every number with its unit in the key.
+def encode_inventory(inventory: Inventory | Sequence[Inventory]) -> bytes:
+    """Write an inventory, or several as a list, as JSON, every number with its unit in the key.
 
     Parameters
     ----------
-    inventory : Inventory
+    inventory : Inventory or sequence of Inventory
 
     Returns
     -------
@@ -29,7 +29,7 @@ def encode_inventory(inventory: Inventory) -> bytes:
     return msgspec.json.format(msgspec.json.encode(inventory)) + b"\n"
 
 
-def terminal_inventory(inventory: Inventory) -> tuple[Group, list[str]]:
+def terminal_inventory(inventory: Inventory) -> Group:
     """Dress an inventory for a terminal.
 
     Parameters
@@ -39,16 +39,15 @@ def terminal_inventory(inventory: Inventory) -> tuple[Group, list[str]]:
     Returns
     -------
     rich.console.Group
-        Tables, to be printed by a rich console, which decides about width and colour.
-    list of str
-        Lines to be printed as they stand, so that hints and settings can be copied.
+        To be printed by a rich console, which decides about width and colour; only settings that can be copied into a
+        file are lines of their own, however long.
     """
     tables = (_roles(inventory), _conventions(inventory), _topics(inventory), _clocks(inventory))
     parts: list[RenderableType] = [Text(line) for line in _heading(inventory)]
     for table in tables:
         if table.rows:
             parts += [Text(), dressed(table)]
-    return Group(*parts, Text()), list(_sentences(inventory))
+    return Group(*parts, Text(), *_sentences(inventory), *_proposal(inventory))
 
 
 def _heading(inventory: Inventory) -> Iterator[str]:
@@ -64,21 +63,40 @@ def _heading(inventory: Inventory) -> Iterator[str]:
             yield f"{kind}: {', '.join(names)}"
 
 
-def _sentences(inventory: Inventory) -> Iterator[str]:
+def _sentences(inventory: Inventory) -> Iterator[RenderableType]:
     if inventory.pings is not None:
-        yield _pings(inventory.pings)
+        announced = sum(topic.messages for topic in inventory.topics if topic.role == "dvl")
+        yield Text(_pings(inventory.pings, announced))
     if inventory.reference is not None:
-        yield _coverage(inventory.reference)
+        yield Text(_coverage(inventory.reference))
     for note in inventory.notes:
-        yield from _note(note)
+        yield from _hinted(f"{note.severity}: {note.text} [{note.code}]", note.hint)
     for obstacle in inventory.obstacles:
-        yield from _obstacle(obstacle)
-    yield _verdict(inventory)
-    if inventory.configuration:
-        yield ""
-        yield "To start from, as a file for -c (comments say what was seen):"
-        yield ""
-        yield inventory.configuration.rstrip("\n")
+        yield from _hinted(f"stops a replay: {obstacle.message}", obstacle.hint)
+    yield Text(_verdict(inventory))
+
+
+def _proposal(inventory: Inventory) -> Iterator[RenderableType]:
+    """Print the proposed settings, and what they leave open."""
+    if not inventory.configuration:
+        return
+    yield Text("\nTo start from, as a file for -c; the comments say what was seen and what is to decide:\n")
+    for line in inventory.configuration.splitlines():
+        yield Text(line, no_wrap=True, overflow="ignore")
+    yield Text()
+    if inventory.decisions:
+        yield Text(f"to decide in it: {', '.join(inventory.decisions)}")
+    for obstacle in inventory.remaining:
+        hint = "" if obstacle in inventory.obstacles else obstacle.hint
+        yield from _hinted(f"stops a replay with it too: {obstacle.message}", hint)
+    if not inventory.decisions and not inventory.remaining:
+        yield Text("nothing is left open in it")
+
+
+def _hinted(sentence: str, hint: str) -> Iterator[RenderableType]:
+    yield Text(sentence)
+    if hint:
+        yield Padding(Text(f"hint: {hint}"), (0, 0, 0, 2))
 
 
 def _size(size_bytes: int) -> str:
@@ -138,15 +156,16 @@ def _topic(topic: TopicFacts) -> tuple[str, ...]:
 
 
 def _clocks(inventory: Inventory) -> ShownTable:
-    sampled = inventory.reading == "sample"
+    messages = {topic.topic: topic.messages for topic in inventory.topics}
     return ShownTable(
-        f"Clocks: log time minus stamp, {'the first messages of each topic' if sampled else 'all messages'}",
-        ("topic", "stamp", "median\n[s]", "spread\n[s]", "back\nsteps", "repeats", "rate\n[Hz]"),
-        "llrrrrr",
+        "Clocks: log time minus stamp, by the first messages",
+        ("topic", "stamp", "first", "median\n[s]", "spread\n[s]", "back\nsteps", "repeats", "rate\n[Hz]"),
+        "llrrrrrr",
         tuple(
             (
                 clock.topic,
                 clock.stamp,
+                "all" if clock.messages == messages.get(clock.topic) else str(clock.messages),
                 number(clock.log_minus_stamp_s),
                 number(clock.spread_s),
                 str(clock.back_steps),
@@ -158,13 +177,14 @@ def _clocks(inventory: Inventory) -> ShownTable:
     )
 
 
-def _pings(pings: PingFacts) -> str:
+def _pings(pings: PingFacts, announced: int) -> str:
     rate = f" at {number(pings.rate_hz)} Hz" if pings.rate_hz is not None else ""
     repeated = f" ({100 * pings.repeats / pings.messages:.0f} % repeats)" if pings.repeats else ""
     beams = "no beams"
     if pings.four_or_more + pings.three + pings.fewer:
         beams = f"valid beams: four or more in {pings.four_or_more}, three in {pings.three}, fewer in {pings.fewer}"
-    return f"dvl: {pings.pings} usable pings in {pings.messages} messages{repeated}{rate}; {beams}"
+    messages = f"{'the first ' if pings.messages < announced else ''}{pings.messages} messages"
+    return f"dvl: {pings.pings} usable pings in {messages}{repeated}{rate}; {beams}"
 
 
 def _coverage(reference: ReferenceFacts) -> str:
@@ -173,18 +193,6 @@ def _coverage(reference: ReferenceFacts) -> str:
         f"position {reference.position_pct:.0f} %, velocity {reference.velocity_pct:.0f} %, "
         f"attitude {reference.attitude_pct:.0f} %"
     )
-
-
-def _note(note: Note) -> Iterator[str]:
-    yield f"{note.severity}: {note.text} [{note.code}]"
-    if note.hint:
-        yield f"  hint: {note.hint}"
-
-
-def _obstacle(obstacle: Obstacle) -> Iterator[str]:
-    yield f"stops a replay: {obstacle.message}"
-    if obstacle.hint:
-        yield f"  hint: {obstacle.hint}"
 
 
 def _verdict(inventory: Inventory) -> str:
