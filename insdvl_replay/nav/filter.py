@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.history import History
 from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.nav.correction import correct
 from insdvl_replay.nav.error_model import add_noise, propagate_cov, write_system_matrix
 from insdvl_replay.nav.innovation import InsAtPing, linearise
-from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, multiply, standardised, update_cov
+from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, standardised, update_cov
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.recording import Ins, Records, Updates, history_of, new_records, new_updates, write_record
-from insdvl_replay.nav.strapdown import Step, new_step, normal_gravity, propagate, rotate_back, rotation_from_vector
+from insdvl_replay.nav.strapdown import Step, new_step, normal_gravity, propagate, rotate_back
 from insdvl_replay.nav.timeline import Timeline
 
 
@@ -263,22 +264,4 @@ def _update(ins: Ins, measurement: Measurement, m: int, ping: int, z: Floats, H:
     if updates.used[m, ping]:
         K = gain(PH, L)
         update_cov(ins.P, H, R, K)
-        _correct(ins, K, z)
-
-
-@compiled
-def _correct(ins: Ins, K: Floats, z: Floats) -> None:
-    """Take the estimated errors ``dx = K z`` out of the navigation state; the error state returns to zero."""
-    dx, vector, turn, turned = np.empty(12), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    for i in range(12):
-        dx[i] = K[i, 0] * z[0] + K[i, 1] * z[1] + K[i, 2] * z[2]
-    for i in range(3):
-        ins.velocity_n[i] -= dx[i]
-        vector[i] = -dx[3 + i]
-        ins.accel_bias_b[i] += dx[6 + i]
-        ins.gyro_bias_b[i] += dx[9 + i]
-    rotation_from_vector(vector, turn)
-    multiply(turn, ins.mat_nb, turned)
-    for i in range(3):
-        for j in range(3):
-            ins.mat_nb[i, j] = turned[i, j]
+        correct(ins, K, z)
