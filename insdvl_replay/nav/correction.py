@@ -12,9 +12,8 @@ import numpy as np
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.nav.compiled import compiled
-from insdvl_replay.nav.kalman import multiply
 from insdvl_replay.nav.recording import Ins
-from insdvl_replay.nav.strapdown import rotation_from_vector
+from insdvl_replay.nav.vector_algebra import compose, matrix, rotation_from_vector, write_matrix
 
 
 @compiled
@@ -30,19 +29,15 @@ def correct(ins: Ins, K: Floats, z: Floats) -> None:
     z : ndarray, shape (3,)
         Innovation.
     """
-    dx, vector, turn, turned = np.empty(12), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    dx = np.empty(12)
     for i in range(12):
         dx[i] = K[i, 0] * z[0] + K[i, 1] * z[1] + K[i, 2] * z[2]
     for i in range(3):
         ins.velocity_n[i] -= dx[i]
-        vector[i] = -dx[3 + i]
         ins.accel_bias_b[i] += dx[6 + i]
         ins.gyro_bias_b[i] += dx[9 + i]
-    rotation_from_vector(vector, turn)
-    multiply(turn, ins.mat_nb, turned)
-    for i in range(3):
-        for j in range(3):
-            ins.mat_nb[i, j] = turned[i, j]
+    turn = rotation_from_vector((-dx[3], -dx[4], -dx[5]))
+    write_matrix(compose(turn, matrix(ins.mat_nb)), ins.mat_nb)
     keep_invariant_error(ins.P, dx[:3])
 
 
