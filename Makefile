@@ -25,6 +25,7 @@ lint: .venv/test.stamp
 # Makes logs of up to 3 GB in the temporary folder and removes them; takes some ten minutes.
 bench: .venv/test.stamp
 	$(BIN)/python benchmarks/reading.py
+	PYTHONPATH=tests $(BIN)/python benchmarks/filtering.py
 
 # Made anew only when the simulation or the writer changes; tests hold them to SHA256SUMS.
 samples: .venv/run.stamp

@@ -6,7 +6,6 @@ own. What counts are the ratios of one run, since they hardly depend on the mach
 
 import argparse
 import json
-import platform
 import resource
 import subprocess
 import sys
@@ -20,13 +19,13 @@ from typing import Any
 import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from results import machine, table, write_part
 
 from insdvl_replay.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.config import Config
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container import Log
 
-RESULTS = Path(__file__).with_name("RESULTS.md")
 PER_IMU = 1.01
 """Messages for each one of the IMU."""
 IMAGE = bytes(1_500_000)
@@ -226,13 +225,10 @@ def report(messages: int, camera_gb: float) -> str:
         "checksum, digests the file and gives clean columns; mcap goes through the messages without decoding them; the "
         "other two decode them.",
         "",
-        f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}, numpy {np.__version__}; "
-        f"shared cores, warm cache: read the ratios. {GOALS}",
+        f"{machine()}; shared cores, warm cache: read the ratios. {GOALS}",
         "",
-        f"| {' | '.join(COLUMNS)} |",
-        "|---" * len(COLUMNS) + "|",
     ]
-    return "\n".join([*title, *rows]) + "\n"
+    return "\n".join([*title, *table(COLUMNS, rows)]) + "\n"
 
 
 def main() -> None:
@@ -248,7 +244,7 @@ def main() -> None:
         return
     page = report(arguments.messages, arguments.camera_gb)
     sys.stdout.write(page)
-    RESULTS.write_text(page, "utf-8")
+    write_part(page)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """The hall: read a dive, run every configured filter over it, and lay what they believe beside what is so."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -161,7 +162,7 @@ def _tables(
 
 
 def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool = False) -> tuple[History, ...]:
-    """Run every configured filter over a prepared dive.
+    """Run every configured filter over a prepared dive, each in a thread of its own.
 
     Parameters
     ----------
@@ -181,20 +182,22 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool =
     timeline = build_timeline(
         dive.imu, start.velocities.time_ns, reference_ns, start.alignment.start_ns, start.end_ns, start.gaps
     )
-    return tuple(
-        run_filter(
+
+    def run(name: str) -> History:
+        filter_ = config.filters[name]
+        gate = chi_square_quantile(filter_.gate_probability, 3)
+        return run_filter(
             name,
             timeline,
             start.alignment.start,
             filter_noise(filter_, config),
-            filter_measurements(
-                filter_, start.velocities, config, chi_square_quantile(filter_.gate_probability, 3), start.gaps
-            ),
+            filter_measurements(filter_, start.velocities, config, gate, start.gaps),
             np.array(config.dvl.lever_arm_m),
             keep_cov=keep_cov,
         )
-        for name, filter_ in config.filters.items()
-    )
+
+    with ThreadPoolExecutor() as threads:  # the compiled filter leaves the interpreter to others while it runs
+        return tuple(threads.map(run, config.filters))
 
 
 def _reference_notes(dive: Dive, config: Config, start: Prepared, history: History) -> tuple[Note, ...]:

@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.columns import Floats
 from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.nav.error_model import noise_density, propagate_cov, write_system_matrix
+from insdvl_replay.nav.strapdown import Motion
+from insdvl_replay.nav.vector_algebra import matrix, vector
 from insdvl_replay.rotation import skew
 
 LATITUDE, HEIGHT_M = 0.57, -20.0
@@ -22,9 +24,14 @@ def transport_rate(velocity_n: Floats) -> Floats:
     return np.array([velocity_n[1] / r_e, -velocity_n[0] / r_n, -velocity_n[1] * np.tan(LATITUDE) / r_e])
 
 
+def motion() -> Motion:
+    rate_in_n = W_IE + transport_rate(VELOCITY_N)
+    return Motion(vector(W_IE), vector(rate_in_n), vector(MAT_NB @ FORCE_B), matrix(MAT_NB))
+
+
 def system_matrix() -> Floats:
     F = np.zeros((12, 12))
-    write_system_matrix(W_IE, W_IE + transport_rate(VELOCITY_N), MAT_NB @ FORCE_B, MAT_NB, F)
+    write_system_matrix(motion(), F)
     return F
 
 
@@ -60,7 +67,7 @@ def test_covariance_is_propagated_as_the_matrices_say() -> None:
     density = noise_density(0.2, 3.7e-5, 1e-6, 1e-10)
     Phi = np.eye(12) + F * dt
     expected = Phi @ P @ Phi.T + np.diag(density) * dt
-    propagate_cov(P, F, density, dt, np.zeros((6, 12)))
+    propagate_cov(P, motion(), density, dt)
     np.testing.assert_allclose(P, expected, rtol=1e-13)
     np.testing.assert_array_equal(P, P.T)
 

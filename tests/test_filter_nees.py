@@ -17,6 +17,7 @@ from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
 from insdvl_replay.sim.dvl_errors import DvlErrors
 from insdvl_replay.sim.imu_errors import ImuErrors
 from insdvl_replay.states import DEG_PER_HOUR, DV, MG, PHI
+from insdvl_replay.studies.simulated_run import make_world, run_seed, simulated_run
 
 RUNS, SEED = 50, 1
 TIMES_S = np.array([10.0, 60.0, 105.0, 150.0])  # settled, at the end of the long leg, in a turn, after two turns
@@ -130,3 +131,16 @@ def test_windowed_acceleration_believes_too_much_for_using_velocities_twice(cons
     _, high = mean_interval(12, RUNS)
     assert (consistency.nees["windowed"] > high).all()
     assert (consistency.nees["windowed"] < 3.0 * high).all()
+
+
+def test_heading_is_as_sure_as_it_says_where_corrections_are_as_large_as_the_velocity() -> None:
+    """The paper's noise moves a lawnmower's 0.17 m/s by as much between two pings, and a correction moves it back."""
+    config = Config(filters={"baseline": Filter(aiding=("velocity",))})
+    exact = exact_dive("lawnmower", reference_at_pings=True, imu_rate_hz=10.0)
+    world = replace(make_world("lawnmower", config, "matched"), exact=exact)
+    runs = [simulated_run(world, run_seed(SEED, run))[0] for run in range(RUNS)]
+    low, high = mean_interval(12, RUNS)
+    assert low < np.mean([run.nees[-1] for run in runs]) < high
+    heading_error = np.array([run.error[-1, PHI][2] for run in runs])
+    heading_var = np.mean([run.var[-1, PHI][2] for run in runs])
+    assert np.sqrt(np.mean(heading_error**2) / heading_var) < 1.3

@@ -20,7 +20,9 @@ from insdvl_replay.nav.measurements import (
     velocity_cov,
     velocity_measurement,
 )
-from insdvl_replay.nav.strapdown import new_step, propagate
+from insdvl_replay.nav.place import place_at
+from insdvl_replay.nav.strapdown import propagate
+from insdvl_replay.nav.vector_algebra import vector
 from insdvl_replay.rotation import skew
 
 VELOCITY_N = np.array([0.9, -0.4, 0.1])
@@ -98,11 +100,12 @@ class Ins:
         position = np.array([0.57, 0.6, -20.0])
         velocity = VELOCITY_N + self.dx[:3]
         mat = np.ascontiguousarray(Rotation.from_rotvec(self.dx[3:6]).as_matrix() @ MAT_NB)
-        step = new_step()
+        place = place_at(position[0], position[2])
+        force_b, rate_b = vector(FORCE_B + self.dx[6:9]), vector(RATE_NB_B + self.dx[9:12])
         found = [mat.T @ velocity]
         for length_s in np.diff(times_s):
             for _ in range(round(length_s * rate_hz)):
-                propagate(position, velocity, mat, FORCE_B + self.dx[6:9], RATE_NB_B + self.dx[9:12], 1 / rate_hz, step)
+                propagate(position, velocity, mat, force_b, rate_b, 1 / rate_hz, place)
             found.append(mat.T @ velocity)
         return np.array(found)
 

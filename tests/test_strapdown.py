@@ -9,7 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
-from insdvl_replay.nav.strapdown import new_step, propagate
+from insdvl_replay.nav.place import place_at, place_near
+from insdvl_replay.nav.strapdown import propagate
+from insdvl_replay.nav.vector_algebra import vector
 
 START = np.array([0.57, 0.61, -20.0, 1.1, -0.4, 0.2])
 
@@ -40,12 +42,13 @@ def derivative(t: float, state: Floats, motion: Motion) -> Floats:
 
 def mechanised(motion: Motion, mat: Floats, rate_hz: float, duration_s: float) -> tuple[Floats, Floats, Floats]:
     position, velocity, mat = START[:3].copy(), START[3:].copy(), mat.copy()
-    step = new_step()
+    place = place_at(position[0], position[2])
     time_s = np.arange(int(duration_s * rate_hz) + 1) / rate_hz
     for before, after in pairwise(time_s):
         force = 0.5 * (motion.force_b(before) + motion.force_b(after))
         rate = 0.5 * (motion.rate_b(before) + motion.rate_b(after))
-        propagate(position, velocity, mat, force, rate, after - before, step)
+        place = place_near(place, position[0], position[2])
+        propagate(position, velocity, mat, vector(force), vector(rate), after - before, place)
     return position, velocity, mat
 
 
@@ -74,8 +77,8 @@ def test_a_resting_imu_stays_at_rest() -> None:
     gravity = normal_gravity(latitude, 0.0)
     position, velocity, mat = np.array([latitude, 0.0, 0.0]), np.zeros(3), np.eye(3)
     rate = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
-    step = new_step()
+    place = place_at(latitude, 0.0)
     for _ in range(10_000):
-        propagate(position, velocity, mat, np.array([0.0, 0.0, -gravity]), rate, 0.01, step)
+        propagate(position, velocity, mat, (0.0, 0.0, -gravity), vector(rate), 0.01, place)
     np.testing.assert_allclose(velocity, 0.0, atol=1e-9)
     np.testing.assert_allclose(mat, np.eye(3), atol=1e-10)

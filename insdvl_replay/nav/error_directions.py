@@ -12,13 +12,7 @@ import numpy as np
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.nav.observability import Observability
-from insdvl_replay.nav.strapdown import (
-    earth_rate_n,
-    meridian_radius_m,
-    normal_gravity,
-    transport_rate_n,
-    transverse_radius_m,
-)
+from insdvl_replay.nav.place import normal_gravity, place_at, transport_rate_n
 from insdvl_replay.states import BA, BG, DV, PHI
 
 _AXES: Final = ("north", "east", "down")
@@ -146,8 +140,6 @@ def _error(**parts: Floats) -> Floats:
 
 def _rates_n(position: Floats, velocity_n: Floats) -> tuple[Floats, Floats]:
     latitude, height_m = float(position[0]), float(position[2])
-    rate_ie_n, rate_en_n = np.empty(3), np.empty(3)
-    earth_rate_n(latitude, rate_ie_n)
-    north_radius_m, east_radius_m = meridian_radius_m(latitude) + height_m, transverse_radius_m(latitude) + height_m
-    transport_rate_n(latitude, velocity_n, north_radius_m, east_radius_m, rate_en_n)
-    return rate_ie_n, rate_ie_n + rate_en_n
+    place, (north, east, down) = place_at(latitude, height_m), velocity_n.tolist()
+    rate_ie_n = np.array(place.rate_ie_n)
+    return rate_ie_n, rate_ie_n + np.array(transport_rate_n(place, height_m, (north, east, down)))

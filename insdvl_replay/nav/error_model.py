@@ -12,6 +12,8 @@ import numpy as np
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.nav.strapdown import Motion
+from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate, scale, vector, write_vector
 
 
 @compiled
@@ -24,60 +26,117 @@ def write_skew(matrix: Floats, row: int, column: int, sign: float, vector: Float
 
 
 @compiled
-def write_system_matrix(rate_ie_n: Floats, rate_in_n: Floats, force_n: Floats, mat_nb: Floats, F: Floats) -> None:
-    """Write the system matrix F of the error state.
+def error_rate(
+    motion: Motion, velocity_error: Vector, misalignment: Vector, accel_bias: Vector, gyro_bias: Vector
+) -> tuple[Vector, Vector]:
+    """Give the rates at which the errors of velocity and attitude grow, the first six rows of ``F dx``; biases stay.
 
     Parameters
     ----------
-    rate_ie_n, rate_in_n : ndarray, shape (3,)
-        Earth rate, and Earth rate plus transport rate, rad/s.
-    force_n : ndarray, shape (3,)
-        Specific force in n, m/s^2.
-    mat_nb : ndarray, shape (3, 3)
-        Attitude.
-    F : ndarray, shape (12, 12)
-        Its first six rows are written; the others stay zero.
+    motion : Motion
+    velocity_error, misalignment : tuple of 3 float
+        In n, m/s and rad.
+    accel_bias, gyro_bias : tuple of 3 float
+        In b, m/s^2 and rad/s.
+
+    Returns
+    -------
+    tuple of 3 float, m/s^2
+        Of the velocity error.
+    tuple of 3 float, rad/s
+        Of the misalignment.
     """
-    coriolis_n = np.empty(3)
-    for i in range(3):
-        coriolis_n[i] = rate_ie_n[i] + rate_in_n[i]
-    write_skew(F, 0, 0, -1.0, coriolis_n)
-    write_skew(F, 0, 3, -1.0, force_n)
-    write_skew(F, 3, 3, -1.0, rate_in_n)
-    for i in range(3):
-        for j in range(3):
-            F[i, 6 + j] = mat_nb[i, j]
-            F[3 + i, 9 + j] = mat_nb[i, j]
+    coriolis = cross(velocity_error, add(motion.rate_ie_n, motion.rate_in_n))
+    tilted = cross(misalignment, motion.force_n)
+    velocity_error_rate = add(add(coriolis, tilted), rotate(motion.mat_nb, accel_bias))
+    misalignment_rate = add(cross(misalignment, motion.rate_in_n), rotate(motion.mat_nb, gyro_bias))
+    return velocity_error_rate, misalignment_rate
 
 
 @compiled
-def propagate_cov(P: Floats, F: Floats, noise_density: Floats, dt: float, FP: Floats) -> None:
+def write_system_matrix(motion: Motion, F: Floats) -> None:
+    """Write the system matrix F of the error state, whose columns are the rates of the single errors.
+
+    Parameters
+    ----------
+    motion : Motion
+    F : ndarray, shape (12, 12)
+        Its first six rows are written; the others stay zero.
+    """
+    dx = np.zeros(12)
+    for column in range(12):
+        dx[column] = 1.0
+        rates = error_rate(motion, vector(dx[0:3]), vector(dx[3:6]), vector(dx[6:9]), vector(dx[9:12]))
+        write_vector(rates[0], F[0:3, column])
+        write_vector(rates[1], F[3:6, column])
+        dx[column] = 0.0
+
+
+@compiled
+def propagate_cov(P: Floats, motion: Motion, noise_density: Floats, dt: float) -> None:
     """Advance the covariance: ``P <- Phi P Phi' + Q`` with ``Phi = I + F dt``, in place.
 
-    Multiplied out, ``P + (F P dt) + (F P dt)' + (F P dt) F' dt``, where only the first six rows of F are not zero; of
-    these the upper three have columns 0 to 8, the lower three 3 to 5 and 9 to 11. P stays symmetric to the last bit.
+    Since P is symmetric, Phi P Phi' = Phi (Phi P)', and both products let the columns of a matrix grow as errors do.
+    Biases do not grow, so that the first product changes the upper six rows, and the second, of what is turned over,
+    no more than the upper left block. P stays symmetric to the last bit.
 
     Parameters
     ----------
     P : ndarray, shape (12, 12)
         Covariance, advanced.
-    F : ndarray, shape (12, 12)
-        System matrix.
+    motion : Motion
     noise_density : ndarray, shape (12,)
         Diagonal of the noise's spectral density; sensor noise is alike on all axes, so turning it with C changes
         nothing.
     dt : float
         Length of the interval, s.
-    FP : ndarray, shape (6, 12)
-        Room for F P dt.
     """
-    _write_product(P, F, dt, FP)
+    entries = P.ravel()  # with the distance of the rows known, the compiler lets several columns grow at once
+    for column in range(12):
+        _write(entries, column, _grown(motion, _error(entries, column), dt))
+    _transpose_what_has_grown(P)
+    for column in range(6):
+        _write(entries, column, _grown(motion, _error(entries, column), dt))
     for i in range(6):
-        for j in range(12):
-            P[i, j] += FP[i, j]
-            P[j, i] += FP[i, j]
-    _add_second_order(P, F, dt, FP)
+        for j in range(i):
+            P[i, j] = P[j, i]
     add_noise(P, noise_density, dt)
+
+
+@compiled
+def _grown(motion: Motion, dx: tuple[Vector, Vector, Vector, Vector], dt: float) -> tuple[Vector, Vector]:
+    """Give the errors of velocity and attitude after an interval, ``dx + F dx dt``."""
+    velocity_error_rate, misalignment_rate = error_rate(motion, dx[0], dx[1], dx[2], dx[3])
+    return add(dx[0], scale(dt, velocity_error_rate)), add(dx[1], scale(dt, misalignment_rate))
+
+
+@compiled
+def _error(entries: Floats, column: int) -> tuple[Vector, Vector, Vector, Vector]:
+    """Read a column of a matrix with twelve columns, whose entries stand row by row."""
+    return (
+        (entries[column], entries[12 + column], entries[24 + column]),
+        (entries[36 + column], entries[48 + column], entries[60 + column]),
+        (entries[72 + column], entries[84 + column], entries[96 + column]),
+        (entries[108 + column], entries[120 + column], entries[132 + column]),
+    )
+
+
+@compiled
+def _write(entries: Floats, column: int, error: tuple[Vector, Vector]) -> None:
+    """Write the upper half of a column."""
+    entries[column], entries[12 + column], entries[24 + column] = error[0]
+    entries[36 + column], entries[48 + column], entries[60 + column] = error[1]
+
+
+@compiled
+def _transpose_what_has_grown(P: Floats) -> None:
+    """Turn the upper left block over, and copy the upper right one to the lower left."""
+    for i in range(6):
+        for j in range(i):
+            P[i, j], P[j, i] = P[j, i], P[i, j]
+    for i in range(6, 12):
+        for j in range(6):
+            P[i, j] = P[j, i]
 
 
 @compiled
@@ -95,44 +154,6 @@ def add_noise(P: Floats, noise_density: Floats, dt: float) -> None:
     """
     for i in range(12):
         P[i, i] += noise_density[i] * dt
-
-
-@compiled
-def _write_product(P: Floats, F: Floats, dt: float, FP: Floats) -> None:
-    """Write the first six rows of F P dt, passing over the blocks of F that are zero."""
-    for i in range(6):
-        for j in range(12):
-            FP[i, j] = 0.0
-    for i in range(3):
-        for k in range(9):
-            _add_row(F[i, k] * dt, P, k, FP, i)
-    for i in range(3, 6):
-        for k in range(3):
-            _add_row(F[i, 3 + k] * dt, P, 3 + k, FP, i)
-            _add_row(F[i, 9 + k] * dt, P, 9 + k, FP, i)
-
-
-@compiled
-def _add_row(factor: float, P: Floats, k: int, FP: Floats, i: int) -> None:
-    for j in range(12):
-        FP[i, j] += factor * P[k, j]
-
-
-@compiled
-def _add_second_order(P: Floats, F: Floats, dt: float, FP: Floats) -> None:
-    """Add (F P dt) F' dt, the same number to both triangles, passing over the blocks of F that are zero."""
-    for i in range(6):
-        for j in range(i + 1):
-            product = 0.0
-            if j < 3:
-                for k in range(9):
-                    product += FP[i, k] * F[j, k]
-            else:
-                for k in range(3):
-                    product += FP[i, 3 + k] * F[j, 3 + k] + FP[i, 9 + k] * F[j, 9 + k]
-            P[i, j] += product * dt
-            if i != j:
-                P[j, i] += product * dt
 
 
 def noise_density(

@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.history import History
 from insdvl_replay.nav.compiled import compiled
-from insdvl_replay.nav.error_model import add_noise, propagate_cov, write_system_matrix
+from insdvl_replay.nav.correction import correct
+from insdvl_replay.nav.error_model import add_noise, propagate_cov
 from insdvl_replay.nav.innovation import InsAtPing, linearise
-from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, multiply, standardised, update_cov
+from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, standardised, update_cov
 from insdvl_replay.nav.measurements import Measurement
+from insdvl_replay.nav.place import normal_gravity, place_at, place_near
 from insdvl_replay.nav.recording import Ins, Records, Updates, history_of, new_records, new_updates, write_record
-from insdvl_replay.nav.strapdown import Step, new_step, normal_gravity, propagate, rotate_back, rotation_from_vector
-from insdvl_replay.nav.timeline import Timeline
+from insdvl_replay.nav.strapdown import Motion, propagate
+from insdvl_replay.nav.timeline import Timeline, mean_reading
+from insdvl_replay.nav.vector_algebra import Vector, matrix, rotate_back, subtract, vector, write_vector
 
 
 @dataclass(frozen=True)
@@ -150,32 +153,29 @@ def _run(
     """Walk the time line. This is the whole filter."""
     pings = updates.nis.shape[1]
     memory = _Memory(np.zeros((pings, 3)), np.zeros((pings, 3)), np.zeros((pings, 3)), np.zeros(3))
-    step = new_step()
-    force_b, rate_b = np.zeros(3), np.zeros(3)
-    F, FP = np.zeros((12, 12)), np.zeros((6, 12))
+    place = place_at(ins.position[0], ins.position[2])
     z, H = np.zeros(3), np.zeros((3, 12))
 
     write_record(ins, records, 0)
     row = 1
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
-        for i in range(3):
-            force_b[i] = 0.5 * (specific_force_b[k - 1, i] + specific_force_b[k, i]) - ins.accel_bias_b[i]
-            rate_b[i] = 0.5 * (angular_rate_b[k - 1, i] + angular_rate_b[k, i]) - ins.gyro_bias_b[i]
-        propagate(ins.position, ins.velocity_n, ins.mat_nb, force_b, rate_b, dt, step)
-        write_system_matrix(step.rate_ie_n, step.rate_in_n, step.force_n, ins.mat_nb, F)
-        propagate_cov(ins.P, F, noise_density, dt, FP)
+        place = place_near(place, ins.position[0], ins.position[2])
+        force_b = subtract(mean_reading(specific_force_b, k), vector(ins.accel_bias_b))
+        rate_b = subtract(mean_reading(angular_rate_b, k), vector(ins.gyro_bias_b))
+        motion = propagate(ins.position, ins.velocity_n, ins.mat_nb, force_b, rate_b, dt, place)
+        propagate_cov(ins.P, motion, noise_density, dt)
         if gap[k] >= 0:
             add_noise(ins.P, gap_noise_density[gap[k]], dt)
 
         if ping[k] >= 0:
-            _note_motion(ins, memory, ping[k], angular_rate_b[k], step)
+            _note_motion(ins, memory, ping[k], angular_rate_b[k], motion)
             for m in range(len(measurements.kind)):
                 if measurements.available[m, ping[k]]:
                     measurement = _unstacked(measurements, m)
                     linearise(measurement, ping[k], _at_ping(ins, memory, specific_force_b[k], lever_arm_b), z, H)
                     _update(ins, measurement, m, ping[k], z, H, updates)
-            rotate_back(ins.mat_nb, ins.velocity_n, memory.velocity_after_b)
+            write_vector(_velocity_b(ins), memory.velocity_after_b)
         if record[k]:
             write_record(ins, records, row)
             row += 1
@@ -201,17 +201,18 @@ def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
 
 
 @compiled
-def _note_motion(ins: Ins, memory: _Memory, ping: int, reading_b: Floats, step: Step) -> None:
+def _note_motion(ins: Ins, memory: _Memory, ping: int, reading_b: Floats, motion: Motion) -> None:
     """Write down the angular rates at a ping, and what the mechanisation added to the body velocity since the last."""
-    velocity_b, rate_ie_b, rate_in_b = np.empty(3), np.empty(3), np.empty(3)
-    rotate_back(ins.mat_nb, ins.velocity_n, velocity_b)
-    rotate_back(ins.mat_nb, step.rate_ie_n, rate_ie_b)
-    rotate_back(ins.mat_nb, step.rate_in_n, rate_in_b)
-    for i in range(3):
-        rate_ib = reading_b[i] - ins.gyro_bias_b[i]
-        memory.rate_nb_b[ping, i] = rate_ib - rate_in_b[i]
-        memory.rate_eb_b[ping, i] = rate_ib - rate_ie_b[i]
-        memory.velocity_change_b[ping, i] = velocity_b[i] - memory.velocity_after_b[i]
+    rate_ib_b = subtract(vector(reading_b), vector(ins.gyro_bias_b))
+    write_vector(subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_in_n)), memory.rate_nb_b[ping])
+    write_vector(subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_ie_n)), memory.rate_eb_b[ping])
+    change_b = subtract(_velocity_b(ins), vector(memory.velocity_after_b))
+    write_vector(change_b, memory.velocity_change_b[ping])
+
+
+@compiled
+def _velocity_b(ins: Ins) -> Vector:
+    return rotate_back(matrix(ins.mat_nb), vector(ins.velocity_n))
 
 
 @compiled
@@ -263,22 +264,4 @@ def _update(ins: Ins, measurement: Measurement, m: int, ping: int, z: Floats, H:
     if updates.used[m, ping]:
         K = gain(PH, L)
         update_cov(ins.P, H, R, K)
-        _correct(ins, K, z)
-
-
-@compiled
-def _correct(ins: Ins, K: Floats, z: Floats) -> None:
-    """Take the estimated errors ``dx = K z`` out of the navigation state; the error state returns to zero."""
-    dx, vector, turn, turned = np.empty(12), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    for i in range(12):
-        dx[i] = K[i, 0] * z[0] + K[i, 1] * z[1] + K[i, 2] * z[2]
-    for i in range(3):
-        ins.velocity_n[i] -= dx[i]
-        vector[i] = -dx[3 + i]
-        ins.accel_bias_b[i] += dx[6 + i]
-        ins.gyro_bias_b[i] += dx[9 + i]
-    rotation_from_vector(vector, turn)
-    multiply(turn, ins.mat_nb, turned)
-    for i in range(3):
-        for j in range(3):
-            ins.mat_nb[i, j] = turned[i, j]
+        correct(ins, K, z)

@@ -20,7 +20,7 @@ from insdvl_replay.columns import Floats
 from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.error_model import write_skew
 from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, Measurement
-from insdvl_replay.nav.strapdown import rotate_back
+from insdvl_replay.nav.vector_algebra import matrix, rotate_back, vector, write_vector
 
 
 class InsAtPing(NamedTuple):
@@ -83,7 +83,7 @@ def linearise(measurement: Measurement, ping: int, ins: InsAtPing, z: Floats, H:
 @compiled
 def _predict_velocity(ins: InsAtPing, ping: int, z: Floats, H: Floats) -> None:
     """Write the velocity at the DVL, C' v + w_eb x l, and its Jacobian."""
-    rotate_back(ins.mat_nb, ins.velocity_n, z)
+    write_vector(rotate_back(matrix(ins.mat_nb), vector(ins.velocity_n)), z)
     _add_cross(1.0, ins.rate_eb_b, ping, ins.lever_arm_b, z)
     for i in range(3):
         for j in range(3):
@@ -96,7 +96,7 @@ def _predict_velocity(ins: InsAtPing, ping: int, z: Floats, H: Floats) -> None:
 def _predict_specific_force(ins: InsAtPing, z: Floats, H: Floats) -> None:
     """Write the paper's prediction, f + C' g, and its Jacobian with the sign that goes with F."""
     gravity_n = np.array([0.0, 0.0, ins.gravity])
-    rotate_back(ins.mat_nb, gravity_n, z)
+    write_vector(rotate_back(matrix(ins.mat_nb), vector(gravity_n)), z)
     _add_turned_skew(ins.mat_nb, gravity_n, H)
     for i in range(3):
         z[i] += ins.specific_force_b[i]
@@ -133,7 +133,7 @@ def _write_slope_jacobian(ins: InsAtPing, ping: int, H: Floats) -> None:
         for j in range(6):
             for k in range(3):
                 H[i, j] -= rate[i, k] * turned[k, j]
-    rotate_back(ins.mat_nb, ins.velocity_n, velocity_b)
+    write_vector(rotate_back(matrix(ins.mat_nb), vector(ins.velocity_n)), velocity_b)
     write_skew(H, 0, 9, 1.0, velocity_b)
 
 

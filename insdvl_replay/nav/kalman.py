@@ -134,6 +134,9 @@ def gain(PH: Floats, L: Floats) -> Floats:
 def update_cov(P: Floats, H: Floats, R: Floats, K: Floats) -> None:
     """Update the covariance in place, ``P <- (I - K H) P (I - K H)' + K R K'``, and keep it symmetric.
 
+    With ``A = I - K H`` it is ``A P + (K R - A P H') K'``; if K is the gain, the bracket vanishes but for rounding.
+    Multiplied out in this way, no product is of two matrices of n columns.
+
     Parameters
     ----------
     P : ndarray, shape (n, n)
@@ -142,16 +145,19 @@ def update_cov(P: Floats, H: Floats, R: Floats, K: Floats) -> None:
     K : ndarray, shape (n, m)
     """
     n, m = K.shape
-    A, AP, joseph = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
-    KR, noise = np.empty((n, m)), np.empty((n, n))
-    multiply(K, H, A)
+    HP, AP, change = np.empty((m, n)), np.empty((n, n)), np.empty((n, n))
+    APH, rest = np.empty((n, m)), np.empty((n, m))
+    multiply(H, P, HP)
+    multiply(K, HP, change)
     for i in range(n):
         for j in range(n):
-            A[i, j] = (1.0 if i == j else 0.0) - A[i, j]
-    multiply(A, P, AP)
-    multiply_transposed(AP, A, joseph)
-    multiply(K, R, KR)
-    multiply_transposed(KR, K, noise)
+            AP[i, j] = P[i, j] - change[i, j]
+    multiply_transposed(AP, H, APH)
+    multiply(K, R, rest)
+    for i in range(n):
+        for j in range(m):
+            rest[i, j] -= APH[i, j]
+    multiply_transposed(rest, K, change)
     for i in range(n):
         for j in range(n):
-            P[i, j] = 0.5 * ((joseph[i, j] + joseph[j, i]) + (noise[i, j] + noise[j, i]))
+            P[i, j] = 0.5 * ((AP[i, j] + AP[j, i]) + (change[i, j] + change[j, i]))

@@ -18,8 +18,10 @@ from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.error_model import write_system_matrix
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.strapdown import Step, new_step, normal_gravity, propagate, rotate_back
-from insdvl_replay.nav.timeline import Timeline
+from insdvl_replay.nav.place import normal_gravity, place_at, place_near
+from insdvl_replay.nav.strapdown import Motion, propagate
+from insdvl_replay.nav.timeline import Timeline, mean_reading
+from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate_back, subtract, vector, write_vector
 
 TOLERANCE: Final = 3e-6
 """Rounding leaves about 1e-8 of the largest singular value; the weakest effect, of the Earth's rate, is about 1e-5."""
@@ -240,20 +242,16 @@ def _walk(
         nominal_velocity_n[0].copy(),
         nominal_mat_nb[0].copy(),
     )
-    step, row = new_step(), 0
-    force_b, rate_b, rate_in_b, before_n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    place, row = place_at(position_now[0], position_now[2]), 0
     F, Phi = np.zeros((12, 12)), np.eye(12)
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
-        for i in range(3):
-            force_b[i] = 0.5 * (specific_force_b[k - 1, i] + specific_force_b[k, i]) - accel_bias_b[row, i]
-            rate_b[i] = 0.5 * (angular_rate_b[k - 1, i] + angular_rate_b[k, i]) - gyro_bias_b[row, i]
-            before_n[i] = velocity_now[i]
-        propagate(position_now, velocity_now, mat_now, force_b, rate_b, dt, step)
-        rotate_back(mat_now, step.rate_in_n, rate_in_b)
-        if not earth_rate:
-            _stop_the_earth(step, before_n)
-        write_system_matrix(step.rate_ie_n, step.rate_in_n, step.force_n, mat_now, F)
+        before_n, place = vector(velocity_now), place_near(place, position_now[0], position_now[2])
+        force_b = subtract(mean_reading(specific_force_b, k), vector(accel_bias_b[row]))
+        rate_b = subtract(mean_reading(angular_rate_b, k), vector(gyro_bias_b[row]))
+        motion = propagate(position_now, velocity_now, mat_now, force_b, rate_b, dt, place)
+        rate_in_b = rotate_back(motion.mat_nb, motion.rate_in_n)
+        write_system_matrix(motion if earth_rate else _on_a_resting_earth(motion, before_n), F)
         Phi += dt * (F @ Phi)
         if record[k]:
             row += 1
@@ -263,21 +261,18 @@ def _walk(
         if ping[k] >= 0:
             velocity_n[ping[k]] = velocity_now
             mat_nb[ping[k]] = mat_now
-            rate_nb_b[ping[k]] = angular_rate_b[k] - gyro_bias_b[row] - rate_in_b
+            rate_ib_b = subtract(vector(angular_rate_b[k]), vector(gyro_bias_b[row]))
+            write_vector(subtract(rate_ib_b, rate_in_b), rate_nb_b[ping[k]])
             gravity[ping[k]] = normal_gravity(position_now[0], position_now[2])
             transition[ping[k]] = Phi
 
 
 @compiled
-def _stop_the_earth(step: Step, velocity_n: Floats) -> None:
-    """Leave the specific force that the same way would take on an Earth that is flat and at rest."""
-    x, y, z = step.rate_ie_n + step.rate_in_n
-    north, east, down = velocity_n
-    step.force_n[0] -= y * down - z * east
-    step.force_n[1] -= z * north - x * down
-    step.force_n[2] -= x * east - y * north
-    step.rate_ie_n[:] = 0.0
-    step.rate_in_n[:] = 0.0
+def _on_a_resting_earth(motion: Motion, velocity_n: Vector) -> Motion:
+    """Give the motion with the specific force that the same way would take on an Earth that is flat and at rest."""
+    coriolis_n = cross(add(motion.rate_ie_n, motion.rate_in_n), velocity_n)
+    still = (0.0, 0.0, 0.0)
+    return Motion(still, still, subtract(motion.force_n, coriolis_n), motion.mat_nb)
 
 
 @compiled

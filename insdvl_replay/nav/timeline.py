@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, ImuColumns, TimeNs, seconds
+from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.gaps import NO_GAPS, Gaps
+from insdvl_replay.nav.vector_algebra import Vector
 
 
 @dataclass(frozen=True)
@@ -116,3 +118,13 @@ def _gap_rows(time_ns: TimeNs, gaps: Gaps) -> NDArray[np.int32]:
 
 def _interpolated(time_s: Floats, sample_s: Floats, readings: Floats) -> Floats:
     return np.column_stack([np.interp(time_s, sample_s, readings[:, axis]) for axis in range(3)])
+
+
+@compiled
+def mean_reading(readings: Floats, k: int) -> Vector:
+    """Give the mean of a reading over the interval before node k."""
+    return (
+        0.5 * (readings[k - 1, 0] + readings[k, 0]),
+        0.5 * (readings[k - 1, 1] + readings[k, 1]),
+        0.5 * (readings[k - 1, 2] + readings[k, 2]),
+    )

@@ -13,8 +13,8 @@ from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.alignment import initial_sd
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.filter import Start, run_filter
-from insdvl_replay.nav.strapdown import rotation_from_vector
 from insdvl_replay.nav.timeline import build_timeline
+from insdvl_replay.nav.vector_algebra import rotation_from_vector, vector
 from insdvl_replay.rotation import mat_from_rpy
 from insdvl_replay.sim.dive import add_errors, exact_dive, named
 from insdvl_replay.sim.dvl_errors import DvlErrors
@@ -178,8 +178,8 @@ def drawn_start(world: World, seed: int) -> Start:
         column[0]
         for column in (world.exact.reference.position, world.exact.reference.velocity_n, world.exact.reference.mat_nb)
     )
-    sd, turn = initial_sd(world.config.initial), np.empty((3, 3))
-    rotation_from_vector(sd[PHI] * rng.standard_normal(3), turn)
+    sd = initial_sd(world.config.initial)
+    turn = np.array(rotation_from_vector(vector(sd[PHI] * rng.standard_normal(3))))
     return Start(position, velocity_n + sd[DV] * rng.standard_normal(3), turn @ mat_nb, sd)
 
 

@@ -1,0 +1,190 @@
+"""How long a filter takes an epoch, against other filters on the same readings; and a Monte Carlo study by its stages.
+
+`make bench` runs this, with the helpers of the tests on the path. All contenders are measured in turn, several
+times; what counts are the ratios, since they hardly depend on the machine.
+"""
+
+import argparse
+import subprocess
+import sys
+import time
+import warnings
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from plain_filter import Inputs, baseline_inputs, run_plain_filter
+from python_ins import Case, their_belief
+from results import machine, table, write_part
+
+from insdvl_replay.columns import Dive, Floats
+from insdvl_replay.config_file import load_config
+from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.studies import simulated_run
+from insdvl_replay.studies.montecarlo import study_montecarlo
+
+ROUNDS = 5
+AGAIN = 40
+"""Runs of the compiled filter in one measurement, of which the fastest counts: one takes a millisecond."""
+GOALS = "At most 0.5 us an epoch, 1000 times python-ins, 10 times GTSAM; 100 runs of a lawnmower in 15 s on two cores."
+STAGES = {"add_errors": "noise", "run_filter": "filters", "run_errors": "statistics"}
+
+Contender = Callable[[], tuple[float, Floats | None]]
+"""Gives seconds, and the standard deviations of the six biases at the end where it has any."""
+
+
+def epochs_of(inputs: Inputs) -> int:
+    """Count the intervals of the time line."""
+    return len(inputs.timeline.time_s) - 1
+
+
+def with_insdvl_replay(inputs: Inputs) -> tuple[float, Floats]:
+    """Run the compiled filter."""
+    timeline, start, noise_density, velocity = inputs
+    took_s = []
+    for _ in range(AGAIN):
+        start_s = time.thread_time()
+        history = run_filter("baseline", timeline, start, noise_density, (velocity,), np.zeros(3))
+        took_s.append(time.thread_time() - start_s)
+    return min(took_s), history.sd[-1, 6:]
+
+
+def with_numpy(inputs: Inputs) -> tuple[float, Floats]:
+    """Run the same equations as matrices of numpy."""
+    start_s = time.thread_time()
+    belief = run_plain_filter(inputs)
+    return time.thread_time() - start_s, np.sqrt(np.diag(belief.P))[6:]
+
+
+def with_python_ins(case: Case, dive: Dive) -> tuple[float, Floats]:
+    """Run python-ins, which has a state for the position, too."""
+    velocities = case.velocities(dive)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        start_s = time.thread_time()
+        belief = their_belief(dive, velocities)
+        return time.thread_time() - start_s, belief.bias_sd
+
+
+def with_gtsam(python: str, inputs: Inputs) -> tuple[float, None]:
+    """Let GTSAM integrate the readings, one call of Python for each."""
+    timeline = inputs.timeline
+    with TemporaryDirectory() as folder:
+        path, dt = Path(folder) / "readings.npz", float(np.median(np.diff(timeline.time_s)))
+        readings = {"force_b": timeline.specific_force_b[1:], "rate_b": timeline.angular_rate_b[1:], "dt": dt}
+        np.savez(path, noise_density=inputs.noise_density, **readings)
+        command = [python, str(Path(__file__).with_name("gtsam_loop.py")), str(path)]
+        found = subprocess.run(command, check=True, capture_output=True, text=True)
+    return float(found.stdout) * epochs_of(inputs), None
+
+
+def contenders(gtsam_python: str | None) -> tuple[int, dict[str, Contender]]:
+    """Give the number of epochs, and what is measured on them."""
+    case = Case()
+    dive = case.dive()
+    inputs = baseline_inputs(dive, case.config())
+    found: dict[str, Contender] = {
+        "insdvl-replay": lambda: with_insdvl_replay(inputs),
+        "the same equations in numpy": lambda: with_numpy(inputs),
+        "python-ins": lambda: with_python_ins(case, dive),
+    }
+    if gtsam_python:
+        found["GTSAM, without updates"] = lambda: with_gtsam(gtsam_python, inputs)
+    return epochs_of(inputs), found
+
+
+def filter_rows(gtsam_python: str | None) -> list[str]:
+    """Measure all contenders in turn, and make a row of each."""
+    epochs, measured = contenders(gtsam_python)
+    took_s, sd = defaultdict(list), {}
+    for _ in range(ROUNDS):
+        for name, contender in measured.items():
+            seconds, sd[name] = contender()
+            took_s[name].append(seconds)
+    ours_s, ours_sd = median(took_s["insdvl-replay"]), sd["insdvl-replay"]
+    rows = []
+    for name, each_s in took_s.items():
+        theirs_sd, seconds = sd[name], median(each_s)
+        off = "" if theirs_sd is None else f"{100.0 * np.abs(theirs_sd / ours_sd - 1.0).max():.2g} %"
+        rows.append(f"| {name} | {1e6 * seconds / epochs:.2f} | {seconds / ours_s:.0f} x | {off} |")
+    return rows
+
+
+@contextmanager
+def stages_timed() -> Iterator[dict[str, float]]:
+    """Add up the seconds of processor time that the stages of simulated runs take."""
+    spent: dict[str, float] = defaultdict(float)
+    originals = {name: getattr(simulated_run, name) for name in STAGES}
+
+    def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*arguments: Any, **options: Any) -> Any:
+            start_s = time.thread_time()
+            result = function(*arguments, **options)
+            spent[STAGES[name]] += time.thread_time() - start_s
+            return result
+
+        return run
+
+    for name, function in originals.items():
+        setattr(simulated_run, name, timed(name, function))
+    try:
+        yield spent
+    finally:
+        for name, function in originals.items():
+            setattr(simulated_run, name, function)
+
+
+def study_row(runs: int, jobs: int) -> str:
+    """Time a study of a lawnmower, and then its stages."""
+    took_s = []
+    for _ in range(ROUNDS):
+        start_s = time.perf_counter()
+        study_montecarlo("lawnmower", load_config(), runs=runs, jobs=jobs)
+        took_s.append(time.perf_counter() - start_s)
+    with stages_timed() as spent:
+        study_montecarlo("lawnmower", load_config(), runs=10, jobs=1)
+    seconds = median(took_s)
+    stages = " | ".join(f"{100.0 * spent[stage]:.0f}" for stage in STAGES.values())
+    return f"| {runs} | {jobs} | {seconds:.1f} | {runs / seconds:.1f} | {stages} |"
+
+
+def report(gtsam_python: str | None, runs: int, jobs: int) -> str:
+    """Measure everything and make a part of the page of it."""
+    lines = [
+        "# Filtering",
+        "",
+        "One filter aided by velocities, 60 s of a figure-eight with two turns at 100 Hz and 1 Hz: mechanisation and "
+        "covariance at every reading, an update at every ping. Medians of five, measured in turn, in processor time; "
+        "the last column is how far the standard deviation of any bias at the end is from ours. GTSAM does what comes "
+        "between two updates (`PreintegratedCombinedMeasurements`), called from Python for each reading.",
+        "",
+        *table(("filter", "us an epoch", "against ours", "bias sd off by"), filter_rows(gtsam_python)),
+        "",
+        "A Monte Carlo study of the lawnmower, 25 min at 100 Hz, both filters; stages in ms of processor time a run.",
+        "",
+        *table(("runs", "jobs", "s", "runs a second", *STAGES.values()), [study_row(runs, jobs)]),
+        "",
+        f"{machine()}; shared cores: read the ratios. {GOALS}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Measure, print and write the part of the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--gtsam", metavar="PYTHON", help="an interpreter that has GTSAM; left out, it is not measured")
+    parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    part = report(arguments.gtsam, arguments.runs, arguments.jobs)
+    sys.stdout.write(part)
+    write_part(part)
+
+
+if __name__ == "__main__":
+    main()

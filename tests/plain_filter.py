@@ -1,0 +1,101 @@
+"""The velocity-aided filter as a textbook has it: matrices in numpy, one epoch after the other, nothing saved."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from insdvl_replay.columns import Dive, Floats
+from insdvl_replay.config import Config
+from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
+from insdvl_replay.nav.aiding import filter_measurements, filter_noise
+from insdvl_replay.nav.filter import Start
+from insdvl_replay.nav.measurements import Measurement
+from insdvl_replay.nav.timeline import Timeline, build_timeline
+from insdvl_replay.preparation import prepare_dive
+from insdvl_replay.rotation import skew
+from insdvl_replay.states import BA, BG, DV, PHI
+
+
+class Inputs(NamedTuple):
+    """What a filter of velocities works on, here and in the program."""
+
+    timeline: Timeline
+    start: Start
+    noise_density: Floats
+    velocity: Measurement
+
+
+class Belief(NamedTuple):
+    """What the filter believes at the end; P is that of `states.State`."""
+
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+    P: Floats
+
+
+def baseline_inputs(dive: Dive, config: Config) -> Inputs:
+    """Prepare the baseline; no innovation is too large for it."""
+    prepared, baseline = prepare_dive(dive, config), config.filters[config.baseline]
+    ping_ns, nowhere = prepared.velocities.time_ns, np.empty(0, dtype=np.int64)
+    timeline = build_timeline(dive.imu, ping_ns, nowhere, prepared.alignment.start_ns, prepared.end_ns)
+    (velocity,) = filter_measurements(baseline, prepared.velocities, config, gate=np.inf)
+    return Inputs(timeline, prepared.alignment.start, filter_noise(baseline, config), velocity)
+
+
+def run_plain_filter(inputs: Inputs) -> Belief:
+    """Run the filter over a time line; the DVL is at the IMU."""
+    timeline, start, noise_density, velocity = inputs
+    belief = Belief(
+        start.position, start.velocity_n, start.mat_nb, start.accel_bias_b, start.gyro_bias_b, np.diag(start.sd**2)
+    )
+    for k in range(1, len(timeline.time_s)):
+        force_b = timeline.specific_force_b[k - 1 : k + 1].mean(axis=0) - belief.accel_bias_b
+        rate_b = timeline.angular_rate_b[k - 1 : k + 1].mean(axis=0) - belief.gyro_bias_b
+        belief = propagated(belief, force_b, rate_b, timeline.time_s[k] - timeline.time_s[k - 1], noise_density)
+        if timeline.ping[k] >= 0:
+            belief = updated(belief, velocity.measured_b[timeline.ping[k]], velocity.cov_b[timeline.ping[k]])
+    return belief
+
+
+def propagated(belief: Belief, force_b: Floats, rate_b: Floats, dt: float, noise_density: Floats) -> Belief:
+    (latitude, longitude, height_m), velocity = belief.position, belief.velocity_n
+    r_n, r_e = meridian_radius_m(latitude) + height_m, transverse_radius_m(latitude) + height_m
+    w_ie = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
+    w_in = w_ie + np.array([velocity[1] / r_e, -velocity[0] / r_n, -velocity[1] * np.tan(latitude) / r_e])
+
+    frame_turn, body_turn = Rotation.from_rotvec(-w_in * dt), Rotation.from_rotvec(rate_b * dt)
+    mat_nb = frame_turn.as_matrix() @ belief.mat_nb @ body_turn.as_matrix()
+    force_n = 0.5 * (belief.mat_nb + mat_nb) @ force_b
+    gravity_n = np.array([0.0, 0.0, normal_gravity(latitude, height_m)])
+    velocity_n = velocity + dt * (force_n + gravity_n - np.cross(w_ie + w_in, velocity))
+    north, east, down = 0.5 * dt * (velocity + velocity_n)
+    position = np.array([latitude + north / r_n, longitude + east / (r_e * np.cos(latitude)), height_m - down])
+
+    Phi = np.eye(12)
+    Phi[DV, DV] -= skew(w_ie + w_in) * dt
+    Phi[DV, PHI] -= skew(force_n) * dt
+    Phi[PHI, PHI] -= skew(w_in) * dt
+    Phi[DV, BA] = Phi[PHI, BG] = mat_nb * dt
+    P = Phi @ belief.P @ Phi.T + np.diag(noise_density) * dt
+    return belief._replace(position=position, velocity_n=velocity_n, mat_nb=mat_nb, P=P)
+
+
+def updated(belief: Belief, velocity_b: Floats, R: Floats) -> Belief:
+    H = np.zeros((3, 12))
+    H[:, DV], H[:, PHI] = belief.mat_nb.T, belief.mat_nb.T @ skew(belief.velocity_n)
+    z = belief.mat_nb.T @ belief.velocity_n - velocity_b
+    K = belief.P @ H.T @ np.linalg.inv(H @ belief.P @ H.T + R)
+    dx, A, T = K @ z, np.eye(12) - K @ H, np.eye(12)
+    T[DV, PHI] = skew(dx[DV])
+    return Belief(
+        belief.position,
+        belief.velocity_n - dx[DV],
+        Rotation.from_rotvec(-dx[PHI]).as_matrix() @ belief.mat_nb,
+        belief.accel_bias_b + dx[BA],
+        belief.gyro_bias_b + dx[BG],
+        T @ (A @ belief.P @ A.T + K @ R @ K.T) @ T.T,
+    )

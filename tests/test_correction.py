@@ -1,0 +1,67 @@
+"""What a correction does to the covariance, against finite differences of the error that it has to leave alone."""
+
+import numpy as np
+from jacobian import assert_jacobian
+from scipy.spatial.transform import Rotation
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.nav.correction import correct, keep_invariant_error
+from insdvl_replay.nav.recording import Ins
+from insdvl_replay.rotation import skew
+from insdvl_replay.states import DV, PHI
+
+VELOCITY_N = np.array([1.2, -0.7, 0.3])
+CHANGE_N = np.array([0.2, 0.3, -0.1])  # taken off the velocity
+
+
+def turned(phi: Floats) -> Floats:
+    return Rotation.from_rotvec(phi).as_matrix()
+
+
+def invariant_error(velocity_n: Floats, dx: Floats) -> Floats:
+    """Give ``v_hat - C_hat C' v``: the velocity error that is left when the true dive is turned by the misalignment."""
+    return velocity_n - turned(dx[PHI]) @ (velocity_n - dx[DV])
+
+
+def expressed_about_the_corrected_velocity(dx: Floats) -> Floats:
+    """Give the error about the corrected velocity that has the same invariant error as ``dx`` before."""
+    after = VELOCITY_N - CHANGE_N
+    true = turned(dx[PHI]).T @ (after - invariant_error(VELOCITY_N, dx))
+    return np.concatenate([after - true, dx[3:]])
+
+
+def transformation() -> Floats:
+    T = np.eye(12)
+    T[DV, PHI] = skew(CHANGE_N)
+    return T
+
+
+def random_cov(seed: int) -> Floats:
+    root = np.random.default_rng(seed).normal(size=(12, 12))
+    return root @ root.T
+
+
+def test_transformation_leaves_the_invariant_error_alone() -> None:
+    assert_jacobian(transformation(), expressed_about_the_corrected_velocity, np.zeros(12), atol=1e-9, step=1e-5)
+
+
+def test_covariance_is_transformed_as_the_matrices_say() -> None:
+    P, T = random_cov(3), transformation()
+    expected = T @ P @ T.T
+    keep_invariant_error(P, CHANGE_N)
+    np.testing.assert_allclose(P, expected, rtol=1e-13)
+    np.testing.assert_array_equal(P, P.T)
+
+
+def test_estimated_errors_are_taken_out_of_the_state() -> None:
+    mat_nb = turned(np.array([0.3, -0.1, 2.0]))
+    ins = Ins(np.zeros(3), VELOCITY_N.copy(), mat_nb.copy(), np.zeros(3), np.zeros(3), random_cov(4))
+    K, z = 0.1 * np.random.default_rng(5).normal(size=(12, 3)), np.array([0.2, -0.1, 0.3])
+    dx = K @ z
+    expected_cov = ins.P.copy()
+    keep_invariant_error(expected_cov, dx[DV])
+    correct(ins, K, z)
+    np.testing.assert_allclose(ins.velocity_n, VELOCITY_N - dx[DV], rtol=1e-14)
+    np.testing.assert_allclose(ins.mat_nb, turned(-dx[PHI]) @ mat_nb, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(np.concatenate([ins.accel_bias_b, ins.gyro_bias_b]), dx[6:], rtol=1e-14)
+    np.testing.assert_array_equal(ins.P, expected_cov)
