@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
-from insdvl_replay.nav.place import place_at, place_near
+from insdvl_replay.nav.place import place_at, within_reach
 from insdvl_replay.nav.strapdown import propagate
 from insdvl_replay.nav.vector_algebra import vector
 
@@ -47,7 +47,8 @@ def mechanised(motion: Motion, mat: Floats, rate_hz: float, duration_s: float) -
     for before, after in pairwise(time_s):
         force = 0.5 * (motion.force_b(before) + motion.force_b(after))
         rate = 0.5 * (motion.rate_b(before) + motion.rate_b(after))
-        place = place_near(place, position[0], position[2])
+        if not within_reach(place, position[0], position[2]):
+            place = place_at(position[0], position[2])
         propagate(position, velocity, mat, vector(force), vector(rate), after - before, place)
     return position, velocity, mat
 

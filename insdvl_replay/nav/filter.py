@@ -18,7 +18,7 @@ from insdvl_replay.nav.error_model import add_noise, propagate_cov
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, standardised, update_cov
 from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.place import normal_gravity, place_at, place_near
+from insdvl_replay.nav.place import normal_gravity, place_at, within_reach
 from insdvl_replay.nav.recording import Ins, Records, Updates, history_of, new_records, new_updates, write_record
 from insdvl_replay.nav.strapdown import Motion, propagate
 from insdvl_replay.nav.timeline import Timeline, mean_reading
@@ -160,7 +160,8 @@ def _run(
     row = 1
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
-        place = place_near(place, ins.position[0], ins.position[2])
+        if not within_reach(place, ins.position[0], ins.position[2]):
+            place = place_at(ins.position[0], ins.position[2])
         force_b = subtract(mean_reading(specific_force_b, k), vector(ins.accel_bias_b))
         rate_b = subtract(mean_reading(angular_rate_b, k), vector(ins.gyro_bias_b))
         motion = propagate(ins.position, ins.velocity_n, ins.mat_nb, force_b, rate_b, dt, place)

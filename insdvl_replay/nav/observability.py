@@ -18,7 +18,7 @@ from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.error_model import write_system_matrix
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.place import normal_gravity, place_at, place_near
+from insdvl_replay.nav.place import normal_gravity, place_at, within_reach
 from insdvl_replay.nav.strapdown import Motion, propagate
 from insdvl_replay.nav.timeline import Timeline, mean_reading
 from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate_back, subtract, vector, write_vector
@@ -246,7 +246,9 @@ def _walk(
     F, Phi = np.zeros((12, 12)), np.eye(12)
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
-        before_n, place = vector(velocity_now), place_near(place, position_now[0], position_now[2])
+        before_n = vector(velocity_now)
+        if not within_reach(place, position_now[0], position_now[2]):
+            place = place_at(position_now[0], position_now[2])
         force_b = subtract(mean_reading(specific_force_b, k), vector(accel_bias_b[row]))
         rate_b = subtract(mean_reading(angular_rate_b, k), vector(gyro_bias_b[row]))
         motion = propagate(position_now, velocity_now, mat_now, force_b, rate_b, dt, place)

@@ -96,8 +96,8 @@ def place_at(latitude: float, height_m: float) -> Place:
 
 
 @compiled
-def place_near(place: Place, latitude: float, height_m: float) -> Place:
-    """Give the same place as long as it is in reach.
+def within_reach(place: Place, latitude: float, height_m: float) -> bool:
+    """Say whether a place still stands for where the vehicle is.
 
     Parameters
     ----------
@@ -108,11 +108,9 @@ def place_near(place: Place, latitude: float, height_m: float) -> Place:
 
     Returns
     -------
-    Place
+    bool
     """
-    if abs(latitude - place.latitude) <= REACH_RAD and abs(height_m - place.height_m) <= REACH_M:
-        return place
-    return place_at(latitude, height_m)
+    return abs(latitude - place.latitude) <= REACH_RAD and abs(height_m - place.height_m) <= REACH_M
 
 
 @compiled
