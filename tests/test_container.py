@@ -5,12 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from small_logs import CONTAINERS, IMU_MESSAGES, MESSAGES, messages, small_log, true_messages, written
 
 from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.container import Log
+from insdvl_replay.logs.records import find_few_records, find_records
 
 
 @pytest.fixture
@@ -99,3 +102,21 @@ def test_what_is_no_log_is_refused_by_name(path: Path, tmp_path: Path) -> None:
         assert raised.value.hint
     with pytest.raises(LogError, match="cannot be read: No such file"):
         Log(tmp_path / "absent.mcap")
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.binary(max_size=40),
+            st.tuples(st.integers(0, 255), st.binary(max_size=70)).map(
+                lambda record: bytes([record[0]]) + len(record[1]).to_bytes(8, "little") + record[1]
+            ),
+        ),
+        max_size=12,
+    ).map(b"".join)
+)
+def test_few_records_are_found_as_many_are(data: bytes) -> None:
+    few, few_stop = find_few_records(memoryview(data), 0, len(data))
+    many, many_stop = find_records(memoryview(data), 0, len(data))
+    assert list(few.rows()) == list(many.rows())
+    assert few_stop == many_stop

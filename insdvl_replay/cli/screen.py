@@ -6,6 +6,7 @@ from contextlib import contextmanager
 
 from rich.console import Console, RenderableType
 
+from insdvl_replay.compiled import is_warm
 from insdvl_replay.report.json_report import Report
 from insdvl_replay.report.terminal import terminal_report
 
@@ -39,8 +40,6 @@ def patience(text: str) -> Iterator[None]:
 
 def compiling() -> str:
     """Say what a first run waits for, as the end of a sentence; nothing where the filter is compiled."""
-    from insdvl_replay.nav.compiled import is_warm  # whoever looks into a log must not wait for numba
-
     return "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
 
 

@@ -1,17 +1,16 @@
 """The records of an MCAP file: where each one stands, and where the next one stands after bytes that are none.
 
-The two loops over bytes are compiled, so that a file of millions of messages outside chunks, or a chunk without index,
-costs no more than one with.
+The loops over many of them are compiled, in `record_loops`, which is loaded where they are needed: the compiler takes a
+second to load, and a look at a summary needs none.
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, Final, ParamSpec, TypeVar, cast
+from typing import Any, Final
 
-import numba
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -19,9 +18,6 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from insdvl_replay.logs.damage import DamageError
-
-_P = ParamSpec("_P")
-_T = TypeVar("_T")
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 """First and last bytes of an MCAP file."""
@@ -40,7 +36,8 @@ BATCH: Final = 1 << 16
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _DATA_END: Final = int(Opcode.DATA_END)
-_LAST_KNOWN: Final = 15
+LAST_KNOWN: Final = 15
+"""Highest kind of record that the specification knows."""
 _FIRST_PRIVATE: Final = 128
 _LEAST_LENGTHS: Final = (0, 8, 20, 14, 16, 22, 40, 6, 64, 36, 64, 46, 8, 20, 17, 4)
 """What a record of each known kind must at least hold for its own fields."""
@@ -78,64 +75,11 @@ class Records:
         return Records(self.opcodes[chosen], self.starts[chosen], self.lengths[chosen])
 
 
-def _compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Compile on the first call, and keep the machine code where any folder can be written."""
-    try:
-        return cast(Callable[_P, _T], numba.njit(cache=True, nogil=True)(function))
-    except RuntimeError:
-        return cast(Callable[_P, _T], numba.njit(nogil=True)(function))
-
-
-@_compiled
-def _fitting(data: NDArray[np.uint8], start: int, end: int) -> tuple[int, int]:
-    """Give kind and length of the record at a place, or kind 0 if no record can stand there."""
-    room = end - start - 9
-    if room < 0:
-        return 0, 0
-    opcode = int(data[start])
-    length = 0
-    for i in range(8, 0, -1):
-        length = 256 * length + int(data[start + i])
-        # Checked at each byte, so that no length can overflow.
-        if length > room:
-            return 0, 0
-    if _LAST_KNOWN < opcode < _FIRST_PRIVATE or (opcode <= _LAST_KNOWN and length < _LEAST_LENGTHS[opcode]):
-        return 0, 0
-    return opcode, length
-
-
-@_compiled
-def _walk(
-    data: NDArray[np.uint8],
-    start: int,
-    end: int,
-    opcodes: NDArray[np.uint8],
-    starts: NDArray[np.int64],
-    lengths: NDArray[np.int64],
-) -> tuple[int, int]:
-    count = 0
-    while start < end and count < opcodes.size:
-        opcode, length = _fitting(data, start, end)
-        if opcode == 0:
-            break
-        opcodes[count], starts[count], lengths[count] = opcode, start, length
-        count += 1
-        start += 9 + length
-        if opcode == _DATA_END:
-            break
-    return count, start
-
-
-@_compiled
-def _resume(data: NDArray[np.uint8], start: int, end: int) -> int:
-    for place in range(start, end):
-        opcode, length = _fitting(data, place, end)
-        if 0 < opcode <= _LAST_KNOWN:
-            after = place + 9 + length
-            follower, _ = _fitting(data, after, end)
-            if after == end or 0 < follower <= _LAST_KNOWN:
-                return place
-    return end
+def can_be_record(opcode: int, length: int) -> bool:
+    """Tell whether a record of a kind can have a length."""
+    if opcode > LAST_KNOWN:
+        return opcode >= _FIRST_PRIVATE
+    return opcode > 0 and length >= _LEAST_LENGTHS[opcode]
 
 
 def find_records(data: memoryview, start: int, end: int) -> tuple[Records, int]:
@@ -154,9 +98,37 @@ def find_records(data: memoryview, start: int, end: int) -> tuple[Records, int]:
     int
         Where the walk stopped: at the end, behind the last of the records, or at bytes that are no record.
     """
+    from insdvl_replay.logs.record_loops import walk
+
     opcodes, starts, lengths = np.empty(BATCH, np.uint8), np.empty(BATCH, np.int64), np.empty(BATCH, np.int64)
-    count, stop = _walk(np.frombuffer(data, np.uint8), start, end, opcodes, starts, lengths)
+    count, stop = walk(np.frombuffer(data, np.uint8), start, end, opcodes, starts, lengths)
     return Records(opcodes[:count].copy(), starts[:count].copy(), lengths[:count].copy()), stop
+
+
+def find_few_records(data: memoryview, start: int, end: int) -> tuple[Records, int]:
+    """Do what `find_records` does, without waiting for the compiler: for a summary, whose records are read one by one.
+
+    Parameters
+    ----------
+    data : memoryview
+    start, end : int
+
+    Returns
+    -------
+    Records
+    int
+    """
+    found: list[tuple[int, int, int]] = []
+    while start + RECORD_HEADER_SIZE <= end and len(found) < BATCH:
+        opcode, length = struct.unpack_from("<BQ", data, start)
+        if length > end - start - RECORD_HEADER_SIZE or not can_be_record(opcode, length):
+            break
+        found.append((opcode, start, length))
+        start += RECORD_HEADER_SIZE + length
+        if opcode == _DATA_END:
+            break
+    columns = np.array(found, dtype=np.int64).reshape(-1, 3).T
+    return Records(columns[0].astype(np.uint8), columns[1], columns[2]), start
 
 
 def is_broken(batch: Records, stop: int, end: int) -> bool:
@@ -190,7 +162,9 @@ def next_record(data: memoryview, start: int, end: int) -> int:
     int
         The place, or the end.
     """
-    return int(_resume(np.frombuffer(data, np.uint8), start, end))
+    from insdvl_replay.logs.record_loops import resume
+
+    return int(resume(np.frombuffer(data, np.uint8), start, end))
 
 
 def go_on(data: memoryview, batch: Records, stop: int, end: int) -> tuple[Records, int]:

@@ -11,7 +11,7 @@ Source: Barrau and Bonnabel, "The Invariant Extended Kalman Filter as a Stable O
 import numpy as np
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.compiled import compiled
 from insdvl_replay.nav.recording import Ins
 from insdvl_replay.nav.vector_algebra import compose, matrix, rotation_from_vector, write_matrix
 

@@ -11,7 +11,7 @@ Equations (26) to (32) of Levy and Klein, with the rates of n where they print t
 import numpy as np
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.compiled import compiled
 from insdvl_replay.nav.strapdown import Motion
 from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate, scale, vector, write_vector
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, TimeNs
+from insdvl_replay.compiled import compiled
 from insdvl_replay.history import History
-from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.correction import correct
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
 from insdvl_replay.nav.innovation import InsAtPing, linearise

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.compiled import compiled
 from insdvl_replay.nav.error_model import write_skew
 from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, Measurement
 from insdvl_replay.nav.vector_algebra import matrix, rotate_back, vector, write_vector

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.compiled import compiled
 
 
 @compiled

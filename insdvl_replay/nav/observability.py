@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats
+from insdvl_replay.compiled import compiled
 from insdvl_replay.history import History
-from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.error_model import write_system_matrix
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.measurements import Measurement

@@ -9,7 +9,7 @@ import math
 from typing import Final, NamedTuple
 
 from insdvl_replay import earth
-from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.compiled import compiled
 from insdvl_replay.nav.vector_algebra import Vector
 
 REACH_RAD: Final = 1e-7

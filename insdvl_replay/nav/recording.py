@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats
+from insdvl_replay.compiled import compiled
 from insdvl_replay.history import History, Innovations
-from insdvl_replay.nav.compiled import compiled
 from insdvl_replay.nav.measurements import VELOCITY, Measurement
 from insdvl_replay.nav.timeline import Timeline
 from insdvl_replay.rotation import wrap_angle

@@ -6,7 +6,7 @@ Source: equations (24) and (25) of Levy and Klein; Groves, chapter 5.
 from typing import NamedTuple
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.compiled import compiled
 from insdvl_replay.nav.place import Place, curvatures, gravity_at, transport_rate_n
 from insdvl_replay.nav.vector_algebra import (
     Matrix,

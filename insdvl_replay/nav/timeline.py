@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, ImuColumns, TimeNs, seconds
-from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.compiled import compiled
 from insdvl_replay.nav.gaps import NO_GAPS, Gaps
 from insdvl_replay.nav.vector_algebra import Vector
 

@@ -7,7 +7,7 @@ go through memory.
 import math
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.nav.compiled import compiled
+from insdvl_replay.compiled import compiled
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]

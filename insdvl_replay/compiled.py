@@ -1,4 +1,4 @@
-"""Compile the filter loop with numba, and keep what was compiled on disk.
+"""Compile loops with numba, and keep what was compiled on disk.
 
 numba notices a change in the file of a function, but not in the files of the functions that it calls. The cache
 therefore lies in a folder named after the digest of all compiled sources: other sources, other folder.
@@ -14,20 +14,22 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar, cast
-
-import numba
-from numba.core import config
+from typing import Any, Final, ParamSpec, TypeVar, cast
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 
+_SOURCES: Final = ("nav/*.py", "earth.py", "logs/record*.py")
+"""Where compiled functions, and what they are made of, stand."""
+
+
 def _digest_of_sources() -> str:
-    package = Path(__file__).parents[1]
-    digest = hashlib.sha256(numba.__version__.encode())
-    for source in sorted([*package.glob("nav/*.py"), package / "earth.py"]):
+    package = Path(__file__).parent
+    digest = hashlib.sha256(version("numba").encode())
+    for source in sorted(path for pattern in _SOURCES for path in package.glob(pattern)):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -48,6 +50,9 @@ _FOLDER = _cache_folder()
 
 def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Compile a function on its first call and keep the machine code on disk."""
+    import numba  # half a second, which whoever only asks whether the cache is warm must not wait
+    from numba.core import config
+
     settings: Any = config  # numba reads the folder while it decorates
     before = settings.CACHE_DIR
     settings.CACHE_DIR = _FOLDER or before
