@@ -9,8 +9,8 @@ from insdvl_replay.columns import Dive, Floats
 from insdvl_replay.config import Config
 from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
-from insdvl_replay.nav.filter import Start
 from insdvl_replay.nav.measurements import Measurement
+from insdvl_replay.nav.start import Start
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.preparation import prepare_dive
 from insdvl_replay.rotation import skew

@@ -13,7 +13,8 @@ from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.container import Log
-from insdvl_replay.logs.records import find_few_records, find_records
+from insdvl_replay.logs.record_loops import walk
+from insdvl_replay.logs.records import Records, find_plainly
 
 
 @pytest.fixture
@@ -115,8 +116,9 @@ def test_what_is_no_log_is_refused_by_name(path: Path, tmp_path: Path) -> None:
         max_size=12,
     ).map(b"".join)
 )
-def test_few_records_are_found_as_many_are(data: bytes) -> None:
-    few, few_stop = find_few_records(memoryview(data), 0, len(data))
-    many, many_stop = find_records(memoryview(data), 0, len(data))
-    assert list(few.rows()) == list(many.rows())
-    assert few_stop == many_stop
+def test_records_are_found_plainly_as_by_the_compiled_loop(data: bytes) -> None:
+    opcodes, starts, lengths = np.empty(99, np.uint8), np.empty(99, np.int64), np.empty(99, np.int64)
+    count, stop = walk(np.frombuffer(data, np.uint8), 0, len(data), opcodes, starts, lengths)
+    plain, plain_stop = find_plainly(memoryview(data), 0, len(data))
+    assert list(plain.rows()) == list(Records(opcodes[:count], starts[:count], lengths[:count]).rows())
+    assert plain_stop == stop

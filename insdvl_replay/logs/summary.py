@@ -8,7 +8,7 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from insdvl_replay.logs.damage import Damage, DamageError, Span, plausible_span
-from insdvl_replay.logs.records import MAGIC, RECORD_HEADER_SIZE, find_few_records, parsed, what_stands
+from insdvl_replay.logs.records import MAGIC, RECORD_HEADER_SIZE, find_records, parsed, what_stands
 
 _FOOTER_SIZE: Final = RECORD_HEADER_SIZE + 20
 _KINDS: Final[dict[int, Any]] = {
@@ -108,7 +108,7 @@ def _read(data: memoryview, footer_start: int, footer: records.Footer) -> Summar
     if not footer.summary_start:
         return summary
     while start < footer_start:
-        batch, stop = find_few_records(data, start, footer_start)
+        batch, stop = find_records(data, start, footer_start)
         if not len(batch):
             raise DamageError(start, f"in the summary, {what_stands(data, start, footer_start)}")
         for opcode, content, length in batch.rows():
@@ -134,7 +134,7 @@ def summary_behind(data: memoryview, start: int) -> Summary | None:
         None if nothing stands there, or its checksum is not that of its bytes.
     """
     summary = Summary(start, len(data))
-    batch, _ = find_few_records(data, start, len(data))
+    batch, _ = find_records(data, start, len(data))
     for opcode, content, length in batch.rows():
         try:
             if opcode in _KINDS:

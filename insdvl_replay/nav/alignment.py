@@ -9,7 +9,7 @@ from insdvl_replay.columns import Floats, ImuColumns, ReferenceColumns, TimeNs, 
 from insdvl_replay.config import Initial
 from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.nav.dvl import DvlVelocities
-from insdvl_replay.nav.filter import Start
+from insdvl_replay.nav.start import Start
 from insdvl_replay.rotation import mat_from_rpy, wrap_angle
 from insdvl_replay.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
 

@@ -4,7 +4,6 @@ One loop for every filter. What a filter is aided by is the tuple of its measure
 """
 
 import math
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -20,35 +19,10 @@ from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, standardise
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.place import normal_gravity, place_at, within_reach
 from insdvl_replay.nav.recording import Ins, Records, Updates, history_of, new_records, new_updates, write_record
+from insdvl_replay.nav.start import Start
 from insdvl_replay.nav.strapdown import Motion, propagate
 from insdvl_replay.nav.timeline import Timeline, mean_reading
 from insdvl_replay.nav.vector_algebra import Vector, matrix, rotate_back, subtract, vector, write_vector
-
-
-@dataclass(frozen=True)
-class Start:
-    """Where a filter starts and how sure it is.
-
-    Attributes
-    ----------
-    position : ndarray, shape (3,)
-        Latitude rad, longitude rad, height m.
-    velocity_n : ndarray, shape (3,)
-        m/s
-    mat_nb : ndarray, shape (3, 3)
-        Attitude.
-    sd : ndarray, shape (12,)
-        Standard deviations of the error states, SI units.
-    accel_bias_b, gyro_bias_b : ndarray, shape (3,)
-        Biases that are known beforehand, m/s^2 and rad/s; zero unless given.
-    """
-
-    position: Floats
-    velocity_n: Floats
-    mat_nb: Floats
-    sd: Floats
-    accel_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
-    gyro_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
 
 
 class _Memory(NamedTuple):

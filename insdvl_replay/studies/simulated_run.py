@@ -12,7 +12,8 @@ from insdvl_replay.evaluation.ensemble import RunErrors, run_errors
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.alignment import initial_sd
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
-from insdvl_replay.nav.filter import Start, run_filter
+from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.start import Start
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.nav.vector_algebra import rotation_from_vector, vector
 from insdvl_replay.rotation import mat_from_rpy
