@@ -94,14 +94,14 @@ class Browser:
 def opened_browser(profile: Path) -> Iterator[Browser]:
     """Start Chromium with a profile of its own, and end it.
 
-    Its two pipes are its file descriptors 3 and 4, as the protocol wants them.
+    Its two pipes are its file descriptors 3 and 4, as the protocol wants them; bash, other than sh, moves any there.
     """
     assert PROGRAM is not None
     to_read, commands = os.pipe()
     answers, to_write = os.pipe()
     shell = f'exec "$0" "$@" 3<&{to_read} 4>&{to_write}'
     process = subprocess.Popen(
-        ["sh", "-c", shell, PROGRAM, *FLAGS, f"--user-data-dir={profile}", "about:blank"],
+        ["bash", "-c", shell, PROGRAM, *FLAGS, f"--user-data-dir={profile}", "about:blank"],
         pass_fds=(to_read, to_write),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

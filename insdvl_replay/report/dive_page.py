@@ -1,11 +1,11 @@
 """The page of one dive: what to think of it, the tables, the figures, what was lost, and where it all comes from."""
 
 from collections.abc import Iterator, Sequence
-from html import escape
 
 from insdvl_replay.report.figures.improvement import improvement_bars
 from insdvl_replay.report.json_report import Report
 from insdvl_replay.report.page import Heading, Html, Lead, Part, page
+from insdvl_replay.report.page_parts import facts, losses, settings_details
 from insdvl_replay.report.plots.panel import Figure
 from insdvl_replay.report.shown import ShownTable, closing_lines, heading, shown_tables, verdict_lines
 
@@ -42,7 +42,7 @@ def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: 
         *figures,
         Html(coverage),
         Heading("What was lost or assumed"),
-        *_losses(report),
+        losses(report.notes),
         Heading("Provenance"),
         *_provenance(report, settings),
     ]
@@ -58,28 +58,16 @@ def _bars(report: Report) -> str:
     )
 
 
-def _losses(report: Report) -> Iterator[Part]:
-    if not report.notes:
-        yield "Nothing."
-        return
-    yield ShownTable(
-        "Notes on reading, preparing and filtering",
-        ("count", "", "what", "what helps"),
-        "rlll",
-        tuple((str(note.count), note.severity, f"{note.text} [{note.code}]", note.hint) for note in report.notes),
-    )
-
-
 def _provenance(report: Report, settings: str) -> Iterator[Part]:
-    facts = {
-        "log": report.log.name,
-        "SHA-256 of the log": report.log.sha256 or "none",
-        "span on the log's clock": f"{report.log.start_ns} to {report.log.end_ns} ns",
-        "tool": f"{report.tool.name} {report.tool.version}",
-        "with": ", ".join(f"{name} {version}" for name, version in report.versions.items()),
-    }
-    pairs = "".join(f"<dt>{escape(key)}</dt><dd>{escape(fact)}</dd>" for key, fact in facts.items())
-    yield Html(f"<dl>{pairs}</dl>")
+    yield facts(
+        {
+            "log": report.log.name,
+            "SHA-256 of the log": report.log.sha256 or "none",
+            "span on the log's clock": f"{report.log.start_ns} to {report.log.end_ns} ns",
+            "tool": f"{report.tool.name} {report.tool.version}",
+            "with": ", ".join(f"{name} {version}" for name, version in report.versions.items()),
+        }
+    )
     yield ShownTable(
         "Channels of the log",
         ("topic", "type", "encoding", "role", "messages"),
@@ -89,4 +77,4 @@ def _provenance(report: Report, settings: str) -> Iterator[Part]:
             for channel in report.log.channels
         ),
     )
-    yield Html(f"<details><summary>Settings, which repeat this result</summary><pre>{escape(settings)}</pre></details>")
+    yield settings_details(settings)

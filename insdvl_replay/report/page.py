@@ -38,7 +38,15 @@ class Html:
     text: str
 
 
-Part = str | Lead | Heading | ShownTable | Figure | Html
+@dataclass(frozen=True)
+class LinkedTable:
+    """A table whose rows lead somewhere: the first cell of each to its address, unless that is empty."""
+
+    table: ShownTable
+    links: tuple[str, ...]
+
+
+Part = str | Lead | Heading | ShownTable | LinkedTable | Figure | Html
 """What a page is made of; plain text becomes a paragraph."""
 
 
@@ -141,6 +149,8 @@ def _part_html(part: Part) -> str:
             return f'<p class="lead">{escape(text)}</p>'
         case ShownTable():
             return table_html(part)
+        case LinkedTable(table, links):
+            return table_html(table, links)
         case Figure():
             return figure_html(part)
         case text:
