@@ -102,7 +102,7 @@ def closing_lines(report: Report) -> list[str]:
 
 def row_label(name: str) -> str:
     """Name a state or quantity in words; other names stand for themselves."""
-    return _LABELS.get(name) or _QUANTITIES.get(name, name)
+    return STATE_LABELS.get(name) or QUANTITIES.get(name, name)
 
 
 def number(value: float | None) -> str:
@@ -286,7 +286,7 @@ def _credibility(name: str, rows: Sequence[CredibilityRow]) -> Iterator[ShownTab
             "lrrrrrrl",
             tuple(
                 (
-                    _QUANTITIES.get(row.quantity) or _LABELS[row.quantity].replace("accelerometer", "accel."),
+                    QUANTITIES.get(row.quantity) or STATE_LABELS[row.quantity].replace("accelerometer", "accel."),
                     number(row.mean_nees),
                     decimal(row.low, 2),
                     decimal(row.high, 2),
