@@ -5,7 +5,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: demo test quick lint bench samples schemas readme reproduce clean
+.PHONY: demo test quick lint bench samples schemas pictures readme reproduce clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force
@@ -37,6 +37,9 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema inspection > schemas/inspection.schema.json
 	$(BIN)/insdvl-replay schema study > schemas/study.schema.json
 	$(BIN)/insdvl-replay schema comparison > schemas/comparison.schema.json
+
+pictures: .venv/run.stamp
+	$(BIN)/python pages/pictures.py
 
 readme: .venv/run.stamp
 	$(BIN)/python pages/readme.py
