@@ -51,7 +51,7 @@ def test_foxgloves_libraries_read_every_message_with_the_values_of_the_tables(re
     counts = {summary.channels[id_].topic: count for id_, count in summary.statistics.channel_message_counts.items()}
     assert {topic: found["count"] for topic, found in topics.items()} == counts
     assert sum(counts.values()) == printed["stated"]
-    for name in ("improvement", "convergence", "reference_error", "consistency"):
+    for name in ("improvement", "convergence", "reference_error", "consistency", "credibility"):
         last = pd.read_csv(result / f"{name}.csv").iloc[-1].to_dict()
         shown = topics[f"/insdvl/table/{name}"]["last"]
         assert {key: shown[key] for key in last} == {

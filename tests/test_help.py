@@ -38,7 +38,7 @@ EXAMPLES = [
 
 @pytest.fixture(scope="module")
 def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what the examples name: a dive, several dives, settings of a vehicle."""
+    """A folder with what the examples name: a dive, several dives, two results, settings."""
     folder = tmp_path_factory.mktemp("workshop")
     dive = str(folder / "dive.mcap")
     assert run_command_line(["simulate", "straight", "-o", dive, "--duration", "190"]) == 0
@@ -46,6 +46,8 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number in ("1", "2"):
         log = str(folder / "dives" / f"{number}.mcap")
         assert run_command_line(["simulate", "lawnmower", "-o", log, "--duration", "60", "--seed", number]) == 0
+    for results in ("before", "after"):
+        assert run_command_line(["run", dive, "-o", str(folder / results)]) == 0
     (folder / "vehicle.toml").write_text("[dvl]\nvelocity_sd_mps = 0.03\n", "utf-8")
     return folder
 

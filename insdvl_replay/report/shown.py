@@ -17,8 +17,8 @@ from insdvl_replay.result_tables import is_whole
 from insdvl_replay.states import STATES
 
 MISSING: Final = "-"
-STATE_LABELS: Final = {state.id: state.label for state in STATES}
-QUANTITIES: Final = {
+_LABELS: Final = {state.id: state.label for state in STATES}
+_QUANTITIES: Final = {
     "velocity_n": "velocity, north",
     "velocity_e": "velocity, east",
     "velocity_d": "velocity, down",
@@ -102,7 +102,7 @@ def closing_lines(report: Report) -> list[str]:
 
 def row_label(name: str) -> str:
     """Name a state or quantity in words; other names stand for themselves."""
-    return STATE_LABELS.get(name) or QUANTITIES.get(name, name)
+    return _LABELS.get(name) or _QUANTITIES.get(name, name)
 
 
 def number(value: float | None) -> str:
@@ -160,7 +160,7 @@ def _improvement(baseline: str, name: str, rows: Sequence[ImprovementRow]) -> It
             "llrrrl",
             tuple(
                 (
-                    STATE_LABELS[row.state],
+                    _LABELS[row.state],
                     row.unit,
                     number(row.baseline_sd),
                     number(row.sd),
@@ -180,7 +180,7 @@ def _convergence(baseline: str, name: str, rows: Sequence[ConvergenceRow]) -> It
             "llrrrrl",
             tuple(
                 (
-                    STATE_LABELS[row.state],
+                    _LABELS[row.state],
                     row.unit,
                     number(row.target_sd),
                     number(row.baseline_s),
@@ -209,7 +209,7 @@ def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]
             "llrrrrr",
             tuple(
                 (
-                    QUANTITIES.get(row.quantity, row.quantity),
+                    _QUANTITIES.get(row.quantity, row.quantity),
                     row.unit,
                     number(row.baseline_rmse),
                     number(row.rmse),
@@ -227,7 +227,7 @@ def _not_compared(rows: Sequence[ReferenceErrorRow]) -> str:
     """Say why numbers are missing or mean nothing; the word alone where it holds for all rows."""
     quantities: dict[str, list[str]] = {}
     for row in rows:
-        quantities.setdefault(row.status, []).append(QUANTITIES.get(row.quantity, row.quantity))
+        quantities.setdefault(row.status, []).append(_QUANTITIES.get(row.quantity, row.quantity))
     quantities.pop("compared", None)
     return "; ".join(
         status if len(names) == len(rows) else f"{status}: {', '.join(names)}" for status, names in quantities.items()
@@ -286,7 +286,7 @@ def _credibility(name: str, rows: Sequence[CredibilityRow]) -> Iterator[ShownTab
             "lrrrrrrl",
             tuple(
                 (
-                    QUANTITIES.get(row.quantity) or STATE_LABELS[row.quantity].replace("accelerometer", "accel."),
+                    _QUANTITIES.get(row.quantity) or _LABELS[row.quantity].replace("accelerometer", "accel."),
                     number(row.mean_nees),
                     decimal(row.low, 2),
                     decimal(row.high, 2),

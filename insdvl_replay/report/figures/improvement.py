@@ -5,7 +5,7 @@ from html import escape
 from typing import Final
 
 from insdvl_replay.report.json_report import Report
-from insdvl_replay.report.shown import QUANTITIES, STATE_LABELS, percent
+from insdvl_replay.report.shown import percent, row_label
 
 _SAME: Final = {"dv_n": "velocity_n", "dv_e": "velocity_e", "dv_d": "velocity_d", "phi_d": "heading"}
 """States whose error is also compared with the reference, and under which name."""
@@ -50,10 +50,10 @@ def _gains(report: Report, name: str) -> Iterator[tuple[str, float | None, float
     }
     for state, improvement_pct in believed.items():
         quantity = _SAME.get(state, "")
-        label = STATE_LABELS[state] + (" / heading" if quantity == "heading" else "")
+        label = row_label(state) + (" / heading" if quantity == "heading" else "")
         yield label, improvement_pct, actual.pop(quantity, None)
     for quantity, improvement_pct in actual.items():
-        yield QUANTITIES.get(quantity, quantity), None, improvement_pct
+        yield row_label(quantity), None, improvement_pct
 
 
 def _row(label: str, believed_pct: float | None, actual_pct: float | None) -> str:
