@@ -21,8 +21,8 @@ DOCUMENTED = {
     ],
     "compare": [
         "OLD", "NEW", "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
-        "--only-changed", "--sort <table|name|change|worse>", "--fail-on LIMIT", "--format <table|json|csv|md|latex>",
-        "-v, --verbose", "--help",
+        "--only-changed", "--sort <table|name|change|worse>", "--fail-on LIMIT",
+        "--format <table|json|csv|md|latex|html>", "-v, --verbose", "--help",
     ],
     "inspect": [
         "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json>",

@@ -13,7 +13,7 @@ from insdvl_replay.report.plots.svg import panel_svg
 from insdvl_replay.report.shown import ShownTable
 
 _POINTS: Final = ("rejected",)
-_SHORT: Final = 32
+_SHORT: Final = 24
 """Cells with more characters are folded; the others stand on one line."""
 
 
