@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import typer.main
+from test_parts import write_part
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.cli.app import app
@@ -38,7 +39,7 @@ EXAMPLES = [
 
 @pytest.fixture(scope="module")
 def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what the examples name: a dive, several dives, two results, settings."""
+    """A folder with what the examples name: a dive, also in two parts, several dives, two results, settings."""
     folder = tmp_path_factory.mktemp("workshop")
     dive = str(folder / "dive.mcap")
     assert run_command_line(["simulate", "straight", "-o", dive, "--duration", "190"]) == 0
@@ -46,6 +47,9 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number in ("1", "2"):
         log = str(folder / "dives" / f"{number}.mcap")
         assert run_command_line(["simulate", "lawnmower", "-o", log, "--duration", "60", "--seed", number]) == 0
+    written = Path(dive).read_bytes()
+    write_part(folder / "sensors.mcap", lambda topic, _: topic != "/reference", log=written)
+    write_part(folder / "gnss.mcap", lambda topic, _: topic == "/reference", log=written)
     for results in ("before", "after"):
         assert run_command_line(["run", dive, "-o", str(folder / results)]) == 0
     (folder / "vehicle.toml").write_text("[dvl]\nvelocity_sd_mps = 0.03\n", "utf-8")
