@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from matplotlib.ticker import LogLocator, MaxNLocator
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.report.plots.panel import Scale
@@ -49,6 +48,8 @@ class Axis:
 
     def ticks(self, count: int) -> list[tuple[float, str]]:
         """Give the places of at most some ticks, and their labels."""
+        from matplotlib.ticker import LogLocator, MaxNLocator  # tables alone must not wait for it
+
         if self.scale == "log":
             values = np.asarray(LogLocator(numticks=count).tick_values(self.low, self.high), dtype=np.float64)
             labels = [_power(value) for value in values]
