@@ -5,12 +5,12 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: demo test quick lint bench samples schemas readme reproduce clean
+.PHONY: demo test quick lint bench samples schemas pictures readme reproduce clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force
 
-test: .venv/test.stamp lint
+test: .venv/test.stamp lint tests/node/node_modules
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
 quick: .venv/test.stamp
@@ -38,6 +38,9 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema study > schemas/study.schema.json
 	$(BIN)/insdvl-replay schema comparison > schemas/comparison.schema.json
 
+pictures: .venv/run.stamp
+	$(BIN)/python pages/pictures.py
+
 readme: .venv/run.stamp
 	$(BIN)/python pages/readme.py
 
@@ -47,7 +50,13 @@ reproduce: .venv/run.stamp
 	$(BIN)/python pages/reproduction.py $(DIVES)
 
 clean:
-	rm -rf .venv replay build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv replay build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache tests/node/node_modules
+
+# What Foxglove reads logs with; where there is no npm, the test that needs it says so and is left out.
+tests/node/node_modules: tests/node/package-lock.json
+	if command -v npm > /dev/null; then \
+	  npm ci --prefix tests/node --silent --no-audit --no-fund && touch $@ || echo "npm ci failed: its test is left out"; \
+	fi
 
 .venv/pyvenv.cfg:
 	$(PYTHON) -m venv .venv

@@ -11,7 +11,10 @@ from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.evaluation.verdicts import Verdict
 from insdvl_replay.history import History
 from insdvl_replay.replay import Replay
+from insdvl_replay.replay_figures import replay_coverage, replay_figures
 from insdvl_replay.report.csv_tables import table_csv
+from insdvl_replay.report.dive_page import dive_page
+from insdvl_replay.report.folder import PAGE
 from insdvl_replay.report.json_report import Candidate, build_report, encode_report
 from insdvl_replay.report.run_log import run_log
 
@@ -50,6 +53,7 @@ def save_replay(replay: Replay, folder: Path) -> None:
     )
     (folder / "config.toml").write_text(settings, "utf-8")
     (folder / "run.log").write_text(run_log(report), "utf-8")
+    (folder / PAGE).write_bytes(dive_page(report, replay_figures(replay), replay_coverage(replay), settings))
     (folder / "report.json").write_bytes(encode_report(report))
 
 

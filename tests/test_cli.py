@@ -21,8 +21,8 @@ DOCUMENTED = {
     ],
     "compare": [
         "OLD", "NEW", "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
-        "--only-changed", "--sort <table|name|change|worse>", "--fail-on LIMIT", "--format <table|json|csv|md|latex>",
-        "-v, --verbose", "--help",
+        "--only-changed", "--sort <table|name|change|worse>", "--fail-on LIMIT",
+        "--format <table|json|csv|md|latex|html>", "-v, --verbose", "--help",
     ],
     "inspect": [
         "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json>",
@@ -172,7 +172,7 @@ def test_a_bad_log_does_not_stop_the_others(dive: Path, tmp_path: Path, capsys: 
     bad.write_bytes(b"not a log")
     output = tmp_path / "out"
     assert run_command_line(["run", str(bad), str(dive), "-o", str(output)]) == 3
-    assert sorted(path.name for path in output.iterdir()) == ["straight", "summary.csv"]
+    assert sorted(path.name for path in output.iterdir()) == ["index.html", "straight", "summary.csv"]
     lines = (output / "summary.csv").read_text().split("\n")
     assert lines[1].startswith("bad,,")
     assert lines[2].startswith("straight,aided,")

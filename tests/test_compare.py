@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 from small_results import content, write
+from test_html import Document
 
 from insdvl_replay.changes import Change, Comparison
 from insdvl_replay.cli import run_command_line
@@ -22,8 +23,10 @@ from insdvl_replay.errors import ConfigError, ResultError
 from insdvl_replay.evaluation.arrangement import Order, arranged
 from insdvl_replay.evaluation.limits import breach, parse_limit
 from insdvl_replay.evaluation.over_dives import aggregates
+from insdvl_replay.report.comparison import comparison_tables, opening_lines
 from insdvl_replay.report.comparison_output import (
     comparison_csv,
+    comparison_html,
     comparison_json,
     comparison_markdown,
     comparison_terminal,
@@ -284,6 +287,15 @@ def test_only_changed_leaves_the_counts_alone(tmp_path: Path) -> None:
     assert {change.word for change in less.changes} == {"better", "worse"}
     assert [aggregate.column for aggregate in less.aggregates] == ["rmse"]
     assert less.dives == whole.dives
+
+
+def test_a_page_says_first_how_much_moved_and_holds_every_cell(tmp_path: Path) -> None:
+    comparison = arranged(compare_results(*two_sets(tmp_path)), "table", only_changed=True)
+    document = Document(comparison_html(comparison).decode())
+    assert document.texts["p"][: len(opening_lines(comparison))] == opening_lines(comparison)
+    tables = comparison_tables(comparison)
+    assert document.texts["h3"] == [table.title for table in tables]
+    assert {cell for table in tables for row in table.rows for cell in row} <= set(document.texts["td"])
 
 
 def test_dives_in_which_nothing_moved_are_counted(tmp_path: Path) -> None:

@@ -231,7 +231,8 @@ def test_any_number_of_jobs_gives_the_same_bytes(tmp_path: Path) -> None:
         contents.append({path.name: path.read_bytes() for path in folder.iterdir()})
     assert contents[0] == contents[1]
     assert set(contents[0]) == {
-        "montecarlo.csv", "verdicts.csv", "nees.csv", "ensemble.csv", "runs.csv", "config.toml", "report.json",
+        "montecarlo.csv", "verdicts.csv", "nees.csv", "ensemble.csv", "runs.csv", "config.toml",
+        "report.json", "report.html",
         *(f"{name}_{states}.{format_}" for name in SENSORS.filters for states in ("navigation", "biases")
           for format_ in ("svg", "png")),
     }  # fmt: skip

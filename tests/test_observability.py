@@ -274,7 +274,7 @@ def test_log_is_studied_like_a_scenario(tmp_path: Path, capsys: pytest.CaptureFi
     folders = [tmp_path / name / "observability-dive" for name in ("one", "two")]
     names = {path.name for path in folders[0].iterdir()}
     tables = {"ranks.csv", "directions.csv", "catalogue.csv", "singular_values.csv", "states.csv"}
-    assert names == tables | {"singular_values.svg", "singular_values.png", "config.toml", "report.json"}
+    assert names == tables | {"singular_values.svg", "singular_values.png", "config.toml", "report.json", "report.html"}
     for name in names:
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
     assert len(pd.read_csv(folders[0] / "states.csv")) == 5 * 12

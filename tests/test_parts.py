@@ -23,13 +23,13 @@ from insdvl_replay.logs.recording import open_recording
 Choice = Callable[[str, float], bool]
 
 
-def write_part(path: Path, chosen: Choice, remark: bytes = b"") -> Path:
-    """Write those messages of the dive that are chosen by topic and time, with a remark in their schemas."""
+def write_part(path: Path, chosen: Choice, remark: bytes = b"", log: bytes = b"") -> Path:
+    """Write those messages of the dive, or of another log, that are chosen, with a remark in their schemas."""
     stream = BytesIO()
     writer = Writer(stream, chunk_size=15_000)
     writer.start(profile="ros2")
     ids: dict[str, int] = {}
-    for schema, channel, message in make_reader(BytesIO(written())).iter_messages():
+    for schema, channel, message in make_reader(BytesIO(log or written())).iter_messages():
         assert schema
         if chosen(channel.topic, (message.log_time - START_NS) * 1e-9):
             if channel.topic not in ids:

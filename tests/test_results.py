@@ -18,7 +18,7 @@ from insdvl_replay.result_files import save_replay
 SAMPLE = Path(__file__).parents[1] / "sample_logs" / "figure_eight.mcap"
 FILES = {
     "improvement.csv", "convergence.csv", "reference_error.csv", "consistency.csv",
-    "credibility.csv", "report.json", "replay.mcap", "config.toml", "run.log",
+    "credibility.csv", "report.json", "report.html", "replay.mcap", "config.toml", "run.log",
 }  # fmt: skip
 
 

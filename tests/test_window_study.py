@@ -214,7 +214,7 @@ def test_command_writes_the_same_bytes_twice(
     assert "velocities at the middle of their window" in printed.out
     folders = [tmp_path / name / "window" for name in ("one", "two")]
     names = {path.name for path in folders[0].iterdir()}
-    assert names == {"window.csv", "best.csv", "window.svg", "window.png", "config.toml", "report.json"}
+    assert names == {"window.csv", "best.csv", "window.svg", "window.png", "config.toml", "report.json", "report.html"}
     for name in names:
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
     table = pd.read_csv(folders[0] / "window.csv")

@@ -43,7 +43,10 @@ def run_command_line(arguments: list[str]) -> int:
             code = int(app(arguments, prog_name="insdvl-replay", standalone_mode=False) or 0)
         except Exception as error:
             return tell_failure(error, typed_verbosity(arguments))
-    except (KeyboardInterrupt, SystemExit):
+    except SystemExit as leaving:
+        # The completion of the shell leaves in this way.
+        return int(leaving.code or 0)
+    except KeyboardInterrupt:
         code = INTERRUPTED
     if code == INTERRUPTED:
         print("error: interrupted", file=sys.stderr)

@@ -15,7 +15,7 @@ from insdvl_replay.cli.simulate import simulate
 from insdvl_replay.cli.study import study
 
 # Plain help: rich would add 0.1 s to it, and cut it where it is piped.
-app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 for command in (run, compare, inspect, simulate, config, schema):
     app.command()(command)
 app.add_typer(study, name="study")

@@ -8,7 +8,6 @@ import typer
 
 from insdvl_replay.cli.messages import tell_notes
 from insdvl_replay.cli.options import Verbose
-from insdvl_replay.cli.run import Format
 
 
 class Sort(StrEnum):
@@ -18,6 +17,17 @@ class Sort(StrEnum):
     NAME = "name"
     CHANGE = "change"
     WORSE = "worse"
+
+
+class ComparisonFormat(StrEnum):
+    """How a comparison is printed: as all tables are, or as a page."""
+
+    TABLE = "table"
+    JSON = "json"
+    CSV = "csv"
+    MARKDOWN = "md"
+    LATEX = "latex"
+    HTML = "html"
 
 
 def compare(
@@ -46,7 +56,7 @@ def compare(
         str | None,
         typer.Option(metavar="LIMIT", help="Exit with 1 on `worse`, on `worse:5%` (by more than that), or `changed`."),
     ] = None,
-    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
+    format_: Annotated[ComparisonFormat, typer.Option("--format", help="How it is printed.")] = ComparisonFormat.TABLE,
     verbose: Verbose = 0,
 ) -> None:
     """Compare stored results: what moved, by how much, and whether that is better.
@@ -57,6 +67,7 @@ def compare(
     \b
     Example:
       insdvl-replay compare before/dive after/dive --only-changed
+      insdvl-replay compare before after --format html > comparison.html
       insdvl-replay compare before after --table reference_error --column rmse --fail-on worse:5%
     """
     from insdvl_replay.cli.comparison_results import print_comparison

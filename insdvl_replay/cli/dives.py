@@ -4,6 +4,7 @@ import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Final
 
 import msgspec
 
@@ -23,12 +24,14 @@ from insdvl_replay.report.folder import (
     result_file,
     result_folder,
 )
+from insdvl_replay.report.index_page import index_page
 from insdvl_replay.report.json_report import Report, Tool, decode_report, encode_report, encode_reports
 from insdvl_replay.report.markup import latex_report, markdown_report
 from insdvl_replay.report.summary import Failure, summary_csv
 from insdvl_replay.result_files import save_replay
 
-SUMMARY = "summary.csv"
+OVERVIEWS: Final = {"summary.csv": summary_csv, "index.html": index_page}
+"""What lays several dives beside each other, by the name of its file."""
 
 PRINTED = {
     Format.TABLE: rendered,
@@ -69,7 +72,7 @@ def result_targets(
     for dive in dives:
         log = name_giver(dive)
         target = output / log.absolute().stem
-        if len(dives) > 1 and target.name == SUMMARY:
+        if len(dives) > 1 and target.name in OVERVIEWS:
             raise ConfigError(f"{log}: its results would bear the name of the summary", "rename it, or replay it alone")
         if target in targets:
             raise ConfigError(
@@ -79,7 +82,8 @@ def result_targets(
         refuse_existing_folder(target, force=force)
         targets[target] = dive
     if len(dives) > 1:
-        refuse_existing_file(output / SUMMARY, force=force)
+        for name in OVERVIEWS:
+            refuse_existing_file(output / name, force=force)
     return targets
 
 
@@ -103,7 +107,7 @@ def replay_dives(
         From `result_targets`.
     config : Config
     output : Path
-        Folder of the summary.
+        Folder of the summary and the page that leads to all dives.
     format_ : Format
         Of what is printed.
     allow_damaged : bool
@@ -141,7 +145,7 @@ def replay_dives(
     if together:
         emit(encode_reports([outcome for outcome in outcomes if isinstance(outcome, Report)]).decode())
     if len(targets) > 1:
-        _summarise(outcomes, codes, output / SUMMARY, force=force)
+        _summarise(outcomes, codes, output, force=force)
     return max(codes.values())
 
 
@@ -173,10 +177,11 @@ def _refuse_warnings(report: Report, verbosity: int) -> int:
     )
 
 
-def _summarise(outcomes: Sequence[Report | Failure], codes: Mapping[str, int], path: Path, *, force: bool) -> None:
-    with result_file(path, force=force) as file:
-        file.write_bytes(summary_csv(outcomes))
-    tell(f"wrote {path}")
+def _summarise(outcomes: Sequence[Report | Failure], codes: Mapping[str, int], output: Path, *, force: bool) -> None:
+    for name, overview in OVERVIEWS.items():
+        with result_file(output / name, force=force) as file:
+            file.write_bytes(overview(outcomes))
+        tell(f"wrote {output / name}")
     if failed := [name for name, code in codes.items() if code]:
         reasons = [outcome.reason for outcome in outcomes if isinstance(outcome, Failure)]
         first = f"; the first: {reasons[0]}" if reasons else ""

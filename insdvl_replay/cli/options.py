@@ -4,10 +4,21 @@ from typing import Annotated
 
 import typer
 
+from insdvl_replay.cli.completion import preset_names, scenario_names
+
 Preset = Annotated[
     str | None,
     typer.Option(
-        "--preset", metavar="NAME", help="Settings to start from: levy-klein (the default), fog, tactical or mems."
+        "--preset",
+        metavar="NAME",
+        help="Settings to start from: levy-klein (the default), fog, tactical or mems.",
+        autocompletion=preset_names,
+    ),
+]
+Scenario = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO", help="straight, figure-eight, lawnmower or static.", autocompletion=scenario_names
     ),
 ]
 Settings = Annotated[

@@ -49,8 +49,8 @@ def run(
 ) -> int:
     """Replay dives through the configured filters.
 
-    What the filters believe is laid beside what is so. Each log gets a folder with CSV tables, report.json, replay.mcap
-    and the settings; several logs also a summary.csv.
+    What the filters believe is laid beside what is so. Each log gets a folder with report.html, CSV tables,
+    report.json, replay.mcap and the settings; several logs also a summary.csv and an index.html that leads to them.
     A log that cannot be used does not stop the others.
 
     \b

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insdvl_replay.cli.completion import grade_names
 from insdvl_replay.cli.messages import tell
-from insdvl_replay.cli.options import Force, Verbose
+from insdvl_replay.cli.options import Force, Scenario, Verbose
 from insdvl_replay.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def simulate(
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="straight, figure-eight, lawnmower or static.")],
+    scenario: Scenario,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="LOG", help="The MCAP file to write.")],
     seed: Annotated[
         int, typer.Option(metavar="N", help="Of every sensor error; the same seed gives the same bytes.")
@@ -22,7 +23,10 @@ def simulate(
     duration: Annotated[
         float | None, typer.Option(metavar="S", help="Seconds; left out, as long as the scenario is.")
     ] = None,
-    imu: Annotated[str, typer.Option(metavar="GRADE", help="How good the IMU is: fog, tactical or mems.")] = "fog",
+    imu: Annotated[
+        str,
+        typer.Option(metavar="GRADE", help="How good the IMU is: fog, tactical or mems.", autocompletion=grade_names),
+    ] = "fog",
     outage: Annotated[
         list[str],
         typer.Option(metavar="START:END", help="Seconds during which no beam finds the bottom. May be repeated."),

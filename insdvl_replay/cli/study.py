@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.options import Force, Preset, Settings, Verbose
+from insdvl_replay.cli.options import Force, Preset, Scenario, Settings, Verbose
 from insdvl_replay.cli.run import Format
 
 study = typer.Typer(rich_markup_mode=None, no_args_is_help=True)
@@ -26,7 +26,7 @@ def about_studies() -> None:
 
 @study.command()
 def montecarlo(
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="straight, figure-eight, lawnmower or static.")],
+    scenario: Scenario,
     runs: Annotated[int, typer.Option(metavar="N", min=2, help="How many dives to simulate.")] = 100,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all runs; each draws a seed of its own.")] = 1,
     run: Annotated[

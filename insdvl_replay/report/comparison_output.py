@@ -16,6 +16,7 @@ from insdvl_replay.report.comparison import (
 )
 from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.report.markup import latex_page, markdown_page
+from insdvl_replay.report.page import Lead, Part, page
 from insdvl_replay.report.terminal import dressed
 
 
@@ -73,6 +74,12 @@ def comparison_markdown(comparison: Comparison) -> str:
 def comparison_latex(comparison: Comparison) -> str:
     """Dress a comparison in LaTeX; needs booktabs."""
     return latex_page(comparison_heading(comparison), opening_lines(comparison), comparison_tables(comparison))
+
+
+def comparison_html(comparison: Comparison) -> bytes:
+    """Dress a comparison as a page of its own."""
+    parts: list[Part] = [*map(Lead, opening_lines(comparison)), *comparison_tables(comparison)]
+    return page(comparison_heading(comparison), [*parts, *closing_lines(comparison)])
 
 
 def comparison_terminal(comparison: Comparison) -> Group:

@@ -11,6 +11,8 @@ from insdvl_replay.errors import ConfigError
 
 COMPLETE = "report.json"
 """The file by which a result folder is known, written last."""
+PAGE = "report.html"
+"""The page that shows a result."""
 
 
 @contextmanager

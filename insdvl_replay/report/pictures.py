@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from insdvl_replay.columns import Floats
 from insdvl_replay.states import State
 
-# Nobody's own style, the identifiers inside an SVG from the salt, and no date or version of the drawing program.
+# Nobody's own style, text as text, identifiers from the salt, and no date or version of the drawing program.
 _OWN_STYLE: Final[dict[str, Any]] = {
     "svg.hashsalt": "insdvl-replay",
+    "svg.fonttype": "none",
     "font.size": 9.0,
     "axes.grid": True,
     "grid.alpha": 0.3,

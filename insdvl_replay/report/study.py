@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.text import Text
 
@@ -13,10 +14,12 @@ from insdvl_replay.config import Config
 from insdvl_replay.config_file import render_toml
 from insdvl_replay.errors import Note
 from insdvl_replay.report.csv_tables import rows_csv, table_csv
-from insdvl_replay.report.folder import COMPLETE
+from insdvl_replay.report.folder import COMPLETE, PAGE
 from insdvl_replay.report.markup import latex_page, markdown_page
+from insdvl_replay.report.pictures import picture_bytes
 from insdvl_replay.report.shown import ShownTable
 from insdvl_replay.report.study_json import study_json
+from insdvl_replay.report.study_page import study_page
 from insdvl_replay.report.terminal import dressed
 
 
@@ -57,15 +60,27 @@ class StudyReport:
     series: Mapping[str, pd.DataFrame] = field(default_factory=dict)
 
 
-def write_study(report: StudyReport, folder: Path) -> None:
-    """Write the tables, the settings and, last, the file by which a result is known.
+def write_study(
+    report: StudyReport, folder: Path, pictures: Mapping[str, Figure] | None = None, *, png: bool = False
+) -> None:
+    """Write the pictures, the tables, the settings, the page and, last, the file by which a result is known.
 
     Parameters
     ----------
     report : StudyReport
     folder : Path
         Exists; its other files are left alone.
+    pictures : mapping of str to matplotlib.figure.Figure, optional
+        By the name of their files.
+    png : bool
+        Write the pictures as PNG, too.
     """
+    drawn = {name: picture_bytes(figure, "svg") for name, figure in (pictures or {}).items()}
+    for name, svg in drawn.items():
+        (folder / f"{name}.svg").write_bytes(svg)
+    for name, figure in (pictures or {}).items() if png else ():
+        (folder / f"{name}.png").write_bytes(picture_bytes(figure, "png"))
+    (folder / PAGE).write_bytes(study_page(report, drawn))
     for name, table in {**report.tables, **report.series}.items():
         (folder / f"{name}.csv").write_bytes(table_csv(table))
     (folder / "config.toml").write_text(render_toml(report.config), "utf-8")

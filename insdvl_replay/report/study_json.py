@@ -1,14 +1,12 @@
 """A study as JSON."""
 
-import platform
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 from msgspec import Meta, Struct
 
 from insdvl_replay.errors import Note
-from insdvl_replay.report.json_report import NUMERICAL_PACKAGES, Tool, records
+from insdvl_replay.report.json_report import Tool, package_versions, records
 
 if TYPE_CHECKING:
     # Only its type is needed, and whoever asks for the schema must not wait for pandas.
@@ -34,7 +32,7 @@ def study_json(report: "StudyReport") -> bytes:
     """Write a study as JSON, null for what is missing. The same study gives the same bytes."""
     result = StudyResult(
         tool=Tool(),
-        versions={"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES},
+        versions=package_versions(),
         study=report.study,
         arguments=dict(report.arguments),
         sentences=list(report.sentences),

@@ -56,15 +56,30 @@ def _summary_rows(outcome: Report | Failure) -> Iterator[tuple[object, ...]]:
             name,
             means.mean_improvement_pct,
             means.mean_convergence_improvement_pct,
-            *_position_rmse(outcome, name, "position_h"),
-            *_position_rmse(outcome, name, "position_h_pct"),
+            *position_rmse(outcome, name, "position_h"),
+            *position_rmse(outcome, name, "position_h_pct"),
             _verdicts(outcome, name),
             "done",
             None,
         )
 
 
-def _position_rmse(report: Report, name: str, quantity: str) -> tuple[float | None, float | None]:
+def position_rmse(report: Report, name: str, quantity: str) -> tuple[float | None, float | None]:
+    """Give the baseline's and a candidate's rms position error.
+
+    Parameters
+    ----------
+    report : Report
+    name : str
+        A candidate.
+    quantity : str
+        ``position_h`` or ``position_h_pct``.
+
+    Returns
+    -------
+    tuple of float or None
+        Baseline and candidate; None where the dive has no reference.
+    """
     for row in report.tables.reference_error:
         if (row.filter, row.quantity) == (name, quantity):
             return row.baseline_rmse, row.rmse

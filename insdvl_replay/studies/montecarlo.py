@@ -16,7 +16,7 @@ from insdvl_replay.evaluation.ensemble_tables import (
     verdict_table,
 )
 from insdvl_replay.report.montecarlo import montecarlo_sentences, run_sentences, shown_montecarlo, shown_run
-from insdvl_replay.report.pictures import draw_ensemble, picture_bytes
+from insdvl_replay.report.pictures import draw_ensemble
 from insdvl_replay.report.study import StudyReport, write_study
 from insdvl_replay.states import STATES
 from insdvl_replay.studies.simulated_run import MATCHED, World, make_world, run_seed, simulated_run
@@ -106,14 +106,16 @@ def save_montecarlo(report: StudyReport, ensembles: tuple[Ensemble, ...], folder
     png : bool
         Draw the pictures as PNG, too.
     """
-    for ensemble in ensembles:
-        for name, states in PICTURES.items():
-            title = f"{ensemble.filter}: {report.title}"
-            columns = (ensemble.time_s, ensemble.sd, ensemble.error_sd, ensemble.error_mean)
-            figure = draw_ensemble(title, states, *columns)
-            for format_ in ("svg", "png") if png else ("svg",):
-                (folder / f"{ensemble.filter}_{name}.{format_}").write_bytes(picture_bytes(figure, format_))
-    write_study(report, folder)
+    pictures = {
+        f"{ensemble.filter}_{name}": draw_ensemble(
+            f"{ensemble.filter}: {report.title}",
+            states,
+            *(ensemble.time_s, ensemble.sd, ensemble.error_sd, ensemble.error_mean),
+        )
+        for ensemble in ensembles
+        for name, states in PICTURES.items()
+    }
+    write_study(report, folder, pictures, png=png)
 
 
 def repeat_run(

@@ -22,7 +22,6 @@ from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation import Prepared, prepare_dive
 from insdvl_replay.report.observability import observability_sentences, shown_observability
 from insdvl_replay.report.observability_picture import draw_singular_values
-from insdvl_replay.report.pictures import picture_bytes
 from insdvl_replay.report.study import StudyReport, write_study
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS
@@ -103,9 +102,7 @@ def save_observability(report: StudyReport, folder: Path, *, png: bool = False) 
         Draw the picture as PNG, too.
     """
     figure = draw_singular_values(report.title, report.tables["singular_values"], TOLERANCE)
-    for format_ in ("svg", "png") if png else ("svg",):
-        (folder / f"singular_values.{format_}").write_bytes(picture_bytes(figure, format_))
-    write_study(report, folder)
+    write_study(report, folder, {"singular_values": figure}, png=png)
 
 
 def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:

@@ -26,7 +26,6 @@ from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, wi
 from insdvl_replay.nav.gaps import find_gaps
 from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.preparation import prepare_dive
-from insdvl_replay.report.pictures import picture_bytes
 from insdvl_replay.report.study import StudyReport, write_study
 from insdvl_replay.report.window import shown_windows, window_sentences
 from insdvl_replay.report.window_picture import draw_windows
@@ -99,10 +98,7 @@ def save_window(report: StudyReport, folder: Path, *, png: bool = False) -> None
     png : bool
         Draw the picture as PNG, too.
     """
-    figure = draw_windows(report.tables["window"])
-    for format_ in ("svg", "png") if png else ("svg",):
-        (folder / f"window.{format_}").write_bytes(picture_bytes(figure, format_))
-    write_study(report, folder)
+    write_study(report, folder, {"window": draw_windows(report.tables["window"])}, png=png)
 
 
 def dive_windows(dive: Dive, config: Config, longest: int) -> tuple[pd.DataFrame, float, tuple[Note, ...]]:

@@ -1,0 +1,69 @@
+"""The page of several dives: one row for each dive and candidate, which leads to the dive's own page."""
+
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from typing import Final
+from urllib.parse import quote
+
+from insdvl_replay.report.folder import PAGE
+from insdvl_replay.report.json_report import Report
+from insdvl_replay.report.page import LinkedTable, page
+from insdvl_replay.report.shown import MISSING, ShownTable, number, percent
+from insdvl_replay.report.summary import Failure, position_rmse
+
+_HEADER: Final = (
+    "dive", "filter", "improvement", "believed", "actual", "sooner", "position\nbaseline [m]", "position\n[m]",
+    "consistency", "warnings", "failed because",
+)  # fmt: skip
+_ALIGNMENT: Final = "lllrrrrrlrl"
+
+
+def index_page(outcomes: Sequence[Report | Failure]) -> bytes:
+    """Write the page of several dives.
+
+    Parameters
+    ----------
+    outcomes : sequence of Report or Failure
+        In the order in which the logs were given.
+
+    Returns
+    -------
+    bytes
+        A table, whose columns a script lets the reader sort.
+    """
+    rows = [row for outcome in outcomes for row in _rows(outcome)]
+    failed = sum(isinstance(outcome, Failure) for outcome in outcomes)
+    table = ShownTable(
+        "Each candidate against its baseline",
+        _HEADER,
+        _ALIGNMENT,
+        tuple(cells for cells, _ in rows),
+        "believed: mean over nine states, by the filter's own covariance; actual: median of the errors against the "
+        "reference; sooner: mean convergence; position: rms of the horizontal error",
+    )
+    words = f"{len(outcomes)} dives" + (f", {failed} of them failed" if failed else "")
+    script = files("insdvl_replay.report").joinpath("sorting.js").read_text("utf-8")
+    return page(words, [LinkedTable(table, tuple(link for _, link in rows))], script)
+
+
+def _rows(outcome: Report | Failure) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Give the cells of each row, and where it leads."""
+    if isinstance(outcome, Failure):
+        yield (outcome.log, *[MISSING] * 9, outcome.reason), ""
+        return
+    warnings = sum(note.severity == "warning" for note in outcome.notes)
+    for name, candidate in outcome.filters.items():
+        position_m = position_rmse(outcome, name, "position_h")
+        cells = (
+            outcome.log.name,
+            name,
+            candidate.improvement,
+            percent(candidate.mean_improvement_pct),
+            percent(candidate.reference_improvement_pct),
+            percent(candidate.mean_convergence_improvement_pct),
+            *map(number, position_m),
+            candidate.consistency,
+            str(warnings),
+            "",
+        )
+        yield cells, f"{quote(outcome.log.name)}/{PAGE}"

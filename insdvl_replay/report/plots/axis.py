@@ -1,0 +1,99 @@
+"""One axis of a panel: its limits, its ticks and their labels, and the way from values to places on the paper."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.report.plots.panel import Scale
+
+_STEPS: Final = (1, 2, 2.5, 5, 10)
+_MARGIN: Final = 0.05
+"""Share of the span that stays free at either end."""
+_SMALLEST_SPAN: Final = 1e-9
+"""Share of the size of values below which they are all the same."""
+_LARGEST: Final = 1e30
+"""What a filter that broke down says beyond is not shown."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """From values to places.
+
+    Attributes
+    ----------
+    low, high : float
+        Values at the ends.
+    start, end : float
+        Places of the ends on the paper.
+    scale : {'linear', 'log'}
+    """
+
+    low: float
+    high: float
+    start: float
+    end: float
+    scale: Scale = "linear"
+
+    def place(self, values: Floats) -> Floats:
+        """Give the places of values; NaN where a logarithmic axis has none."""
+        low, high = self.low, self.high
+        if self.scale == "log":
+            values = np.log10(np.where(values > 0.0, values, np.nan))
+            low, high = math.log10(low), math.log10(high)
+        places: Floats = self.start + (values - low) / (high - low) * (self.end - self.start)
+        return places
+
+    def ticks(self, count: int) -> list[tuple[float, str]]:
+        """Give the places of at most some ticks, and their labels."""
+        from matplotlib.ticker import LogLocator, MaxNLocator  # tables alone must not wait for it
+
+        if self.scale == "log":
+            values = np.asarray(LogLocator(numticks=count).tick_values(self.low, self.high), dtype=np.float64)
+            labels = [_power(value) for value in values]
+        else:
+            values = np.asarray(MaxNLocator(count, steps=_STEPS).tick_values(self.low, self.high), dtype=np.float64)
+            labels = [_plain(value, values[1] - values[0]) for value in values]
+        inside = (values >= self.low) & (values <= self.high)
+        places = self.place(values).tolist()
+        return [(place, label) for place, label, shown in zip(places, labels, inside.tolist(), strict=True) if shown]
+
+
+def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
+    """Give an axis some air around its values.
+
+    Parameters
+    ----------
+    values : ndarray
+        Of any shape.
+    scale : {'linear', 'log'}
+
+    Returns
+    -------
+    low, high : float
+        Not equal; 0 and 1, or 1 and 10, where there are no values.
+    """
+    known = values[(np.abs(values) < _LARGEST) & ((values > 1.0 / _LARGEST) | (scale == "linear"))]
+    if not len(known):
+        return (0.0, 1.0) if scale == "linear" else (1.0, 10.0)
+    low, high = float(known.min()), float(known.max())
+    if scale == "log":
+        return 10.0 ** math.floor(math.log10(low)), 10.0 ** (math.floor(math.log10(high)) + 1)
+    if high - low <= _SMALLEST_SPAN * max(abs(low), abs(high)):
+        half = abs(high) / 2.0 or 1.0
+        return low - half, high + half
+    air = _MARGIN * (high - low)
+    return low - air, high + air
+
+
+def _plain(value: float, step: float) -> str:
+    """Write a tick as short as its step allows."""
+    text = f"{round(value / step) * step:.6g}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def _power(value: float) -> str:
+    exponent = round(math.log10(value))
+    return f"{value:g}" if -4 < exponent < 5 else f"1e{exponent}"

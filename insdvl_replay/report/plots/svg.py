@@ -1,0 +1,132 @@
+"""A panel as SVG: text stays text, colours and dashes are classes, and the same panel gives the same characters."""
+
+from collections.abc import Iterator
+from html import escape
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.report.plots.axis import Axis, limits
+from insdvl_replay.report.plots.envelope import band_envelope, envelope, without_standstill
+from insdvl_replay.report.plots.panel import Band, Curve, Panel
+
+WIDTH: Final = 360.0
+HEIGHT: Final = 210.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 48.0, 10.0, 26.0, 36.0
+_TICKS_X, _TICKS_Y = 6, 5
+_PIXEL: Final = 0.7
+_POINT: Final = 3.0
+_FAR: Final = 1e4
+"""Lines that leave the paper, to infinity even, end here."""
+
+
+def panel_svg(panel: Panel) -> str:
+    """Draw a panel.
+
+    Parameters
+    ----------
+    panel : Panel
+
+    Returns
+    -------
+    str
+        An ``svg`` element without size, to be made as wide as its place on the page.
+    """
+    height = WIDTH if panel.equal else HEIGHT
+    x_axis, y_axis = _axes(panel, height)
+    width, tall = WIDTH - _LEFT - _RIGHT, height - _TOP - _BOTTOM
+    plot = f'x="{_LEFT:g}" y="{_TOP:g}" width="{width:g}" height="{tall:g}"'
+    kind = "tall panel" if panel.equal else "panel"
+    title = escape(panel.title)
+    return "".join(
+        [
+            f'<svg class="{kind}" viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{title}">',
+            f'<text class="title" x="{_LEFT:g}" y="15">{title}</text>',
+            *_grid(panel, x_axis, y_axis),
+            f'<svg {plot} viewBox="{_LEFT:g} {_TOP:g} {width:g} {tall:g}">',
+            *_content(panel, x_axis, y_axis),
+            "</svg>",
+            f'<rect class="frame" {plot}/>',
+            "</svg>",
+        ]
+    )
+
+
+def _axes(panel: Panel, height: float) -> tuple[Axis, Axis]:
+    """Find both axes; on equal ones the shorter span grows until a unit is as long in both directions."""
+    x_all = [curve.x for curve in panel.curves] + [band.x for band in panel.bands]
+    y_all = [curve.y for curve in panel.curves] + [edge for band in panel.bands for edge in (band.low, band.high)]
+    y_all.append(np.array(panel.levels))
+    x_low, x_high = limits(np.concatenate([np.empty(0), *x_all]))
+    y_low, y_high = panel.y_limits or limits(np.concatenate(y_all), panel.y_scale)
+    right, bottom = WIDTH - _RIGHT, height - _BOTTOM
+    if panel.equal:
+        unit = max((x_high - x_low) / (right - _LEFT), (y_high - y_low) / (bottom - _TOP))
+        x_low, x_high = _widened(x_low, x_high, unit * (right - _LEFT))
+        y_low, y_high = _widened(y_low, y_high, unit * (bottom - _TOP))
+    return Axis(x_low, x_high, _LEFT, right), Axis(y_low, y_high, bottom, _TOP, panel.y_scale)
+
+
+def _widened(low: float, high: float, span: float) -> tuple[float, float]:
+    middle = (low + high) / 2.0
+    return middle - span / 2.0, middle + span / 2.0
+
+
+def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
+    """Draw ticks as lines across the panel, with their labels outside."""
+    bottom, top, left, right = y_axis.start, y_axis.end, x_axis.start, x_axis.end
+    for place, label in x_axis.ticks(_TICKS_X):
+        yield f'<path class="grid" d="M{place:.1f} {top:.1f}V{bottom:.1f}"/>'
+        yield f'<text class="tick" x="{place:.1f}" y="{bottom + 13:.1f}" text-anchor="middle">{label}</text>'
+    for place, label in y_axis.ticks(_TICKS_Y):
+        yield f'<path class="grid" d="M{left:.1f} {place:.1f}H{right:.1f}"/>'
+        yield f'<text class="tick" x="{left - 5:.1f}" y="{place + 3.5:.1f}" text-anchor="end">{label}</text>'
+    yield f'<text class="label" x="{right:.1f}" y="{bottom + 29:.1f}" text-anchor="end">{escape(panel.x_label)}</text>'
+
+
+def _content(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
+    for band in panel.bands:
+        yield f'<path class="band {band.style}" d="{_band_path(band, x_axis, y_axis)}"/>'
+    for place in y_axis.place(np.array(panel.levels)):
+        yield f'<path class="line limit" d="M{x_axis.start:.1f} {place:.1f}H{x_axis.end:.1f}"/>'
+    for curve in panel.curves:
+        kind = "points" if curve.points else "line"
+        yield f'<path class="{kind} {curve.style}" d="{_curve_path(panel, curve, x_axis, y_axis)}"/>'
+
+
+def _band_path(band: Band, x_axis: Axis, y_axis: Axis) -> str:
+    known = np.isfinite(band.low) & np.isfinite(band.high)
+    if not known.any():
+        return ""
+    x, low, high = band_envelope(band.x[known], band.low[known], band.high[known])
+    there = _line(x_axis.place(x), y_axis.place(high))
+    back = _line(x_axis.place(x)[::-1], y_axis.place(low)[::-1])
+    return f"{there}L{back[1:]}Z"
+
+
+def _curve_path(panel: Panel, curve: Curve, x_axis: Axis, y_axis: Axis) -> str:
+    x, y = x_axis.place(curve.x), y_axis.place(curve.y)
+    if curve.points:
+        return _points(x, y)
+    return _line(*(without_standstill(x, y, _PIXEL) if panel.equal else envelope(x, y)))
+
+
+def _line(x: Floats, y: Floats) -> str:
+    """Write a line with one digit after the point; it is interrupted where a place is missing."""
+    words, command = [], "M"
+    places = np.clip(np.column_stack([x, y]), -_FAR, _FAR)
+    for across, down in places.tolist():
+        if down != down or across != across:
+            command = "M"
+            continue
+        words.append(f"{command}{across:.1f} {down:.1f}")
+        command = "L"
+    return "".join(words)
+
+
+def _points(x: Floats, y: Floats) -> str:
+    """Write each occupied cell of a coarse grid as one point, a line of no length."""
+    known = np.isfinite(x) & np.isfinite(y)
+    cells = np.unique(np.round(np.column_stack([x[known], y[known]]) / _POINT), axis=0) * _POINT
+    return "".join(f"M{across:.1f} {down:.1f}h0" for across, down in cells.tolist())

@@ -1,0 +1,133 @@
+"""The pages in a browser: nothing complains, nothing is asked for, and nothing is wider than the window."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from browser import PROGRAM, Browser, opened_browser
+
+from insdvl_replay.cli import run_command_line
+
+pytestmark = [
+    pytest.mark.skipif(PROGRAM is None, reason="needs Chromium (Debian: apt-get install chromium)"),
+    pytest.mark.slow,
+]
+WIDER = """
+[...document.querySelectorAll("main *")]
+  .filter(e => !e.closest(".wide, .picture, svg") && e.getBoundingClientRect().right > innerWidth + 1)
+  .map(e => e.tagName + " " + e.className)
+"""
+UNREADABLE = """
+[...document.querySelectorAll("td, th, p, svg.panel text")]
+  .filter(e => e.textContent && e.getBoundingClientRect().height < 9)
+  .map(e => e.textContent)
+"""
+EMPTY = """
+[...document.querySelectorAll("svg.panel, svg.strip, .picture svg, table")]
+  .filter(e => { const r = e.getBoundingClientRect(); return r.width < 200 || r.height < 12; }).length
+"""
+FAINT = """
+(() => {
+  const channels = colour => colour.match(/[\\d.]+/g).slice(0, 3).map(Number);
+  const light = colour => channels(colour)
+    .map(c => c / 255).map(c => c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, c, i) => sum + c * [0.2126, 0.7152, 0.0722][i], 0);
+  const paper = light(getComputedStyle(document.body).backgroundColor);
+  const contrast = l => (Math.max(l, paper) + 0.05) / (Math.min(l, paper) + 0.05);
+  const property = e => e.tagName == "path" ? "stroke" : e.closest("svg") ? "fill" : "color";
+  return [...document.querySelectorAll("p, td, th, .tick, .title, path.line")]
+    .map(e => getComputedStyle(e)[property(e)])
+    .filter(colour => contrast(light(colour)) < 3);
+})()
+"""
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A folder of two dives, one of them with four filters and an outage, and three studies."""
+    folder = tmp_path_factory.mktemp("pages")
+    logs = [str(folder / f"{name}.mcap") for name in ("straight", "lawnmower")]
+    assert run_command_line(["simulate", "straight", "-o", logs[0], "--duration", "60"]) == 0
+    assert run_command_line(["simulate", "lawnmower", "-o", logs[1], "--duration", "90", "--outage", "30:50"]) == 0
+    several = ["--set", "filters.fast.aiding=['velocity']", "--set", "filters.slow.aiding=['velocity']"]
+    assert run_command_line(["run", *logs, "-o", str(folder / "dives"), *several]) == 0
+    studies = ["-o", str(folder / "study")]
+    assert run_command_line(["study", "montecarlo", "straight", "--runs", "2", "--duration", "30", *studies]) == 0
+    assert run_command_line(["study", "window", *logs, *studies]) == 0
+    assert run_command_line(["study", "observability", logs[0], *studies]) == 0
+    found = {path.parent.name if path.stem == "report" else path.stem: path for path in folder.rglob("*.html")}
+    assert len(found) == 6
+    return found
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with opened_browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize(
+    "name",
+    ["straight", "lawnmower", "index", "montecarlo-straight", "window", "observability-straight"],
+)
+def test_page_is_whole_and_readable(
+    name: str, dark: bool, width: int, pages: dict[str, Path], browser: Browser
+) -> None:
+    browser.open(pages[name], width, dark=dark)
+    assert browser.complaints == []
+    assert browser.requests == [pages[name].resolve().as_uri()]
+    assert browser.value("document.documentElement.scrollWidth") <= width
+    assert browser.value(WIDER) == []
+    assert browser.value(UNREADABLE) == []
+    assert browser.value(EMPTY) == 0
+    assert browser.value(FAINT) == []
+
+
+def test_dark_and_light_differ(pages: dict[str, Path], browser: Browser) -> None:
+    colours = []
+    for dark in (False, True):
+        browser.open(pages["straight"], 800, dark=dark)
+        colours.append(browser.value("getComputedStyle(document.body).backgroundColor"))
+    assert colours == ["rgb(255, 255, 255)", "rgb(18, 22, 29)"]
+
+
+def test_every_plot_of_a_dive_is_drawn(pages: dict[str, Path], browser: Browser) -> None:
+    browser.open(pages["lawnmower"], 1280)
+    assert browser.value('document.querySelectorAll("svg.panel").length') == 12 + 9 + 5 + 4 + 3
+    assert browser.value('document.querySelectorAll("svg.strip").length') == 7
+    lines = "e => e.getBoundingClientRect().width > 100"
+    drawn = (
+        f'[...document.querySelectorAll("svg.panel")].every(p => [...p.querySelectorAll("path.line")].some({lines}))'
+    )
+    assert browser.value(drawn)
+
+
+def test_a_click_sorts_by_number_and_what_is_missing_stands_last(pages: dict[str, Path], browser: Browser) -> None:
+    browser.open(pages["index"], 1280)
+    column = '[...document.querySelectorAll("tbody tr")].map(row => parseFloat(row.cells[3].textContent))'
+    for ascending in (True, False):
+        browser.value('document.querySelectorAll("th button")[3].click()')
+        shown = browser.value(column)
+        assert shown == sorted(shown, reverse=not ascending)
+        assert len(set(shown)) > 2
+    assert browser.value('document.querySelectorAll("th")[3].getAttribute("aria-sort")') == "descending"
+
+
+def test_without_scripts_the_index_is_a_table(pages: dict[str, Path], browser: Browser) -> None:
+    browser.open(pages["index"], 1280, scripts=False)
+    assert browser.complaints == []
+    assert browser.value('document.querySelectorAll("th button").length') == 0
+    assert browser.value('document.querySelectorAll("tbody tr").length') == 6
+
+
+def test_a_dive_prints_on_white_with_its_settings(pages: dict[str, Path], browser: Browser) -> None:
+    browser.open(pages["straight"], 1280, dark=True)
+    dark = {"name": "prefers-color-scheme", "value": "dark"}
+    browser.call("Emulation.setEmulatedMedia", media="print", features=[dark])
+    assert browser.value("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert browser.value('document.querySelector("pre").getBoundingClientRect().height') > 500
+    printed = browser.call("Page.printToPDF", preferCSSPageSize=True)
+    assert len(printed["data"]) > 50_000
+    browser.call("Emulation.setEmulatedMedia", media="", features=[dark])

@@ -1,0 +1,138 @@
+"""Panels as SVG: peaks survive, ticks are round, and the drawing says where the values are."""
+
+import re
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from insdvl_replay.report.plots.axis import Axis, limits
+from insdvl_replay.report.plots.envelope import band_envelope, envelope, without_standstill
+from insdvl_replay.report.plots.panel import Band, Curve, Panel, filter_style
+from insdvl_replay.report.plots.svg import panel_svg
+
+NAN = float("nan")
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def drawn(panel: Panel) -> ET.Element:
+    """The panel read by an XML parser, which knows no names without their space."""
+    return ET.fromstring(panel_svg(panel).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1))
+
+
+def lines(panel: Panel) -> list[np.ndarray]:
+    """Places of each line's points."""
+    return [
+        np.array(re.findall(r"[ML](-?[\d.]+) (-?[\d.]+)", path.get("d", "")), dtype=float)
+        for path in drawn(panel).iter(f"{SVG}path")
+        if path.get("class") in {"line filter0", "line filter1", "points rejected"}
+    ]
+
+
+def test_every_peak_of_a_long_series_survives() -> None:
+    x = np.arange(100_000.0)
+    y = np.random.default_rng(5).normal(size=len(x))
+    y[[17, 50_001, 99_999]] = [50.0, -60.0, 70.0]
+    short_x, short_y = envelope(x, y)
+    assert len(short_x) <= 300
+    assert (np.diff(short_x) > 0.0).all()
+    assert {50.0, -60.0, 70.0} <= set(short_y)
+    np.testing.assert_array_equal(y[short_x.astype(int)], short_y)
+    for first in range(0, 100_000, 1000):
+        part = y[first : first + 1000]
+        near = short_y[(short_x >= first - 667) & (short_x < first + 1667)]
+        assert near.min() <= part.min()
+        assert near.max() >= part.max()
+
+
+def test_what_is_missing_for_long_interrupts_a_line() -> None:
+    x, y = np.arange(3000.0), np.sin(np.arange(3000.0))
+    y[1000:2000] = NAN
+    _, short = envelope(x, y)
+    assert np.isnan(short).any()
+    assert np.isfinite(short[[0, -1]]).all()
+    assert np.isnan(envelope(x, np.full(3000, NAN))[1]).all()
+
+
+def test_short_series_are_left_alone() -> None:
+    x = np.arange(300.0)
+    np.testing.assert_array_equal(envelope(x, x**2)[1], x**2)
+    np.testing.assert_array_equal(band_envelope(x[:150], -x[:150], x[:150])[2], x[:150])
+
+
+def test_a_long_band_holds_every_value_between() -> None:
+    x = np.arange(10_000.0)
+    high = np.random.default_rng(6).uniform(1.0, 2.0, len(x))
+    short_x, low, top = band_envelope(x, -high, high)
+    assert len(short_x) <= 151
+    assert top.max() == high.max()
+    assert low.min() == -high.max()
+    assert (np.interp(x, short_x, top) > 1.0).all()
+
+
+def test_a_track_keeps_its_shape_and_loses_its_standstill() -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 5000)
+    x, y = (np.concatenate([f(angle), np.repeat(f(angle[-1:]), 50_000)]) for f in (np.cos, np.sin))
+    short_x, short_y = without_standstill(x, y, 0.01)
+    assert len(short_x) < 1000
+    np.testing.assert_allclose(np.hypot(short_x, short_y), 1.0, atol=1e-12)
+    assert np.hypot(np.diff(short_x), np.diff(short_y)).max() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [([0.0, 10.0], (-0.5, 10.5)), ([4.0, 4.0], (2.0, 6.0)), ([0.0], (-1.0, 1.0)), ([NAN, np.inf], (0.0, 1.0))],
+)
+def test_limits_give_air_and_never_meet(values: list[float], expected: tuple[float, float]) -> None:
+    assert limits(np.array(values)) == pytest.approx(expected)
+
+
+def test_limits_of_a_logarithmic_axis_are_powers_of_ten() -> None:
+    assert limits(np.array([0.0, -1.0, 0.02, 300.0, NAN]), "log") == (0.01, 1000.0)
+    assert limits(np.array([-1.0]), "log") == (1.0, 10.0)
+
+
+def test_ticks_are_round_numbers_at_their_places() -> None:
+    axis = Axis(-0.013, 0.027, 100.0, 500.0)
+    for place, label in axis.ticks(5):
+        assert place == pytest.approx(100.0 + (float(label.replace("\N{MINUS SIGN}", "-")) + 0.013) / 0.04 * 400.0)
+    assert [label for _, label in Axis(0.0, 1.0, 0.0, 1.0).ticks(5)] == ["0", "0.2", "0.4", "0.6", "0.8", "1"]
+    assert [label for _, label in Axis(0.5, 1000.0, 0.0, 1.0, "log").ticks(5)] == ["1", "10", "100", "1000"]
+    assert [label for _, label in Axis(1e-9, 1e-8, 0.0, 1.0, "log").ticks(5)] == ["1e-9", "1e-8"]
+
+
+def test_places_on_the_paper_are_where_the_values_are() -> None:
+    x, y = np.array([0.0, 5.0, 10.0]), np.array([1.0, 3.0, 2.0])
+    [places] = lines(Panel("title", "x", (Curve(x, y, "filter0"),)))
+    np.testing.assert_allclose((places[1, 0] - places[0, 0]) / (places[2, 0] - places[0, 0]), 0.5, atol=1e-3)
+    np.testing.assert_allclose((places[0, 1] - places[2, 1]) / (places[0, 1] - places[1, 1]), 0.5, atol=2e-3)
+
+
+def test_a_unit_is_as_long_on_both_axes_of_a_track() -> None:
+    x, y = np.array([0.0, 30.0, 30.0]), np.array([0.0, 0.0, 40.0])
+    [places] = lines(Panel("title", "x", (Curve(x, y, "filter0"),), equal=True))
+    across, down = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert down / across == pytest.approx(40.0 / 30.0, rel=2e-3)
+
+
+@pytest.mark.parametrize("values", [[], [NAN, NAN], [1.0, NAN], [1.0, np.inf], [1e300, -1e300], [0.0, -1.0]])
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_any_values_make_a_picture_without_words_for_missing_numbers(values: list[float], scale: str) -> None:
+    x, y = np.arange(float(len(values))), np.array(values)
+    curves = (Curve(x, y, "filter0"), Curve(x, y, "rejected", points=True))
+    bands = (Band(x, y, y, "filter1"),)
+    text = panel_svg(Panel("title <&>", "x", curves, bands, (0.5,), scale, equal=scale == "linear"))  # type: ignore[arg-type]
+    ET.fromstring(text)
+    for path in re.findall(r' d="([^"]*)"', text):
+        assert re.fullmatch(r"(?:[MLHVZh]|-?\d+(?:\.\d+)?| )*", path)
+
+
+def test_the_same_panel_gives_the_same_characters() -> None:
+    x = np.linspace(0.0, 1.0, 5000)
+    panel = Panel("title", "x", (Curve(x, np.sin(9.0 * x), "filter0"),), y_scale="log")
+    assert panel_svg(panel) == panel_svg(panel)
+
+
+def test_six_filters_have_styles_of_their_own() -> None:
+    assert len({filter_style(number) for number in range(6)}) == 6
+    assert filter_style(6) == filter_style(0)
