@@ -17,7 +17,8 @@ DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--format <table|json|csv|md|latex>",
-        "--allow-damaged", "--one-dive", "--control", "--strict", "--force", "-v, --verbose", "--help",
+        "--allow-damaged", "--one-dive", "--control", "--strict", "--jobs N", "--scheduler ADDR", "--rerun", "--force",
+        "-v, --verbose", "--help",
     ],
     "compare": [
         "OLD", "NEW", "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
@@ -262,7 +263,7 @@ def test_our_mistake_is_exit_4_and_shows_its_place_only_when_asked(
     def fail(path: Path, config: object, *, allow_damaged: bool) -> None:
         raise ZeroDivisionError("a slip")
 
-    monkeypatch.setattr("insdvl_replay.cli.dives.replay_log", fail)
+    monkeypatch.setattr("insdvl_replay.replay.replay_log", fail)
     assert run_command_line(["run", str(dive), "-o", str(tmp_path), *flags]) == 4
     err = capsys.readouterr().err
     assert ("Traceback" in err) is traceback

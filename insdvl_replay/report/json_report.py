@@ -3,6 +3,7 @@
 import math
 import platform
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -193,7 +194,7 @@ def build_report(
     rows = msgspec.convert({name: records(table) for name, table in tables.items()}, Tables)
     return Report(
         tool=tool,
-        versions={"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES},
+        versions=numerical_versions(),
         log=Log(dive.name, dive.sha256, start_ns, end_ns, (end_ns - start_ns) * 1e-9, list(dive.channels)),
         baseline=config.baseline,
         filters={name: _without_nan(candidate) for name, candidate in candidates.items()},
@@ -201,6 +202,12 @@ def build_report(
         notes=list(notes),
         config=msgspec.to_builtins(config),
     )
+
+
+@cache
+def numerical_versions() -> dict[str, str]:
+    """Give the versions of Python and of the packages that may move a number."""
+    return {"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES}
 
 
 def encode_report(report: Report) -> bytes:
