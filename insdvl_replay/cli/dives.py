@@ -1,6 +1,6 @@
 """Replay dives on as many workers as wanted, print each result in the order of the logs, and go on when one fails."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,7 +106,9 @@ def replay_dives(names: Sequence[str], output: Path, order: Order, manner: Manne
     return max(codes.values())
 
 
-def outcomes(tasks: Sequence[Task], jobs: int, scheduler: str | None, *, force: bool, rerun: bool) -> Iterator[Outcome]:
+def outcomes(
+    tasks: Sequence[Task], jobs: int, scheduler: str | None, *, force: bool, rerun: bool
+) -> Generator[Outcome, None, None]:
     """Replay what has changed, and say on a terminal how far it is.
 
     Parameters
