@@ -5,7 +5,7 @@ from typing import Final
 
 from insdvl_replay.gates import CheckResult, Finding, Judgement, Status
 from insdvl_replay.report.markup import markdown_page
-from insdvl_replay.report.shown import ShownTable
+from insdvl_replay.report.shown import MISSING, ShownTable
 
 WORDS: Final[dict[Status, str]] = {
     "unusable": "NO RESULT",
@@ -26,9 +26,7 @@ _COUNTED: Final[dict[Status, str]] = {
 def check_sentence(result: CheckResult) -> str:
     """Count what became of the gates, in one sentence."""
     dives = len({judgement.dive for judgement in result.judgements})
-    counts = ", ".join(
-        f"{count} {word}" for status, word in _COUNTED.items() if (count := result.count(status)) > 0
-    )
+    counts = ", ".join(f"{count} {word}" for status, word in _COUNTED.items() if (count := result.count(status)) > 0)
     return f"{_number(len(_gates(result)), 'gate')} on {_number(dives, 'dive')}: {counts}"
 
 
@@ -86,8 +84,17 @@ def baseline_text(changes: Sequence[tuple[str, Finding]]) -> str:
         A line for each value that is new or moved, and how many are as before.
     """
     moved = [(dive, finding) for dive, finding in changes if finding.was != finding.value]
-    lines = [f"{dive}: {'' if finding.was is not None else 'new: '}{finding.sentence}" for dive, finding in moved]
-    return "".join(f"{line}\n" for line in (*lines, f"{_number(len(moved), 'value')} new or moved, {len(changes) - len(moved)} as before"))
+    lines = [f"{dive}: {_movement(finding)}" for dive, finding in moved]
+    return "".join(
+        f"{line}\n"
+        for line in (*lines, f"{_number(len(moved), 'value')} new or moved, {len(changes) - len(moved)} as before")
+    )
+
+
+def _movement(finding: Finding) -> str:
+    cell = f"{finding.table} {finding.filter} {finding.row}: {finding.column}"
+    now = MISSING if finding.value is None else finding.value
+    return f"{cell} is new: {now}" if finding.was is None else f"{cell} goes from {finding.was} to {now}"
 
 
 def _number(count: int, noun: str) -> str:
