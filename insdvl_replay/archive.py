@@ -187,13 +187,13 @@ def replay_archive(
                 continue
             while task.target not in done:
                 place, result = next(replays)
-                outcome = Outcome(todo[place], result)
+                outcome = Outcome(todo[place], decode_report(result) if isinstance(result, bytes) else result)
                 after_dive(outcome)
                 done[outcome.task.target] = outcome
             yield done.pop(task.target)
 
 
-def replay_into(task: Task) -> Report:
+def replay_into(task: Task) -> bytes:
     """Replay one log into its folder.
 
     Parameters
@@ -202,8 +202,9 @@ def replay_into(task: Task) -> Report:
 
     Returns
     -------
-    Report
-        With the time of day, which is added here: what the hall writes depends on the log alone.
+    bytes
+        The report as it was written, with the time of day, which is added here: what the hall writes depends on the
+        log alone.
 
     Raises
     ------
@@ -219,9 +220,9 @@ def replay_into(task: Task) -> Report:
     with result_folder(task.target, force=True) as folder:
         _write_replay(task, folder)
         tool = Tool(started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3))
-        report = msgspec.structs.replace(decode_report((folder / COMPLETE).read_bytes()), tool=tool)
-        (folder / COMPLETE).write_bytes(encode_report(report))
-    return report
+        data = encode_report(msgspec.structs.replace(decode_report((folder / COMPLETE).read_bytes()), tool=tool))
+        (folder / COMPLETE).write_bytes(data)
+    return data
 
 
 def _write_replay(task: Task, folder: Path) -> None:

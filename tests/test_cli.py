@@ -25,6 +25,11 @@ DOCUMENTED = {
         "--only-changed", "--sort <table|name|change|worse>", "--fail-on LIMIT", "--format <table|json|csv|md|latex>",
         "-v, --verbose", "--help",
     ],
+    "check": [
+        "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--set KEY=VALUE",
+        "--format <text|md|json|junit|github>", "--output FILE", "--summary-file FILE", "--jobs N", "--scheduler ADDR",
+        "--rerun", "-v, --verbose", "--help",
+    ],
     "inspect": [
         "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json>",
         "--allow-damaged", "-v, --verbose", "--help",

@@ -11,13 +11,15 @@ import msgspec
 from msgspec import Meta, Struct
 
 from insdvl_replay import __version__
-from insdvl_replay.columns import Channel, Dive
+from insdvl_replay.channel import Channel
 from insdvl_replay.config import Config
 from insdvl_replay.errors import Note
 
 if TYPE_CHECKING:
-    # Only its type is needed, and whoever looks into a log must not wait for it.
+    # Only their types are needed, and whoever looks into a log or a report must not wait for them.
     import pandas as pd
+
+    from insdvl_replay.columns import Dive
 
 NUMERICAL_PACKAGES: Final = ("numpy", "numba", "pandas", "scipy", "mcap")
 """Packages whose version may move a number."""
@@ -161,7 +163,7 @@ class Report(Struct, frozen=True):
 
 
 def build_report(
-    dive: Dive,
+    dive: "Dive",
     config: Config,
     tables: Mapping[str, "pd.DataFrame"],
     candidates: Mapping[str, Candidate],
