@@ -12,6 +12,7 @@ LOG_SUFFIX: Final = ".mcap"
 LIST_SUFFIX: Final = ".txt"
 """Ending of a file that lists dives, one a line."""
 BAG_METADATA: Final = "metadata.yaml"
+"""The file by which a bag is known. Names do not tell: dives of an archive are numbered like the parts of a bag."""
 RESULT: Final = "report.json"
 """The file by which a result folder is known."""
 
@@ -77,23 +78,16 @@ def _in_folder(folder: Path, *, results: bool) -> Iterator[Path]:
         if results:
             yield folder
         return
-    logs = [path for path in folder.glob(f"*{LOG_SUFFIX}") if path.is_file()]
-    if logs and _is_bag(folder, logs):
+    if (folder / BAG_METADATA).is_file():
         yield folder
         return
+    logs = [path for path in folder.glob(f"*{LOG_SUFFIX}") if path.is_file()]
     folders = [Path(entry) for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith(".")]
     for path in sorted([*logs, *folders]):
         if path.is_dir():
             yield from _in_folder(path, results=results)
         else:
             yield path
-
-
-def _is_bag(folder: Path, logs: Sequence[Path]) -> bool:
-    """Know a recording in parts by its metadata, or by rosbag2's way to name the parts after the folder."""
-    name = folder.resolve().name
-    numbers = (log.stem.removeprefix(f"{name}_") for log in logs)
-    return (folder / BAG_METADATA).is_file() or all(number.isdecimal() for number in numbers)
 
 
 def _lines(path: Path) -> list[str]:

@@ -90,9 +90,9 @@ def wait_for(path: Path, process: subprocess.Popen[str]) -> None:
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    """Logs, a bag, parts named after their folder, a result and a hidden folder."""
+    """Logs, a bag, a folder of numbered logs, a result and a hidden folder."""
     for name in ("b.mcap", "a.mcap", "notes.md", "2026/c.mcap", "bag/x_1.mcap", "bag/metadata.yaml",
-                 "parts/parts_0.mcap", "parts/parts_1.mcap", "replay/a/replay.mcap", "replay/a/report.json",
+                 "trip/trip_0.mcap", "trip/trip_1.mcap", "replay/a/replay.mcap", "replay/a/report.json",
                  ".trash/old.mcap"):  # fmt: skip
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
@@ -105,10 +105,10 @@ def tree(tmp_path: Path) -> Path:
         ("a.mcap", "a.mcap"),
         ("absent.mcap", "absent.mcap"),
         ("notes.md", "notes.md"),
-        (".", "2026/c.mcap a.mcap b.mcap bag parts"),
+        (".", "2026/c.mcap a.mcap b.mcap bag trip/trip_0.mcap trip/trip_1.mcap"),
         ("bag", "bag"),
         ("*.mcap", "a.mcap b.mcap"),
-        ("*", "2026/c.mcap a.mcap b.mcap bag parts"),
+        ("*", "2026/c.mcap a.mcap b.mcap bag trip/trip_0.mcap trip/trip_1.mcap"),
         ("**/c.mcap", "2026/c.mcap"),
     ],
 )
