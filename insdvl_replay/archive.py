@@ -115,7 +115,7 @@ def plan_tasks(logs: Sequence[Path], output: Path, order: Order, *, one_dive: bo
         if target in tasks:
             raise ConfigError(
                 f"{tasks[target].name} and {name} would both write {target}",
-                "replay them one by one, each into a folder of its own, or with --one-dive if they are parts of one dive",
+                "replay them one by one, each with its own folder, or with --one-dive if they are parts of one dive",
             )
         tasks[target] = Task(dive, name, target, order)
     return list(tasks.values())

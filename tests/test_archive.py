@@ -146,8 +146,13 @@ def test_digest_of_a_log_and_a_bag_is_that_of_the_reader(archive: Path, tmp_path
     bag.mkdir()
     for name in ("dive_1.mcap", "dive_2.mcap"):
         shutil.copy(archive / name, bag)
-    for log in (archive / "dive_1.mcap", bag):
-        assert log_digest(log) == read_dive(log, load_config()).sha256
+    for logs in ((archive / "dive_1.mcap",), (bag,), (archive / "dive_2.mcap", archive / "dive_1.mcap")):
+        assert log_digest(task(*logs)) == read_dive(logs, load_config()).sha256
+
+
+def task(*logs: Path, output: Path = Path(), **wishes: bool) -> Task:
+    (planned,) = plan_tasks(logs, output, Order(load_config(), **wishes), one_dive=True)
+    return planned
 
 
 def known(archive: Path, results: Path, order: Order) -> set[str]:
@@ -177,7 +182,7 @@ def test_results_are_known_by_log_settings_and_versions(archive: Path, results: 
 def test_a_result_of_the_control_is_known(archive: Path, tmp_path: Path) -> None:
     log, output = archive / "dive_1.mcap", tmp_path / "out"
     assert run_command_line(["run", str(log), "--control", "-o", str(output)]) == 0
-    assert known_reports([Task(log, output / "dive_1", Order(load_config(), control=True))], force=False)
+    assert known_reports([task(log, output=output, control=True)], force=False)
     assert run_command_line(["run", str(log), "-o", str(output)]) == 2
 
 
@@ -186,9 +191,7 @@ def test_a_damaged_log_is_known_only_to_whom_it_is_good_enough(archive: Path, tm
     cut.write_bytes((archive / "dive_1.mcap").read_bytes()[:-200])
     arguments = ["run", str(cut), "-o", str(tmp_path / "out")]
     assert run_command_line([*arguments, "--allow-damaged"]) == 0
-    assert known_reports(
-        [Task(cut, tmp_path / "out" / "cut", Order(load_config(), allow_damaged=True))], force=False
-    )  # fmt: skip
+    assert known_reports([task(cut, output=tmp_path / "out", allow_damaged=True)], force=False)
     assert run_command_line([*arguments, "--force"]) == 3
 
 

@@ -30,7 +30,9 @@ def test_the_dives_are_made_again_byte_for_byte(command: list[str], tmp_path: Pa
     _, *arguments, place = command
     log = tmp_path / Path(place.strip('"')).name
     assert run_command_line([*arguments, str(log)]) == 0
-    digests = dict(reversed(line.split()) for line in (ARCHIVE / "SHA256SUMS").read_text("utf-8").splitlines())
+    digests = dict(
+        reversed(line.split()) for line in (ARCHIVE / "dives" / "SHA256SUMS").read_text("utf-8").splitlines()
+    )
     assert hashlib.sha256(log.read_bytes()).hexdigest() == digests[log.name]
 
 

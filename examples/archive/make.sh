@@ -9,4 +9,4 @@ folder=$(dirname "$0")/dives
 "$program" simulate figure-eight --duration 40 --seed 13 --outage 10:15 --force --output "$folder/outage.mcap"
 "$program" simulate straight --duration 40 --seed 14 --imu tactical --lost-beam 2:10:20 --force --output "$folder/lost_beam.mcap"
 cd "$folder"
-sha256sum transit.mcap survey.mcap outage.mcap lost_beam.mcap > ../SHA256SUMS
+sha256sum transit.mcap survey.mcap outage.mcap lost_beam.mcap > SHA256SUMS
