@@ -30,6 +30,7 @@ lint: .venv/test.stamp
 bench: .venv/test.stamp
 	$(BIN)/python benchmarks/reading.py
 	PYTHONPATH=tests $(BIN)/python benchmarks/filtering.py
+	$(BIN)/python benchmarks/archive.py
 
 # Made anew only when the simulation or the writer changes; tests hold them to SHA256SUMS.
 samples: .venv/run.stamp

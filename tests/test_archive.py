@@ -253,12 +253,14 @@ def test_each_item_is_done_once_and_an_exception_is_a_result(jobs: int) -> None:
     assert isinstance(outcomes[1], ValueError)
 
 
+@pytest.mark.slow
 def test_items_of_a_dead_worker_are_tried_again(tmp_path: Path) -> None:
     items = [tmp_path / name for name in ("a", "b", "c.deadly", "d", "e", "f")]
     outcomes = dict(do_each(die_at_first, items, local_workers(2)))
     assert outcomes == {place: item.name for place, item in enumerate(items)}
 
 
+@pytest.mark.slow
 def test_only_the_item_that_kills_its_workers_is_lost() -> None:
     items = ["a", "b", "deadly", "c", "d", "e"]
     outcomes = dict(do_each(die_always, items, local_workers(2)))
@@ -266,6 +268,7 @@ def test_only_the_item_that_kills_its_workers_is_lost() -> None:
     assert outcomes == {place: item for place, item in enumerate(items) if item != "deadly"}
 
 
+@pytest.mark.slow
 def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_path: Path) -> None:
     done = run(archive, "-o", "out", "--jobs", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -275,6 +278,7 @@ def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_
     assert again.stdout == done.stdout
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: Path) -> None:
     command = [*TOOL, "run", str(archive), "-o", "out", "--jobs", "2"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -291,6 +295,7 @@ def visible(files: dict[str, bytes]) -> dict[str, bytes]:
     return {name: data for name, data in files.items() if not name.startswith(".")}
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_stopped(archive: Path, results: Path, tmp_path: Path) -> None:
     command = [*TOOL, "run", str(archive), "-o", "out", "--jobs", "2"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -309,6 +314,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(archive: Path, results: Pat
     assert bytes_of(tmp_path / "out") == bytes_of(results)
 
 
+@pytest.mark.slow
 def test_a_cluster_writes_the_bytes_of_one_process(
     archive: Path, results: Path, tmp_path: Path, cluster: tuple[str, subprocess.Popen[str]]
 ) -> None:
@@ -317,6 +323,7 @@ def test_a_cluster_writes_the_bytes_of_one_process(
     assert bytes_of(tmp_path / "out") == bytes_of(results)
 
 
+@pytest.mark.slow
 def test_a_killed_worker_of_a_cluster_loses_nothing(
     archive: Path, results: Path, tmp_path: Path, cluster: tuple[str, subprocess.Popen[str]]
 ) -> None:
@@ -331,6 +338,7 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(
     assert visible(bytes_of(tmp_path / "out")) == bytes_of(results)
 
 
+@pytest.mark.slow
 def test_a_cluster_that_is_not_there_is_an_error(archive: Path, tmp_path: Path) -> None:
     done = run(archive, "-o", "out", "--scheduler", "tcp://127.0.0.1:9", cwd=tmp_path)
     assert done.returncode == 2

@@ -63,6 +63,7 @@ def steps_of(name: str) -> list[str]:
     return list(workflow["dives"]["script"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "said"), [("github.yml", "::error"), ("gitlab.yml", "FAILED")])
 def test_the_jobs_run(
     name: str, said: str, archive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -42,7 +42,7 @@ def why(gate_: Gate, report: StoredReport, baseline: StoredReport | None = None)
     [
         ("dives = [", "", "is not valid TOML: Invalid value (at end of document)", ""),
         ("dvies = []\n" + GATE + "max = 1", ":1: ", "key 'dvies' is not known", "did you mean dives?"),
-        (GATE + "maks = 1", ":5: gate 1: ", "key 'maks' is not known", "did you mean max?"),
+        (GATE + "maxx = 1", ":5: gate 1: ", "key 'maxx' is not known", "did you mean max?"),
         (GATE + 'max = "1"', ":5: gate 1: ", "max: expected `float | null`, got `str`, found '1'", "for example"),
         (GATE + 'max = 1\nlevel = "loud"', ":6: gate 1: ", "level: invalid enum value 'loud'", ""),
         (GATE, ":1: gate 1: ", "'a' has no condition", "min, max, equals or baseline"),
