@@ -17,8 +17,8 @@ import msgspec
 
 from insdvl_replay import __version__
 from insdvl_replay.config import Config
-from insdvl_replay.errors import ConfigError, UserError
-from insdvl_replay.executors import Workers, do_each
+from insdvl_replay.errors import ConfigError, LogError, UserError
+from insdvl_replay.executors import WorkerLostError, Workers, do_each
 from insdvl_replay.report.folder import COMPLETE, refuse_existing_folder, result_folder
 from insdvl_replay.report.json_report import Report, Tool, decode_report, encode_report, numerical_versions
 from insdvl_replay.studies.workers import each
@@ -187,10 +187,16 @@ def replay_archive(
                 continue
             while task.target not in done:
                 place, result = next(replays)
-                outcome = Outcome(todo[place], decode_report(result) if isinstance(result, bytes) else result)
+                outcome = Outcome(todo[place], _result_of(todo[place], result))
                 after_dive(outcome)
                 done[outcome.task.target] = outcome
             yield done.pop(task.target)
+
+
+def _result_of(task: Task, result: bytes | Exception) -> Report | Exception:
+    if isinstance(result, WorkerLostError):  # workers do not know of logs
+        return LogError(f"{task.name}: {result.message}", result.hint)
+    return decode_report(result) if isinstance(result, bytes) else result
 
 
 def replay_into(task: Task) -> bytes:

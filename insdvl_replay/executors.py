@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Final, NoReturn, TypeVar
 
-from insdvl_replay.errors import ConfigError
+from insdvl_replay.errors import ConfigError, LogError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -29,8 +29,8 @@ _REACHED_WITHIN_S: Final = 10.0
 """How long a cluster may take to answer."""
 
 
-class WorkerLostError(Exception):
-    """A worker died over an item, twice."""
+class WorkerLostError(LogError):
+    """A worker died over an item, twice (exit code 3)."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,10 @@ def _outcome(future: Future[Result], lost: tuple[type[BaseException], ...]) -> R
     try:
         return future.result()
     except lost as error:
-        return WorkerLostError(f"its worker died twice: {error}")
+        return WorkerLostError(
+            f"its worker died, and died again with nothing else to do: {error}",
+            "a machine that runs out of memory kills; try it alone, with --jobs 1",
+        )
     except Exception as error:
         return error
 

@@ -7,19 +7,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor, Executor
+from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 import psutil
 import pytest
 from dying_work import die_always, die_at_first
 from msgspec.structs import replace
 
-from insdvl_replay.archive import Order, Task, known_reports, log_digest, plan_tasks
+from insdvl_replay.archive import Order, Task, known_reports, log_digest, plan_tasks, replay_archive
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.config_file import load_config
 from insdvl_replay.dive_paths import find_dives
-from insdvl_replay.errors import ConfigError
-from insdvl_replay.executors import WorkerLostError, do_each, local_workers
+from insdvl_replay.errors import ConfigError, LogError
+from insdvl_replay.executors import Pool, WorkerLostError, Workers, do_each, local_workers
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.report.json_report import decode_report, encode_report
 from insdvl_replay.sim.dive import simulate_dive
@@ -266,6 +269,24 @@ def test_only_the_item_that_kills_its_workers_is_lost() -> None:
     outcomes = dict(do_each(die_always, items, local_workers(2)))
     assert isinstance(outcomes.pop(2), WorkerLostError)
     assert outcomes == {place: item for place, item in enumerate(items) if item != "deadly"}
+
+
+def test_a_dive_that_kills_its_workers_is_told_by_name(archive: Path, tmp_path: Path) -> None:
+    class Deadly(Executor):
+        def submit(self, *_: object) -> NoReturn:
+            raise BrokenExecutor("killed")
+
+    @contextmanager
+    def fresh(_alone: bool) -> Iterator[Pool]:
+        yield Pool(Deadly(), 2)
+
+    tasks = [task(archive / f"dive_{seed}.mcap", output=tmp_path) for seed in (1, 2)]
+    first, second = replay_archive(tasks, {}, Workers(fresh), lambda _: None)
+    assert isinstance(first.result, LogError)
+    assert first.result.message == (
+        f"{archive / 'dive_1.mcap'}: its worker died, and died again with nothing else to do: killed"
+    )
+    assert isinstance(second.result, LogError)
 
 
 @pytest.mark.slow
