@@ -222,22 +222,19 @@ def replay_into(task: Task) -> bytes:
             f"{task.name}: asked for by insdvl-replay {task.order.version}, but the worker has {__version__}",
             "install the same version on all workers",
         )
-    started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
-    with result_folder(task.target, force=True) as folder:
-        _write_replay(task, folder)
-        tool = Tool(started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3))
-        data = encode_report(msgspec.structs.replace(decode_report((folder / COMPLETE).read_bytes()), tool=tool))
-        (folder / COMPLETE).write_bytes(data)
-    return data
-
-
-def _write_replay(task: Task, folder: Path) -> None:
     from insdvl_replay.control import replay_with_control
     from insdvl_replay.replay import replay_log
     from insdvl_replay.result_files import save_replay
 
-    replay = replay_with_control if task.order.control else replay_log
-    save_replay(replay(task.logs, task.order.config, allow_damaged=task.order.allow_damaged), folder)
+    started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
+    run = replay_with_control if task.order.control else replay_log
+    replay = run(task.logs, task.order.config, allow_damaged=task.order.allow_damaged)
+    with result_folder(task.target, force=True) as folder:
+        save_replay(replay, folder)
+        tool = Tool(started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3))
+        data = encode_report(msgspec.structs.replace(decode_report((folder / COMPLETE).read_bytes()), tool=tool))
+        (folder / COMPLETE).write_bytes(data)
+    return data
 
 
 def _known_report(task: Task) -> Report | None:
