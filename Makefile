@@ -5,16 +5,20 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: demo test quick lint bench samples schemas pictures readme reproduce clean
+.PHONY: demo test quick check lint bench samples schemas pictures readme reproduce clean
 
 demo: .venv/run.stamp
-	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force
+	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
 
-test: .venv/test.stamp lint tests/node/node_modules
+test: .venv/test.stamp lint check tests/node/node_modules
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
 quick: .venv/test.stamp
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m "not slow"
+
+# The example archive against its gates, as a team's own job does it; all anew, since here the code changes and not its version.
+check: .venv/run.stamp
+	$(BIN)/insdvl-replay check examples/archive/gates.toml --jobs 2 --rerun
 
 lint: .venv/test.stamp
 	$(BIN)/ruff check .
@@ -26,10 +30,12 @@ lint: .venv/test.stamp
 bench: .venv/test.stamp
 	$(BIN)/python benchmarks/reading.py
 	PYTHONPATH=tests $(BIN)/python benchmarks/filtering.py
+	$(BIN)/python benchmarks/archive.py
 
 # Made anew only when the simulation or the writer changes; tests hold them to SHA256SUMS.
 samples: .venv/run.stamp
 	sh sample_logs/make.sh $(BIN)/insdvl-replay
+	sh examples/archive/make.sh $(BIN)/insdvl-replay
 
 schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema config > schemas/config.schema.json
@@ -37,6 +43,7 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema inspection > schemas/inspection.schema.json
 	$(BIN)/insdvl-replay schema study > schemas/study.schema.json
 	$(BIN)/insdvl-replay schema comparison > schemas/comparison.schema.json
+	$(BIN)/insdvl-replay schema check > schemas/check.schema.json
 
 pictures: .venv/run.stamp
 	$(BIN)/python pages/pictures.py
@@ -50,7 +57,7 @@ reproduce: .venv/run.stamp
 	$(BIN)/python pages/reproduction.py $(DIVES)
 
 clean:
-	rm -rf .venv replay build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache tests/node/node_modules
+	rm -rf .venv replay checked build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache tests/node/node_modules
 
 # What Foxglove reads logs with; where there is no npm, the test that needs it says so and is left out.
 tests/node/node_modules: tests/node/package-lock.json

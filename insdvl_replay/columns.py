@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.channel import Channel
 from insdvl_replay.errors import Note
 
 Floats = NDArray[np.float64]
@@ -124,27 +125,6 @@ class TruthColumns:
     time_ns: TimeNs
     accel_bias_b: Floats
     gyro_bias_b: Floats
-
-
-@dataclass(frozen=True)
-class Channel:
-    """What a log holds on one topic, for the record.
-
-    Attributes
-    ----------
-    topic, type_name, encoding : str
-        As the log names them.
-    role : str
-        ``imu``, ``dvl``, ``reference``, ``truth``, or empty where the replay has no use for it.
-    messages : int
-        How many messages the log holds.
-    """
-
-    topic: str
-    type_name: str
-    encoding: str
-    role: str
-    messages: int
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,18 @@ DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--format <table|json|csv|md|latex>",
-        "--allow-damaged", "--one-dive", "--control", "--strict", "--force", "-v, --verbose", "--help",
+        "--allow-damaged", "--one-dive", "--control", "--strict", "--jobs N", "--scheduler ADDR", "--rerun", "--force",
+        "-v, --verbose", "--help",
     ],
     "compare": [
         "OLD", "NEW", "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
         "--only-changed", "--sort <table|name|change|worse>", "--fail-on LIMIT",
         "--format <table|json|csv|md|latex|html>", "-v, --verbose", "--help",
+    ],
+    "check": [
+        "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--set KEY=VALUE",
+        "--format <text|md|json|junit|github>", "--output FILE", "--summary-file FILE", "--jobs N", "--scheduler ADDR",
+        "--rerun", "-v, --verbose", "--help",
     ],
     "inspect": [
         "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json>",
@@ -262,7 +268,7 @@ def test_our_mistake_is_exit_4_and_shows_its_place_only_when_asked(
     def fail(path: Path, config: object, *, allow_damaged: bool) -> None:
         raise ZeroDivisionError("a slip")
 
-    monkeypatch.setattr("insdvl_replay.cli.dives.replay_log", fail)
+    monkeypatch.setattr("insdvl_replay.replay.replay_log", fail)
     assert run_command_line(["run", str(dive), "-o", str(tmp_path), *flags]) == 4
     err = capsys.readouterr().err
     assert ("Traceback" in err) is traceback

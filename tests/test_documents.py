@@ -19,7 +19,7 @@ from insdvl_replay.cli.app import app
 
 PROJECT = Path(__file__).resolve().parents[1]
 DOCUMENTS = ("README.md", "EQUATIONS.md", "CONTRIBUTING.md", "CHANGELOG.md")
-LEFT_BEHIND = {"build", "dist", "replay", "__pycache__", "node_modules"}
+LEFT_BEHIND = {"build", "dist", "replay", "checked", "__pycache__", "node_modules"}
 
 
 def text_of(name: str) -> str:

@@ -11,7 +11,8 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from insdvl_replay.columns import Channel, Dive, DvlColumns, ImuColumns
+from insdvl_replay.channel import Channel
+from insdvl_replay.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.config import Config
 from insdvl_replay.errors import ConfigError, Note
 from insdvl_replay.evaluation.believed import mean_over_nine

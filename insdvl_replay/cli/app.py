@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from insdvl_replay import __version__
+from insdvl_replay.cli.check import check
 from insdvl_replay.cli.compare import compare
 from insdvl_replay.cli.config import config
 from insdvl_replay.cli.inspection import inspect
@@ -16,7 +17,7 @@ from insdvl_replay.cli.study import study
 
 # Plain help: rich would add 0.1 s to it, and cut it where it is piped.
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
-for command in (run, compare, inspect, simulate, config, schema):
+for command in (run, compare, check, inspect, simulate, config, schema):
     app.command()(command)
 app.add_typer(study, name="study")
 

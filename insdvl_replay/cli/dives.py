@@ -1,37 +1,28 @@
-"""Replay one dive after the other, print each result, and go on when one fails."""
+"""Replay dives on as many workers as wanted, print each result in the order of the logs, and go on when one fails."""
 
-import time
-from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
+from insdvl_replay.archive import Order, Outcome, Task, known_reports, plan_tasks, replay_archive
 from insdvl_replay.cli.messages import emit, tell, tell_failure, tell_notes
 from insdvl_replay.cli.run import Format
-from insdvl_replay.cli.screen import compiling, patience, rendered
-from insdvl_replay.config import Config
-from insdvl_replay.control import replay_with_control
+from insdvl_replay.cli.screen import DivesBar, compiling, patience, rendered
+from insdvl_replay.dive_paths import find_dives
 from insdvl_replay.errors import ConfigError, LogError
-from insdvl_replay.logs import name_giver
-from insdvl_replay.replay import replay_log
+from insdvl_replay.executors import Workers, cluster_workers, local_workers
 from insdvl_replay.report.csv_tables import report_csv
-from insdvl_replay.report.folder import (
-    COMPLETE,
-    refuse_existing_file,
-    refuse_existing_folder,
-    result_file,
-    result_folder,
-)
+from insdvl_replay.report.folder import refuse_existing_file, result_file
 from insdvl_replay.report.index_page import index_page
-from insdvl_replay.report.json_report import Report, Tool, decode_report, encode_report, encode_reports
+from insdvl_replay.report.json_report import Report, encode_report, encode_reports
 from insdvl_replay.report.markup import latex_report, markdown_report
-from insdvl_replay.report.summary import Failure, summary_csv
-from insdvl_replay.result_files import save_replay
+from insdvl_replay.report.page import is_page
+from insdvl_replay.report.summary import Failure, is_summary, summary_csv
 
-OVERVIEWS: Final = {"summary.csv": summary_csv, "index.html": index_page}
-"""What lays several dives beside each other, by the name of its file."""
+OVERVIEWS: Final = {"summary.csv": (summary_csv, is_summary), "index.html": (index_page, is_page)}
+"""What lays several dives beside each other, and tells it from somebody else's work, by the name of its file."""
 
 PRINTED = {
     Format.TABLE: rendered,
@@ -42,126 +33,132 @@ PRINTED = {
 }
 
 
-def result_targets(
-    logs: Sequence[Path], output: Path, *, force: bool, one_dive: bool = False
-) -> dict[Path, tuple[Path, ...]]:
-    """Name each dive's result folder before any work is done.
+@dataclass(frozen=True)
+class Manner:
+    """How dives are replayed and told.
 
-    Parameters
+    Attributes
     ----------
-    logs : sequence of Path
-    output : Path
-        The folder above.
-    force : bool
-        Results that exist may be replaced.
+    format : Format
+        Of what is printed.
     one_dive : bool
         All logs are one dive; else each is one.
-
-    Returns
-    -------
-    dict of Path to tuple of Path
-        Result folder to the logs of the dive, in the order of the logs.
-
-    Raises
-    ------
-    ConfigError
-        Two logs would share a folder, or a result exists.
+    strict : bool
+        Warnings make the exit code 3.
+    force : bool
+        Results made from another log, other settings or another version may be replaced.
+    rerun : bool
+        Replay also what is unchanged.
+    jobs : int
+        Dives at the same time.
+    scheduler : str, optional
+        Address of a cluster that takes the place of this machine.
+    verbosity : int
+        1: say all notes, not the warnings alone; 2: also where in the code an error arose.
     """
-    targets: dict[Path, tuple[Path, ...]] = {}
-    dives = [tuple(logs)] if one_dive else [(log,) for log in logs]
-    for dive in dives:
-        log = name_giver(dive)
-        target = output / log.absolute().stem
-        if len(dives) > 1 and target.name in OVERVIEWS:
-            raise ConfigError(f"{log}: its results would bear the name of the summary", "rename it, or replay it alone")
-        if target in targets:
-            raise ConfigError(
-                f"{targets[target][0]} and {log} would both write {target}",
-                "replay them one by one, each with its own -o, or with --one-dive if they are parts of one dive",
-            )
-        refuse_existing_folder(target, force=force)
-        targets[target] = dive
-    if len(dives) > 1:
-        for name in OVERVIEWS:
-            refuse_existing_file(output / name, force=force)
-    return targets
+
+    format: Format
+    one_dive: bool
+    strict: bool
+    force: bool
+    rerun: bool
+    jobs: int
+    scheduler: str | None
+    verbosity: int
 
 
-def replay_dives(
-    targets: Mapping[Path, tuple[Path, ...]],
-    config: Config,
-    output: Path,
-    format_: Format,
-    *,
-    allow_damaged: bool,
-    control: bool,
-    strict: bool,
-    force: bool,
-    verbosity: int,
-) -> int:
+def replay_dives(names: Sequence[str], output: Path, order: Order, manner: Manner) -> int:
     """Replay dives, one result folder each, and a summary if there are several.
 
     Parameters
     ----------
-    targets : mapping of Path to tuple of Path
-        From `result_targets`.
-    config : Config
+    names : sequence of str
+        Logs, bags, folders, patterns and lists.
     output : Path
-        Folder of the summary and the page that leads to all dives.
-    format_ : Format
-        Of what is printed.
-    allow_damaged : bool
-        Use what can be read of a damaged log.
-    control : bool
-        Add the baseline with its noise fitted.
-    strict : bool
-        Warnings make the exit code 3.
-    force : bool
-        Replace older results.
-    verbosity : int
-        1: say all notes, not the warnings alone; 2: also where in the code an error arose.
+        The folder above the result folders, where the overviews of several dives lie.
+    order : Order
+    manner : Manner
 
     Returns
     -------
     int
         The worst exit code.
+
+    Raises
+    ------
+    ConfigError
+        Nothing is replayed, since a name stands for no dive, two dives would share a folder, or one is in the way.
     """
-    outcomes: list[Report | Failure] = []
+    tasks = plan_tasks(find_dives(names), output, order, one_dive=manner.one_dive)
+    if len(tasks) > 1:
+        _refuse_to_overwrite(tasks, output, force=manner.force)
+    reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
-    together = format_ is Format.JSON and len(targets) > 1
-    for target, logs in targets.items():
-        try:
-            report = _replayed(logs, target, config, allow_damaged=allow_damaged, control=control, force=force)
-        except Exception as error:
-            outcomes.append(Failure(target.name, str(error)))
-            codes[target.name] = tell_failure(error, verbosity)
+    together = manner.format is Format.JSON and len(tasks) > 1
+    for outcome in outcomes(tasks, manner.jobs, manner.scheduler, force=manner.force, rerun=manner.rerun):
+        name = outcome.task.target.name
+        if isinstance(outcome.result, Exception):
+            reports.append(Failure(name, str(outcome.result)))
+            codes[name] = tell_failure(outcome.result, manner.verbosity)
             continue
-        if not together:
-            emit(PRINTED[format_](report))
-        tell_notes(report.notes, verbose=verbosity > 0)
-        tell(f"wrote {target}")
-        outcomes.append(report)
-        codes[target.name] = _refuse_warnings(report, verbosity) if strict else 0
+        reports.append(outcome.result)
+        codes[name] = _tell_result(outcome, outcome.result, manner, quiet=together)
     if together:
-        emit(encode_reports([outcome for outcome in outcomes if isinstance(outcome, Report)]).decode())
-    if len(targets) > 1:
-        _summarise(outcomes, codes, output, force=force)
+        emit(encode_reports([report for report in reports if isinstance(report, Report)]).decode())
+    if len(tasks) > 1:
+        _summarise(reports, codes, output)
     return max(codes.values())
 
 
-def _replayed(
-    logs: tuple[Path, ...], target: Path, config: Config, *, allow_damaged: bool, control: bool, force: bool
-) -> Report:
-    """Replay one dive into its folder. The time of day is added here: what the hall writes depends on the log alone."""
-    started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
-    with patience(f"replaying {name_giver(logs).name}{compiling()}"):
-        replay = (replay_with_control if control else replay_log)(logs, config, allow_damaged=allow_damaged)
-        with result_folder(target, force=force) as folder:
-            save_replay(replay, folder)
-            tool = Tool(started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3))
-            report = msgspec.structs.replace(decode_report((folder / COMPLETE).read_bytes()), tool=tool)
-            (folder / COMPLETE).write_bytes(encode_report(report))
-    return report
+def outcomes(
+    tasks: Sequence[Task], jobs: int, scheduler: str | None, *, force: bool, rerun: bool
+) -> Generator[Outcome, None, None]:
+    """Replay what has changed, and say on a terminal how far it is.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+    jobs : int
+        Dives at the same time.
+    scheduler : str, optional
+        Address of a cluster.
+    force, rerun : bool
+        As of `archive.known_reports`.
+
+    Yields
+    ------
+    Outcome
+        In the order of the tasks.
+    """
+    known = known_reports(tasks, force=force, rerun=rerun)
+    changed = [task for task in tasks if task.target not in known]
+    workers = local_workers(max(1, min(jobs, len(changed)))) if scheduler is None else cluster_workers(scheduler)
+    if len(changed) == 1:
+        with patience(f"replaying {changed[0].name.name}{compiling()}"):
+            finished = list(replay_archive(tasks, known, workers, after_dive=lambda _: None))
+        yield from finished
+    else:
+        yield from _with_bar(tasks, known, workers, len(changed))
+
+
+def _with_bar(tasks: Sequence[Task], known: dict[Path, Report], workers: Workers, changed: int) -> Iterator[Outcome]:
+    with DivesBar(changed) as bar:
+
+        def count(outcome: Outcome) -> None:
+            bar.advance(failed=isinstance(outcome.result, Exception))
+
+        with closing(replay_archive(tasks, known, workers, count)) as replays:
+            for outcome in replays:
+                with bar.aside():
+                    yield outcome
+
+
+def _tell_result(outcome: Outcome, report: Report, manner: Manner, *, quiet: bool) -> int:
+    if not quiet:
+        emit(PRINTED[manner.format](report))
+    tell_notes(report.notes, verbose=manner.verbosity > 0)
+    tell(f"{'unchanged' if outcome.unchanged else 'wrote'} {outcome.task.target}")
+    return _refuse_warnings(report, manner.verbosity) if manner.strict else 0
 
 
 def _refuse_warnings(report: Report, verbosity: int) -> int:
@@ -177,12 +174,24 @@ def _refuse_warnings(report: Report, verbosity: int) -> int:
     )
 
 
-def _summarise(outcomes: Sequence[Report | Failure], codes: Mapping[str, int], output: Path, *, force: bool) -> None:
-    for name, overview in OVERVIEWS.items():
-        with result_file(output / name, force=force) as file:
-            file.write_bytes(overview(outcomes))
-        tell(f"wrote {output / name}")
+def _refuse_to_overwrite(tasks: Sequence[Task], output: Path, *, force: bool) -> None:
+    """Leave alone what bears an overview's name and is none: overviews are made of the results beside them."""
+    for overview, (_, is_own) in OVERVIEWS.items():
+        path = output / overview
+        for task in tasks:
+            if task.target == path:
+                raise ConfigError(
+                    f"{task.name}: its results would bear the name of an overview", "rename it, or replay it alone"
+                )
+        refuse_existing_file(path, force=force or (path.is_file() and is_own(path.read_bytes())))
+
+
+def _summarise(reports: Sequence[Report | Failure], codes: dict[str, int], output: Path) -> None:
+    for overview, (write, _) in OVERVIEWS.items():
+        with result_file(output / overview, force=True) as file:
+            file.write_bytes(write(reports))
+        tell(f"wrote {output / overview}")
     if failed := [name for name, code in codes.items() if code]:
-        reasons = [outcome.reason for outcome in outcomes if isinstance(outcome, Failure)]
+        reasons = [report.reason for report in reports if isinstance(report, Failure)]
         first = f"; the first: {reasons[0]}" if reasons else ""
         tell(f"error: {len(failed)} of {len(codes)} logs failed: {', '.join(failed)}{first}")

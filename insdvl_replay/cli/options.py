@@ -26,6 +26,12 @@ Settings = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting, such as dvl.scale=1.01. May be repeated."),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace what an earlier run wrote.")]
+Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Dives at the same time, each in a process.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDR", help="Replay on the dask.distributed cluster at this address."),
+]
+Rerun = Annotated[bool, typer.Option("--rerun", help="Replay also dives whose result is unchanged.")]
 Verbose = Annotated[
     int,
     typer.Option(

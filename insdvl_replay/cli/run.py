@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.options import Force, Preset, Settings, Verbose
+from insdvl_replay.cli.options import Force, Jobs, Preset, Rerun, Scheduler, Settings, Verbose
 
 
 class Format(StrEnum):
@@ -20,7 +20,10 @@ class Format(StrEnum):
 
 
 def run(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded dives, MCAP files.")],
+    logs: Annotated[
+        list[str],
+        typer.Argument(metavar="LOG...", help="MCAP files, bags, folders of them, quoted patterns, or .txt lists."),
+    ],
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where each log gets a folder of its name.")
     ] = Path("replay"),
@@ -44,6 +47,9 @@ def run(
         bool, typer.Option("--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log.")
     ] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    rerun: Rerun = False,
     force: Force = False,
     verbose: Verbose = 0,
 ) -> int:
@@ -51,29 +57,26 @@ def run(
 
     What the filters believe is laid beside what is so. Each log gets a folder with report.html, CSV tables,
     report.json, replay.mcap and the settings; several logs also a summary.csv and an index.html that leads to them.
-    A log that cannot be used does not stop the others.
+    A log that cannot be used does not stop the others. A dive whose log, settings and versions are those of the result
+    that lies there is not replayed again.
 
     \b
     Example:
       insdvl-replay run dive.mcap
       insdvl-replay run dives/*.mcap -o results -c vehicle.toml --format md
       insdvl-replay run sensors.mcap gnss.mcap --one-dive
+      insdvl-replay run archive --jobs 4
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
     """
-    from insdvl_replay.cli.dives import replay_dives, result_targets
+    from insdvl_replay.archive import Order
+    from insdvl_replay.cli.dives import Manner, replay_dives
     from insdvl_replay.config_file import load_config
 
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
     resolved = load_config(preset, config, [*settings, *spans])
-    targets = result_targets(logs, output, force=force, one_dive=one_dive)
     return replay_dives(
-        targets,
-        resolved,
+        logs,
         output,
-        format_,
-        allow_damaged=allow_damaged,
-        control=control,
-        strict=strict,
-        force=force,
-        verbosity=verbose,
+        Order(resolved, allow_damaged=allow_damaged, control=control),
+        Manner(format_, one_dive, strict, force, rerun, jobs, scheduler, verbose),
     )

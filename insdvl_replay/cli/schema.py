@@ -13,7 +13,7 @@ def schema(
         str | None,
         typer.Argument(
             metavar="NAME",
-            help="config, report, inspection, study, comparison, or a message type. Left out: list the JSON schemas.",
+            help="config, report, inspection, study, comparison, check, or a message type; left out: those of JSON.",
         ),
     ] = None,
     verbose: Verbose = 0,

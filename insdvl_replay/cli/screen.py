@@ -43,6 +43,52 @@ def compiling() -> str:
     return "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
 
 
+class DivesBar:
+    """How far many dives are, on a terminal only.
+
+    Parameters
+    ----------
+    total : int
+        How many dives there are.
+    """
+
+    def __init__(self, total: int) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        console = Console(file=sys.stderr, highlight=False)
+        columns = (
+            TextColumn("replaying"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("dives, {task.fields[failed]} failed, time left"),
+            TimeRemainingColumn(),
+        )
+        self._bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._task = self._bar.add_task("", total=total, failed=0)
+        self._failed = 0
+
+    def __enter__(self) -> "DivesBar":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def advance(self, *, failed: bool) -> None:
+        """Count one dive more."""
+        self._failed += failed
+        self._bar.update(self._task, advance=1, failed=self._failed)
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Make room for something that is said or printed."""
+        self._bar.stop()
+        try:
+            yield
+        finally:
+            self._bar.start()
+
+
 @contextmanager
 def progress(text: str, total: int, note: str = "") -> Iterator[Callable[[], None]]:
     """Show how much of the work is done, on a terminal only.

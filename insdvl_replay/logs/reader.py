@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from insdvl_replay.columns import Channel, Dive
+from insdvl_replay.channel import Channel
+from insdvl_replay.columns import Dive
 from insdvl_replay.config import Config
 from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.clocks import clock_notes

@@ -3,6 +3,7 @@
 import math
 import platform
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -10,13 +11,15 @@ import msgspec
 from msgspec import Meta, Struct
 
 from insdvl_replay import __version__
-from insdvl_replay.columns import Channel, Dive
+from insdvl_replay.channel import Channel
 from insdvl_replay.config import Config
 from insdvl_replay.errors import Note
 
 if TYPE_CHECKING:
-    # Only its type is needed, and whoever looks into a log must not wait for it.
+    # Only their types are needed, and whoever looks into a log or a report must not wait for them.
     import pandas as pd
+
+    from insdvl_replay.columns import Dive
 
 NUMERICAL_PACKAGES: Final = ("numpy", "numba", "pandas", "scipy", "mcap")
 """Packages whose version may move a number."""
@@ -160,7 +163,7 @@ class Report(Struct, frozen=True):
 
 
 def build_report(
-    dive: Dive,
+    dive: "Dive",
     config: Config,
     tables: Mapping[str, "pd.DataFrame"],
     candidates: Mapping[str, Candidate],
@@ -203,6 +206,7 @@ def build_report(
     )
 
 
+@cache
 def package_versions() -> dict[str, str]:
     """Give the versions of Python and of the packages that may move a number."""
     return {"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES}

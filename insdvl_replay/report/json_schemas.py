@@ -8,6 +8,7 @@ import msgspec
 from insdvl_replay.changes import Comparison
 from insdvl_replay.config import Config
 from insdvl_replay.inventory import Inventory
+from insdvl_replay.report.check_json import CheckReport
 from insdvl_replay.report.json_report import Report
 from insdvl_replay.report.study_json import StudyResult
 
@@ -37,12 +38,18 @@ def comparison_schema() -> bytes:
     return _schema(Comparison, "insdvl-replay comparison")
 
 
+def check_schema() -> bytes:
+    """Describe what ``check --format json`` prints as JSON schema (draft 2020-12)."""
+    return _schema(CheckReport, "insdvl-replay check")
+
+
 SCHEMAS: Final[dict[str, Callable[[], bytes]]] = {
     "config": config_schema,
     "report": report_schema,
     "inspection": inspection_schema,
     "study": study_schema,
     "comparison": comparison_schema,
+    "check": check_schema,
 }
 """By the name that the command line and the files in schemas/ use."""
 

@@ -16,6 +16,8 @@ _POINTS: Final = ("rejected",)
 _SHORT: Final = 24
 """Cells with more characters are folded; the others stand on one line."""
 
+_SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
+
 
 @dataclass(frozen=True)
 class Lead:
@@ -72,6 +74,7 @@ def page(title: str, parts: Sequence[Part], script: str = "") -> bytes:
     body = [f"<h1>{escape(title)}</h1>", f"<nav>{links}</nav>" if links else "", *_dressed(parts)]
     head = [
         '<meta charset="utf-8">',
+        _SIGNATURE,
         f'<meta http-equiv="Content-Security-Policy" content="{_policy(script)}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{escape(title)}</title>",
@@ -80,6 +83,11 @@ def page(title: str, parts: Sequence[Part], script: str = "") -> bytes:
     end = [f"<script>{script}</script>"] if script else []
     lines = ["<!doctype html>", '<html lang="en">', *head, "<body><main>", *body, "</main>", *end, "</body></html>", ""]
     return "\n".join(lines).encode()
+
+
+def is_page(data: bytes) -> bool:
+    """Say whether a file is a page of ours."""
+    return _SIGNATURE.encode() in data[:1000]
 
 
 def table_html(table: ShownTable, links: Sequence[str] = ()) -> str:

@@ -46,6 +46,11 @@ def summary_csv(outcomes: Sequence[Report | Failure]) -> bytes:
     return rows_csv(COLUMNS, (row for outcome in outcomes for row in _summary_rows(outcome))).encode()
 
 
+def is_summary(data: bytes) -> bool:
+    """Say whether a file is a summary."""
+    return data.startswith(rows_csv(COLUMNS, ()).encode())
+
+
 def _summary_rows(outcome: Report | Failure) -> Iterator[tuple[object, ...]]:
     if isinstance(outcome, Failure):
         yield (outcome.log, *[None] * (len(COLUMNS) - 3), "failed", outcome.reason)

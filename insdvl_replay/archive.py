@@ -1,0 +1,289 @@
+"""Many dives: which of them have to be replayed, and their replay on as many workers as there are.
+
+A result is known by its content: while the log's bytes, the resolved settings and the versions are those that
+``report.json`` names, the dive is not replayed again. So an interrupted run goes on where it stopped.
+What is heavy to import waits until a dive is replayed: often none is.
+"""
+
+import hashlib
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+from insdvl_replay import __version__
+from insdvl_replay.config import Config
+from insdvl_replay.errors import ConfigError, LogError, UserError
+from insdvl_replay.executors import WorkerLostError, Workers, do_each
+from insdvl_replay.report.folder import COMPLETE, refuse_existing_folder, result_folder
+from insdvl_replay.report.json_report import Report, Tool, decode_report, encode_report, package_versions
+from insdvl_replay.studies.workers import each
+
+CONTROL_NOTE = "control_fitted"
+DAMAGE_NOTE = "log_damaged"
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is done to every dive.
+
+    Attributes
+    ----------
+    config : Config
+    allow_damaged : bool
+        Use what can be read of a damaged log.
+    control : bool
+        Add the baseline with its noise fitted.
+    version : str
+        Of the tool, which workers elsewhere must have, too.
+    """
+
+    config: Config
+    allow_damaged: bool = False
+    control: bool = False
+    version: str = __version__
+
+
+@dataclass(frozen=True)
+class Task:
+    """One dive to be replayed.
+
+    Attributes
+    ----------
+    logs : tuple of Path
+        An MCAP file or a bag, or several of them that are one dive.
+    name : Path
+        The one of them after which the dive is named.
+    target : Path
+        Its result folder.
+    order : Order
+    """
+
+    logs: tuple[Path, ...]
+    name: Path
+    target: Path
+    order: Order
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one dive.
+
+    Attributes
+    ----------
+    task : Task
+    result : Report or Exception
+    unchanged : bool
+        The result lay there already.
+    """
+
+    task: Task
+    result: Report | Exception
+    unchanged: bool = False
+
+
+def plan_tasks(logs: Sequence[Path], output: Path, order: Order, *, one_dive: bool = False) -> list[Task]:
+    """Name each dive's result folder.
+
+    Parameters
+    ----------
+    logs : sequence of Path
+    output : Path
+        The folder above.
+    order : Order
+    one_dive : bool
+        All logs are one dive; else each is one.
+
+    Returns
+    -------
+    list of Task
+        In the order of the logs.
+
+    Raises
+    ------
+    ConfigError
+        Two logs would share a folder.
+    """
+    tasks: dict[Path, Task] = {}
+    for dive in [tuple(logs)] if one_dive else [(log,) for log in logs]:
+        name = _name_giver(dive)
+        target = output / name.absolute().stem
+        if target in tasks:
+            raise ConfigError(
+                f"{tasks[target].name} and {name} would both write {target}",
+                "replay them one by one, each with its own folder, or with --one-dive if they are parts of one dive",
+            )
+        tasks[target] = Task(dive, name, target, order)
+    return list(tasks.values())
+
+
+def _name_giver(logs: tuple[Path, ...]) -> Path:
+    if len(logs) == 1:
+        return logs[0]
+    from insdvl_replay.logs import name_giver
+
+    return name_giver(logs)
+
+
+def known_reports(tasks: Sequence[Task], *, force: bool, rerun: bool = False) -> dict[Path, Report]:
+    """Find the dives whose result is there already, made from the same log, settings and versions.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+    force : bool
+        Results made from anything else may be replaced.
+    rerun : bool
+        Take none for known.
+
+    Returns
+    -------
+    dict of Path to Report
+        By result folder.
+
+    Raises
+    ------
+    ConfigError
+        A folder is in the way.
+    """
+    known = {}
+    for task, report in zip(tasks, each(_known_report, tasks), strict=True):
+        if report is None:
+            refuse_existing_folder(task.target, force=force)
+        elif not rerun:
+            known[task.target] = report
+    return known
+
+
+def replay_archive(
+    tasks: Sequence[Task], known: dict[Path, Report], workers: Workers, after_dive: Callable[[Outcome], None]
+) -> Generator[Outcome, None, None]:
+    """Replay dives, each into its folder. One that fails does not stop the others.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+    known : dict of Path to Report
+        Those that need no replay, from `known_reports`. It is emptied on the way.
+    workers : Workers
+    after_dive : callable
+        Called as soon as a dive is done, in any order.
+
+    Yields
+    ------
+    Outcome
+        In the order of the tasks.
+    """
+    todo = [task for task in tasks if task.target not in known]
+    done: dict[Path, Outcome] = {}
+    with closing(do_each(replay_into, todo, workers)) as replays:
+        for task in tasks:
+            if task.target in known:
+                yield Outcome(task, known.pop(task.target), unchanged=True)
+                continue
+            while task.target not in done:
+                place, result = next(replays)
+                outcome = Outcome(todo[place], _result_of(todo[place], result))
+                after_dive(outcome)
+                done[outcome.task.target] = outcome
+            yield done.pop(task.target)
+
+
+def _result_of(task: Task, result: bytes | Exception) -> Report | Exception:
+    if isinstance(result, WorkerLostError):  # workers do not know of logs
+        return LogError(f"{task.name}: {result.message}", result.hint)
+    return decode_report(result) if isinstance(result, bytes) else result
+
+
+def replay_into(task: Task) -> bytes:
+    """Replay one log into its folder.
+
+    Parameters
+    ----------
+    task : Task
+
+    Returns
+    -------
+    bytes
+        The report as it was written, with the time of day, which is added here: what the hall writes depends on the
+        log alone.
+
+    Raises
+    ------
+    LogError, ConfigError
+        As of `replay.replay_log`; or this worker has another version of the tool.
+    """
+    if task.order.version != __version__:
+        raise ConfigError(
+            f"{task.name}: asked for by insdvl-replay {task.order.version}, but the worker has {__version__}",
+            "install the same version on all workers",
+        )
+    from insdvl_replay.control import replay_with_control
+    from insdvl_replay.replay import replay_log
+    from insdvl_replay.result_files import save_replay
+
+    started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
+    run = replay_with_control if task.order.control else replay_log
+    replay = run(task.logs, task.order.config, allow_damaged=task.order.allow_damaged)
+    with result_folder(task.target, force=True) as folder:
+        save_replay(replay, folder)
+        tool = Tool(started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3))
+        data = encode_report(msgspec.structs.replace(decode_report((folder / COMPLETE).read_bytes()), tool=tool))
+        (folder / COMPLETE).write_bytes(data)
+    return data
+
+
+def _known_report(task: Task) -> Report | None:
+    """Give the result that is there if another replay would give the same; the log is read last."""
+    try:
+        report = decode_report((task.target / COMPLETE).read_bytes())
+        same = (
+            report.tool.version == __version__
+            and report.versions == package_versions()
+            and _is_of(task.order, report)
+            and log_digest(task) == report.log.sha256
+        )
+    except (OSError, msgspec.DecodeError, UserError):  # a log that is no longer whole is told by its replay
+        return None
+    return report if same else None
+
+
+def _is_of(order: Order, report: Report) -> bool:
+    """Say whether a result was made with these settings. The control is known by its note, since it was fitted."""
+    codes = {note.code for note in report.notes}
+    if (CONTROL_NOTE in codes) != order.control or (DAMAGE_NOTE in codes and not order.allow_damaged):
+        return False
+    config = report.config
+    if order.control:
+        *configured, _ = config["filters"]
+        config = config | {"filters": {name: config["filters"][name] for name in configured}}
+    return msgspec.json.encode(config) == msgspec.json.encode(order.config)
+
+
+def log_digest(task: Task) -> str:
+    """Digest the logs of a dive as its report does.
+
+    Parameters
+    ----------
+    task : Task
+
+    Returns
+    -------
+    str
+        SHA-256 in hexadecimal digits.
+
+    Raises
+    ------
+    OSError, LogError
+        A log cannot be read.
+    """
+    if task.logs == (task.name,) and not task.name.is_dir():
+        with task.name.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    from insdvl_replay.logs.recording import open_recording  # which knows the order of the parts
+
+    return open_recording(task.logs, allow_damaged=task.order.allow_damaged).sha256()

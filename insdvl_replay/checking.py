@@ -1,0 +1,231 @@
+"""A hall: hold dives against gates. Some are replayed for it, some are results already."""
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, get_args, get_type_hints
+
+import msgspec
+
+from insdvl_replay.archive import Outcome
+from insdvl_replay.errors import ConfigError, UserError, about, refuse_unknown
+from insdvl_replay.evaluation.gate_findings import LAYOUTS, gate_findings
+from insdvl_replay.gate_file import Gates
+from insdvl_replay.gates import ANY, CheckResult, Finding, Gate, Judgement, Status
+from insdvl_replay.report.folder import result_file
+from insdvl_replay.report.json_report import Candidate, Report, Tables
+from insdvl_replay.report.stored_results import read_results
+from insdvl_replay.result_tables import CANDIDATES, TableLayout
+from insdvl_replay.states import STATES
+from insdvl_replay.stored_result import StoredReport
+
+LOG: Final = "{log}"
+"""Stands in the path of a baseline for the dive's name."""
+
+Checked = tuple[str, StoredReport | Exception]
+"""A dive's name, and its result or why there is none."""
+
+_ORDER: Final[tuple[Status, ...]] = ("unusable", "failed", "warning", "off", "passed")
+
+
+def refuse_unknown_names(gates: Gates, filters: Collection[str] | None) -> None:
+    """Raise a ConfigError, with line and nearest name, if a gate names what no result can have.
+
+    Parameters
+    ----------
+    gates : Gates
+    filters : collection of str or None
+        Those that will be replayed; None if there are stored results, which may have others.
+    """
+    for gate in gates.content.gate:
+        with about(gates.where(gate)):
+            refuse_unknown("table", gate.table, [ANY, *(layout.name for layout in LAYOUTS)])
+            layouts = [layout for layout in LAYOUTS if gate.table in (ANY, layout.name)]
+            columns = list(dict.fromkeys(column for layout in layouts for column in _columns(layout)))
+            refuse_unknown("column", gate.column, columns)
+            if all(layout.key == "state" for layout in layouts):
+                refuse_unknown("state", gate.row, [ANY, *(state.id for state in STATES)])
+            if filters is not None:
+                refuse_unknown("filter", gate.filter, [ANY, *filters])
+            if gate.baseline is not None:
+                _refuse_unjudged(gate, layouts)
+
+
+def _columns(layout: TableLayout) -> tuple[str, ...]:
+    if layout is CANDIDATES:
+        return Candidate.__struct_fields__
+    (row,) = get_args(get_type_hints(Tables)[layout.name])
+    return tuple(name for name in row.__struct_fields__ if name not in ("log", "filter", layout.key))
+
+
+def _refuse_unjudged(gate: Gate, layouts: Sequence[TableLayout]) -> None:
+    for layout in layouts:
+        if gate.column in _columns(layout) and gate.column not in layout.better:
+            raise ConfigError(
+                f"column '{gate.column}' of {layout.name} is neither better nor worse, so no baseline can be kept to",
+                f"one of {', '.join(layout.better)}, or equals, min or max",
+            )
+
+
+def checked_outcome(outcome: Outcome) -> Checked:
+    """Take a replay as a dive to be judged.
+
+    Parameters
+    ----------
+    outcome : Outcome
+
+    Returns
+    -------
+    tuple of str and StoredReport or Exception
+    """
+    result = outcome.result
+    return outcome.task.target.name, result if isinstance(result, Exception) else _stored(result)
+
+
+def _stored(report: Report) -> StoredReport:
+    return msgspec.json.decode(msgspec.json.encode(report), type=StoredReport)
+
+
+def checked_results(folder: Path) -> Iterator[Checked]:
+    """Take a stored result as a dive to be judged.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Yields
+    ------
+    tuple of str and StoredReport or Exception
+    """
+    try:
+        results, _ = read_results(folder)
+        yield from ((result.name, result.report) for result in results)
+    except UserError as error:
+        yield folder.name, error
+
+
+def judge_dives(gates: Gates, dives: Iterable[Checked]) -> CheckResult:
+    """Hold every dive against every gate.
+
+    Parameters
+    ----------
+    gates : Gates
+    dives : iterable of Checked
+
+    Returns
+    -------
+    CheckResult
+    """
+    judgements = [
+        _judged(gates, gate, line, name, result)
+        for name, result in dives
+        for gate, line in zip(gates.content.gate, gates.lines, strict=True)
+    ]
+    judgements.sort(key=lambda judgement: _ORDER.index(judgement.status))
+    return CheckResult(str(gates.path), tuple(judgements))
+
+
+def _judged(gates: Gates, gate: Gate, line: int, name: str, result: StoredReport | Exception) -> Judgement:
+    if gate.level == "off":
+        return Judgement(name, gate.name, "off", line=line)
+    if isinstance(result, Exception):
+        return Judgement(name, gate.name, "unusable", (str(result),), line=line)
+    try:
+        baseline = None if gate.baseline is None else _baseline(gates, gate, result)
+    except UserError as error:
+        reasons: tuple[str, ...] = (f"{error.message}; {error.hint}",)
+        return Judgement(name, gate.name, _missed(gate), reasons, line=line)
+    findings = gate_findings(gate, result, baseline)
+    reasons = tuple(finding.sentence for finding in findings if not finding.passed)
+    return Judgement(name, gate.name, _missed(gate) if reasons else "passed", reasons, findings, line)
+
+
+def _missed(gate: Gate) -> Status:
+    return "warning" if gate.level == "warn" else "failed"
+
+
+def baseline_path(gates: Gates, gate: Gate, dive: str) -> Path:
+    """Say where the baseline of a dive lies.
+
+    Parameters
+    ----------
+    gates : Gates
+    gate : Gate
+        Has a baseline.
+    dive : str
+
+    Returns
+    -------
+    Path
+    """
+    return gates.path.parent / (gate.baseline or "").replace(LOG, dive)
+
+
+def _baseline(gates: Gates, gate: Gate, result: StoredReport) -> StoredReport:
+    path, command = baseline_path(gates, gate, result.log.name), f"`insdvl-replay check {gates.path} --update`"
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no baseline yet", f"{command} makes it")
+    (baseline,), _ = read_results(path)
+    if baseline.report.log.sha256 != result.log.sha256:
+        raise ConfigError(f"{path}: the baseline is of another log than {result.log.name}", f"{command} makes it anew")
+    return baseline.report
+
+
+def compare_with_baselines(gates: Gates, dives: Sequence[Checked]) -> list[tuple[str, Finding]]:
+    """Lay the values of all gates with a baseline beside those that it holds, as far as it holds any.
+
+    Parameters
+    ----------
+    gates : Gates
+    dives : sequence of Checked
+
+    Returns
+    -------
+    list of tuple of str and Finding
+        Dive and cell.
+    """
+    found = []
+    for gate, dive, result in _with_baseline(gates, dives):
+        path = baseline_path(gates, gate, dive)
+        baseline = read_results(path)[0][0].report if path.is_file() else None
+        found += [(dive, finding) for finding in gate_findings(gate, result, baseline)]
+    return found
+
+
+def write_baselines(gates: Gates, dives: Sequence[Checked]) -> list[Path]:
+    """Make the results of today the baselines, without the time of day.
+
+    Parameters
+    ----------
+    gates : Gates
+    dives : sequence of Checked
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    ConfigError
+        No gate has a baseline, two dives share one, or the disk refuses.
+    """
+    reports: dict[Path, StoredReport] = {}
+    for gate, dive, result in _with_baseline(gates, dives):
+        path = baseline_path(gates, gate, dive)
+        if reports.setdefault(path, result) is not result:
+            raise ConfigError(f"{gates.where(gate)}: several dives share {path}", f"write {LOG} for the dive's name")
+    for path, report in reports.items():
+        with result_file(path, force=True) as file:
+            file.write_bytes(_encoded(report))
+    return list(reports)
+
+
+def _with_baseline(gates: Gates, dives: Sequence[Checked]) -> Iterator[tuple[Gate, str, StoredReport]]:
+    for gate in gates.content.gate:
+        if gate.baseline is not None and gate.level != "off":
+            yield from ((gate, dive, result) for dive, result in dives if isinstance(result, StoredReport))
+
+
+def _encoded(report: StoredReport) -> bytes:
+    tool: dict[str, Any] = {name: report.tool[name] for name in ("name", "version") if name in report.tool}
+    return msgspec.json.format(msgspec.json.encode(msgspec.structs.replace(report, tool=tool))) + b"\n"

@@ -1,0 +1,65 @@
+"""``insdvl-replay check``. The work is in `gated_dives`, which is imported only once there is work to do."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from insdvl_replay.cli.options import Jobs, Rerun, Scheduler, Settings, Verbose
+
+
+class CheckFormat(StrEnum):
+    """How it is told what became of the gates."""
+
+    TEXT = "text"
+    MARKDOWN = "md"
+    JSON = "json"
+    JUNIT = "junit"
+    GITHUB = "github"
+
+
+def check(
+    gates: Annotated[Path, typer.Argument(metavar="GATES", help="What must hold, a TOML file.")],
+    dives: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="[DIVE]...", help="Logs, bags, result folders, patterns, .txt lists; left out: those in GATES."
+        ),
+    ] = [],  # noqa: B006
+    update: Annotated[bool, typer.Option("--update", help="Show what moved, then make it the baseline.")] = False,
+    results: Annotated[
+        Path, typer.Option("--results", metavar="DIR", help="Where each replayed dive gets a folder of its name.")
+    ] = Path("checked"),
+    config: Annotated[
+        Path | None, typer.Option("-c", "--config", metavar="FILE", help="Settings in place of those named in GATES.")
+    ] = None,
+    settings: Settings = [],  # noqa: B006
+    format_: Annotated[CheckFormat, typer.Option("--format", help="How it is told.")] = CheckFormat.TEXT,
+    output: Annotated[
+        Path | None, typer.Option("--output", metavar="FILE", help="Write it here, and text to stdout.")
+    ] = None,
+    summary: Annotated[
+        Path | None, typer.Option("--summary-file", metavar="FILE", help="Add it here, too, as Markdown.")
+    ] = None,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    rerun: Rerun = False,
+    verbose: Verbose = 0,
+) -> int:
+    """Hold dives against gates, for a job that runs every night.
+
+    Logs are replayed first, but for those whose log, settings and versions are those of the result that lies there;
+    result folders are taken as they are. All gates of all dives are judged. What is missing or empty never passes. The
+    exit code is 0 if no gate of level error failed, 1 if one did, 3 if a dive cannot be used.
+
+    \b
+    Example:
+      insdvl-replay check gates.toml
+      insdvl-replay check gates.toml --jobs 4 --format junit --output gates.xml
+      insdvl-replay check gates.toml replay/dive
+    """
+    from insdvl_replay.cli.gated_dives import Replaying, Told, check_dives
+
+    replaying = Replaying(results, jobs, scheduler, rerun, update)
+    return check_dives(gates, dives, config, settings, replaying, Told(format_, output, summary, verbose))

@@ -1,0 +1,182 @@
+"""Replay what has changed, hold all dives against the gates, and tell it in the form that is wanted."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from insdvl_replay.archive import Order, plan_tasks
+from insdvl_replay.checking import (
+    Checked,
+    checked_outcome,
+    checked_results,
+    compare_with_baselines,
+    judge_dives,
+    refuse_unknown_names,
+    write_baselines,
+)
+from insdvl_replay.cli.check import CheckFormat
+from insdvl_replay.cli.dives import outcomes
+from insdvl_replay.cli.messages import emit, tell, tell_failure
+from insdvl_replay.config import Config
+from insdvl_replay.config_file import load_config
+from insdvl_replay.dive_paths import find_dives
+from insdvl_replay.errors import ConfigError
+from insdvl_replay.gate_file import Gates, load_gates
+from insdvl_replay.gates import CheckResult
+from insdvl_replay.report.check_json import check_json
+from insdvl_replay.report.check_pages import baseline_text, check_markdown, check_sentence, check_text
+from insdvl_replay.report.folder import COMPLETE, result_file
+from insdvl_replay.report.github import github_annotations
+from insdvl_replay.report.junit import junit_xml
+
+GATE_FAILED = 1
+
+WRITTEN = {
+    CheckFormat.TEXT: check_text,
+    CheckFormat.MARKDOWN: check_markdown,
+    CheckFormat.JSON: check_json,
+    CheckFormat.JUNIT: junit_xml,
+    CheckFormat.GITHUB: github_annotations,
+}
+
+
+@dataclass(frozen=True)
+class Told:
+    """How the result is told.
+
+    Attributes
+    ----------
+    format : CheckFormat
+    output : Path, optional
+        File that it goes to, with text to stdout.
+    summary : Path, optional
+        File that Markdown is added to.
+    verbosity : int
+    """
+
+    format: CheckFormat
+    output: Path | None
+    summary: Path | None
+    verbosity: int
+
+
+@dataclass(frozen=True)
+class Replaying:
+    """How dives are replayed before they are judged.
+
+    Attributes
+    ----------
+    results : Path
+        The folder above the result folders.
+    jobs : int
+    scheduler : str, optional
+    rerun : bool
+    update : bool
+        Make the results the baselines.
+    """
+
+    results: Path
+    jobs: int
+    scheduler: str | None
+    rerun: bool
+    update: bool
+
+
+def check_dives(
+    path: Path, dives: Sequence[str], config: Path | None, settings: Sequence[str], replaying: Replaying, told: Told
+) -> int:
+    """Hold dives against gates.
+
+    Parameters
+    ----------
+    path : Path
+        The gate file.
+    dives : sequence of str
+        In place of those that it names.
+    config : Path, optional
+        In place of the one that it names.
+    settings : sequence of str
+        Changes of single settings.
+    replaying : Replaying
+    told : Told
+
+    Returns
+    -------
+    int
+        The worst exit code of the dives.
+
+    Raises
+    ------
+    ConfigError
+        A mistake in the gates or the settings, or no dive.
+    """
+    gates = load_gates(path)
+    chosen, beside = (dives, Path()) if dives else (gates.content.dives, path.parent)
+    if not chosen:
+        raise ConfigError(f"{path}: names no dives", f'`insdvl-replay check {path} DIVE...`, or dives = ["*.mcap"]')
+    paths = find_dives(chosen, beside, results=True)
+    order = Order(_settings(gates, config, settings), allow_damaged=gates.content.allow_damaged)
+    refuse_unknown_names(gates, None if any(map(_is_result, paths)) else order.config.filters)
+    checked = list(_checked(paths, order, replaying))
+    codes = [tell_failure(result, told.verbosity) for _, result in checked if isinstance(result, Exception)]
+    if replaying.update:
+        _update(gates, checked)
+    result = judge_dives(gates, checked)
+    _tell(result, told)
+    codes += [GATE_FAILED] * result.count("failed")
+    if codes:
+        first = result.judgements[0]
+        tell(f"error: {check_sentence(result)}; the first: {first.dive}: {first.gate}: {'; '.join(first.reasons)}")
+    return max(codes, default=0)
+
+
+def _settings(gates: Gates, config: Path | None, settings: Sequence[str]) -> Config:
+    named = gates.content.config
+    file = config if config or named is None else gates.path.parent / named
+    return load_config(gates.content.preset, file, settings)
+
+
+def _is_result(path: Path) -> bool:
+    return path.suffix == ".json" or (path / COMPLETE).is_file()
+
+
+def _checked(paths: Sequence[Path], order: Order, replaying: Replaying) -> Iterator[Checked]:
+    """Replay the logs among the dives, and read the results among them."""
+    tasks = plan_tasks([path for path in paths if not _is_result(path)], replaying.results, order)
+    replays = outcomes(tasks, replaying.jobs, replaying.scheduler, force=True, rerun=replaying.rerun)
+    with closing(replays):
+        for path in paths:
+            if _is_result(path):
+                yield from checked_results(path)
+            else:
+                yield checked_outcome(next(replays))
+
+
+def _update(gates: Gates, checked: Sequence[Checked]) -> None:
+    if all(gate.baseline is None for gate in gates.content.gate):
+        raise ConfigError(f"{gates.path}: no gate has a baseline", 'baseline = "baselines/{log}.json"')
+    emit(baseline_text(compare_with_baselines(gates, checked)))
+    for path in write_baselines(gates, checked):
+        tell(f"wrote {path}")
+
+
+def _tell(result: CheckResult, told: Told) -> None:
+    written = WRITTEN[told.format](result)
+    if told.output is None:
+        emit(written)
+    else:
+        with result_file(told.output, force=True) as file:
+            file.write_text(written, "utf-8")
+        emit(check_text(result))
+    if told.summary is not None:
+        _append(told.summary, check_markdown(result))
+
+
+def _append(path: Path, text: str) -> None:
+    """Add to a file that other steps of a job write, too."""
+    try:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}", "check the path of --summary-file") from error

@@ -1,0 +1,195 @@
+"""Whether the cells of a result pass a gate. What is missing, empty or not a number never does."""
+
+import difflib
+import math
+from collections.abc import Iterator
+
+from insdvl_replay.evaluation.cell_change import ROUNDING, size, size_change_pct
+from insdvl_replay.gates import ANY, Finding, Gate
+from insdvl_replay.result_tables import CANDIDATES, PERCENTAGE, TABLES, TableLayout
+from insdvl_replay.stored_result import Cell, Row, StoredReport
+
+LAYOUTS = (*TABLES, CANDIDATES)
+
+
+def rows_of(report: StoredReport, layout: TableLayout) -> list[Row]:
+    """Give the rows of a table, the candidates' block included.
+
+    Parameters
+    ----------
+    report : StoredReport
+    layout : TableLayout
+
+    Returns
+    -------
+    list of dict
+        Each with the columns ``filter`` and the layout's key.
+    """
+    if layout is CANDIDATES:
+        return [{"filter": name, **row} for name, row in report.filters.items()]
+    return report.tables.get(layout.name, [])
+
+
+def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> tuple[Finding, ...]:
+    """Hold a result against a gate.
+
+    Parameters
+    ----------
+    gate : Gate
+    report : StoredReport
+    baseline : StoredReport or None
+        Needed for a gate that has one.
+
+    Returns
+    -------
+    tuple of Finding
+        One for each cell that is meant; one that is not passed if there is none.
+    """
+    findings = tuple(_findings(gate, report, baseline))
+    if findings:
+        return findings
+    sentence = f"no row of {report.log.name} is meant by {_meaning(gate)}{_nearest(gate, report)}"
+    return (Finding(gate.table, gate.filter, gate.row, gate.column, None, None, sentence, passed=False),)
+
+
+def _findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> Iterator[Finding]:
+    for layout in LAYOUTS:
+        if gate.table not in (ANY, layout.name):
+            continue
+        before = {(row["filter"], row[layout.key]): row for row in rows_of(baseline, layout)} if baseline else {}
+        for row in rows_of(report, layout):
+            if not _is_meant(gate, layout, row):
+                continue
+            was = before.get((row["filter"], row[layout.key]))
+            complaint = _complaint(gate, layout, row, was)
+            yield Finding(
+                layout.name,
+                str(row["filter"]),
+                str(row[layout.key]),
+                gate.column,
+                was.get(gate.column) if was else None,
+                row.get(gate.column),
+                f"{_cell(gate, layout, row)} {complaint or _told(layout, row, gate.column, was)}",
+                passed=not complaint,
+            )
+
+
+def _is_meant(gate: Gate, layout: TableLayout, row: Row) -> bool:
+    return (
+        gate.filter in (ANY, row["filter"])
+        and gate.row in (ANY, row[layout.key])
+        and (gate.table != ANY or gate.column in row)
+    )
+
+
+def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None) -> str:
+    """Say why a cell does not pass; nothing if it does."""
+    value = row.get(gate.column)
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        word = row.get("status") or row.get("verdict")
+        return f"is empty{f' ({word})' if word else ''}"
+    complaints = [
+        *_of_equality(gate, value),
+        *_of_limits(gate, value, _unit(layout, row, gate.column)),
+        *_of_baseline(gate, layout, row, was),
+    ]
+    return "; ".join(complaints)
+
+
+def _of_equality(gate: Gate, value: Cell) -> Iterator[str]:
+    if gate.equals is None:
+        return
+    wanted = gate.equals if isinstance(gate.equals, tuple) else (gate.equals,)
+    if value not in wanted:
+        yield f"is {shown(value)}, {' or '.join(map(shown, wanted))} is wanted"
+
+
+def _of_limits(gate: Gate, value: Cell, unit: str) -> Iterator[str]:
+    if gate.min is None and gate.max is None:
+        return
+    if not isinstance(value, float | int):
+        yield f"is the word {value!r}, a number is wanted"
+        return
+    if gate.min is not None and not value >= gate.min:
+        yield f"is {shown(value)}{unit}, at least {shown(gate.min)} is wanted"
+    if gate.max is not None and not value <= gate.max:
+        yield f"is {shown(value)}{unit}, at most {shown(gate.max)} is wanted"
+
+
+def _of_baseline(gate: Gate, layout: TableLayout, row: Row, was: Row | None) -> Iterator[str]:
+    """Compare with the stored value; of two allowances the larger one counts."""
+    if gate.baseline is None:
+        return
+    old, new = was.get(gate.column) if was else None, row[gate.column]
+    if not isinstance(old, float | int) or not isinstance(new, float | int):
+        yield "has no number in the baseline to compare with"
+        return
+    better = layout.better[gate.column]
+    before, after = (size(v, better, _dof(of)) for v, of in ((old, was or {}), (new, row)))
+    sign = -1.0 if better == "higher" else 1.0
+    change_pct = size_change_pct(before, after, gate.column)
+    worse_pct = math.inf * sign * (after - before) if change_pct is None else sign * change_pct
+    if _within(worse_pct, gate.max_worse_pct) or _within(sign * (after - before), gate.max_worse_abs):
+        return
+    amount = f"by {worse_pct:.3g} {_percent(gate.column)}" if math.isfinite(worse_pct) else "beyond any percentage"
+    yield f"{_told(layout, row, gate.column, was)}: worse {amount}, {_allowed(gate)} is allowed"
+
+
+def _within(worse: float, allowance: float | None) -> bool:
+    return allowance is not None and worse <= allowance * (1.0 + ROUNDING)
+
+
+def _allowed(gate: Gate) -> str:
+    percent = None if gate.max_worse_pct is None else f"{gate.max_worse_pct:g} {_percent(gate.column)}"
+    absolute = None if gate.max_worse_abs is None else f"{gate.max_worse_abs:g}"
+    return " or ".join(limit for limit in (percent, absolute) if limit)
+
+
+def _percent(column: str) -> str:
+    return "percentage points" if column.endswith(PERCENTAGE) else "%"
+
+
+def _dof(row: Row) -> float:
+    dof = row.get("dof")
+    return float(dof) if isinstance(dof, int | float) else math.nan
+
+
+def _cell(gate: Gate, layout: TableLayout, row: Row) -> str:
+    names = dict.fromkeys((str(row["filter"]), str(row[layout.key])))
+    return f"{layout.name} {' '.join(names)}: {gate.column}"
+
+
+def _told(layout: TableLayout, row: Row, column: str, was: Row | None) -> str:
+    unit = _unit(layout, row, column)
+    if was is None or was.get(column) is None:
+        return f"is {shown(row[column])}{unit}"
+    return f"went from {shown(was[column])} to {shown(row[column])}{unit}"
+
+
+def _unit(layout: TableLayout, row: Row, column: str) -> str:
+    unit = layout.unit_of(column, str(row.get("unit", "")))
+    return f" {unit}" if unit else ""
+
+
+def shown(value: Cell) -> str:
+    """Write a value with as many digits as tell it from its limit, words as they are."""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _meaning(gate: Gate) -> str:
+    return f"table {gate.table}, filter {gate.filter}, row {gate.row}, column {gate.column}"
+
+
+def _nearest(gate: Gate, report: StoredReport) -> str:
+    """Name what the gate may have meant."""
+    rows = [(layout, row) for layout in LAYOUTS if gate.table in (ANY, layout.name) for row in rows_of(report, layout)]
+    known = {
+        gate.row: {str(row[layout.key]) for layout, row in rows},
+        gate.filter: {str(row["filter"]) for _, row in rows},
+    }
+    for name, names in known.items():
+        if name != ANY and name not in names:
+            return "".join(
+                f"; did you mean {near}?" for near in difflib.get_close_matches(name, sorted(names), n=1, cutoff=0.5)
+            )
+    return ""
