@@ -43,7 +43,8 @@ def _panel(state: State, histories: Sequence[History], clock: Clock) -> Panel:
     for number, history in enumerate(histories):
         rows = _told(history)
         sd = history.sd[rows, state.index] / state.factor
-        highest = max(highest, settled_height(sd[clock.settled(history.time_ns[rows])]))
+        pings = history.updated[rows] & clock.settled(history.time_ns[rows])
+        highest = max(highest, settled_height(sd[pings]))
         curves.append(Curve(clock.time(history.time_ns[rows]), sd, filter_style(number)))
     y_limits = (0.0, highest) if highest else None
     return Panel(f"{state.label} [{state.unit}]", clock.label, dashes_on_top(curves), y_limits=y_limits)
