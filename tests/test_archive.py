@@ -206,8 +206,10 @@ def test_only_what_changed_is_replayed(archive: Path, results: Path, tmp_path: P
     assert done.returncode == 0, done.stderr
     said = done.stderr.splitlines()
     assert said == [
-        *(f"{'wrote' if seed == 3 else 'unchanged'} out/dive_{seed}" for seed in range(1, 7)), "wrote out/summary.csv"
-    ]  # fmt: skip
+        *(f"{'wrote' if seed == 3 else 'unchanged'} out/dive_{seed}" for seed in range(1, 7)),
+        "wrote out/summary.csv",
+        "wrote out/index.html",
+    ]
     assert bytes_of(tmp_path / "out") == bytes_of(results)
     assert before.items() <= bytes_of(tmp_path / "out").items()
 
@@ -238,12 +240,13 @@ def test_rerun_replays_what_is_unchanged(archive: Path, tmp_path: Path) -> None:
     assert saved.read_bytes() != marked
 
 
-def test_a_file_that_bears_the_summarys_name_is_left_alone(archive: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["summary.csv", "index.html"])
+def test_a_file_that_bears_an_overviews_name_is_left_alone(name: str, archive: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "summary.csv").write_text("my own notes\n")
+    (tmp_path / "out" / name).write_text("my own notes\n")
     done = run(archive, "-o", "out", cwd=tmp_path)
     assert done.returncode == 2
-    assert "out/summary.csv: exists" in done.stderr
+    assert f"out/{name}: exists" in done.stderr
 
 
 # --- Workers.
@@ -294,7 +297,7 @@ def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_
     done = run(archive, "-o", "out", "--jobs", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert bytes_of(tmp_path / "out") == bytes_of(results)
-    assert done.stderr.splitlines()[-1] == "wrote out/summary.csv"
+    assert done.stderr.splitlines()[-1] == "wrote out/index.html"
     again = run(archive, "-o", "out", cwd=tmp_path)
     assert again.stdout == done.stdout
 
