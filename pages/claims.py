@@ -175,7 +175,10 @@ def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: StudyReport) -> Ite
         f"at the end at most {off:.2f} of the ensemble's sigma",
         off < 0.4,
     )
-    for filter_, who in (("aided", "sigma from P and over the runs are alike"), ("baseline", "so they are for both")):
+    for filter_, who in (
+        ("aided", "sigma from P and over the runs are alike"),
+        ("baseline", "so they are for the baseline"),
+    ):
         ratio = table.loc[table["filter"] == filter_, "ratio"]
         verdict = by_filter(study.tables["verdicts"], filter_)
         yield judged(

@@ -1,26 +1,85 @@
-"""The pictures in the documents, drawn by the program. `make pictures` renews them; a test holds them equal."""
+"""The pictures in the documents, drawn by the program. `make pictures` renews them; tests hold them equal.
 
+Those of the Monte Carlo and window studies come with `make reproduce`, which has their numbers.
+"""
+
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
+
+from written import PROJECT
 
 from insdvl_replay.config_file import load_config
-from insdvl_replay.replay import replay_log
-from insdvl_replay.report.figures.clock import Clock
-from insdvl_replay.report.figures.sigma import sigma_figure
+from insdvl_replay.evaluation.ensemble import Ensemble
+from insdvl_replay.replay import Replay, replay_dive, replay_log
+from insdvl_replay.replay_figures import replay_figures
+from insdvl_replay.report.pictures import draw_ensemble, picture_bytes
 from insdvl_replay.report.plots.sheet import sheet_svg
+from insdvl_replay.report.study import StudyReport
+from insdvl_replay.report.window_picture import draw_windows
+from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.studies.montecarlo import PICTURES as ENSEMBLE_PICTURES
 
-PROJECT = Path(__file__).resolve().parents[1]
-PICTURES = {f"docs/{name}_sigma.svg": PROJECT / "sample_logs" / f"{name}.mcap" for name in ("straight", "figure_eight")}
+EVERY = 5
+"""Of the pings in an ensemble, so many make one point of a curve."""
 
 
-def drawn(log: Path) -> bytes:
-    """The standard deviations of the nine states without the velocity errors, as the paper shows them."""
-    replay = replay_log(log, load_config())
-    figure = sigma_figure(replay.histories, Clock(replay.start_ns, replay.end_ns))
+def sample(name: str) -> Replay:
+    """Replay a sample log."""
+    return replay_log(PROJECT / "sample_logs" / f"{name}.mcap", load_config())
+
+
+def lawnmower() -> Replay:
+    """Replay legs and U-turns."""
+    return replay_dive(simulate_dive("lawnmower", seed=1), load_config())
+
+
+def sigmas(replay: Replay) -> bytes:
+    """Draw the standard deviations of the nine states without the velocity errors, as the paper shows them."""
+    figure = replay_figures(replay)[0]
     return sheet_svg(replace(figure, panels=figure.panels[3:]))
 
 
-if __name__ == "__main__":
-    for name, log in PICTURES.items():
+def track(replay: Replay) -> bytes:
+    """Draw the way from above, and the turn rate."""
+    motion = next(figure for figure in replay_figures(replay) if figure.title == "What the vehicle did")
+    return sheet_svg(replace(motion, panels=(motion.panels[0], *motion.panels[1:3])))
+
+
+PICTURES: dict[str, Callable[[], bytes]] = {
+    "docs/straight_sigma.svg": lambda: sigmas(sample("straight")),
+    "docs/figure_eight_sigma.svg": lambda: sigmas(sample("figure_eight")),
+    "docs/figure_eight_track.svg": lambda: track(sample("figure_eight")),
+    "docs/lawnmower_track.svg": lambda: track(lawnmower()),
+}
+
+
+def study_pictures(ensemble: Ensemble, title: str, window: StudyReport) -> dict[str, Callable[[], bytes]]:
+    """Name the pictures of the studies, as `PICTURES` does those of the samples.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+        Of the aided filter, over the lawnmower.
+    title : str
+    window : StudyReport
+    """
+    columns = (ensemble.time_s, ensemble.sd, ensemble.error_sd, ensemble.error_mean)
+    thinned = [column[::EVERY] for column in columns]
+    drawn = {
+        f"docs/lawnmower_{name}.svg": partial(draw_ensemble, title, states, *thinned)
+        for name, states in ENSEMBLE_PICTURES.items()
+    }
+    drawn["docs/window.svg"] = partial(draw_windows, window.tables["window"])
+    return {name: partial(lambda draw: picture_bytes(draw(), "svg"), draw) for name, draw in drawn.items()}
+
+
+def write(pictures: dict[str, Callable[[], bytes]]) -> None:
+    """Draw pictures where their names say."""
+    for name, draw in pictures.items():
         (PROJECT / name).parent.mkdir(exist_ok=True)
-        (PROJECT / name).write_bytes(drawn(log))
+        (PROJECT / name).write_bytes(draw())
+
+
+if __name__ == "__main__":
+    write(PICTURES)

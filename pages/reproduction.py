@@ -14,6 +14,7 @@ from pathlib import Path
 import claims
 import numpy as np
 import pandas as pd
+import pictures
 from written import PROJECT, markdown_table, renewed
 
 from insdvl_replay import logs
@@ -77,9 +78,8 @@ def sample(name: str, config: Config) -> Replay:
     return replay_dive(logs.read_dive(PROJECT / "sample_logs" / f"{name}.mcap", config), config, keep_cov=True)
 
 
-def written(dives: Path) -> str:
+def written(found: Findings) -> str:
     """REPRODUCTION.md as it should be."""
-    found = find(dives)
     parts: dict[str, Callable[[], str]] = {
         name: partial(part, found)
         for name, part in {
@@ -241,5 +241,13 @@ def agrees(there: float, here: float) -> str:
     return "yes" if abs(here - there) <= MEAN_WITHIN_PCT else "**no**"
 
 
+def drawn(found: Findings) -> dict[str, Callable[[], bytes]]:
+    """Name the pictures that belong to the page and to no sample."""
+    aided = claims.named(found.ensembles, "aided")
+    return pictures.study_pictures(aided, f"aided: {found.montecarlo.title}", found.window)
+
+
 if __name__ == "__main__":
-    PAGE.write_text(written(Path(sys.argv[1]) if len(sys.argv) > 1 else DIVES), "utf-8")
+    all_found = find(Path(sys.argv[1]) if len(sys.argv) > 1 else DIVES)
+    PAGE.write_text(written(all_found), "utf-8")
+    pictures.write(drawn(all_found))

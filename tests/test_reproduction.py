@@ -1,8 +1,10 @@
 """REPRODUCTION.md is what the program gives."""
 
+import re
 from pathlib import Path
 
 import pandas as pd
+import pictures
 import pytest
 import reproduction
 
@@ -13,9 +15,21 @@ from insdvl_replay.states import STATES
 SAMPLE = reproduction.PROJECT / "sample_logs" / "straight.mcap"
 
 
+@pytest.fixture(scope="module")
+def found(snapir: Path) -> reproduction.Findings:
+    return reproduction.find(snapir)
+
+
 @pytest.mark.slow
-def test_page_is_what_the_program_gives(snapir: Path) -> None:
-    assert reproduction.written(snapir) == reproduction.PAGE.read_text("utf-8"), "run `make reproduce`"
+def test_page_is_what_the_program_gives(found: reproduction.Findings) -> None:
+    assert reproduction.written(found) == reproduction.PAGE.read_text("utf-8"), "run `make reproduce`"
+
+
+@pytest.mark.slow
+def test_page_shows_every_picture_and_each_is_there(found: reproduction.Findings) -> None:
+    shown = set(re.findall(r"\]\((docs/\w+\.svg)\)", reproduction.PAGE.read_text("utf-8")))
+    assert shown == {*pictures.PICTURES, *reproduction.drawn(found)}
+    assert all((reproduction.PROJECT / name).is_file() for name in shown)
 
 
 def test_words_follow_from_the_numbers() -> None:
