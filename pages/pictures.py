@@ -43,7 +43,7 @@ def sigmas(replay: Replay) -> bytes:
 def track(replay: Replay) -> bytes:
     """Draw the way from above, and the turn rate."""
     motion = next(figure for figure in replay_figures(replay) if figure.title == "What the vehicle did")
-    return sheet_svg(replace(motion, panels=(motion.panels[0], *motion.panels[1:3])))
+    return sheet_svg(replace(motion, panels=(motion.panels[0], motion.panels[2])))
 
 
 PICTURES: dict[str, Callable[[], bytes]] = {

@@ -1,14 +1,16 @@
 """A figure as one picture: its panels in rows, its legend below, and the page's colours, for light and dark."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from html import escape
 from importlib.resources import files
 from typing import Final
 
-from insdvl_replay.report.plots.panel import Figure
-from insdvl_replay.report.plots.svg import HEIGHT, WIDTH, panel_svg
+from insdvl_replay.report.plots.panel import Figure, Panel
+from insdvl_replay.report.plots.svg import WIDTH, panel_height, panel_svg
 
 _COLUMNS: Final = 3
+_CLASS: Final = re.compile(r'<svg class="[^"]*"')
 _LEGEND: Final = 28.0
 _ENTRY: Final = 170.0
 
@@ -19,22 +21,23 @@ def sheet_svg(figure: Figure) -> bytes:
     Parameters
     ----------
     figure : Figure
-        Its panels are as high as each other.
+        A row is as high as its highest panel.
 
     Returns
     -------
     bytes
         An SVG file; the same figure gives the same bytes.
     """
-    rows = -(-len(figure.panels) // _COLUMNS)
-    width, height = WIDTH * _COLUMNS, HEIGHT * rows + _LEGEND
+    rows = [figure.panels[first : first + _COLUMNS] for first in range(0, len(figure.panels), _COLUMNS)]
+    heights = [max(map(panel_height, row)) for row in rows]
+    width, height = WIDTH * min(_COLUMNS, len(figure.panels)), sum(heights) + _LEGEND
     style = files("insdvl_replay.report").joinpath("page.css").read_text("utf-8")
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" role="img">',
         f"<title>{escape(figure.title)}</title>",
         f"<style>\n{style}</style>",
         f'<rect width="{width:g}" height="{height:g}" fill="var(--paper)"/>',
-        *_panels(figure),
+        *_panels(rows, heights),
         *_legend(figure, height - _LEGEND / 2.0),
         "</svg>",
         "",
@@ -42,11 +45,13 @@ def sheet_svg(figure: Figure) -> bytes:
     return "\n".join(lines).encode()
 
 
-def _panels(figure: Figure) -> Iterator[str]:
-    for number, panel in enumerate(figure.panels):
-        row, column = divmod(number, _COLUMNS)
-        place = f'<svg x="{column * WIDTH:g}" y="{row * HEIGHT:g}" width="{WIDTH:g}" height="{HEIGHT:g}"'
-        yield panel_svg(panel).replace('<svg class="panel"', place, 1)
+def _panels(rows: Sequence[Sequence[Panel]], heights: Sequence[float]) -> Iterator[str]:
+    top = 0.0
+    for row, height in zip(rows, heights, strict=True):
+        for column, panel in enumerate(row):
+            place = f'<svg x="{column * WIDTH:g}" y="{top:g}" width="{WIDTH:g}" height="{panel_height(panel):g}"'
+            yield _CLASS.sub(place, panel_svg(panel), count=1)
+        top += height
 
 
 def _legend(figure: Figure, y: float) -> Iterator[str]:

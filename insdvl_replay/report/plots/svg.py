@@ -21,6 +21,11 @@ _FAR: Final = 1e4
 """Lines that leave the paper, to infinity even, end here."""
 
 
+def panel_height(panel: Panel) -> float:
+    """Give the height of a panel that is `WIDTH` wide."""
+    return WIDTH if panel.equal else HEIGHT
+
+
 def panel_svg(panel: Panel) -> str:
     """Draw a panel.
 
@@ -33,7 +38,7 @@ def panel_svg(panel: Panel) -> str:
     str
         An ``svg`` element without size, to be made as wide as its place on the page.
     """
-    height = WIDTH if panel.equal else HEIGHT
+    height = panel_height(panel)
     x_axis, y_axis = _axes(panel, height)
     width, tall = WIDTH - _LEFT - _RIGHT, height - _TOP - _BOTTOM
     plot = f'x="{_LEFT:g}" y="{_TOP:g}" width="{width:g}" height="{tall:g}"'
