@@ -22,6 +22,18 @@ SHORTER = {"study montecarlo": ["--runs", "2", "--duration", "20"]}
 """Options that make a long example short, by how it begins."""
 
 
+GATES = """
+dives = ["archive"]
+
+[[gate]]
+name = "position error stays small"
+table = "reference_error"
+row = "position_h"
+column = "rmse"
+max = 10.0
+"""
+
+
 def helped(name: str, command: Any) -> Iterator[tuple[str, str]]:
     """Each command and its help."""
     yield name, command.help or ""
@@ -39,7 +51,7 @@ EXAMPLES = [
 
 @pytest.fixture(scope="module")
 def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what the examples name: a dive, also in two parts, several dives, two results, settings."""
+    """A folder with what the examples name: a dive, also in two parts, dives, results, settings and gates."""
     folder = tmp_path_factory.mktemp("workshop")
     dive = str(folder / "dive.mcap")
     assert run_command_line(["simulate", "straight", "-o", dive, "--duration", "190"]) == 0
@@ -50,7 +62,9 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     written = Path(dive).read_bytes()
     write_part(folder / "sensors.mcap", lambda topic, _: topic != "/reference", log=written)
     write_part(folder / "gnss.mcap", lambda topic, _: topic == "/reference", log=written)
-    for results in ("before", "after"):
+    shutil.copytree(folder / "dives", folder / "archive")
+    (folder / "gates.toml").write_text(GATES, "utf-8")
+    for results in ("before", "after", "replay"):
         assert run_command_line(["run", dive, "-o", str(folder / results)]) == 0
     (folder / "vehicle.toml").write_text("[dvl]\nvelocity_sd_mps = 0.03\n", "utf-8")
     return folder
