@@ -14,6 +14,7 @@ from typing import NoReturn
 
 import psutil
 import pytest
+from counting_work import threads_with_numpy
 from dying_work import die_always, die_at_first
 from msgspec.structs import replace
 
@@ -257,6 +258,12 @@ def test_each_item_is_done_once_and_an_exception_is_a_result(jobs: int) -> None:
     outcomes = dict(do_each(int, ["1", "x", "3"], local_workers(jobs)))
     assert (outcomes[0], outcomes[2]) == (1, 3)
     assert isinstance(outcomes[1], ValueError)
+
+
+def test_processes_beside_each_other_take_one_core_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
+    assert dict(do_each(threads_with_numpy, [0, 1], local_workers(2))) == {0: 1, 1: 1}
 
 
 @pytest.mark.slow
