@@ -1,7 +1,7 @@
 """Many dives: which of them have to be replayed, and their replay on as many workers as there are.
 
-A result is known by its content: while the log's bytes, the resolved settings and the versions are those that
-``report.json`` names, the dive is not replayed again. So an interrupted run goes on where it stopped.
+A result is known by its content: while the log's bytes, the resolved settings, the versions and the tool's own sources
+are those that ``report.json`` names, the dive is not replayed again. So an interrupted run goes on where it stopped.
 What is heavy to import waits until a dive is replayed: often none is.
 """
 
@@ -9,7 +9,7 @@ import hashlib
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -20,7 +20,8 @@ from insdvl_replay.config import Config
 from insdvl_replay.errors import ConfigError, LogError, UserError
 from insdvl_replay.executors import WorkerLostError, Workers, do_each
 from insdvl_replay.report.folder import COMPLETE, refuse_existing_folder, result_folder
-from insdvl_replay.report.json_report import Report, Tool, decode_report, encode_report, package_versions
+from insdvl_replay.report.json_report import Report, decode_report, encode_report, package_versions
+from insdvl_replay.sources import sources_digest
 from insdvl_replay.studies.workers import each
 
 CONTROL_NOTE = "control_fitted"
@@ -38,7 +39,7 @@ class Order:
         Use what can be read of a damaged log.
     control : bool
         Add the baseline with its noise fitted.
-    version : str
+    version, sources : str
         Of the tool, which workers elsewhere must have, too.
     """
 
@@ -46,6 +47,7 @@ class Order:
     allow_damaged: bool = False
     control: bool = False
     version: str = __version__
+    sources: str = field(default_factory=sources_digest)
 
 
 @dataclass(frozen=True)
@@ -217,9 +219,10 @@ def replay_into(task: Task) -> bytes:
     LogError, ConfigError
         As of `replay.replay_log`; or this worker has another version of the tool.
     """
-    if task.order.version != __version__:
+    wanted, here = f"{task.order.version} ({task.order.sources})", f"{__version__} ({sources_digest()})"
+    if wanted != here:
         raise ConfigError(
-            f"{task.name}: asked for by insdvl-replay {task.order.version}, but the worker has {__version__}",
+            f"{task.name}: asked for by insdvl-replay {wanted}, but the worker has {here}",
             "install the same version on all workers",
         )
     from insdvl_replay.control import replay_with_control
@@ -231,8 +234,11 @@ def replay_into(task: Task) -> bytes:
     replay = run(task.logs, task.order.config, allow_damaged=task.order.allow_damaged)
     with result_folder(task.target, force=True) as folder:
         save_replay(replay, folder)
-        tool = Tool(started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3))
-        data = encode_report(msgspec.structs.replace(decode_report((folder / COMPLETE).read_bytes()), tool=tool))
+        report = decode_report((folder / COMPLETE).read_bytes())
+        tool = msgspec.structs.replace(
+            report.tool, started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3)
+        )
+        data = encode_report(msgspec.structs.replace(report, tool=tool))
         (folder / COMPLETE).write_bytes(data)
     return data
 
@@ -242,7 +248,7 @@ def _known_report(task: Task) -> Report | None:
     try:
         report = decode_report((task.target / COMPLETE).read_bytes())
         same = (
-            report.tool.version == __version__
+            (report.tool.version, report.tool.sources) == (task.order.version, task.order.sources)
             and report.versions == package_versions()
             and _is_of(task.order, report)
             and log_digest(task) == report.log.sha256

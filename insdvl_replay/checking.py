@@ -1,69 +1,26 @@
 """A hall: hold dives against gates. Some are replayed for it, some are results already."""
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final, get_args, get_type_hints
+from typing import Any, Final
 
 import msgspec
 
 from insdvl_replay.archive import Outcome
-from insdvl_replay.errors import ConfigError, UserError, about, refuse_unknown
-from insdvl_replay.evaluation.gate_findings import LAYOUTS, gate_findings
+from insdvl_replay.errors import ConfigError, UserError
+from insdvl_replay.evaluation.gate_findings import gate_findings
 from insdvl_replay.gate_file import Gates
-from insdvl_replay.gates import ANY, CheckResult, Finding, Gate, Judgement, Status
+from insdvl_replay.gate_names import LOG
+from insdvl_replay.gates import CheckResult, Finding, Gate, Judgement, Status
 from insdvl_replay.report.folder import result_file
-from insdvl_replay.report.json_report import Candidate, Report, Tables
+from insdvl_replay.report.json_report import Report
 from insdvl_replay.report.stored_results import read_results
-from insdvl_replay.result_tables import CANDIDATES, TableLayout
-from insdvl_replay.states import STATES
 from insdvl_replay.stored_result import StoredReport
-
-LOG: Final = "{log}"
-"""Stands in the path of a baseline for the dive's name."""
 
 Checked = tuple[str, StoredReport | Exception]
 """A dive's name, and its result or why there is none."""
 
 _ORDER: Final[tuple[Status, ...]] = ("unusable", "failed", "warning", "off", "passed")
-
-
-def refuse_unknown_names(gates: Gates, filters: Collection[str] | None) -> None:
-    """Raise a ConfigError, with line and nearest name, if a gate names what no result can have.
-
-    Parameters
-    ----------
-    gates : Gates
-    filters : collection of str or None
-        Those that will be replayed; None if there are stored results, which may have others.
-    """
-    for gate in gates.content.gate:
-        with about(gates.where(gate)):
-            refuse_unknown("table", gate.table, [ANY, *(layout.name for layout in LAYOUTS)])
-            layouts = [layout for layout in LAYOUTS if gate.table in (ANY, layout.name)]
-            columns = list(dict.fromkeys(column for layout in layouts for column in _columns(layout)))
-            refuse_unknown("column", gate.column, columns)
-            if all(layout.key == "state" for layout in layouts):
-                refuse_unknown("state", gate.row, [ANY, *(state.id for state in STATES)])
-            if filters is not None:
-                refuse_unknown("filter", gate.filter, [ANY, *filters])
-            if gate.baseline is not None:
-                _refuse_unjudged(gate, layouts)
-
-
-def _columns(layout: TableLayout) -> tuple[str, ...]:
-    if layout is CANDIDATES:
-        return Candidate.__struct_fields__
-    (row,) = get_args(get_type_hints(Tables)[layout.name])
-    return tuple(name for name in row.__struct_fields__ if name not in ("log", "filter", layout.key))
-
-
-def _refuse_unjudged(gate: Gate, layouts: Sequence[TableLayout]) -> None:
-    for layout in layouts:
-        if gate.column in _columns(layout) and gate.column not in layout.better:
-            raise ConfigError(
-                f"column '{gate.column}' of {layout.name} is neither better nor worse, so no baseline can be kept to",
-                f"one of {', '.join(layout.better)}, or equals, min or max",
-            )
 
 
 def checked_outcome(outcome: Outcome) -> Checked:

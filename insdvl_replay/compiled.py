@@ -10,13 +10,14 @@ INSDVL_REPLAY_CACHE : folder for compiled code; default ``~/.cache/insdvl-replay
 NUMBA_DISABLE_JIT=1 : run the same functions as plain Python, to step through them with a debugger.
 """
 
-import hashlib
 import os
 import tempfile
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar, cast
+
+from insdvl_replay.sources import sources_digest
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -26,18 +27,10 @@ _SOURCES: Final = ("nav/*.py", "earth.py", "logs/record*.py")
 """Where compiled functions, and what they are made of, stand."""
 
 
-def _digest_of_sources() -> str:
-    package = Path(__file__).parent
-    digest = hashlib.sha256(version("numba").encode())
-    for source in sorted(path for pattern in _SOURCES for path in package.glob(pattern)):
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
-
-
 def _cache_folder() -> str | None:
     try:
         base = os.environ.get("INSDVL_REPLAY_CACHE") or Path.home() / ".cache" / "insdvl-replay"
-        folder = Path(base) / f"compiled-{_digest_of_sources()}"
+        folder = Path(base) / f"compiled-{sources_digest(_SOURCES)}-numba-{version('numba')}"
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return str(folder)

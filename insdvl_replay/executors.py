@@ -22,6 +22,8 @@ from insdvl_replay.errors import ConfigError, LogError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+_THREADS_OF_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""How numpy is told, before it is imported, on how many cores to multiply matrices."""
 _GRACE_S: Final = 3
 """How long a worker gets to remove what it has half written."""
 
@@ -204,7 +206,7 @@ def _here() -> Iterator[Pool]:
 @contextmanager
 def _processes(jobs: int) -> Iterator[Pool]:
     """Spawn processes; an exception, an interruption included, ends them with what they do."""
-    executor = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _obey_the_parent_alone)
+    executor = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _begin)
     before = set(multiprocessing.active_children())
     try:
         yield Pool(executor, 1 if jobs == 1 else 2 * jobs)
@@ -217,6 +219,13 @@ def _processes(jobs: int) -> Iterator[Pool]:
             process.join(2 * _GRACE_S)
         executor.shutdown(wait=False, cancel_futures=True)
         raise
+
+
+def _begin() -> None:
+    """Prepare a new process for its work, before numpy is imported."""
+    for name in _THREADS_OF_LIBRARIES:
+        os.environ.setdefault(name, "1")  # the other cores belong to the other processes
+    _obey_the_parent_alone()
 
 
 def _obey_the_parent_alone() -> None:

@@ -32,6 +32,9 @@ WELL_COVERED = 0.9
 MOST_COVARIANCES = 50_000
 """So many P, 58 MB of them, are kept until the errors are judged; a longer dive is judged by standard deviations."""
 
+WORTH_A_THREAD = 20_000
+"""IMU samples from which filters run beside each other; with fewer, to start threads takes what it saves."""
+
 
 @dataclass(frozen=True)
 class Replay:
@@ -162,7 +165,7 @@ def _tables(
 
 
 def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool = False) -> tuple[History, ...]:
-    """Run every configured filter over a prepared dive, each in a thread of its own.
+    """Run every configured filter over a prepared dive, on a long one each in a thread of its own.
 
     Parameters
     ----------
@@ -196,6 +199,8 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool =
             keep_cov=keep_cov,
         )
 
+    if len(dive.imu.time_ns) < WORTH_A_THREAD:
+        return tuple(map(run, config.filters))
     with ThreadPoolExecutor() as threads:  # the compiled filter leaves the interpreter to others while it runs
         return tuple(threads.map(run, config.filters))
 

@@ -6,12 +6,45 @@ Whoever lists, compares or judges tables takes their names from here.
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+from insdvl_replay.states import BA, STATES
+
 Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
 """What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES."""
 PERCENTAGE: Final = "_pct"
 """End of the name of a column whose numbers are percentages, and change by percentage points."""
 VERDICTS_BEST_FIRST: Final = ("consistent", "over-cautious", "over-confident", "not finite")
 """On a filter's consistency; ``too few`` says nothing of it and has no rank."""
+
+REFERENCE_QUANTITIES: Final = {
+    "velocity_n": "m/s",
+    "velocity_e": "m/s",
+    "velocity_d": "m/s",
+    "roll": "deg",
+    "pitch": "deg",
+    "heading": "deg",
+    "position_h": "m",
+    "depth": "m",
+    "position_h_pct": "%",
+}
+"""Rows of reference errors and their units; ``position_h_pct`` is of the distance travelled."""
+CREDIBILITY_QUANTITIES: Final = (
+    "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", *(state.id for state in STATES[BA.start :]),
+)  # fmt: skip
+"""Rows of credibility in the order of the error state; the attitude about the vehicle's level axes."""
+JOINT: Final = "all"
+"""The row of all compared states together."""
+AXES: Final = ("x", "y", "z")
+"""Axes of a measurement in b."""
+
+
+def axis_of(measurement: str, axis: str) -> str:
+    """Name the row that a measurement has for one of its axes."""
+    return f"{measurement}_{axis}"
+
+
+MEASUREMENTS: Final = ("velocity", "acceleration")
+"""What filters are aided by."""
+_STATES: Final = tuple(state.id for state in STATES)
 
 
 @dataclass(frozen=True)
@@ -30,6 +63,10 @@ class TableLayout:
         The column that a reader looks at first.
     words : dict of str to tuple of str
         By column of words, the words that have a rank, best first.
+    rows : tuple of str
+        What the key may name; empty where it names filters, whose names are the user's.
+    baseline_too : bool
+        The baseline has rows of its own; else it stands beside each candidate.
     """
 
     name: str
@@ -37,6 +74,8 @@ class TableLayout:
     better: dict[str, Better]
     chief: str
     words: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    rows: tuple[str, ...] = ()
+    baseline_too: bool = False
 
     def unit_of(self, column: str, row_unit: str) -> str:
         """Give the unit of a column's numbers; empty for those without, and for words.
@@ -59,12 +98,19 @@ class TableLayout:
 
 
 TABLES: Final[tuple[TableLayout, ...]] = (
-    TableLayout("improvement", "state", {"baseline_sd": "lower", "sd": "lower", "improvement_pct": "higher"}, "sd"),
+    TableLayout(
+        "improvement",
+        "state",
+        {"baseline_sd": "lower", "sd": "lower", "improvement_pct": "higher"},
+        "sd",
+        rows=_STATES,
+    ),
     TableLayout(
         "convergence",
         "state",
         {"target_sd": "lower", "baseline_s": "lower", "reached_s": "lower", "improvement_pct": "higher"},
         "reached_s",
+        rows=_STATES,
     ),
     TableLayout(
         "reference_error",
@@ -77,6 +123,7 @@ TABLES: Final[tuple[TableLayout, ...]] = (
             "final": "nearer zero",
         },
         "rmse",
+        rows=tuple(REFERENCE_QUANTITIES),
     ),
     TableLayout(
         "consistency",
@@ -84,8 +131,18 @@ TABLES: Final[tuple[TableLayout, ...]] = (
         {"rejected": "lower", "mean_nis": "nearer dof", "autocorrelation": "nearer zero"},
         "mean_nis",
         {"verdict": VERDICTS_BEST_FIRST, "whiteness": ("white", "correlated")},
+        tuple(row for name in MEASUREMENTS for row in (name, *(axis_of(name, axis) for axis in AXES))),
+        baseline_too=True,
     ),
-    TableLayout("credibility", "quantity", {"mean_nees": "nearer dof"}, "mean_nees", {"verdict": VERDICTS_BEST_FIRST}),
+    TableLayout(
+        "credibility",
+        "quantity",
+        {"mean_nees": "nearer dof"},
+        "mean_nees",
+        {"verdict": VERDICTS_BEST_FIRST},
+        (*CREDIBILITY_QUANTITIES, JOINT),
+        baseline_too=True,
+    ),
 )
 
 CANDIDATES: Final = TableLayout(
@@ -105,14 +162,6 @@ CANDIDATES: Final = TableLayout(
 """The block ``filters`` of a report, read as a table with one row for each candidate."""
 LAYOUTS: Final = (CANDIDATES, *TABLES)
 """All that results are compared by, in the order of what a reader asks first."""
-
-AXES: Final = ("x", "y", "z")
-"""Axes of a measurement in b."""
-
-
-def axis_of(measurement: str, axis: str) -> str:
-    """Name the row that a measurement has for one of its axes."""
-    return f"{measurement}_{axis}"
 
 
 def is_whole(measurement: str) -> bool:

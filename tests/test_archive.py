@@ -10,14 +10,16 @@ from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import psutil
 import pytest
+from counting_work import threads_with_numpy
 from dying_work import die_always, die_at_first
 from msgspec.structs import replace
 
-from insdvl_replay.archive import Order, Task, known_reports, log_digest, plan_tasks, replay_archive
+import insdvl_replay
+from insdvl_replay.archive import Order, Task, known_reports, log_digest, plan_tasks, replay_archive, replay_into
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.config_file import load_config
 from insdvl_replay.dive_paths import find_dives
@@ -26,6 +28,7 @@ from insdvl_replay.executors import Pool, WorkerLostError, Workers, do_each, loc
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.report.json_report import decode_report, encode_report
 from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.sources import sources_digest
 
 TOOL = [sys.executable, "-m", "insdvl_replay"]
 CLUSTER = """
@@ -153,7 +156,7 @@ def test_digest_of_a_log_and_a_bag_is_that_of_the_reader(archive: Path, tmp_path
         assert log_digest(task(*logs)) == read_dive(logs, load_config()).sha256
 
 
-def task(*logs: Path, output: Path = Path(), **wishes: bool) -> Task:
+def task(*logs: Path, output: Path = Path(), **wishes: Any) -> Task:
     (planned,) = plan_tasks(logs, output, Order(load_config(), **wishes), one_dive=True)
     return planned
 
@@ -180,6 +183,29 @@ def test_results_are_known_by_log_settings_and_versions(archive: Path, results: 
     versions.write_text(json.dumps({**report, "versions": {**report["versions"], "numpy": "1.0"}}))
     (tmp_path / "out" / "dive_5" / "report.json").write_text("{}")
     assert known(tmp_path / "logs", tmp_path / "out", Order(config)) == {"dive_2", "dive_6"}
+    assert known(tmp_path / "logs", tmp_path / "out", Order(config, sources="other code")) == set()
+
+
+def test_a_worker_with_other_code_refuses(archive: Path, tmp_path: Path) -> None:
+    other = task(archive / "dive_1.mcap", output=tmp_path, sources="other code")
+    with pytest.raises(ConfigError, match=r"asked for by insdvl-replay \S+ \(other code\), but the worker has"):
+        replay_into(other)
+
+
+def test_other_sources_are_another_digest(tmp_path: Path) -> None:
+    package = Path(insdvl_replay.__file__).parent
+    copy = tmp_path / "insdvl_replay"
+    shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    asked = "from insdvl_replay.sources import sources_digest; print(sources_digest())"
+
+    def digest() -> str:
+        return subprocess.run(
+            [sys.executable, "-c", asked], cwd=tmp_path, capture_output=True, text=True
+        ).stdout.strip()
+
+    assert digest() == sources_digest()
+    (copy / "presets" / "fog.toml").write_text("\n" + (copy / "presets" / "fog.toml").read_text())
+    assert digest() not in ("", sources_digest())
 
 
 def test_a_result_of_the_control_is_known(archive: Path, tmp_path: Path) -> None:
@@ -257,6 +283,12 @@ def test_each_item_is_done_once_and_an_exception_is_a_result(jobs: int) -> None:
     outcomes = dict(do_each(int, ["1", "x", "3"], local_workers(jobs)))
     assert (outcomes[0], outcomes[2]) == (1, 3)
     assert isinstance(outcomes[1], ValueError)
+
+
+def test_processes_beside_each_other_take_one_core_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
+    assert dict(do_each(threads_with_numpy, [0, 1], local_workers(2))) == {0: 1, 1: 1}
 
 
 @pytest.mark.slow

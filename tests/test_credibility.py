@@ -10,9 +10,10 @@ from scipy import stats
 from insdvl_replay.columns import Dive, Floats
 from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Initial, Noise
 from insdvl_replay.evaluation.consistency import mean_interval
-from insdvl_replay.evaluation.credibility import QUANTITIES, credibility_table
+from insdvl_replay.evaluation.credibility import credibility_table
 from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
 from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.result_tables import CREDIBILITY_QUANTITIES
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
 from insdvl_replay.states import BA, DEG, PHI, STATES
 from insdvl_replay.studies.simulated_run import matched_errors
@@ -55,7 +56,7 @@ def without(errors: StateErrors, states: slice) -> StateErrors:
 
 def test_errors_drawn_from_p_are_credible_in_every_row() -> None:
     table = judged(drawn())
-    assert table.index.tolist() == [*QUANTITIES, "all"]
+    assert table.index.tolist() == [*CREDIBILITY_QUANTITIES, "all"]
     assert (table["verdict"] == "consistent").all()
     assert table["dof"].tolist() == [1] * 12 + [12]
     # The mean of 4000 squares scatters by 2.2 %, shares of 4000 by 0.7 % and 0.1 %; five of these.
@@ -108,7 +109,7 @@ def test_error_that_stays_can_only_be_too_large(sigmas: float, word: str) -> Non
 def test_what_the_reference_lacks_is_said_and_not_counted() -> None:
     velocity_alone = without(drawn(), slice(PHI.start, 12))
     table = judged(velocity_alone)
-    assert table.index.tolist() == [*QUANTITIES[:6], "all"], "no biases without the truth"
+    assert table.index.tolist() == [*CREDIBILITY_QUANTITIES[:6], "all"], "no biases without the truth"
     assert table.loc["roll":"heading", "verdict"].tolist() == ["not in reference"] * 3
     assert table.loc["roll":"heading", ["mean_nees", "low", "high", "within_1sd_pct"]].isna().all(axis=None)
     assert table.loc["all", "dof"] == 3
@@ -127,7 +128,7 @@ def test_joint_row_takes_the_times_when_everything_is_known() -> None:
 
 def test_dive_without_a_reference_says_so() -> None:
     table = credibility_table("dive", ["baseline", "aided"], {})
-    assert table["quantity"].tolist() == [*QUANTITIES[:6], "all"] * 2
+    assert table["quantity"].tolist() == [*CREDIBILITY_QUANTITIES[:6], "all"] * 2
     assert set(table["verdict"]) == {"no reference"}
     assert table["mean_nees"].isna().all()
 
@@ -217,6 +218,6 @@ def test_biases_are_judged_where_the_truth_is_known(exact: Dive) -> None:
     dive = add_errors(exact, *matched_errors(MATCHED), 1)
     with_truth, without_truth = (rows(replay_dive(d, MATCHED)) for d in (dive, replace(dive, truth=None)))
     biases = [state.id for state in STATES[BA.start :]]
-    assert [quantity for name, quantity in with_truth.index if name == "baseline"] == [*QUANTITIES, "all"]
+    assert [quantity for name, quantity in with_truth.index if name == "baseline"] == [*CREDIBILITY_QUANTITIES, "all"]
     assert not set(biases) & {quantity for _, quantity in without_truth.index}
     assert without_truth.loc[("baseline", "all"), "dof"] == 6

@@ -8,10 +8,10 @@ import msgspec
 import pytest
 from small_results import content
 
-from insdvl_replay.checking import refuse_unknown_names
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.evaluation.gate_findings import gate_findings
 from insdvl_replay.gate_file import load_gates
+from insdvl_replay.gate_names import refuse_unknown_names
 from insdvl_replay.gates import Gate
 from insdvl_replay.stored_result import StoredReport
 
@@ -71,6 +71,37 @@ def test_a_slip_in_the_file_is_told_with_line_and_key(
     [
         ({"table": "improvment"}, "table 'improvment' is not known", "did you mean improvement?"),
         ({"row": "ba_zz"}, "state 'ba_zz' is not known", "did you mean ba_z?"),
+        (
+            {"table": "reference_error", "column": "rmse", "row": "positon_h"},
+            "quantity 'positon_h' is not known",
+            "did you mean position_h?",
+        ),
+        (
+            {"table": "consistency", "column": "mean_nis", "row": "velocityx"},
+            "measurement 'velocityx' is not known",
+            "did you mean velocity_x?",
+        ),
+        (
+            {"table": "credibility", "column": "mean_nees", "row": "al"},
+            "quantity 'al' is not known",
+            "did you mean all?",
+        ),
+        (
+            {"table": "filters", "column": "mean_improvement_pct", "row": "aidd"},
+            "filter 'aidd' is not known",
+            "did you mean aided?",
+        ),
+        (
+            {"table": "*", "row": "role"},
+            "state 'role' is not known",
+            "known: *, dv_n, dv_e, dv_d, phi_n, phi_e, phi_d, ba_x and 5 more",
+        ),
+        (
+            {"filter": "baseline"},
+            "filter 'baseline' is the baseline, which has no rows of its own in improvement",
+            "name a candidate: aided; its rows have columns of the baseline, too",
+        ),
+        ({"column": "status"}, "column 'status' of improvement holds words, which have no limits", "use equals"),
         ({"column": "sdd"}, "column 'sdd' is not known", "did you mean sd?"),
         ({"filter": "aidde"}, "filter 'aidde' is not known", "did you mean aided?"),
         ({"table": "*", "column": "men_nis"}, "column 'men_nis' is not known", "did you mean mean_nis?"),
@@ -87,6 +118,27 @@ def test_a_name_that_no_result_has_is_told_with_the_nearest(
         refuse_unknown_names(load_gates(path), ["baseline", "aided"])
     assert raised.value.message == f"{path}:6: gate 'b': {says}"
     assert raised.value.hint == hint
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "wanted", "kind"),
+    [("improvement", "sd", '"improved"', "numbers"), ("consistency", "verdict", "3", "words")],
+)
+def test_a_value_of_the_wrong_kind_is_refused(table: str, column: str, wanted: str, kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "gates.toml"
+    path.write_text(f'[[gate]]\nname = "a"\ntable = "{table}"\ncolumn = "{column}"\nequals = {wanted}\n')
+    with pytest.raises(ConfigError, match=f"equals: column '{column}' of {table} holds {kind}, found"):
+        refuse_unknown_names(load_gates(path), None)
+
+
+def test_rows_of_stored_results_are_known_but_for_their_filters(tmp_path: Path) -> None:
+    path = tmp_path / "gates.toml"
+    of_filters = '[[gate]]\nname = "a"\ntable = "filters"\nrow = "mine"\ncolumn = "mean_improvement_pct"\nmin = 1\n'
+    path.write_text(of_filters)
+    refuse_unknown_names(load_gates(path), None)
+    path.write_text(of_filters.replace("filters", "reference_error").replace("mean_i", "i"))
+    with pytest.raises(ConfigError, match="quantity 'mine' is not known"):
+        refuse_unknown_names(load_gates(path), None)
 
 
 def test_a_baseline_needs_a_column_that_can_be_worse(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import Floats, ReferenceColumns
 from insdvl_replay.evaluation.reference import (
-    QUANTITIES,
     ReferenceErrors,
     attitude_error,
     distance_travelled_m,
@@ -21,6 +20,7 @@ from insdvl_replay.evaluation.reference import (
     reference_errors,
 )
 from insdvl_replay.history import History
+from insdvl_replay.result_tables import REFERENCE_QUANTITIES
 from insdvl_replay.states import DEG
 
 SECOND = 1_000_000_000
@@ -213,7 +213,7 @@ def test_rms_final_and_improvement_of_errors_that_change() -> None:
         "log", "filter", "quantity", "unit", "baseline_rmse", "rmse", "improvement_pct",
         "baseline_final", "final", "samples", "status",
     ]  # fmt: skip
-    assert table["quantity"].tolist() == list(QUANTITIES)
+    assert table["quantity"].tolist() == list(REFERENCE_QUANTITIES)
     assert table["unit"].tolist() == ["m/s"] * 3 + ["deg"] * 3 + ["m", "m", "%"]
     first = table.iloc[0]
     assert first["rmse"] == pytest.approx(np.sqrt(3.0), abs=1e-9)

@@ -168,6 +168,13 @@ def test_same_dive_gives_the_same_tables(straight: Dive) -> None:
     assert_same(replay_dive(straight, config()), replay_dive(straight, config()))
 
 
+@pytest.mark.parametrize("samples", [0, 10**9])
+def test_filters_in_threads_give_the_same_tables(samples: int, straight: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+    as_it_comes = replay_dive(straight, config())
+    monkeypatch.setattr("insdvl_replay.replay.WORTH_A_THREAD", samples)
+    assert_same(replay_dive(straight, config()), as_it_comes)
+
+
 def test_date_of_the_dive_does_not_matter(straight: Dive) -> None:
     shift_ns = -START_NS + 12_345_678_901
     reference, truth = reference_of(straight), straight.truth

@@ -4,9 +4,12 @@ from typing import get_args, get_type_hints
 
 import pytest
 
+from insdvl_replay.config import Config
 from insdvl_replay.evaluation import verdicts
+from insdvl_replay.replay import replay_dive
 from insdvl_replay.report.json_report import Candidate, Tables
 from insdvl_replay.result_tables import CANDIDATES, LAYOUTS, TABLES
+from insdvl_replay.sim.dive import simulate_dive
 
 
 def test_every_table_of_a_report_has_a_layout() -> None:
@@ -25,6 +28,14 @@ def test_the_layout_of_the_candidates_names_what_is_said_of_them() -> None:
 
 def test_every_verdict_on_an_improvement_has_a_rank() -> None:
     assert {*CANDIDATES.words["improvement"], "no reference"} == set(verdicts._CONCLUSION)
+
+
+def test_a_replay_has_the_rows_that_its_layouts_name() -> None:
+    replay = replay_dive(simulate_dive("straight", seed=1, duration_s=20.0), Config())
+    for layout in TABLES:
+        table = replay.tables[layout.name]
+        assert set(table[layout.key]) == set(layout.rows)
+        assert ("baseline" in set(table["filter"])) == layout.baseline_too
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from insdvl_replay.evaluation.reference import QUANTITIES
 from insdvl_replay.evaluation.verdicts import Verdict, consistency_of, credibility_of, verdicts
+from insdvl_replay.result_tables import REFERENCE_QUANTITIES
 from insdvl_replay.states import STATES
 
 
@@ -27,7 +27,7 @@ def judged(
     reference_error = pd.DataFrame(
         [
             ("aided", quantity, 2.0, rmse, actual_pct, "compared" if known else "no reference")
-            for quantity in QUANTITIES
+            for quantity in REFERENCE_QUANTITIES
         ],
         columns=["filter", "quantity", "baseline_rmse", "rmse", "improvement_pct", "status"],
     )

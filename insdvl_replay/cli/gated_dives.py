@@ -12,7 +12,6 @@ from insdvl_replay.checking import (
     checked_results,
     compare_with_baselines,
     judge_dives,
-    refuse_unknown_names,
     write_baselines,
 )
 from insdvl_replay.cli.check import CheckFormat
@@ -23,6 +22,7 @@ from insdvl_replay.config_file import load_config
 from insdvl_replay.dive_paths import find_dives
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.gate_file import Gates, load_gates
+from insdvl_replay.gate_names import refuse_unknown_names
 from insdvl_replay.gates import CheckResult
 from insdvl_replay.report.check_json import check_json
 from insdvl_replay.report.check_pages import baseline_text, check_markdown, check_sentence, check_text
@@ -117,7 +117,7 @@ def check_dives(
         raise ConfigError(f"{path}: names no dives", f'`insdvl-replay check {path} DIVE...`, or dives = ["*.mcap"]')
     paths = find_dives(chosen, beside, results=True)
     order = Order(_settings(gates, config, settings), allow_damaged=gates.content.allow_damaged)
-    refuse_unknown_names(gates, None if any(map(_is_result, paths)) else order.config.filters)
+    refuse_unknown_names(gates, None if any(map(_is_result, paths)) else list(order.config.filters))
     checked = list(_checked(paths, order, replaying))
     codes = [tell_failure(result, told.verbosity) for _, result in checked if isinstance(result, Exception)]
     if replaying.update:

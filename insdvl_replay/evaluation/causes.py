@@ -60,7 +60,7 @@ def flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
 def _facts(report: StoredReport) -> dict[tuple[str, str], str]:
     """Give all that may differ as text, by block and key. Times of day and of computation always differ."""
     log = report.log
-    tool = {key: value for key, value in report.tool.items() if key in {"name", "version"}}
+    tool = {key: value for key, value in report.tool.items() if key in {"name", "version", "sources"}}
     filters = ", ".join([report.baseline, *report.filters])
     span = {"start_ns": log.start_ns, "end_ns": log.end_ns, "duration_s": log.duration_s}
     channels = {f"channels {channel.get('topic')}": _channel(channel) for channel in log.channels}

@@ -16,14 +16,9 @@ from insdvl_replay.columns import Floats
 from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, chi_square_quantile, mean_interval, verdict
 from insdvl_replay.evaluation.effective_samples import effective_samples
 from insdvl_replay.evaluation.state_errors import StateErrors, whitened
-from insdvl_replay.states import BA, PHI, STATES
+from insdvl_replay.result_tables import CREDIBILITY_QUANTITIES, JOINT
+from insdvl_replay.states import BA, PHI
 
-QUANTITIES: Final = (
-    "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", *(state.id for state in STATES[BA.start :]),
-)  # fmt: skip
-"""Rows of the table in the order of the error state; the attitude about the vehicle's level axes."""
-JOINT: Final = "all"
-"""The row of all compared states together."""
 FAR_SMALLER: Final = 0.25
 """Share of the expected NEES, half of the believed size, below which errors count as small. A filter starts at the
 reference, so that for a while the errors of an honest one are smaller than it says."""
@@ -67,7 +62,7 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
 
 
 def _missing(word: str) -> Iterator[Row]:
-    for quantity in (*QUANTITIES[: BA.start], JOINT):
+    for quantity in (*CREDIBILITY_QUANTITIES[: BA.start], JOINT):
         yield quantity, *_without_numbers(1, 0, word)
 
 
@@ -78,7 +73,7 @@ def _without_numbers(dof: int, samples: int, word: str) -> Row:
 def _rows(errors: StateErrors) -> Iterator[Row]:
     known = np.isfinite(errors.error)
     standardised = _standardised(errors)
-    for i, quantity in enumerate(QUANTITIES):
+    for i, quantity in enumerate(CREDIBILITY_QUANTITIES):
         if i < BA.start or known[:, i].any():
             yield quantity, *_judged(standardised[known[:, i], i : i + 1])
     yield JOINT, *_joint(errors, known)

@@ -9,21 +9,9 @@ from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.evaluation.believed import improvement_pct
 from insdvl_replay.history import History
+from insdvl_replay.result_tables import REFERENCE_QUANTITIES
 from insdvl_replay.rotation import rpy_from_mat, vector_from_mat, wrap_angle
 from insdvl_replay.states import DEG
-
-QUANTITIES = {
-    "velocity_n": "m/s",
-    "velocity_e": "m/s",
-    "velocity_d": "m/s",
-    "roll": "deg",
-    "pitch": "deg",
-    "heading": "deg",
-    "position_h": "m",
-    "depth": "m",
-    "position_h_pct": "%",
-}
-"""Rows of the table and their units; ``position_h_pct`` is of the distance travelled."""
 
 DEAD_RECKONED = ("position_h", "depth", "position_h_pct")
 """Quantities that keep what went wrong in a gap of the IMU: nothing brings position and its heading back."""
@@ -181,7 +169,7 @@ def reference_error_table(
     summaries = {name: _summary(error) for name, error in errors.items()}
     rows = []
     for candidate in candidates:
-        for quantity, unit in QUANTITIES.items():
+        for quantity, unit in REFERENCE_QUANTITIES.items():
             if not errors:
                 nan = float("nan")
                 rows.append((log, candidate, quantity, unit, nan, nan, nan, nan, nan, 0, "no reference"))
@@ -214,7 +202,9 @@ def _summary(errors: ReferenceErrors) -> dict[str, tuple[float, float, int]]:
         errors.position_error_ned_m[:, 2],
         horizontal_m * per_cent,
     ]
-    return {quantity: _rms_final_samples(column) for quantity, column in zip(QUANTITIES, columns, strict=True)}
+    return {
+        quantity: _rms_final_samples(column) for quantity, column in zip(REFERENCE_QUANTITIES, columns, strict=True)
+    }
 
 
 def _rms_final_samples(error: Floats) -> tuple[float, float, int]:

@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 
 from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.evaluation.credibility import JOINT
-from insdvl_replay.result_tables import VERDICTS_BEST_FIRST, is_whole
+from insdvl_replay.result_tables import JOINT, VERDICTS_BEST_FIRST, is_whole
 
 NOTABLE_PCT: Final = 5.0
 """A smaller change, believed or real, is not spoken of as an improvement."""

@@ -145,6 +145,9 @@ class Tool(Struct, frozen=True):
 
     name: str = "insdvl-replay"
     version: str = __version__
+    sources: Annotated[
+        str | None, Meta(description="digest of the package's files, which change without its version")
+    ] = None
     started_at: Annotated[str | None, Meta(description="UTC, ISO 8601")] = None
     elapsed_s: float | None = None
 
