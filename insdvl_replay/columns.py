@@ -27,7 +27,8 @@ def seconds(time_ns: TimeNs, origin_ns: int | TimeNs) -> Floats:
     -------
     ndarray, s
     """
-    return (time_ns - origin_ns).astype(np.float64) * 1e-9
+    elapsed_s: Floats = np.multiply(time_ns - origin_ns, 1e-9)
+    return elapsed_s
 
 
 @dataclass(frozen=True)
