@@ -100,7 +100,7 @@ def build_timeline(
     if len(ping_ns) and (ping_ns[0] <= start_ns or ping_ns[-1] > end_ns):
         raise ValueError("a ping lies outside the span")
     inside = reference_ns[(reference_ns > start_ns) & (reference_ns < end_ns)]
-    kept = np.unique(np.concatenate([[start_ns, end_ns], ping_ns, inside]).astype(np.int64))
+    kept = _merged(np.array([start_ns, end_ns], dtype=np.int64), ping_ns, inside)
     gaps = gaps.within(start_ns, end_ns)
     time_ns = _merged(_between(imu.time_ns, start_ns, end_ns), _between(gaps.bridge_ns(), start_ns, end_ns), kept)
     sample = np.searchsorted(imu.time_ns, time_ns, side="right").astype(np.int32)
