@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from instants import instants
 from plain_filter import Inputs, baseline_inputs, run_plain_filter
 from python_ins import Case, their_belief
 from results import machine, table, write_part
@@ -40,7 +41,7 @@ Contender = Callable[[], tuple[float, Floats | None]]
 
 def epochs_of(inputs: Inputs) -> int:
     """Count the intervals of the time line."""
-    return len(inputs.timeline.time_s) - 1
+    return len(inputs.timeline.time_ns) - 1
 
 
 def with_insdvl_replay(inputs: Inputs) -> tuple[float, Floats]:
@@ -73,10 +74,10 @@ def with_python_ins(case: Case, dive: Dive) -> tuple[float, Floats]:
 
 def with_gtsam(python: str, inputs: Inputs) -> tuple[float, None]:
     """Let GTSAM integrate the readings, one call of Python for each."""
-    timeline = inputs.timeline
+    at = instants(inputs.timeline)
     with TemporaryDirectory() as folder:
-        path, dt = Path(folder) / "readings.npz", float(np.median(np.diff(timeline.time_s)))
-        readings = {"force_b": timeline.specific_force_b[1:], "rate_b": timeline.angular_rate_b[1:], "dt": dt}
+        path, dt = Path(folder) / "readings.npz", float(np.median(np.diff(at.time_s)))
+        readings = {"force_b": at.specific_force_b[1:], "rate_b": at.angular_rate_b[1:], "dt": dt}
         np.savez(path, noise_density=inputs.noise_density, **readings)
         command = [python, str(Path(__file__).with_name("gtsam_loop.py")), str(path)]
         found = subprocess.run(command, check=True, capture_output=True, text=True)

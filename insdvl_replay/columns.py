@@ -27,7 +27,8 @@ def seconds(time_ns: TimeNs, origin_ns: int | TimeNs) -> Floats:
     -------
     ndarray, s
     """
-    return (time_ns - origin_ns).astype(np.float64) * 1e-9
+    elapsed_s: Floats = np.multiply(time_ns - origin_ns, 1e-9)
+    return elapsed_s
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,10 @@ class ImuColumns:
     time_ns: TimeNs
     specific_force_b: Floats
     angular_rate_b: Floats
+
+    def times_only(self) -> "ImuColumns":
+        """Give the times with no rows of readings, which are the better part of a long dive's memory."""
+        return ImuColumns(self.time_ns, self.specific_force_b[:0].copy(), self.angular_rate_b[:0].copy())
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ class Replay:
     Attributes
     ----------
     dive : Dive
-        The columns that were replayed.
+        The columns that were replayed; of the IMU the times alone, since its readings have done their work.
     config : Config
         Resolved settings.
     start_ns, end_ns : int
@@ -126,6 +126,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     start = prepare_dive(dive, config)
     start_ns = start.alignment.start_ns
     histories = run_filters(dive, start, config, keep_cov=keep_cov or _affordable(dive, start, config))
+    dive = replace(dive, imu=dive.imu.times_only())
     errors, tables = _tables(dive, start, histories)
     judged = verdicts(tables, config.baseline, [history.filter for history in histories[1:]])
     notes = dive.notes + start.notes + update_notes(histories) + _reference_notes(dive, config, start, histories[0])

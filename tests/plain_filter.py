@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from instants import instants
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import Dive, Floats
@@ -52,10 +53,11 @@ def run_plain_filter(inputs: Inputs) -> Belief:
     belief = Belief(
         start.position, start.velocity_n, start.mat_nb, start.accel_bias_b, start.gyro_bias_b, np.diag(start.sd**2)
     )
-    for k in range(1, len(timeline.time_s)):
-        force_b = timeline.specific_force_b[k - 1 : k + 1].mean(axis=0) - belief.accel_bias_b
-        rate_b = timeline.angular_rate_b[k - 1 : k + 1].mean(axis=0) - belief.gyro_bias_b
-        belief = propagated(belief, force_b, rate_b, timeline.time_s[k] - timeline.time_s[k - 1], noise_density)
+    at = instants(timeline)
+    for k in range(1, len(at.time_s)):
+        force_b = at.specific_force_b[k - 1 : k + 1].mean(axis=0) - belief.accel_bias_b
+        rate_b = at.angular_rate_b[k - 1 : k + 1].mean(axis=0) - belief.gyro_bias_b
+        belief = propagated(belief, force_b, rate_b, at.time_s[k] - at.time_s[k - 1], noise_density)
         if timeline.ping[k] >= 0:
             belief = updated(belief, velocity.measured_b[timeline.ping[k]], velocity.cov_b[timeline.ping[k]])
     return belief

@@ -7,6 +7,7 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 import pytest
+from instants import instants
 from scipy.integrate import cumulative_simpson
 
 from insdvl_replay.cli import run_command_line
@@ -90,7 +91,7 @@ def test_transition_is_the_papers_closed_form_with_its_sign_mended() -> None:
     """Phi = [I, S, R, M; 0, I, 0, R; ...] with S = -int [f x], R = int C, M = -int [f x] R, where the Earth stands."""
     timeline, nominal = exact_nominal("weave")
     transition = nominal_pings(timeline, nominal, earth_rate=False).transition
-    scenario, time_s = Scenario("", 424.0, Wave(2.0, 0.3, 60.0), TURN), timeline.time_s
+    scenario, time_s = Scenario("", 424.0, Wave(2.0, 0.3, 60.0), TURN), instants(timeline).time_s
     mat_nb = mat_from_rpy(scenario.rpy(time_s))
     velocity_b, rate_b = (
         scenario.velocity_b(time_s),

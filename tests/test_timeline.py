@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from instants import instants
 from scipy.interpolate import make_interp_spline
 
 from insdvl_replay.columns import Floats, ImuColumns, TimeNs
@@ -33,7 +34,8 @@ def whole(imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs = NONE) -> Time
 
 
 def integral(timeline: Timeline) -> Floats:
-    return np.array(np.trapezoid(timeline.specific_force_b, timeline.time_s, axis=0))
+    at = instants(timeline)
+    return np.array(np.trapezoid(at.specific_force_b, at.time_s, axis=0))
 
 
 @pytest.mark.parametrize(
@@ -56,7 +58,7 @@ def test_ping_has_its_own_node_at_its_own_nanosecond(offset_ns: int, nodes: int)
     assert timeline.ping[row] == 0
     assert timeline.time_ns[row] == EPOCH_NS + offset_ns
     assert timeline.record[row]
-    assert timeline.time_s[row] == pytest.approx(offset_ns * 1e-9, abs=1e-15)
+    assert instants(timeline).time_s[row] == pytest.approx(offset_ns * 1e-9, abs=1e-15)
 
 
 @pytest.mark.parametrize("imu_hz", [50, 100, 400])
@@ -88,7 +90,7 @@ def test_reference_outside_the_span_is_left_out() -> None:
 def test_span_may_begin_and_end_between_samples() -> None:
     timeline = build_timeline(imu_100_hz(), ns(85 * MS), NONE, *ns(15 * MS, 85 * MS).tolist())
     assert (timeline.time_ns[[0, 1, -2, -1]] - EPOCH_NS).tolist() == [15 * MS, 20 * MS, 80 * MS, 85 * MS]
-    assert timeline.time_s[0] == 0.0
+    assert instants(timeline).time_s[0] == 0.0
     assert timeline.record[[0, -1]].all()
     assert timeline.ping[-1] == 0
 
@@ -100,11 +102,26 @@ def test_readings_lie_on_the_line_between_samples() -> None:
     at_s, sample_s = (ping_ns - EPOCH_NS) * 1e-9, (imu.time_ns - EPOCH_NS) * 1e-9
     pinged = timeline.ping >= 0
     for made, readings in (
-        (timeline.specific_force_b, imu.specific_force_b),
-        (timeline.angular_rate_b, imu.angular_rate_b),
+        (instants(timeline).specific_force_b, imu.specific_force_b),
+        (instants(timeline).angular_rate_b, imu.angular_rate_b),
     ):
         np.testing.assert_allclose(made[pinged], make_interp_spline(sample_s, readings, k=1)(at_s), atol=1e-12)
         np.testing.assert_array_equal(made[np.isin(timeline.time_ns, imu.time_ns)], readings)
+
+
+def test_readings_are_those_of_numpy_to_the_last_bit() -> None:
+    imu = imu_at(EPOCH_NS + 10 * MS * np.arange(500) + np.random.default_rng(2).integers(0, 5 * MS, 500))
+    at = instants(whole(imu, imu.time_ns[0] + 37 * MS * np.arange(1, 100) + 12_345))
+    sample_s = (imu.time_ns - imu.time_ns[0]) * 1e-9
+    np.testing.assert_array_equal(at.angular_rate_b[:, 1], np.interp(at.time_s, sample_s, imu.angular_rate_b[:, 1]))
+
+
+def test_a_time_line_does_not_copy_the_readings_unless_the_loop_cannot_take_them() -> None:
+    imu = imu_100_hz()
+    assert np.shares_memory(whole(imu, NONE).specific_force_b, imu.specific_force_b)
+    strided = ImuColumns(imu.time_ns, np.asfortranarray(imu.specific_force_b), imu.angular_rate_b)
+    assert whole(strided, NONE).specific_force_b.flags.c_contiguous
+    assert integral(whole(strided, NONE)).tolist() == integral(whole(imu, NONE)).tolist()
 
 
 @settings(derandomize=True, deadline=None)

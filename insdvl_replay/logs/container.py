@@ -60,6 +60,7 @@ class Log:
         self._map = mapped(path)
         self._data = memoryview(self._map)
         self._anatomy = anatomy_of(self._data, self._release)
+        self._release(0, len(self._data))
         self._opened: set[int] = set()
         self._judge()
         self.channels = tuple(
@@ -244,7 +245,9 @@ class Log:
         if content.damages:
             self._anatomy.accept(chunk, content)
         yield content
-        self._release(chunk.offset, chunk.offset + chunk.length)
+        self._release(
+            chunk.offset, max(start + length for start, length in [(chunk.offset, chunk.length), *chunk.indexes])
+        )
 
     def complaints(self) -> list[str]:
         """Give a sentence for each damaged place found so far."""

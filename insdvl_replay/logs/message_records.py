@@ -12,6 +12,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from insdvl_replay.columns import TimeNs
 from insdvl_replay.logs.layout import layout_for_texts
 from insdvl_replay.logs.log_file import IndexedChunk
 from insdvl_replay.logs.messages import Batch
@@ -83,14 +84,11 @@ def in_chunks(batches: Sequence[MessageRecords], head: bytes) -> Iterator[Indexe
     ------
     IndexedChunk
     """
-    count = [len(records.batch.time_ns) for records in batches]
-    time_ns = np.concatenate([records.batch.time_ns for records in batches])
-    order = np.argsort(time_ns, kind="stable")
-    time_ns, batch_of = time_ns[order], np.repeat(np.arange(len(batches)), count)[order]
+    time_ns, batch_of = _in_order(batches)
     channels = np.array([records.channel for records in batches])
-    sizes = np.array([records.size for records in batches])[batch_of]
+    sizes = np.array([records.size for records in batches])
     done = np.zeros(len(batches), dtype=np.int64)
-    for inside in _cuts(sizes, len(head)):
+    for inside in _cuts(np.cumsum(sizes[batch_of]), len(head)):
         own = np.bincount(batch_of[inside], minlength=len(batches))
         by_batch = [
             record
@@ -99,18 +97,26 @@ def in_chunks(batches: Sequence[MessageRecords], head: bytes) -> Iterator[Indexe
         ]
         place = np.argsort(np.argsort(batch_of[inside], kind="stable"))
         data = head + b"".join([by_batch[i] for i in place.tolist()])
-        offset = len(head) + np.cumsum(sizes[inside]) - sizes[inside]
+        size = sizes[batch_of[inside]]
+        offset = len(head) + np.cumsum(size) - size
         yield IndexedChunk(data, channels[batch_of[inside]], time_ns[inside], offset)
         done += own
         head = b""
 
 
-def _cuts(sizes: NDArray[np.int64], head_bytes: int) -> Iterator[slice]:
-    """Give the messages of each chunk."""
-    ends = np.cumsum(sizes)
+def _in_order(batches: Sequence[MessageRecords]) -> tuple[TimeNs, NDArray[np.int16]]:
+    """Give the times of all messages in their order, and the batch that each is of."""
+    time_ns = np.concatenate([records.batch.time_ns for records in batches])
+    batch_of = np.repeat(np.arange(len(batches), dtype=np.int16), [len(records.batch.time_ns) for records in batches])
+    order = np.argsort(time_ns, kind="stable")
+    return time_ns[order], batch_of[order]
+
+
+def _cuts(ends: NDArray[np.int64], head_bytes: int) -> Iterator[slice]:
+    """Give the messages of each chunk by where each message ends."""
     begin, before = 0, -head_bytes
-    while begin < len(sizes):
-        end = min(int(np.searchsorted(ends, before + CHUNK_BYTES, side="right")) + 1, len(sizes))
+    while begin < len(ends):
+        end = min(int(np.searchsorted(ends, before + CHUNK_BYTES, side="right")) + 1, len(ends))
         yield slice(begin, end)
         begin, before = end, int(ends[end - 1])
 

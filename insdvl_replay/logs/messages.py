@@ -86,7 +86,7 @@ def stamp(path: str, time_ns: TimeNs) -> dict[str, Column]:
     dict of str to Column
     """
     seconds, nanoseconds = np.divmod(time_ns, _NS_PER_S)
-    return {f"{path}.sec": seconds, f"{path}.nanosec": nanoseconds}
+    return {f"{path}.sec": seconds.astype(np.int32), f"{path}.nanosec": nanoseconds.astype(np.uint32)}
 
 
 def xyz(path: str, vectors: Floats) -> dict[str, Column]:

@@ -131,7 +131,8 @@ class Table:
                 f"{self.place}: stamp '{stamp}' is {time_ns[0] / _NS_PER_S:.9f} s in each of {time_ns.size} messages",
                 f'{self.source.role}.stamp = "log_time"',
             )
-        return time_ns - round(self.source.latency_s * _NS_PER_S)
+        latency_ns = round(self.source.latency_s * _NS_PER_S)
+        return time_ns - latency_ns if latency_ns else time_ns
 
     def clock(self) -> Clock:
         """Compare the times of validity with the times of recording.

@@ -21,7 +21,7 @@ from insdvl_replay.nav.place import normal_gravity, place_at, within_reach
 from insdvl_replay.nav.recording import Ins, Records, Updates, history_of, new_records, new_updates, write_record
 from insdvl_replay.nav.start import Start
 from insdvl_replay.nav.strapdown import Motion, propagate
-from insdvl_replay.nav.timeline import Timeline, mean_reading
+from insdvl_replay.nav.timeline import Timeline, instant_at, mean
 from insdvl_replay.nav.vector_algebra import Vector, matrix, rotate_back, subtract, vector, write_vector
 
 
@@ -90,33 +90,13 @@ def run_filter(
         start.gyro_bias_b.copy(),
         np.diag(start.sd**2),
     )
-    _run(
-        timeline.time_s,
-        timeline.specific_force_b,
-        timeline.angular_rate_b,
-        timeline.ping,
-        timeline.record,
-        timeline.gap,
-        timeline.gap_noise_density,
-        ins,
-        noise_density,
-        _stacked(measurements),
-        lever_arm_b,
-        records,
-        updates,
-    )
+    _run(timeline, ins, noise_density, _stacked(measurements), lever_arm_b, records, updates)
     return history_of(name, timeline, measurements, records, updates)
 
 
 @compiled
 def _run(
-    time_s: Floats,
-    specific_force_b: Floats,
-    angular_rate_b: Floats,
-    ping: NDArray[np.int64],
-    record: NDArray[np.bool_],
-    gap: NDArray[np.int32],
-    gap_noise_density: Floats,
+    timeline: Timeline,
     ins: Ins,
     noise_density: Floats,
     measurements: _Stack,
@@ -131,29 +111,32 @@ def _run(
     z, H = np.zeros(3), np.zeros((3, 12))
 
     write_record(ins, records, 0)
-    row = 1
-    for k in range(1, len(time_s)):
-        dt = time_s[k] - time_s[k - 1]
+    row, before = 1, instant_at(timeline, 0)
+    for k in range(1, len(timeline.time_ns)):
+        now = instant_at(timeline, k)
+        dt = now.time_s - before.time_s
         if not within_reach(place, ins.position[0], ins.position[2]):
             place = place_at(ins.position[0], ins.position[2])
-        force_b = subtract(mean_reading(specific_force_b, k), vector(ins.accel_bias_b))
-        rate_b = subtract(mean_reading(angular_rate_b, k), vector(ins.gyro_bias_b))
+        force_b = subtract(mean(before.specific_force_b, now.specific_force_b), vector(ins.accel_bias_b))
+        rate_b = subtract(mean(before.angular_rate_b, now.angular_rate_b), vector(ins.gyro_bias_b))
         motion = propagate(ins.position, ins.velocity_n, ins.mat_nb, force_b, rate_b, dt, place)
         propagate_cov(ins.P, motion, noise_density, dt)
-        if gap[k] >= 0:
-            add_noise(ins.P, gap_noise_density[gap[k]], dt)
+        if timeline.gap[k] >= 0:
+            add_noise(ins.P, timeline.gap_noise_density[timeline.gap[k]], dt)
 
-        if ping[k] >= 0:
-            _note_motion(ins, memory, ping[k], angular_rate_b[k], motion)
+        ping = timeline.ping[k]
+        if ping >= 0:
+            _note_motion(ins, memory, ping, now.angular_rate_b, motion)
             for m in range(len(measurements.kind)):
-                if measurements.available[m, ping[k]]:
+                if measurements.available[m, ping]:
                     measurement = _unstacked(measurements, m)
-                    linearise(measurement, ping[k], _at_ping(ins, memory, specific_force_b[k], lever_arm_b), z, H)
-                    _update(ins, measurement, m, ping[k], z, H, updates)
+                    linearise(measurement, ping, _at_ping(ins, memory, now.specific_force_b, lever_arm_b), z, H)
+                    _update(ins, measurement, m, ping, z, H, updates)
             write_vector(_velocity_b(ins), memory.velocity_after_b)
-        if record[k]:
+        if timeline.record[k]:
             write_record(ins, records, row)
             row += 1
+        before = now
 
 
 def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
@@ -176,9 +159,9 @@ def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
 
 
 @compiled
-def _note_motion(ins: Ins, memory: _Memory, ping: int, reading_b: Floats, motion: Motion) -> None:
+def _note_motion(ins: Ins, memory: _Memory, ping: int, reading_b: Vector, motion: Motion) -> None:
     """Write down the angular rates at a ping, and what the mechanisation added to the body velocity since the last."""
-    rate_ib_b = subtract(vector(reading_b), vector(ins.gyro_bias_b))
+    rate_ib_b = subtract(reading_b, vector(ins.gyro_bias_b))
     write_vector(subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_in_n)), memory.rate_nb_b[ping])
     write_vector(subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_ie_n)), memory.rate_eb_b[ping])
     change_b = subtract(_velocity_b(ins), vector(memory.velocity_after_b))
@@ -191,10 +174,9 @@ def _velocity_b(ins: Ins) -> Vector:
 
 
 @compiled
-def _at_ping(ins: Ins, memory: _Memory, reading_b: Floats, lever_arm_b: Floats) -> InsAtPing:
+def _at_ping(ins: Ins, memory: _Memory, reading_b: Vector, lever_arm_b: Floats) -> InsAtPing:
     specific_force_b = np.empty(3)
-    for i in range(3):
-        specific_force_b[i] = reading_b[i] - ins.accel_bias_b[i]
+    write_vector(subtract(reading_b, vector(ins.accel_bias_b)), specific_force_b)
     return InsAtPing(
         ins.velocity_n,
         ins.mat_nb,

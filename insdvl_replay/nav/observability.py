@@ -20,7 +20,7 @@ from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.place import normal_gravity, place_at, within_reach
 from insdvl_replay.nav.strapdown import Motion, propagate
-from insdvl_replay.nav.timeline import Timeline, mean_reading
+from insdvl_replay.nav.timeline import Timeline, instant_at, mean
 from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate_back, subtract, vector, write_vector
 
 TOLERANCE: Final = 3e-6
@@ -86,11 +86,7 @@ def nominal_pings(timeline: Timeline, nominal: History, *, earth_rate: bool = Tr
         np.empty((pings, 12, 12)),
     )
     _walk(
-        timeline.time_s,
-        timeline.specific_force_b,
-        timeline.angular_rate_b,
-        timeline.ping,
-        timeline.record,
+        timeline,
         nominal.position,
         nominal.velocity_n,
         np.ascontiguousarray(nominal.mat_nb),
@@ -219,11 +215,7 @@ def analyse(rows: Floats, prior_sd: Floats, tolerance: float = TOLERANCE) -> Obs
 
 @compiled
 def _walk(
-    time_s: Floats,
-    specific_force_b: Floats,
-    angular_rate_b: Floats,
-    ping: NDArray[np.int64],
-    record: NDArray[np.bool_],
+    timeline: Timeline,
     nominal_position: Floats,
     nominal_velocity_n: Floats,
     nominal_mat_nb: Floats,
@@ -244,29 +236,32 @@ def _walk(
     )
     place, row = place_at(position_now[0], position_now[2]), 0
     F, Phi = np.zeros((12, 12)), np.eye(12)
-    for k in range(1, len(time_s)):
-        dt = time_s[k] - time_s[k - 1]
+    before = instant_at(timeline, 0)
+    for k in range(1, len(timeline.time_ns)):
+        now, ping = instant_at(timeline, k), timeline.ping[k]
+        dt = now.time_s - before.time_s
         before_n = vector(velocity_now)
         if not within_reach(place, position_now[0], position_now[2]):
             place = place_at(position_now[0], position_now[2])
-        force_b = subtract(mean_reading(specific_force_b, k), vector(accel_bias_b[row]))
-        rate_b = subtract(mean_reading(angular_rate_b, k), vector(gyro_bias_b[row]))
+        force_b = subtract(mean(before.specific_force_b, now.specific_force_b), vector(accel_bias_b[row]))
+        rate_b = subtract(mean(before.angular_rate_b, now.angular_rate_b), vector(gyro_bias_b[row]))
         motion = propagate(position_now, velocity_now, mat_now, force_b, rate_b, dt, place)
         rate_in_b = rotate_back(motion.mat_nb, motion.rate_in_n)
         write_system_matrix(motion if earth_rate else _on_a_resting_earth(motion, before_n), F)
         Phi += dt * (F @ Phi)
-        if record[k]:
+        if timeline.record[k]:
             row += 1
             position_now[:] = nominal_position[row]
             velocity_now[:] = nominal_velocity_n[row]
             mat_now[:, :] = nominal_mat_nb[row]
-        if ping[k] >= 0:
-            velocity_n[ping[k]] = velocity_now
-            mat_nb[ping[k]] = mat_now
-            rate_ib_b = subtract(vector(angular_rate_b[k]), vector(gyro_bias_b[row]))
-            write_vector(subtract(rate_ib_b, rate_in_b), rate_nb_b[ping[k]])
-            gravity[ping[k]] = normal_gravity(position_now[0], position_now[2])
-            transition[ping[k]] = Phi
+        if ping >= 0:
+            velocity_n[ping] = velocity_now
+            mat_nb[ping] = mat_now
+            rate_ib_b = subtract(now.angular_rate_b, vector(gyro_bias_b[row]))
+            write_vector(subtract(rate_ib_b, rate_in_b), rate_nb_b[ping])
+            gravity[ping] = normal_gravity(position_now[0], position_now[2])
+            transition[ping] = Phi
+        before = now
 
 
 @compiled

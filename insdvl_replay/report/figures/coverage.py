@@ -70,17 +70,23 @@ def covered_shares(source: Source, start_ns: int, end_ns: int, columns: int = _C
     """
     if len(source.time_ns) < 2:
         return np.zeros(columns)
-    steps = np.diff(source.time_ns, append=source.time_ns[-1:]).astype(np.float64)
-    usual = float(np.median(steps[:-1]))
-    steps[-1] = usual
-    lasts = np.where(source.valid, np.minimum(steps, _LASTS * usual), 0.0)
-    begins = (source.time_ns - start_ns).astype(np.float64)
-    knots = np.column_stack([begins, begins + lasts]).ravel()
-    covered = np.repeat(np.cumsum(lasts), 2)
-    covered[::2] -= lasts
-    edges = np.linspace(0.0, float(end_ns - start_ns), columns + 1)
-    shares: Floats = np.clip(np.diff(np.interp(edges, knots, covered)) / (edges[1] - edges[0]), 0.0, 1.0)
+    lasts = np.diff(source.time_ns, append=source.time_ns[-1:]).astype(np.float64)
+    usual = float(np.median(lasts[:-1]))
+    lasts[-1] = usual
+    np.minimum(lasts, _LASTS * usual, out=lasts)
+    lasts[~source.valid] = 0.0
+    edges_ns = np.linspace(start_ns, end_ns, columns + 1, dtype=np.int64)
+    shares: Floats = np.clip(np.diff(_covered_ns(source.time_ns, lasts, edges_ns)) / np.diff(edges_ns), 0.0, 1.0)
     return shares
+
+
+def _covered_ns(begins_ns: TimeNs, lasts: Floats, until_ns: TimeNs) -> Floats:
+    """Add up what samples cover, of which each lasts for a while, until some times."""
+    before = np.concatenate([[0.0], np.cumsum(lasts)])
+    rows = np.searchsorted(begins_ns, until_ns, side="right")
+    latest = np.maximum(rows - 1, 0)
+    unfinished = np.maximum(lasts[latest] - (until_ns - begins_ns[latest]), 0.0)
+    return np.asarray(before[rows] - np.where(rows > 0, unfinished, 0.0))
 
 
 def _row(source: Source, clock: Clock) -> str:
