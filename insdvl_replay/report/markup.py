@@ -4,8 +4,10 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
+from insdvl_replay.report.dive_sentences import closing_lines, heading, verdict_lines
+from insdvl_replay.report.dive_tables import shown_tables
 from insdvl_replay.report.json_report import Report
-from insdvl_replay.report.shown import ShownTable, closing_lines, heading, shown_tables, verdict_lines
+from insdvl_replay.report.shown import ShownTable
 
 _LATEX: Final = {
     "\\": r"\textbackslash{}",
