@@ -31,7 +31,7 @@ DOCUMENTED = {
         "--rerun", "-v, --verbose", "--help",
     ],
     "inspect": [
-        "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json>",
+        "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json|csv|md|latex>",
         "--allow-damaged", "-v, --verbose", "--help",
     ],
     "simulate": [

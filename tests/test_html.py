@@ -12,11 +12,12 @@ import pytest
 from insdvl_replay.config_file import load_config
 from insdvl_replay.errors import Note
 from insdvl_replay.replay import Replay, replay_dive, replay_log
+from insdvl_replay.report.dive_tables import shown_tables
 from insdvl_replay.report.figures.clock import Clock
 from insdvl_replay.report.figures.coverage import Source, covered_shares
 from insdvl_replay.report.json_report import Report, decode_report
 from insdvl_replay.report.page import Heading, Html, Lead, page
-from insdvl_replay.report.shown import ShownTable, shown_tables
+from insdvl_replay.report.shown import ShownTable
 from insdvl_replay.result_files import save_replay
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.states import STATES

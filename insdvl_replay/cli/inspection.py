@@ -1,6 +1,6 @@
 """``insdvl-replay inspect``."""
 
-from enum import StrEnum
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,16 +8,10 @@ import typer
 
 from insdvl_replay.cli.messages import emit, tell_failure
 from insdvl_replay.cli.options import Preset, Settings, Verbose
+from insdvl_replay.cli.run import Format
 
 if TYPE_CHECKING:
     from insdvl_replay.inventory import Inventory
-
-
-class InspectionFormat(StrEnum):
-    """How an inventory is printed."""
-
-    TABLE = "table"
-    JSON = "json"
 
 
 def inspect(
@@ -30,7 +24,7 @@ def inspect(
     ] = None,
     preset: Preset = None,
     settings: Settings = [],  # noqa: B006
-    format_: Annotated[InspectionFormat, typer.Option("--format", help="How it is printed.")] = InspectionFormat.TABLE,
+    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Damage is no obstacle; what is lost is said.")
     ] = False,
@@ -61,17 +55,24 @@ def inspect(
         except Exception as error:
             code = max(code, tell_failure(error, verbose))
             continue
-        if format_ is InspectionFormat.TABLE:
-            _print(inventory, is_first=not inventories)
+        if format_ is not Format.JSON:
+            _print(inventory, format_, is_first=not inventories)
         inventories.append(inventory)
-    if format_ is InspectionFormat.JSON:
+    if format_ is Format.JSON:
         for found in [inventories] if len(logs) > 1 else inventories:
             emit(encode_inventory(found).decode())
     return code
 
 
-def _print(inventory: "Inventory", *, is_first: bool) -> None:
+def _print(inventory: "Inventory", format_: Format, *, is_first: bool) -> None:
     from insdvl_replay.cli.screen import printed
-    from insdvl_replay.report.inspection import terminal_inventory
+    from insdvl_replay.report.inspection import latex_inventory, markdown_inventory, terminal_inventory
+    from insdvl_replay.report.inspection_csv import inventory_csv
 
-    emit(("" if is_first else "\n") + printed(terminal_inventory(inventory)))
+    writers: dict[Format, Callable[[Inventory], str]] = {
+        Format.TABLE: lambda inventory: printed(terminal_inventory(inventory)),
+        Format.CSV: inventory_csv,
+        Format.MARKDOWN: markdown_inventory,
+        Format.LATEX: latex_inventory,
+    }
+    emit(("" if is_first else "\n") + writers[format_](inventory))

@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator, Sequence
 
+from insdvl_replay.report.dive_sentences import closing_lines, heading, verdict_lines
+from insdvl_replay.report.dive_tables import shown_tables
 from insdvl_replay.report.figures.improvement import improvement_bars
 from insdvl_replay.report.json_report import Report
 from insdvl_replay.report.page import Heading, Html, Lead, Part, page
 from insdvl_replay.report.page_parts import facts, losses, settings_details
 from insdvl_replay.report.plots.panel import Figure
-from insdvl_replay.report.shown import ShownTable, closing_lines, heading, shown_tables, verdict_lines
+from insdvl_replay.report.shown import ShownTable
 
 
 def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: str) -> bytes:

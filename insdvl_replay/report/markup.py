@@ -4,8 +4,10 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
+from insdvl_replay.report.dive_sentences import closing_lines, heading, verdict_lines
+from insdvl_replay.report.dive_tables import shown_tables
 from insdvl_replay.report.json_report import Report
-from insdvl_replay.report.shown import ShownTable, closing_lines, heading, shown_tables, verdict_lines
+from insdvl_replay.report.shown import ShownTable
 
 _LATEX: Final = {
     "\\": r"\textbackslash{}",
@@ -82,22 +84,26 @@ def latex_page(title: str, opening: Sequence[str], tables: Sequence[ShownTable])
 
 def _markdown_table(table: ShownTable) -> str:
     rule = ["---:" if letter == "r" else "---" for letter in table.alignment]
-    header = [name.replace("\n", " ") for name in table.header]
+    header = [" ".join(name.split()) for name in table.header]
     rows = [header, rule, *table.rows]
-    lines = [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
+    lines = [f"| {' | '.join(map(_markdown_cell, row))} |" for row in rows]
     footnote = f"\n\n{table.footnote}" if table.footnote else ""
     return f"**{table.title}**\n\n" + "\n".join(lines) + footnote
 
 
+def _markdown_cell(text: str) -> str:
+    return text.replace("|", r"\|").replace("\n", "<br>")
+
+
 def _latex_table(table: ShownTable) -> str:
-    rows = [" & ".join(_latex(cell) for cell in row) + r" \\" for row in table.rows]
+    rows = [" & ".join(_latex(" ".join(cell.split())) for cell in row) + r" \\" for row in table.rows]
     return "\n".join(
         [
             r"\begin{table}",
             rf"\caption{{{_latex(table.title)}}}",
             rf"\begin{{tabular}}{{{table.alignment}}}",
             r"\toprule",
-            " & ".join(_latex(name.replace("\n", " ")) for name in table.header) + r" \\",
+            " & ".join(_latex(" ".join(name.split())) for name in table.header) + r" \\",
             r"\midrule",
             *rows,
             r"\bottomrule",

@@ -7,8 +7,10 @@ from rich.console import Group, JustifyMethod, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from insdvl_replay.report.dive_sentences import closing_lines, heading, verdict_lines
+from insdvl_replay.report.dive_tables import shown_tables
 from insdvl_replay.report.json_report import Report
-from insdvl_replay.report.shown import ShownTable, closing_lines, heading, shown_tables, verdict_lines
+from insdvl_replay.report.shown import ShownTable
 
 _JUSTIFY: Final[dict[str, JustifyMethod]] = {"l": "left", "r": "right"}
 
