@@ -32,7 +32,7 @@ DOCUMENTED = {
     ],
     "inspect": [
         "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json>",
-        "--allow-damaged", "-v, --verbose", "--help",
+        "--allow-damaged", "--one-dive", "-v, --verbose", "--help",
     ],
     "simulate": [
         "SCENARIO", "-o, --output LOG", "--seed N", "--duration S", "--imu GRADE", "--outage START:END",

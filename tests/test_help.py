@@ -39,7 +39,7 @@ EXAMPLES = [
 
 @pytest.fixture(scope="module")
 def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what the examples name: a dive, also in two parts, several dives, two results, settings."""
+    """A folder with what the examples name: a dive, also in two parts, several dives, twice, two results, settings."""
     folder = tmp_path_factory.mktemp("workshop")
     dive = str(folder / "dive.mcap")
     assert run_command_line(["simulate", "straight", "-o", dive, "--duration", "190"]) == 0
@@ -47,6 +47,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number in ("1", "2"):
         log = str(folder / "dives" / f"{number}.mcap")
         assert run_command_line(["simulate", "lawnmower", "-o", log, "--duration", "60", "--seed", number]) == 0
+    shutil.copytree(folder / "dives", folder / "archive")
     written = Path(dive).read_bytes()
     write_part(folder / "sensors.mcap", lambda topic, _: topic != "/reference", log=written)
     write_part(folder / "gnss.mcap", lambda topic, _: topic == "/reference", log=written)
