@@ -191,6 +191,11 @@ def test_three_clocks_in_one_file() -> None:
     assert "/imu and /dvl are stamped by different clocks" in obstacles(inspected("stanford_auv/x_1.mcap", *named))
 
 
+def test_vehicle_that_lies_still_contradicts_nobody() -> None:
+    assert "does not follow" not in warnings(inspected("stanford_auv/static.mcap"))
+    assert "does not follow" in warnings(inspected("stanford_auv/rotation_z_1.mcap"))
+
+
 def test_log_without_messages() -> None:
     inventory = inspected("blueye_x3/no_messages.mcap", deep=True)
     assert inventory.log.messages == 0

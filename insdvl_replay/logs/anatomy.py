@@ -34,8 +34,8 @@ def anatomy_of(data: memoryview, release: Callable[[int, int], None]) -> Anatomy
     """
     summary = read_summary(data)
     anatomy = Anatomy(summary, damages=list(summary.damages))
-    if data[: len(MAGIC)] != MAGIC:
-        anatomy.mark(Damage(0, f"the opening bytes are '{data[: len(MAGIC)].hex(' ')}', not those of an MCAP file"))
+    if (opening := bytes(data[: len(MAGIC)])) != MAGIC:
+        anatomy.mark(Damage(0, f"the opening bytes are '{opening.hex(' ')}', not those of an MCAP file"))
     Walk(data, anatomy, release).run()
     if anatomy.data_end is not None and summary.message_count is None:
         anatomy.displaced = summary_behind(data, anatomy.data_end[0] + DATA_END_SIZE)
