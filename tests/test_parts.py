@@ -110,8 +110,9 @@ def test_a_bag_is_one_dive_however_its_parts_are_listed(bag: Path, whole: Dive, 
 
 def test_a_bag_that_is_not_whole_is_refused(bag: Path) -> None:
     describe(bag, "\n  - b.mcap\n  - lost.mcap")
-    with pytest.raises(LogError, match=r"metadata\.yaml: lists lost\.mcap, which is not there"):
+    with pytest.raises(LogError, match=r"metadata\.yaml: lists lost\.mcap, which is not there") as raised:
         read_dive(bag, Config())
+    assert f"{bag}/*.mcap --one-dive" in raised.value.hint
     describe(bag, "\n  - a.mcap\n  - b.mcap")
     with pytest.raises(LogError, match=r"metadata\.yaml: does not list c\.mcap, which lies beside"):
         read_dive(bag, Config())

@@ -39,11 +39,8 @@ def mapped(path: Path) -> mmap.mmap:
     UnusableFileError
         The file is empty, or is no MCAP file.
     LogError
-        It is a folder, or cannot be opened.
+        It cannot be opened.
     """
-    if path.is_dir():
-        inside = sorted(path.glob("*.mcap"))
-        raise LogError(f"{path}: is a folder", f"name the log in it: {inside[0]}" if inside else "it has no .mcap file")
     try:
         with path.open("rb") as file:
             start = file.read(16)
