@@ -1,5 +1,6 @@
 """A hall beside the replay: what a log holds, and everything that would stop a replay before its filters run."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +11,15 @@ from insdvl_replay.inventory import Inventory, Obstacle
 from insdvl_replay.nav.alignment import check_start
 
 
-def inspect_log(path: Path, config: Config, *, deep: bool = False, allow_damaged: bool = False) -> Inventory:
+def inspect_log(
+    path: Path | Sequence[Path], config: Config, *, deep: bool = False, allow_damaged: bool = False
+) -> Inventory:
     """Say what a log holds and whether it can be replayed.
 
     Parameters
     ----------
-    path : Path
+    path : Path or sequence of Path
+        A log, a bag, or several of them that are one dive.
     config : Config
     deep : bool
         Read the messages of all roles whole, and go as far as a replay would before its filters run; else the first

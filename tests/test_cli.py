@@ -31,8 +31,8 @@ DOCUMENTED = {
         "--rerun", "-v, --verbose", "--help",
     ],
     "inspect": [
-        "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json|csv|md|latex>",
-        "--allow-damaged", "-v, --verbose", "--help",
+        "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
+        "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "-v, --verbose", "--help",
     ],
     "simulate": [
         "SCENARIO", "-o, --output LOG", "--seed N", "--duration S", "--imu GRADE", "--outage START:END",

@@ -143,6 +143,10 @@ MATRIX = {
     "cut in an lz4 chunk": Case("lz4", cut_chunk, "without the closing bytes", 330, 200),
     "cut in an open chunk": Case("bare", cut_chunk, "without the closing bytes", 330, 200),
     "cut without chunks": Case("no chunks", partial(cut_at, 0.5), "without the closing bytes", 330, 200),
+    "flip in the opening bytes": Case("zstd", lambda data: flipped(data, 1), "the opening bytes are '89 4c 43", 0),
+    "zeros at the start": Case("zstd", partial(changed, place=0, new=bytes(9_000)), "the opening bytes", 180, 20),
+    "start missing": Case("zstd", lambda data: data[5:], "the checksum of the summary", 0),
+    "both ends missing": Case("zstd", lambda data: b"x" * 8 + data[8:-8], "without the closing bytes", 0),
     "closing bytes missing": Case("zstd", lambda data: data[:-8], "without the closing bytes", 0),
     "one byte missing": Case("zstd", lambda data: data[:-1], "without the closing bytes", 0),
     "cut behind the start": Case("zstd", nothing_but_a_start, "without the closing bytes", MESSAGES, MESSAGES),
@@ -284,6 +288,31 @@ def assert_hint(error: LogError, saved: int) -> None:
         assert f" s and {saved} messages that can be read" in error.hint
     else:
         assert "no message in it can be read" in error.hint
+
+
+def repeated_into(place: int, size: int, source: int, data: bytes) -> bytes:
+    return data[:place] + data[source : source + size] + data[place:]
+
+
+@pytest.mark.parametrize(
+    ("kind", "harm"),
+    [
+        ("no chunks", partial(repeated_into, 74602, 1709, 134674)),
+        ("no chunks", partial(repeated_into, 46615, 3221, 100974)),
+        ("uncompressed", partial(repeated_into, 77350, 3773, 127426)),
+        ("no summary", partial(repeated_into, 31476, 3227, 30732)),
+        ("no chunks", lambda data: changed(data, 51432, b"\xff" * 8)),
+    ],
+)
+def test_bytes_written_twice_do_not_hide_a_loss(kind: str, harm: Harm, tmp_path: Path) -> None:
+    path = tmp_path / "dive.mcap"
+    path.write_bytes(harm(small_log(kind, extras=True)))
+    log, found = everything(path, allow_damaged=True)
+    gone = true_messages() - set(found)
+    assert gone
+    [note] = log.notes
+    assert "no messages are lost" not in note.text
+    assert_loss_is_told(note.text, sorted(time_ns for _, time_ns, _ in gone))
 
 
 def test_loss_is_told_in_messages_and_seconds(tmp_path: Path) -> None:

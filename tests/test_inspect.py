@@ -191,6 +191,11 @@ def test_three_clocks_in_one_file() -> None:
     assert "/imu and /dvl are stamped by different clocks" in obstacles(inspected("stanford_auv/x_1.mcap", *named))
 
 
+def test_vehicle_that_lies_still_contradicts_nobody() -> None:
+    assert "does not follow" not in warnings(inspected("stanford_auv/static.mcap"))
+    assert "does not follow" in warnings(inspected("stanford_auv/rotation_z_1.mcap"))
+
+
 def test_log_without_messages() -> None:
     inventory = inspected("blueye_x3/no_messages.mcap", deep=True)
     assert inventory.log.messages == 0
@@ -372,6 +377,7 @@ def test_several_logs_and_bags_are_one_array_in_json(log: Path, dive: Dive, caps
     bag = log.parent / "bag"
     bag.mkdir()
     write_dive(bag / "part.mcap", dive)
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {relative_file_paths: [part.mcap]}")
     logs = [str(log), str(log.parent / "nowhere.mcap"), str(bag)]
     assert run_command_line(["inspect", *logs, "--format", "json"]) == 3
     captured = capsys.readouterr()
@@ -391,6 +397,21 @@ def test_a_bag_is_one_log(dive: Dive, tmp_path: Path) -> None:
     inventory = inspect_log(bag, load_config())
     (imu_topic,) = [topic for topic in inventory.topics if topic.role == "imu"]
     assert (inventory.log.parts, imu_topic.channels, imu_topic.messages) == (2, 2, len(dive.imu.time_ns))
+
+
+def test_files_are_the_same_dives_as_for_a_run(dive: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "dives"
+    folder.mkdir()
+    write_dive(folder / "sensors.mcap", replace(dive, reference=None))
+    write_dive(folder / "solution.mcap", dive)
+    named = {"sensors.mcap": "", "solution.mcap": "/reference"}
+    assert run_command_line(["inspect", str(folder), "--format", "json"]) == 0
+    inventories = json.loads(capsys.readouterr().out)
+    assert {one["log"]["name"]: one["roles"][2]["topic"] or "" for one in inventories} == named
+    assert run_command_line(["inspect", str(folder / "*.mcap"), "--one-dive", "--format", "json"]) == 0
+    inventory = json.loads(capsys.readouterr().out)
+    assert (inventory["log"]["name"], inventory["log"]["parts"]) == ("sensors.mcap", 2)
+    assert inventory["roles"][2]["topic"] == "/reference"
 
 
 def test_json_is_complete_and_reads_back(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from insdvl_replay.columns import Dive
 from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError
 from insdvl_replay.inspection import inspect_log
-from insdvl_replay.logs import read_dive
+from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.bag import bag_parts
 from insdvl_replay.logs.recording import open_recording
 
@@ -109,8 +110,9 @@ def test_a_bag_is_one_dive_however_its_parts_are_listed(bag: Path, whole: Dive, 
 
 def test_a_bag_that_is_not_whole_is_refused(bag: Path) -> None:
     describe(bag, "\n  - b.mcap\n  - lost.mcap")
-    with pytest.raises(LogError, match=r"metadata\.yaml: lists lost\.mcap, which is not there"):
+    with pytest.raises(LogError, match=r"metadata\.yaml: lists lost\.mcap, which is not there") as raised:
         read_dive(bag, Config())
+    assert f"{bag}/*.mcap --one-dive" in raised.value.hint
     describe(bag, "\n  - a.mcap\n  - b.mcap")
     with pytest.raises(LogError, match=r"metadata\.yaml: does not list c\.mcap, which lies beside"):
         read_dive(bag, Config())
@@ -205,6 +207,17 @@ def test_messages_in_two_files_are_used_once_and_counted(tmp_path: Path, whole: 
     assert "imu_out_of_order" not in counts(dive)
     [overlap] = [note for note in dive.notes if note.code == "files_overlap"]
     assert "by up to 0.99" in overlap.text
+
+
+def test_two_dives_at_the_same_time_are_not_read_as_one(tmp_path: Path, whole: Dive) -> None:
+    first = write_part(tmp_path / "first.mcap", between(0.0, 9.0))
+    for shift_ns in (0, 5_000_000, 3_000_000_000):
+        imu, dvl = (replace(columns, time_ns=columns.time_ns + shift_ns) for columns in (whole.imu, whole.dvl))
+        other = tmp_path / f"other_{shift_ns}.mcap"
+        write_dive(other, replace(whole, imu=replace(imu, angular_rate_b=-imu.angular_rate_b), dvl=dvl))
+        with pytest.raises(LogError, match=r"/imu: in the \d\.\d{3} s in which the files overlap") as raised:
+            read_dive([first, other], Config())
+        assert "without --one-dive" in raised.value.hint
 
 
 def test_schemas_may_differ_from_file_to_file(tmp_path: Path, whole: Dive) -> None:

@@ -191,6 +191,14 @@ def test_gyros_that_do_not_follow_the_reference_are_told(turning: Dive) -> None:
     assert "imu_gyro_contradiction" in notes_of(replace(turning, imu=replace(turning.imu, angular_rate_b=swapped)))
 
 
+def test_noise_of_a_vehicle_that_lies_still_contradicts_nobody() -> None:
+    still = simulate_dive("static", duration_s=60.0, imu_rate_hz=50.0, seed=6)
+    reference, rng = reference_of(still), np.random.default_rng(7)
+    noise = mat_from_rpy(rng.normal(0.0, 0.3 * DEG, (len(reference.time_ns), 3)))
+    noisy = replace(still, reference=replace(reference, mat_nb=reference.mat_nb @ noise))
+    assert "imu_gyro_contradiction" not in notes_of(noisy)
+
+
 def test_spinning_faster_than_any_vehicle_is_refused(turning: Dive) -> None:
     rate_b = turning.imu.angular_rate_b + 2.0
     with pytest.raises(LogError, match=r"rad/s in the median, 19\d deg/s"):

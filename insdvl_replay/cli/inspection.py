@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from insdvl_replay.cli.messages import emit, tell_failure
-from insdvl_replay.cli.options import Preset, Settings, Verbose
+from insdvl_replay.cli.options import Logs, OneDive, Preset, Settings, Verbose
 from insdvl_replay.cli.run import Format
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def inspect(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded dives: MCAP files or bag folders.")],
+    logs: Logs,
     deep: Annotated[
         bool, typer.Option("--deep", help="Read the messages of all roles whole, not only the first of each.")
     ] = False,
@@ -28,6 +28,7 @@ def inspect(
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Damage is no obstacle; what is lost is said.")
     ] = False,
+    one_dive: OneDive = False,
     verbose: Verbose = 0,
 ) -> int:
     """Say what is in a log, which topics a replay would use and why, and what would stop it.
@@ -40,18 +41,22 @@ def inspect(
       insdvl-replay inspect dive.mcap
       insdvl-replay inspect dive.mcap --deep -c vehicle.toml
       insdvl-replay inspect dives/*.mcap --format json
+      insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
     from insdvl_replay.cli.screen import patience
     from insdvl_replay.config_file import load_config
+    from insdvl_replay.dive_paths import find_dives
     from insdvl_replay.inspection import inspect_log
     from insdvl_replay.report.inspection import encode_inventory
 
     resolved, code = load_config(preset, config, settings), 0
+    found = find_dives(logs)
+    dives = [found] if one_dive else [[dive] for dive in found]
     inventories: list[Inventory] = []
-    for log in logs:
+    for dive in dives:
         try:
-            with patience(f"reading {log.name}"):
-                inventory = inspect_log(log, resolved, deep=deep, allow_damaged=allow_damaged)
+            with patience(f"reading {dive[0].name}"):
+                inventory = inspect_log(dive, resolved, deep=deep, allow_damaged=allow_damaged)
         except Exception as error:
             code = max(code, tell_failure(error, verbose))
             continue
@@ -59,8 +64,8 @@ def inspect(
             _print(inventory, format_, is_first=not inventories)
         inventories.append(inventory)
     if format_ is Format.JSON:
-        for found in [inventories] if len(logs) > 1 else inventories:
-            emit(encode_inventory(found).decode())
+        for shown in [inventories] if len(dives) > 1 else inventories:
+            emit(encode_inventory(shown).decode())
     return code
 
 

@@ -15,6 +15,11 @@ Preset = Annotated[
         autocompletion=preset_names,
     ),
 ]
+Logs = Annotated[
+    list[str],
+    typer.Argument(metavar="LOG...", help="MCAP files, bags, folders of them, quoted patterns, or .txt lists."),
+]
+OneDive = Annotated[bool, typer.Option("--one-dive", help="Read all files as one dive, named after the first by name.")]
 Scenario = Annotated[
     str,
     typer.Argument(

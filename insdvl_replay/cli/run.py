@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.options import Force, Jobs, Preset, Rerun, Scheduler, Settings, Verbose
+from insdvl_replay.cli.options import Force, Jobs, Logs, OneDive, Preset, Rerun, Scheduler, Settings, Verbose
 
 
 class Format(StrEnum):
@@ -20,10 +20,7 @@ class Format(StrEnum):
 
 
 def run(
-    logs: Annotated[
-        list[str],
-        typer.Argument(metavar="LOG...", help="MCAP files, bags, folders of them, quoted patterns, or .txt lists."),
-    ],
+    logs: Logs,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where each log gets a folder of its name.")
     ] = Path("replay"),
@@ -40,9 +37,7 @@ def run(
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Use what can be read of a damaged log; what is lost is said.")
     ] = False,
-    one_dive: Annotated[
-        bool, typer.Option("--one-dive", help="Read all files as one dive, named after the first by name.")
-    ] = False,
+    one_dive: OneDive = False,
     control: Annotated[
         bool, typer.Option("--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log.")
     ] = False,

@@ -13,7 +13,7 @@ from insdvl_replay.logs.chunks import read_chunk
 from insdvl_replay.logs.damage import Damage, DamageError
 from insdvl_replay.logs.message_index import index_count
 from insdvl_replay.logs.packed import Chunk, chunk_header
-from insdvl_replay.logs.records import DATA_END_SIZE, RECORD_HEADER_SIZE
+from insdvl_replay.logs.records import DATA_END_SIZE, MAGIC, RECORD_HEADER_SIZE
 from insdvl_replay.logs.summary import read_summary, summary_behind
 from insdvl_replay.logs.walk import Anatomy, Walk, file_definition
 
@@ -34,6 +34,8 @@ def anatomy_of(data: memoryview, release: Callable[[int, int], None]) -> Anatomy
     """
     summary = read_summary(data)
     anatomy = Anatomy(summary, damages=list(summary.damages))
+    if (opening := bytes(data[: len(MAGIC)])) != MAGIC:
+        anatomy.mark(Damage(0, f"the opening bytes are '{opening.hex(' ')}', not those of an MCAP file"))
     Walk(data, anatomy, release).run()
     if anatomy.data_end is not None and summary.message_count is None:
         anatomy.displaced = summary_behind(data, anatomy.data_end[0] + DATA_END_SIZE)
@@ -56,10 +58,13 @@ def _count_by_index(data: memoryview, anatomy: Anatomy, chunk: Chunk) -> None:
     try:
         for place in chunk.indexes:
             channel_id, count = index_count(data, *place)
-            chunk.counts[channel_id] += count
+            if channel_id in chunk.counts:
+                raise DamageError(place[0], f"a second index of a chunk names channel {channel_id}")
+            chunk.counts[channel_id] = count
     except DamageError as damage:
         anatomy.mark(Damage(damage.offset, damage.found))
         chunk.indexes.clear()
+        chunk.counts.clear()
     try:
         if chunk.kind != "loose":
             chunk_header(data, chunk.offset, chunk.length)

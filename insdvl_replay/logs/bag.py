@@ -58,14 +58,19 @@ def _require_all(metadata: Path, parts: tuple[Path, ...], found: list[Path]) -> 
         if not part.is_file():
             raise LogError(
                 f"{metadata}: lists {part.name}, which is not there",
-                f"copy the whole bag, or remove {METADATA} to read the parts that are there",
+                f"copy the whole bag, or read the parts that are there: {_by_name(metadata)}",
             )
     for other in found:
         if other not in parts:
             raise LogError(
                 f"{metadata}: does not list {other.name}, which lies beside the parts of the bag",
-                f"move it away, or remove {METADATA} to read all .mcap files of the folder",
+                f"move it away, or read all .mcap files of the folder: {_by_name(metadata)}",
             )
+
+
+def _by_name(metadata: Path) -> str:
+    """Say how a bag is read without its list."""
+    return f"{metadata.parent / '*.mcap'} --one-dive"
 
 
 def _listed(metadata: Path) -> list[str] | None:
@@ -76,13 +81,13 @@ def _listed(metadata: Path) -> list[str] | None:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
-    remove = f"remove {METADATA} to read all .mcap files beside it"
+    by_name = f"read the .mcap files beside it: {_by_name(metadata)}"
     try:
         content: Any = YAML(typ="safe", pure=True).load(metadata.read_text("utf-8"))
     except (YAMLError, UnicodeDecodeError) as error:
-        raise LogError(f"{metadata}: is no YAML", remove) from error
+        raise LogError(f"{metadata}: is no YAML", by_name) from error
     information = content.get(_INFORMATION) if isinstance(content, dict) else None
     names = information.get("relative_file_paths") if isinstance(information, dict) else None
     if not isinstance(names, list) or not names:
-        raise LogError(f"{metadata}: lists no files", remove)
+        raise LogError(f"{metadata}: lists no files", by_name)
     return [str(name) for name in names]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from insdvl_replay.columns import Floats, TimeNs, seconds
 from insdvl_replay.errors import LogError, Note, Severity
 from insdvl_replay.logs.clocks import SAME_CLOCK_S
+from insdvl_replay.logs.mixture import refuse_mixture
 from insdvl_replay.logs.order import Mask, Order, Rows, find_order
 from insdvl_replay.logs.tables import Table
 
@@ -50,7 +51,8 @@ class Cleaner:
     Raises
     ------
     LogError
-        The stamps contradict the recorder's clock in more than single messages.
+        The stamps contradict the recorder's clock in more than single messages, or two files hold different messages
+        of the same time.
     """
 
     table: Table
@@ -61,6 +63,7 @@ class Cleaner:
 
     def __post_init__(self) -> None:
         self.time_ns, log_time_ns = self.table.time_ns(), self.table.columns["log_time"][:, 0]
+        refuse_mixture(self.table, self.time_ns)
         order = find_order(self.time_ns, log_time_ns)
         self.rows, self._first_ns = order.rows, int(self.time_ns[order.rows[0]])
         if order.wrong.size:

@@ -31,10 +31,14 @@ class AttitudeFit:
         Measured over true.
     correlation : float
         1 or -1 where the gyros show nothing else.
+    swing : float
+        How far the reference's attitude goes to and fro, rad: of a vehicle that lies still there is only noise to
+        compare.
     """
 
     scale: float
     correlation: float
+    swing: float
 
 
 def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFit | None:
@@ -63,7 +67,8 @@ def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFi
         return None
     product, power = float(np.sum(summed[good] * turned[good])), float(np.sum(turned[good] ** 2))
     summed_power = float(np.sum(summed[good] ** 2))
-    return AttitudeFit(product / power, product / float(np.sqrt(power * summed_power)) if summed_power else 0.0)
+    correlation = product / float(np.sqrt(power * summed_power)) if summed_power else 0.0
+    return AttitudeFit(product / power, correlation, float(np.ptp(np.cumsum(turned, axis=0), axis=0).max()))
 
 
 def gyro_by_gravity(imu: ImuColumns) -> float | None:

@@ -6,17 +6,23 @@ indexes and the log times of the messages on both sides tell what they can.
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Final
+
+import numpy as np
 
 from insdvl_replay.errors import Note
 from insdvl_replay.logs.chunks import read_chunk
 from insdvl_replay.logs.damage import DamageError, Loss, Span, plausible_span
 from insdvl_replay.logs.packed import Chunk, chunk_header
 from insdvl_replay.logs.records import RECORD_HEADER_SIZE
+from insdvl_replay.logs.repeats import repeated_messages
 from insdvl_replay.logs.walk import Anatomy
 
 _SHOWN: Final = 3
 """Places that are told one by one."""
+_SHORTEST_S: Final = 0.0005
+"""What is shorter would be told as no time at all."""
 
 
 def damage_note(name: str, data: memoryview, anatomy: Anatomy) -> Note:
@@ -41,7 +47,12 @@ def damage_note(name: str, data: memoryview, anatomy: Anatomy) -> Note:
     shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
     more = f"; and {len(damages) - _SHOWN} more" if len(damages) > _SHOWN else ""
     places = "1 place" if len(damages) == 1 else f"{len(damages)} places"
-    loss = told_loss(losses(data, anatomy), anatomy.missing, is_cut=anatomy.is_cut)
+    found, missing, repeats = losses(data, anatomy), anatomy.missing, repeated_messages(data, anatomy)
+    if repeats:
+        # Copies of messages from elsewhere tell nothing of the time around them.
+        found = [replace(loss, span_ns=None) for loss in found]
+        missing = None if missing is None else missing + repeats
+    loss = told_loss(found, missing, is_cut=anatomy.is_cut)
     text = f"{name} is damaged in {places}, {loss} ({shown}{more})"
     return Note("log_damaged", text, len(damages), "warning", "copy the log again from the recorder if it still has it")
 
@@ -70,7 +81,7 @@ def told_loss(found: Sequence[Loss], missing: int | None, *, is_cut: bool) -> st
     words = "message ({}) is lost" if is_counted and count == 1 else "messages ({}) are lost"
     is_timed = bool(found) and all(loss.span_ns is not None for loss in found)
     span_s = _covered_s([loss.span_ns for loss in found if loss.span_ns is not None])
-    time = f"{span_s:.3f} s" if is_timed else f"at least {span_s:.3f} s" if span_s else "an unknown time"
+    time = f"{span_s:.3f} s" if is_timed else f"at least {span_s:.3f} s" if span_s >= _SHORTEST_S else "an unknown time"
     return f"{amount} {words.format(time)}{_reason(is_counted, is_timed, is_cut)}"
 
 
@@ -108,7 +119,7 @@ def losses(data: memoryview, anatomy: Anatomy) -> list[Loss]:
     return [
         *anatomy.losses.values(),
         *_of_lost_chunks(data, anatomy, spans),
-        *_of_unknown_channels(anatomy, spans),
+        *_of_unknown_channels(data, anatomy),
         *_of_passed_bytes(data, anatomy, spans),
     ]
 
@@ -196,12 +207,14 @@ def _identity(data: memoryview, chunk: Chunk) -> tuple[int, int, int] | None:
     return header.first_ns, header.last_ns, header.packed_size
 
 
-def _of_unknown_channels(anatomy: Anatomy, spans: _Spans) -> Iterator[Loss]:
+def _of_unknown_channels(data: memoryview, anatomy: Anatomy) -> Iterator[Loss]:
     """Go through the messages that no definition can be found for."""
     for chunk in anatomy.chunks:
-        count = sum(count for channel_id, count in chunk.counts.items() if channel_id not in anatomy.channels)
-        if count:
-            yield Loss(count, spans.of(chunk))
+        unknown = [channel_id for channel_id in chunk.counts if channel_id not in anatomy.channels]
+        if unknown:
+            headers = read_chunk(data, chunk).headers
+            times = headers["log_time"][np.isin(headers["channel_id"], unknown)]
+            yield Loss(times.size, plausible_span(int(times.min()), int(times.max())))
 
 
 def _of_passed_bytes(data: memoryview, anatomy: Anatomy, spans: _Spans) -> Iterator[Loss]:

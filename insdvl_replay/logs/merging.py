@@ -9,7 +9,7 @@ from insdvl_replay.columns import TimeNs
 from insdvl_replay.logs.field_paths import Columns
 
 
-def merged(columns: Columns, stretches: Sequence[tuple[int, int]]) -> tuple[Columns, int]:
+def merged(columns: Columns, stretches: Sequence[tuple[int, int]]) -> tuple[Columns, NDArray[np.int64], int]:
     """Merge the messages of several channels, each of which stays in its own order, and leave out repetitions.
 
     Parameters
@@ -22,21 +22,24 @@ def merged(columns: Columns, stretches: Sequence[tuple[int, int]]) -> tuple[Colu
     Returns
     -------
     columns : dict of str to ndarray, shape (kept, n)
+    channel_ids : ndarray, shape (kept,)
+        Of each message; empty where all are of one.
     repeats : int
         Messages that another channel holds too, with the same log time and the same values.
     """
     if len({channel_id for channel_id, _ in stretches}) < 2:
-        return columns, 0
+        return columns, np.empty(0, np.int64), 0
     channel_ids = np.repeat(*np.transpose(stretches))
     reached = _reached(columns["log_time"][:, 0], channel_ids)
     if np.any(reached[1:] < reached[:-1]):
         order = np.argsort(reached, kind="stable")
         columns = {path: values[order] for path, values in columns.items()}
         channel_ids = channel_ids[order]
-    repeated = _repeated(columns, channel_ids)
+    repeated = repeated_rows(columns, channel_ids)
     if not repeated.any():
-        return columns, 0
-    return {path: values[~repeated] for path, values in columns.items()}, int(np.count_nonzero(repeated))
+        return columns, channel_ids, 0
+    kept = {path: values[~repeated] for path, values in columns.items()}
+    return kept, channel_ids[~repeated], int(np.count_nonzero(repeated))
 
 
 def _reached(log_time: TimeNs, channel_ids: NDArray[np.int64]) -> TimeNs:
@@ -48,11 +51,23 @@ def _reached(log_time: TimeNs, channel_ids: NDArray[np.int64]) -> TimeNs:
     return reached
 
 
-def _repeated(columns: Columns, channel_ids: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which messages are as the one before, which is of another channel."""
-    repeated = np.zeros(channel_ids.size, np.bool_)
+def repeated_rows(columns: Columns, origin: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which messages are as the one before, which is of another origin.
+
+    Parameters
+    ----------
+    columns : dict of str to ndarray, shape (k, n)
+        With ``log_time``, ns; NaN is as NaN.
+    origin : ndarray, shape (k,)
+        The channel or file of each message.
+
+    Returns
+    -------
+    ndarray of bool, shape (k,)
+    """
+    repeated = np.zeros(origin.size, np.bool_)
     log_time = columns["log_time"][:, 0]
-    rows = 1 + np.flatnonzero((log_time[1:] == log_time[:-1]) & (channel_ids[1:] != channel_ids[:-1]))
+    rows = 1 + np.flatnonzero((log_time[1:] == log_time[:-1]) & (origin[1:] != origin[:-1]))
     same = np.ones(rows.size, np.bool_)
     for values in columns.values():
         same &= np.all((values[rows] == values[rows - 1]) | _both_missing(values[rows], values[rows - 1]), axis=1)

@@ -14,7 +14,7 @@ from insdvl_replay.logs.container import Log
 from insdvl_replay.logs.opening import UnusableFileError
 from insdvl_replay.logs.refusal import refused
 
-_CHANNELS_OF_A_PART: Final = 1 << 16
+CHANNELS_OF_A_PART: Final = 1 << 16
 """A channel id has 16 bits."""
 
 
@@ -53,7 +53,7 @@ class Parts:
         if not self.parts:
             raise next(iter(self._unusable.values()))
         self.channels = tuple(
-            replace(channel, id=channel.id + number * _CHANNELS_OF_A_PART)
+            replace(channel, id=channel.id + number * CHANNELS_OF_A_PART)
             for number, part in enumerate(self.parts)
             for channel in part.channels
         )
@@ -100,7 +100,7 @@ class Parts:
             By channel; ns.
         """
         times = {
-            channel_id + number * _CHANNELS_OF_A_PART: times
+            channel_id + number * CHANNELS_OF_A_PART: times
             for number, part in enumerate(self.parts)
             for channel_id, times in part.log_times().items()
         }
@@ -131,8 +131,8 @@ class Parts:
             A part is damaged.
         """
         for number, part in enumerate(self.parts):
-            first = number * _CHANNELS_OF_A_PART
-            inside = {id_ - first for id_ in channel_ids if 0 <= id_ - first < _CHANNELS_OF_A_PART}
+            first = number * CHANNELS_OF_A_PART
+            inside = {id_ - first for id_ in channel_ids if 0 <= id_ - first < CHANNELS_OF_A_PART}
             for block in part.blocks(inside):
                 self._judge()
                 yield replace(block, channel_id=block.channel_id + first)

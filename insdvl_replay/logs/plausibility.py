@@ -26,6 +26,8 @@ TRACK_DOUBT: Final = 0.15
 """The same for gyros seen through a track, whose DVL and positions have errors of their own."""
 GRAVITY_SWING: Final = 0.7
 """The same for gyros seen by gravity, which in a moving vehicle swings with its own acceleration."""
+LEAST_SWING: Final = 3.0 * DEG
+"""Attitudes of a vehicle that swings less are no witness against its gyros."""
 HEADING_DOUBT: Final = 30.0 * DEG
 """Beyond what gyro bias turns a track during a dive."""
 
@@ -160,7 +162,7 @@ def _gyro_notes(place: str, imu: ImuColumns, found: GyroScale | None, settings: 
 
 
 def _attitude_notes(imu: ImuColumns, by_attitude: AttitudeFit | None) -> list[Note]:
-    if by_attitude is None or abs(by_attitude.correlation) >= INCOHERENT:
+    if by_attitude is None or abs(by_attitude.correlation) >= INCOHERENT or by_attitude.swing < LEAST_SWING:
         return []
     text = (
         "the angular rate does not follow the change of the reference's attitude, from 0 s on "

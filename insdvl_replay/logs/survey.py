@@ -22,12 +22,15 @@ from insdvl_replay.logs.roles import Finding, explain_roles
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def survey_log(path: Path, config: Config, *, deep: bool = False, allow_damaged: bool = False) -> Inventory:
+def survey_log(
+    path: Path | Sequence[Path], config: Config, *, deep: bool = False, allow_damaged: bool = False
+) -> Inventory:
     """Take stock of a log.
 
     Parameters
     ----------
-    path : Path
+    path : Path or sequence of Path
+        A log, a bag, or several of them that are one dive.
     config : Config
     deep : bool
         Read the messages of all roles whole, not only the first of each.
@@ -44,7 +47,7 @@ def survey_log(path: Path, config: Config, *, deep: bool = False, allow_damaged:
         The file cannot be read at all.
     """
     log = open_recording(path, allow_damaged=True)
-    findings = explain_roles(str(path), log.channels, config)
+    findings = explain_roles(str(log.path), log.channels, config)
     seen = Examination(log, config, deep)
     seen.examine(findings)
     sources = [source for finding in findings for source in (*finding.sources, *finding.candidates)]

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.errors import LogError
@@ -17,6 +18,7 @@ from insdvl_replay.logs.field_errors import fields_hint
 from insdvl_replay.logs.field_paths import Columns, FieldReader, Kinds, split_paths
 from insdvl_replay.logs.filling import Filling
 from insdvl_replay.logs.merging import merged
+from insdvl_replay.logs.parts import CHANNELS_OF_A_PART
 from insdvl_replay.logs.recording import Recording
 from insdvl_replay.logs.refusal import refused
 from insdvl_replay.logs.salvage import Salvage
@@ -46,6 +48,8 @@ class Table:
         Messages that are left out because another channel or file holds them too.
     known : mapping of str to str
         Every path that the messages have, with the type of what is there.
+    files : ndarray of int64, shape (k,), or None
+        Number of the file from which each message is, where they are from several.
     """
 
     place: str
@@ -55,6 +59,7 @@ class Table:
     fault: str = ""
     repeats: int = 0
     known: Kinds = field(default_factory=dict)
+    files: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         """Give the number of messages."""
@@ -263,12 +268,19 @@ class _Builder:
         unreadable, error = tuple(self.salvage.unreadable_ns), self.salvage.error
         if not all(self.filling.values()):
             raise error or LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
-        columns, repeats = merged({path: column.rows() for path, column in self.filling.items()}, self.stretches)
+        read = {path: column.rows() for path, column in self.filling.items()}
+        columns, channel_ids, repeats = merged(read, self.stretches)
         known = next(iter(self.readers.values())).known
-        table = Table(self.place, self.source, columns, unreadable, error.message if error else "", repeats, known)
+        fault = error.message if error else ""
+        table = Table(self.place, self.source, columns, unreadable, fault, repeats, known, _files_of(channel_ids))
         if unreadable and not self.log.allow_damaged:
             raise table.refusal()
         return table
+
+
+def _files_of(channel_ids: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    files = channel_ids // CHANNELS_OF_A_PART
+    return files if files.size and files.min() != files.max() else None
 
 
 def stamp_path(stamp: str) -> str:
