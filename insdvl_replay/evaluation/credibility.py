@@ -57,8 +57,8 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
         ``dof`` expected), low, high (95 % interval of a consistent filter's mean), within_1sd_pct, within_3sd_pct (68.3
         % and 99.7 % expected; of ``all`` the shares inside the ellipsoids with these probabilities), verdict
         (``consistent``, ``over-confident``, ``over-cautious``, ``too few`` independent samples, ``not finite``, ``not
-        in reference``, ``no reference``, ``no covariance``), effective_samples. Rows for velocity and attitude, for the
-        biases where the log carries the true ones, and for ``all`` of them with the whole of P.
+        in reference``, ``no reference``), effective_samples. Rows for velocity and attitude, for the biases where the
+        log carries the true ones, and for ``all`` of them with the whole of P.
     """
     rows = [
         (log, name, *row) for name in filters for row in (_rows(errors[name]) if errors else _missing("no reference"))
@@ -85,15 +85,12 @@ def _rows(errors: StateErrors) -> Iterator[Row]:
 
 
 def _standardised(errors: StateErrors) -> Floats:
-    """Divide each error by its own standard deviation; misalignment turns from north and east to roll and pitch.
-
-    Without P the errors about north and east are taken to be uncorrelated.
-    """
+    """Divide each error by its own standard deviation; misalignment turns from north and east to roll and pitch."""
     error, var = errors.error.copy(), errors.sd**2
     cos, sin = np.cos(errors.heading), np.sin(errors.heading)
     north, east = error[:, PHI.start], error[:, PHI.start + 1]
     var_north, var_east = var[:, PHI.start].copy(), var[:, PHI.start + 1].copy()
-    cov = errors.cov[:, PHI.start, PHI.start + 1] if errors.cov is not None else 0.0
+    cov = errors.cov[:, PHI.start, PHI.start + 1]
     error[:, PHI.start : PHI.stop - 1] = np.column_stack([cos * north + sin * east, cos * east - sin * north])
     var[:, PHI.start] = cos**2 * var_north + sin**2 * var_east + 2.0 * cos * sin * cov
     var[:, PHI.start + 1] = sin**2 * var_north + cos**2 * var_east - 2.0 * cos * sin * cov
@@ -107,8 +104,6 @@ def _joint(errors: StateErrors, known: NDArray[np.bool_]) -> Row:
     times = known[:, states].all(axis=1)
     if not len(states):
         return _without_numbers(0, 0, "not in reference")
-    if errors.cov is None:
-        return _without_numbers(len(states), int(times.sum()), "no covariance")
     return _judged(whitened(errors.error[np.ix_(times, states)], errors.cov[np.ix_(times, states, states)]))
 
 
