@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import signal, stats
 
 from insdvl_replay.columns import Dive, Floats
 from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Initial, Noise
 from insdvl_replay.evaluation.consistency import mean_interval
-from insdvl_replay.evaluation.credibility import QUANTITIES, credibility_table
+from insdvl_replay.evaluation.credibility import MANY_FAR_OFF, QUANTITIES, credibility_table, probability_of
+from insdvl_replay.evaluation.effective_samples import effective_samples
 from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
@@ -103,6 +104,36 @@ def test_error_that_stays_can_only_be_too_large(sigmas: float, word: str) -> Non
     """One sample within 1.5 sigma proves nothing, however often it is looked at; at 4 sigma it does."""
     table = judged(replace(drawn(), error=np.tile(sigmas * SD, (K, 1))))
     assert (table["verdict"].drop(["roll", "pitch", "all"]) == word).all()
+
+
+@pytest.mark.parametrize(("times", "word"), [(1.0, "consistent"), (10.0, "over-confident")])
+def test_rare_large_errors_are_found_though_their_mean_square_is_as_believed(times: float, word: str) -> None:
+    """Every twentieth error is ``times`` as large as the others."""
+    errors = drawn()
+    error = errors.error * np.where(np.arange(K) % 20 == 0, times, 1.0)[:, None]
+    table = judged(replace(errors, error=error * SD / np.sqrt(np.mean(error**2, axis=0))))
+    rows = [quantity for quantity in QUANTITIES if quantity not in {"roll", "pitch"}]
+    np.testing.assert_allclose(table.loc[rows, "mean_nees"], 1.0, rtol=1e-9)
+    assert (table.loc[rows, "verdict"] == word).all()
+
+
+@pytest.mark.parametrize("independent", [5.0, 20.0, 200.0])
+def test_share_of_large_errors_is_as_improbable_as_scipys_binomial_says(independent: float) -> None:
+    expected = 2.0 * float(stats.norm.sf(3.0))
+    for count in (1, 2, 4):
+        found = probability_of(count / independent, independent)
+        assert found == pytest.approx(stats.binom(int(independent), expected).sf(count - 1), rel=1e-9)
+    assert probability_of(0.5 / independent, independent) == pytest.approx(2.0 * independent * expected)
+
+
+def test_correlated_errors_drawn_from_p_are_seldom_called_far_off() -> None:
+    """Each error resembles the one before by 0.98: the few excursions of a series last, and prove little."""
+    rng, flagged, runs = np.random.default_rng(5), 0, 300
+    for _ in range(runs):
+        series = signal.lfilter([np.sqrt(1.0 - 0.98**2)], [1.0, -0.98], rng.standard_normal(1200))[200:]
+        far_off = float(np.mean(np.abs(series) > 3.0))
+        flagged += far_off >= MANY_FAR_OFF and probability_of(far_off, effective_samples(series[:, None])) < 0.05
+    assert flagged / runs < 0.05
 
 
 def test_what_the_reference_lacks_is_said_and_not_counted() -> None:
