@@ -1,6 +1,6 @@
 """What one filter believed and when, and each innovation it met."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,8 +82,10 @@ class History:
         Estimated sensor biases, m/s^2 and rad/s.
     sd : ndarray, shape (k, 12)
         Square roots of the diagonal of P, SI units, in the order of `states.STATES`.
-    cov : ndarray, shape (k, 12, 12), or None
-        P itself, where it was asked for.
+    cov_ns : ndarray, shape (c,)
+        Those of the times at which P itself was asked for.
+    cov : ndarray, shape (c, 12, 12)
+        P at these times.
     innovations : tuple of Innovations
         One entry for each kind of aiding, in the filter's order.
     """
@@ -97,5 +99,10 @@ class History:
     accel_bias_b: Floats
     gyro_bias_b: Floats
     sd: Floats
-    cov: Floats | None
+    cov_ns: TimeNs
+    cov: Floats
     innovations: tuple[Innovations, ...]
+
+    def without_cov(self) -> "History":
+        """Let go of P, by far the largest part; its diagonal stays."""
+        return replace(self, cov_ns=self.cov_ns[:0].copy(), cov=self.cov[:0].copy())

@@ -1,5 +1,6 @@
 """The hall: read a dive, run every configured filter over it, and lay what they believe beside what is so."""
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from insdvl_replay import logs
-from insdvl_replay.columns import Dive
+from insdvl_replay.columns import Dive, TimeNs
 from insdvl_replay.config import Config
 from insdvl_replay.errors import Note
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table
@@ -29,8 +30,8 @@ from insdvl_replay.preparation import Prepared, prepare_dive
 
 WELL_COVERED = 0.9
 """Share of a replay that a reference has to cover before its errors are taken for those of the whole."""
-MOST_COVARIANCES = 50_000
-"""So many P, 58 MB of them, are kept until the errors are judged; a longer dive is judged by standard deviations."""
+MOST_COVARIANCES = 20_000
+"""So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times."""
 
 WORTH_A_THREAD = 20_000
 """IMU samples from which filters run beside each other; with fewer, to start threads takes what it saves."""
@@ -107,7 +108,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     dive : Dive
     config : Config
     keep_cov : bool
-        Whether the histories keep all of P.
+        Whether the histories keep P at the times at which their errors are judged.
 
     Returns
     -------
@@ -125,21 +126,30 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         dive = replace(dive, reference=reference_at_imu(dive.reference, dive.imu, lever_arm_b))
     start = prepare_dive(dive, config)
     start_ns = start.alignment.start_ns
-    histories = run_filters(dive, start, config, keep_cov=keep_cov or _affordable(dive, start, config))
+    judged_ns = _judged_ns(dive, start, config)
+    histories = run_filters(dive, start, config, cov_ns=judged_ns)
     dive = replace(dive, imu=dive.imu.times_only())
     errors, tables = _tables(dive, start, histories)
     judged = verdicts(tables, config.baseline, [history.filter for history in histories[1:]])
-    notes = dive.notes + start.notes + update_notes(histories) + _reference_notes(dive, config, start, histories[0])
+    notes = dive.notes + start.notes + update_notes(histories)
+    notes += _reference_notes(dive, config, start, histories[0], judged_ns)
     if not keep_cov:
-        histories = tuple(replace(history, cov=None) for history in histories)
+        histories = tuple(history.without_cov() for history in histories)
     return Replay(dive, config, start_ns, start.end_ns, start.velocities, histories, errors, tables, judged, notes)
 
 
-def _affordable(dive: Dive, start: Prepared, config: Config) -> bool:
-    """Tell whether the filters may keep all of P at the times that are compared."""
+def _judged_ns(dive: Dive, start: Prepared, config: Config) -> TimeNs:
+    """Choose the times at which P is kept and errors are judged by it: all of the reference, or evenly some of them."""
     if dive.reference is None:
-        return False
-    return len(config.filters) * (len(dive.reference.time_ns) + len(start.velocities.time_ns)) <= MOST_COVARIANCES
+        return np.empty(0, dtype=np.int64)
+    inside_ns = _inside(dive.reference.time_ns, start)
+    every = math.ceil(len(inside_ns) * len(config.filters) / MOST_COVARIANCES)
+    return inside_ns[:: max(every, 1)]
+
+
+def _inside(reference_ns: TimeNs, start: Prepared) -> TimeNs:
+    """Give the times of a reference in the span of the replay."""
+    return reference_ns[(reference_ns >= start.alignment.start_ns) & (reference_ns <= start.end_ns)]
 
 
 def _tables(
@@ -165,7 +175,7 @@ def _tables(
     }
 
 
-def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool = False) -> tuple[History, ...]:
+def run_filters(dive: Dive, start: Prepared, config: Config, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
     """Run every configured filter over a prepared dive, on a long one each in a thread of its own.
 
     Parameters
@@ -174,8 +184,8 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool =
     start : Prepared
         From `preparation.prepare_dive`.
     config : Config
-    keep_cov : bool
-        Whether the histories keep all of P.
+    cov_ns : ndarray, shape (c,), optional
+        Times of the reference at which the histories keep all of P.
 
     Returns
     -------
@@ -197,7 +207,7 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool =
             filter_noise(filter_, config),
             filter_measurements(filter_, start.velocities, config, gate, start.gaps),
             np.array(config.dvl.lever_arm_m),
-            keep_cov=keep_cov,
+            cov_ns=cov_ns,
         )
 
     if len(dive.imu.time_ns) < WORTH_A_THREAD:
@@ -206,7 +216,9 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, keep_cov: bool =
         return tuple(threads.map(run, config.filters))
 
 
-def _reference_notes(dive: Dive, config: Config, start: Prepared, history: History) -> tuple[Note, ...]:
+def _reference_notes(
+    dive: Dive, config: Config, start: Prepared, history: History, judged_ns: TimeNs
+) -> tuple[Note, ...]:
     """Say what the reference cannot tell: errors that it shares, and what of the dive it does not see."""
     if dive.reference is None:
         return ()
@@ -214,11 +226,17 @@ def _reference_notes(dive: Dive, config: Config, start: Prepared, history: Histo
     if not config.reference.independent:
         text = "the reference shares sensors with the filters: errors that they have in common are not seen"
         notes.append(Note("reference_not_independent", text))
-    inside = dive.reference.time_ns[(dive.reference.time_ns >= start_ns) & (dive.reference.time_ns <= end_ns)]
+    inside = _inside(dive.reference.time_ns, start)
     covered = float(inside[-1] - inside[0]) / (end_ns - start_ns) if len(inside) else 0.0
     if covered < WELL_COVERED:
         text = (
             f"the reference covers {100.0 * covered:.0f} % of the replay; the errors against it are of that part alone"
         )
         notes.append(Note("reference_coverage", text, len(inside), "warning", "--start and --end choose that part"))
+    if left_out := len(inside) - len(judged_ns):
+        text = (
+            f"credibility is judged at {len(judged_ns)} of the {len(inside)} times of the reference, evenly chosen: P "
+            "at all of them would fill the memory"
+        )
+        notes.append(Note("credibility_thinned", text, left_out))
     return (*notes, *reference_rate_notes(history, dive.reference.time_ns))

@@ -293,10 +293,10 @@ def left_share(history: History, state: str) -> float:
 
 def levelling_pairs(history: History) -> dict[str, float]:
     """Give the correlation of each horizontal accelerometer bias with the misalignment about the other body axis."""
-    row = np.flatnonzero(history.updated)[-1]
+    row = np.searchsorted(history.time_ns, history.cov_ns[-1])
     to_body = np.eye(12)
     to_body[3:6, 3:6] = history.mat_nb[row].T
-    cov = to_body @ history.cov[row] @ to_body.T
+    cov = to_body @ history.cov[-1] @ to_body.T
     sd = np.sqrt(np.diag(cov))
     pairs = {"ba_x with the tilt about y": (INDEX["ba_x"], 4), "ba_y with that about x": (INDEX["ba_y"], 3)}
     return {name: float(cov[bias, tilt] / (sd[bias] * sd[tilt])) for name, (bias, tilt) in pairs.items()}

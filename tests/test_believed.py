@@ -30,7 +30,9 @@ def history(name: str, sd: Floats, interval_s: float = 1.0) -> History:
     times = 7 * SECOND + np.rint(np.arange(k) * interval_s * SECOND).astype(np.int64)
     nothing = np.zeros((k, 3))
     attitudes = np.tile(np.eye(3), (k, 1, 1))
-    return History(name, times, np.ones(k, dtype=bool), nothing, nothing, attitudes, nothing, nothing, wide, None, ())
+    return History(
+        name, times, np.ones(k, dtype=bool), nothing, nothing, attitudes, nothing, nothing, wide, times[:0], nothing, ()
+    )
 
 
 def row(table: pd.DataFrame, state: str) -> Any:

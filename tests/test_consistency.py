@@ -58,7 +58,8 @@ def history(
         one,
         one,
         np.ones((1, 12)),
-        None,
+        np.empty(0, dtype=np.int64),
+        np.empty((0, 12, 12)),
         (innovations,),
     )
 

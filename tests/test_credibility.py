@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import signal, stats
 
 from insdvl_replay.columns import Dive, Floats
 from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Initial, Noise
 from insdvl_replay.evaluation.consistency import mean_interval
-from insdvl_replay.evaluation.credibility import credibility_table
+from insdvl_replay.evaluation.credibility import MANY_FAR_OFF, credibility_table, probability_of
+from insdvl_replay.evaluation.effective_samples import effective_samples
 from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.result_tables import CREDIBILITY_QUANTITIES
@@ -106,6 +107,36 @@ def test_error_that_stays_can_only_be_too_large(sigmas: float, word: str) -> Non
     assert (table["verdict"].drop(["roll", "pitch", "all"]) == word).all()
 
 
+@pytest.mark.parametrize(("times", "word"), [(1.0, "consistent"), (10.0, "over-confident")])
+def test_rare_large_errors_are_found_though_their_mean_square_is_as_believed(times: float, word: str) -> None:
+    """Every twentieth error is ``times`` as large as the others."""
+    errors = drawn()
+    error = errors.error * np.where(np.arange(K) % 20 == 0, times, 1.0)[:, None]
+    table = judged(replace(errors, error=error * SD / np.sqrt(np.mean(error**2, axis=0))))
+    rows = [quantity for quantity in CREDIBILITY_QUANTITIES if quantity not in {"roll", "pitch"}]
+    np.testing.assert_allclose(table.loc[rows, "mean_nees"], 1.0, rtol=1e-9)
+    assert (table.loc[rows, "verdict"] == word).all()
+
+
+@pytest.mark.parametrize("independent", [5.0, 20.0, 200.0])
+def test_share_of_large_errors_is_as_improbable_as_scipys_binomial_says(independent: float) -> None:
+    expected = 2.0 * float(stats.norm.sf(3.0))
+    for count in (1, 2, 4):
+        found = probability_of(count / independent, independent)
+        assert found == pytest.approx(stats.binom(int(independent), expected).sf(count - 1), rel=1e-9)
+    assert probability_of(0.5 / independent, independent) == pytest.approx(2.0 * independent * expected)
+
+
+def test_correlated_errors_drawn_from_p_are_seldom_called_far_off() -> None:
+    """Each error resembles the one before by 0.98: the few excursions of a series last, and prove little."""
+    rng, flagged, runs = np.random.default_rng(5), 0, 300
+    for _ in range(runs):
+        series = signal.lfilter([np.sqrt(1.0 - 0.98**2)], [1.0, -0.98], rng.standard_normal(1200))[200:]
+        far_off = float(np.mean(np.abs(series) > 3.0))
+        flagged += far_off >= MANY_FAR_OFF and probability_of(far_off, effective_samples(series[:, None])) < 0.05
+    assert flagged / runs < 0.05
+
+
 def test_what_the_reference_lacks_is_said_and_not_counted() -> None:
     velocity_alone = without(drawn(), slice(PHI.start, 12))
     table = judged(velocity_alone)
@@ -133,17 +164,8 @@ def test_dive_without_a_reference_says_so() -> None:
     assert table["mean_nees"].isna().all()
 
 
-def test_without_p_its_diagonal_judges_each_quantity_alone() -> None:
-    table = judged(replace(drawn(), cov=None))
-    assert table.loc["all", "verdict"] == "no covariance"
-    assert table.loc["all", "dof"] == 12
-    assert np.isnan(table.loc["all", "mean_nees"])
-    assert (table["verdict"].drop(["all", "roll", "pitch"]) == "consistent").all()
-
-
 def test_filter_that_broke_down_is_not_finite() -> None:
     errors = drawn()
-    assert errors.cov is not None
     errors.cov[100, 0, 1] = errors.cov[100, 1, 0] = 2.0 * SD[0] * SD[1]
     assert judged(errors).loc["all", "verdict"] == "not finite"
     errors.sd[100] = np.inf
@@ -154,13 +176,11 @@ def test_filter_that_broke_down_is_not_finite() -> None:
 def test_times_up_to_the_start_are_left_out() -> None:
     later = drawn(k=100).after(9)
     assert later.time_ns.tolist() == list(range(10, 100))
-    assert later.cov is not None
     assert {len(later.error), len(later.sd), len(later.cov), len(later.heading)} == {90}
 
 
 def test_whitened_errors_have_scipys_mahalanobis_distance() -> None:
     errors = drawn(k=50)
-    assert errors.cov is not None
     expected = [e @ np.linalg.inv(errors.cov[0] / np.outer(SD, SD)) @ e for e in errors.error / SD]
     np.testing.assert_allclose(nees(errors.error, errors.cov), expected, rtol=1e-9)
     np.testing.assert_allclose(np.sum(whitened(errors.error, errors.cov) ** 2, axis=1), expected, rtol=1e-9)

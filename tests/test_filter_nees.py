@@ -88,7 +88,6 @@ def nees(history: History, truth: Dive) -> Floats:
     estimated."""
     assert truth.reference is not None
     assert truth.truth is not None
-    assert history.cov is not None
     at_ns = START_NS + (TIMES_S * 1e9).astype(np.int64)
     ours, theirs = np.searchsorted(history.time_ns, at_ns), np.searchsorted(truth.reference.time_ns, at_ns)
     turned = history.mat_nb[ours] @ np.swapaxes(truth.reference.mat_nb[theirs], 1, 2)
@@ -100,7 +99,8 @@ def nees(history: History, truth: Dive) -> Floats:
             truth.truth.gyro_bias_b[theirs] - history.gyro_bias_b[ours],
         ]
     )
-    whitened = np.linalg.solve(history.cov[ours], error[..., None])[..., 0]
+    of_cov = np.searchsorted(history.cov_ns, at_ns)
+    whitened = np.linalg.solve(history.cov[of_cov], error[..., None])[..., 0]
     return np.asarray(np.sum(error * whitened, axis=1))
 
 

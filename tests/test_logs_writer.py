@@ -95,7 +95,8 @@ def make_history(name: str, seed: int) -> History:
         *rng.normal(scale=MG, size=(1, k, 3)),
         *rng.normal(scale=DEG_PER_HOUR, size=(1, k, 3)),
         rng.uniform(0.1, 1.0, size=(k, 12)),
-        None,
+        np.empty(0, dtype=np.int64),
+        np.empty((0, 12, 12)),
         innovations,
     )
 

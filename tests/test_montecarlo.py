@@ -108,6 +108,7 @@ def test_errors_have_the_signs_of_the_error_state() -> None:
         accel_bias_b=np.full((1, 3), 1.0 * MG),
         gyro_bias_b=np.full((1, 3), 3e-6),
         sd=np.ones((1, 12)),
+        cov_ns=estimate.time_ns,
         cov=np.eye(12)[None],
         innovations=(),
     )

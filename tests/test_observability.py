@@ -78,7 +78,8 @@ def exact_nominal(scenario: str) -> tuple[Timeline, History]:
         accel_bias_b=np.zeros((rows, 3)),
         gyro_bias_b=np.zeros((rows, 3)),
         sd=np.ones((rows, 12)),
-        cov=None,
+        cov_ns=timeline.time_ns[:0],
+        cov=np.empty((0, 12, 12)),
         innovations=(),
     )
     return timeline, history

@@ -70,7 +70,8 @@ def history_like(
         np.zeros((k, 3)),
         np.zeros((k, 3)),
         np.ones((k, 12)),
-        None,
+        np.empty(0, dtype=np.int64),
+        np.empty((0, 12, 12)),
         (),
     )
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from insdvl_replay.columns import Dive, DvlColumns, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Imu, Initial, Noise, Span
 from insdvl_replay.errors import ConfigError, LogError, Note
+from insdvl_replay.evaluation.consistency import SMALL_EXCESS
 from insdvl_replay.history import History, Innovations
 from insdvl_replay.logs import write_dive
 from insdvl_replay.replay import Replay, replay_dive, replay_log
@@ -153,14 +154,15 @@ def test_history_holds_the_start_the_pings_the_reference_and_the_end(straight: D
     times = {replay.start_ns, replay.end_ns, *straight.dvl.time_ns.tolist(), *reference_of(straight).time_ns.tolist()}
     for history in replay.histories:
         assert history.time_ns.tolist() == sorted(times)
-        assert history.cov is None
+        assert not len(history.cov)
 
 
 def test_kept_covariance_has_the_squares_of_the_sd_on_its_diagonal(straight: Dive) -> None:
     replay = replay_dive(straight, config(), keep_cov=True)
     for history in replay.histories:
-        assert history.cov is not None
-        np.testing.assert_allclose(np.sqrt(np.diagonal(history.cov, axis1=1, axis2=2)), history.sd, rtol=1e-15)
+        assert history.cov_ns.tolist() == reference_of(straight).time_ns.tolist()
+        sd = history.sd[np.isin(history.time_ns, history.cov_ns)]
+        np.testing.assert_allclose(np.sqrt(np.diagonal(history.cov, axis1=1, axis2=2)), sd, rtol=1e-15)
         np.testing.assert_array_equal(history.cov, np.swapaxes(history.cov, 1, 2))
 
 
@@ -497,18 +499,28 @@ def test_reference_that_is_too_slow_for_the_turns_is_said_to_be(rate_hz: float, 
         assert "1.4 Hz" in notes[0].hint
 
 
-def test_long_dive_is_judged_without_the_whole_of_the_covariance(
+def test_errors_of_a_long_dive_are_judged_at_fewer_times_by_the_same_p(
     straight: Dive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("insdvl_replay.replay.MOST_COVARIANCES", 700)
-    short, long = (
-        replay_dive(dive, config()).tables["credibility"].set_index(["filter", "quantity"])
-        for dive in (with_reference(straight, lambda time_s: time_s < 50.0), straight)
+    whole = replay_dive(straight, config(), keep_cov=True)
+    monkeypatch.setattr("insdvl_replay.replay.MOST_COVARIANCES", len(reference_of(straight).time_ns))
+    fewer = replay_dive(straight, config(), keep_cov=True)
+    for before, after in zip(whole.histories, fewer.histories, strict=True):
+        np.testing.assert_array_equal(after.cov_ns, before.cov_ns[::2], "two filters share the room")
+        np.testing.assert_array_equal(after.cov, before.cov[::2])
+    before, after = (
+        replay.tables["credibility"].set_index(["filter", "quantity"]).loc["aided"] for replay in (whole, fewer)
     )
-    assert (long["verdict"].xs("all", level="quantity") == "no covariance").all()
-    assert (short["verdict"].xs("all", level="quantity") != "no covariance").all()
-    assert long.loc[("aided", "all"), "mean_nees"] != long.loc[("aided", "all"), "mean_nees"]
-    assert long.loc[("aided", "velocity_n"), "mean_nees"] > 0.0
+    assert after.loc["all", "samples"] == before.loc["all", "samples"] // 2
+    assert after["verdict"].tolist() == before["verdict"].tolist()
+    # Neighbouring errors are nearly the same, so that every second tells what all do, to what is too small to matter.
+    np.testing.assert_allclose(after["mean_nees"], before["mean_nees"], rtol=SMALL_EXCESS)
+    (note,) = (note for note in fewer.notes if note.code == "credibility_thinned")
+    assert note.count == len(reference_of(straight).time_ns) // 2
+    assert "credibility_thinned" not in {note.code for note in whole.notes}
+    for name, table in whole.tables.items():
+        if name != "credibility":
+            pd.testing.assert_frame_equal(fewer.tables[name], table)
 
 
 def test_position_after_a_long_gap_of_the_imu_is_not_taken_for_a_result(straight: Dive) -> None:

@@ -10,10 +10,16 @@ from typing import Final
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.special import chdtr
+from scipy.special import betainc, chdtr
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, chi_square_quantile, mean_interval, verdict
+from insdvl_replay.evaluation.consistency import (
+    CONFIDENCE,
+    FEWEST_UPDATES,
+    chi_square_quantile,
+    mean_interval,
+    verdict,
+)
 from insdvl_replay.evaluation.effective_samples import effective_samples
 from insdvl_replay.evaluation.state_errors import StateErrors, whitened
 from insdvl_replay.result_tables import CREDIBILITY_QUANTITIES, JOINT
@@ -22,6 +28,8 @@ from insdvl_replay.states import BA, PHI
 FAR_SMALLER: Final = 0.25
 """Share of the expected NEES, half of the believed size, below which errors count as small. A filter starts at the
 reference, so that for a while the errors of an honest one are smaller than it says."""
+MANY_FAR_OFF: Final = 0.01
+"""A smaller share of errors beyond three standard deviations is near enough to the 0.3 % of a consistent filter."""
 
 _NAMES: Final = (
     "log", "filter", "quantity", "dof", "samples", "mean_nees", "low", "high", "within_1sd_pct", "within_3sd_pct",
@@ -51,9 +59,10 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
         Columns log, filter, quantity, dof, samples, mean_nees (squared error in the filter's own standard deviations;
         ``dof`` expected), low, high (95 % interval of a consistent filter's mean), within_1sd_pct, within_3sd_pct (68.3
         % and 99.7 % expected; of ``all`` the shares inside the ellipsoids with these probabilities), verdict
-        (``consistent``, ``over-confident``, ``over-cautious``, ``too few`` independent samples, ``not finite``, ``not
-        in reference``, ``no reference``, ``no covariance``), effective_samples. Rows for velocity and attitude, for the
-        biases where the log carries the true ones, and for ``all`` of them with the whole of P.
+        (``consistent``; ``over-confident``, also where too many errors are beyond three standard deviations;
+        ``over-cautious``; ``too few`` independent samples; ``not finite``; ``not in reference``; ``no reference``),
+        effective_samples. Rows for velocity and attitude, for the biases where the log carries the true ones, and for
+        ``all`` of them with the whole of P.
     """
     rows = [
         (log, name, *row) for name in filters for row in (_rows(errors[name]) if errors else _missing("no reference"))
@@ -80,15 +89,12 @@ def _rows(errors: StateErrors) -> Iterator[Row]:
 
 
 def _standardised(errors: StateErrors) -> Floats:
-    """Divide each error by its own standard deviation; misalignment turns from north and east to roll and pitch.
-
-    Without P the errors about north and east are taken to be uncorrelated.
-    """
+    """Divide each error by its own standard deviation; misalignment turns from north and east to roll and pitch."""
     error, var = errors.error.copy(), errors.sd**2
     cos, sin = np.cos(errors.heading), np.sin(errors.heading)
     north, east = error[:, PHI.start], error[:, PHI.start + 1]
     var_north, var_east = var[:, PHI.start].copy(), var[:, PHI.start + 1].copy()
-    cov = errors.cov[:, PHI.start, PHI.start + 1] if errors.cov is not None else 0.0
+    cov = errors.cov[:, PHI.start, PHI.start + 1]
     error[:, PHI.start : PHI.stop - 1] = np.column_stack([cos * north + sin * east, cos * east - sin * north])
     var[:, PHI.start] = cos**2 * var_north + sin**2 * var_east + 2.0 * cos * sin * cov
     var[:, PHI.start + 1] = sin**2 * var_north + cos**2 * var_east - 2.0 * cos * sin * cov
@@ -102,8 +108,6 @@ def _joint(errors: StateErrors, known: NDArray[np.bool_]) -> Row:
     times = known[:, states].all(axis=1)
     if not len(states):
         return _without_numbers(0, 0, "not in reference")
-    if errors.cov is None:
-        return _without_numbers(len(states), int(times.sum()), "no covariance")
     return _judged(whitened(errors.error[np.ix_(times, states)], errors.cov[np.ix_(times, states, states)]))
 
 
@@ -118,7 +122,8 @@ def _judged(standardised: Floats) -> Row:
     mean_nees, independent = float(nees.mean()), effective_samples(standardised)
     low, high = mean_interval(dof, independent)
     within_pct = [100.0 * float(np.mean(nees <= _ellipsoid(sigmas, dof))) for sigmas in (1.0, 3.0)]
-    word = _word(mean_nees, low, high, dof, independent)
+    too_large = _many_far_off(1.0 - within_pct[1] / 100.0, independent)
+    word = "over-confident" if too_large else _word(mean_nees, low, high, dof, independent)
     return dof, samples, mean_nees, low, high, *within_pct, word, independent
 
 
@@ -130,6 +135,34 @@ def _word(mean_nees: float, low: float, high: float, dof: int, independent: floa
     if dof * independent < FEWEST_UPDATES:
         return "too few"
     return "consistent" if mean_nees >= FAR_SMALLER * dof else word
+
+
+def _many_far_off(share: float, independent: float) -> bool:
+    """Tell whether more errors exceed 3 standard deviations than chance allows, and by enough to matter."""
+    return share >= MANY_FAR_OFF and probability_of(share, independent) < 1.0 - CONFIDENCE
+
+
+def probability_of(far_off: float, independent: float) -> float:
+    """Bound how probable so large a share of errors beyond 3 standard deviations is in a consistent filter.
+
+    Of at least one independent sample it is the binomial probability, continued between whole numbers. Of less, an
+    excursion that happened to last, it is Markov's bound, which holds however the errors depend on each other. The two
+    meet. Exceedances repeat themselves less than squares do, by whose correlation the samples are counted.
+
+    Parameters
+    ----------
+    far_off : float
+        Share above 0.
+    independent : float
+        Samples that do not repeat each other.
+
+    Returns
+    -------
+    float
+    """
+    expected = 1.0 - float(chdtr(1, 9.0))
+    count = far_off * independent
+    return expected / far_off if count < 1.0 else float(betainc(count, independent - count + 1.0, expected))
 
 
 def _ellipsoid(sigmas: float, dof: int) -> float:

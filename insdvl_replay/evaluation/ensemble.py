@@ -42,7 +42,7 @@ def run_errors(history: History, reference: ReferenceColumns, truth: TruthColumn
     Parameters
     ----------
     history : History
-        With P.
+        With P at the times to compare.
     reference : ReferenceColumns
         The exact motion.
     truth : TruthColumns
@@ -56,10 +56,10 @@ def run_errors(history: History, reference: ReferenceColumns, truth: TruthColumn
     Raises
     ------
     ValueError
-        The history holds no P.
+        There is no such time.
     """
     errors = state_errors(history, reference, truth)
-    if errors.cov is None:
+    if not len(errors.time_ns):
         raise ValueError("NEES needs all of P")
     time_s = seconds(errors.time_ns, history.time_ns[0])
     return RunErrors(history.filter, time_s, errors.error, errors.sd**2, nees(errors.error, errors.cov))

@@ -21,13 +21,13 @@ class StateErrors:
     ----------
     filter : str
     time_ns : ndarray, shape (k,)
-        Times that the history and the reference have.
+        Times at which there is a reference and the history holds P.
     error : ndarray, shape (k, 12)
         SI units; a bias is what is left in the compensated readings. NaN where neither reference nor truth knows.
     sd : ndarray, shape (k, 12)
         Square roots of the diagonal of P.
-    cov : ndarray, shape (k, 12, 12), or None
-        P, where the history holds it.
+    cov : ndarray, shape (k, 12, 12)
+        P.
     heading : ndarray, shape (k,)
         Of the reference, rad.
     """
@@ -36,14 +36,15 @@ class StateErrors:
     time_ns: TimeNs
     error: Floats
     sd: Floats
-    cov: Floats | None
+    cov: Floats
     heading: Floats
 
     def after(self, time_ns: int) -> "StateErrors":
         """Keep the times after one, such as the start, where a filter is set to the reference."""
         rows = slice(int(np.searchsorted(self.time_ns, time_ns, side="right")), None)
-        cov = None if self.cov is None else self.cov[rows]
-        return StateErrors(self.filter, self.time_ns[rows], self.error[rows], self.sd[rows], cov, self.heading[rows])
+        return StateErrors(
+            self.filter, self.time_ns[rows], self.error[rows], self.sd[rows], self.cov[rows], self.heading[rows]
+        )
 
 
 def state_errors(history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> StateErrors:
@@ -59,9 +60,10 @@ def state_errors(history: History, reference: ReferenceColumns, truth: TruthColu
     Returns
     -------
     StateErrors
-        At the times that history and reference share, the start included.
+        At the times of the history's P that the reference has, the start included.
     """
-    time_ns, ours, theirs = np.intersect1d(history.time_ns, reference.time_ns, assume_unique=True, return_indices=True)
+    time_ns, of_cov, theirs = np.intersect1d(history.cov_ns, reference.time_ns, assume_unique=True, return_indices=True)
+    ours = np.searchsorted(history.time_ns, time_ns)
     error = np.full((len(time_ns), 12), np.nan)
     mat_nb = reference.mat_nb[theirs]
     known = np.isfinite(mat_nb).all(axis=(1, 2))
@@ -71,8 +73,9 @@ def state_errors(history: History, reference: ReferenceColumns, truth: TruthColu
         _, rows, of_truth = np.intersect1d(time_ns, truth.time_ns, assume_unique=True, return_indices=True)
         error[rows, BA] = truth.accel_bias_b[of_truth] - history.accel_bias_b[ours][rows]
         error[rows, BG] = truth.gyro_bias_b[of_truth] - history.gyro_bias_b[ours][rows]
-    cov = None if history.cov is None else history.cov[ours]
-    return StateErrors(history.filter, time_ns, error, history.sd[ours], cov, rpy_from_mat(mat_nb)[:, 2])
+    return StateErrors(
+        history.filter, time_ns, error, history.sd[ours], history.cov[of_cov], rpy_from_mat(mat_nb)[:, 2]
+    )
 
 
 def nees(error: Floats, cov: Floats) -> Floats:

@@ -105,11 +105,10 @@ def credibility_of(table: pd.DataFrame, filter_name: str) -> str:
     Returns
     -------
     str
-        Of all states together; the gravest of the quantities where the dive was too long to keep P.
+        Of all states together.
     """
     rows = table[table["filter"] == filter_name].set_index("quantity")["verdict"]
-    joint = str(rows[JOINT])
-    return (_gravest(rows) or joint) if joint == "no covariance" else joint
+    return str(rows[JOINT])
 
 
 def _gravest(found: "pd.Series[str]") -> str | None:

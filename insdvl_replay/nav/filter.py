@@ -55,7 +55,7 @@ def run_filter(
     measurements: tuple[Measurement, ...],
     lever_arm_b: Floats,
     *,
-    keep_cov: bool = False,
+    cov_ns: TimeNs | None = None,
 ) -> History:
     """Run one filter over a dive.
 
@@ -73,15 +73,15 @@ def run_filter(
         Applied in this order at each ping. At least one.
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
-    keep_cov : bool
-        Whether the history keeps all of P, not only its diagonal.
+    cov_ns : ndarray, shape (c,), optional
+        Recorded times at which the history keeps all of P, not only its diagonal; others are ignored.
 
     Returns
     -------
     History
     """
-    rows, pings = int(timeline.record.sum()), int(timeline.ping.max()) + 1
-    records, updates = new_records(rows, keep_cov), new_updates(len(measurements), pings)
+    keep_cov = np.isin(timeline.time_ns[timeline.record], () if cov_ns is None else cov_ns)
+    records, updates = new_records(keep_cov), new_updates(len(measurements), int(timeline.ping.max()) + 1)
     ins = Ins(
         start.position.copy(),
         start.velocity_n.copy(),

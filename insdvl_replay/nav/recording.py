@@ -26,7 +26,7 @@ class Ins(NamedTuple):
 
 
 class Records(NamedTuple):
-    """The navigation state at the recorded nodes; ``cov`` has no rows unless it is asked for."""
+    """The navigation state at the recorded nodes, and P at some: ``cov_row`` is its row in ``cov``, -1 for none."""
 
     position: Floats
     velocity_n: Floats
@@ -34,6 +34,7 @@ class Records(NamedTuple):
     accel_bias_b: Floats
     gyro_bias_b: Floats
     sd: Floats
+    cov_row: NDArray[np.int64]
     cov: Floats
 
 
@@ -47,8 +48,9 @@ class Updates(NamedTuple):
     log_det: Floats
 
 
-def new_records(rows: int, keep_cov: bool) -> Records:
-    """Make room for the states at recorded nodes, with all of P if it is to be kept."""
+def new_records(keep_cov: NDArray[np.bool_]) -> Records:
+    """Make room for the states at recorded nodes, with all of P at those that are to keep it."""
+    rows = len(keep_cov)
     return Records(
         position=np.empty((rows, 3)),
         velocity_n=np.empty((rows, 3)),
@@ -56,7 +58,8 @@ def new_records(rows: int, keep_cov: bool) -> Records:
         accel_bias_b=np.empty((rows, 3)),
         gyro_bias_b=np.empty((rows, 3)),
         sd=np.empty((rows, 12)),
-        cov=np.empty((rows if keep_cov else 0, 12, 12)),
+        cov_row=np.where(keep_cov, np.cumsum(keep_cov) - 1, -1),
+        cov=np.empty((int(keep_cov.sum()), 12, 12)),
     )
 
 
@@ -83,10 +86,8 @@ def write_record(ins: Ins, records: Records, row: int) -> None:
             records.mat_nb[row, i, j] = ins.mat_nb[i, j]
     for i in range(12):
         records.sd[row, i] = math.sqrt(ins.P[i, i])
-    if records.cov.shape[0] > 0:
-        for i in range(12):
-            for j in range(12):
-                records.cov[row, i, j] = ins.P[i, j]
+    if records.cov_row[row] >= 0:
+        records.cov[records.cov_row[row]] = ins.P
 
 
 def history_of(
@@ -127,9 +128,10 @@ def history_of(
             )
         )
     records.position[:, 1] = wrap_angle(records.position[:, 1])
+    time_ns = timeline.time_ns[timeline.record]
     return History(
         filter=name,
-        time_ns=timeline.time_ns[timeline.record],
+        time_ns=time_ns,
         updated=timeline.ping[timeline.record] >= 0,
         position=records.position,
         velocity_n=records.velocity_n,
@@ -137,6 +139,7 @@ def history_of(
         accel_bias_b=records.accel_bias_b,
         gyro_bias_b=records.gyro_bias_b,
         sd=records.sd,
-        cov=records.cov if len(records.cov) else None,
+        cov_ns=time_ns[records.cov_row >= 0],
+        cov=records.cov,
         innovations=tuple(innovations),
     )

@@ -150,7 +150,7 @@ def simulated_run(world: World, seed: int) -> tuple[RunErrors, ...]:
             filter_noise(filter_, config),
             filter_measurements(filter_, velocities, config, chi_square_quantile(filter_.gate_probability, 3)),
             np.array(config.dvl.lever_arm_m),
-            keep_cov=True,
+            cov_ns=dive.reference.time_ns,
         )
         errors.append(run_errors(history, dive.reference, dive.truth))
     return tuple(errors)
