@@ -17,6 +17,7 @@ import pytest
 from counting_work import threads_with_numpy
 from dying_work import die_always, die_at_first
 from msgspec.structs import replace
+from test_parts import write_part
 
 import insdvl_replay
 from insdvl_replay.archive import Order, Task, known_reports, log_digest, plan_tasks, replay_archive, replay_into
@@ -150,9 +151,12 @@ def test_a_name_without_dives_is_an_error(name: str, tmp_path: Path) -> None:
 def test_digest_of_a_log_and_a_bag_is_that_of_the_reader(archive: Path, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     bag.mkdir()
-    for name in ("dive_1.mcap", "dive_2.mcap"):
-        shutil.copy(archive / name, bag)
-    for logs in ((archive / "dive_1.mcap",), (bag,), (archive / "dive_2.mcap", archive / "dive_1.mcap")):
+    log = (archive / "dive_1.mcap").read_bytes()
+    parts = [
+        write_part(bag / f"{role}.mcap", lambda topic, _, role=role: topic == f"/{role}", log=log)  # type: ignore[misc]
+        for role in ("imu", "dvl", "reference")
+    ]
+    for logs in ((archive / "dive_1.mcap",), (bag,), tuple(reversed(parts))):
         assert log_digest(task(*logs)) == read_dive(logs, load_config()).sha256
 
 
