@@ -96,6 +96,19 @@ class Reference(_Section, frozen=True):
     topic: Annotated[str | None, Says("left out: found by type")] = None
     fix: Annotated[str | None, Says("topic of the geographic position; left out: found by type")] = None
     axes: Annotated[Literal["ned_frd", "enu_flu"] | None, Says("ned_frd | enu_flu; left out: by type")] = None
+    latitude: Annotated[str | None, Says("field path; left out: by type")] = None
+    longitude: Annotated[str | None, Says("field path; left out: by type")] = None
+    height: Annotated[str | None, Says("field path, m above the ellipsoid; left out: by type")] = None
+    depth: Annotated[str | None, Says("field path, m, in place of the height")] = None
+    velocity_n: Annotated[str | None, Says("field path, north-east-down, or east-north-up with such axes")] = None
+    velocity_b: Annotated[str | None, Says("field path, in the axes of the body; left out: by type")] = None
+    quaternion: Annotated[str | None, Says("field path, x, y, z, w; left out: by type")] = None
+    roll: Annotated[str | None, Says("field path, starboard side down; left out: by type")] = None
+    pitch: Annotated[str | None, Says("field path, bow up; left out: by type")] = None
+    heading: Annotated[str | None, Says("field path, from north over east; left out: by type")] = None
+    angle_unit: Annotated[Literal["deg", "rad"], Says("deg | rad: of latitude, longitude, roll, pitch and heading")] = (
+        "deg"
+    )
     lever_arm_m: Annotated[Vector, Says("IMU to the point that the reference is of, forward-starboard-down")] = (
         0.0,
         0.0,

@@ -7,10 +7,11 @@ import numpy as np
 
 from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs
 from insdvl_replay.config import Reference
-from insdvl_replay.errors import Note
-from insdvl_replay.logs.cleaning import Cleaner
+from insdvl_replay.errors import LogError, Note
+from insdvl_replay.logs.cleaning import Cleaner, is_few
 from insdvl_replay.logs.known_types import BLUEYE_GNSS
 from insdvl_replay.logs.tables import Table
+from insdvl_replay.logs.wishes import BOW_DOWN
 from insdvl_replay.rotation import mat_from_quat, mat_from_rpy, wrap_angle
 from insdvl_replay.states import DEG
 
@@ -18,6 +19,8 @@ FRD_FROM_FLU: Final = np.diag([1.0, -1.0, -1.0])
 """Takes coordinates forward-port-up to forward-starboard-down, and back."""
 NED_FROM_ENU: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Takes coordinates east-north-up to north-east-down, and back."""
+ANGLE_UNITS: Final = {"deg": DEG, "rad": 1.0}
+"""Factors to rad."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +59,9 @@ def decode_reference(tables: list[Table], settings: Reference) -> tuple[Referenc
 def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     settings = table.source.completed(settings)
     cleaner = Cleaner(table)
-    position = _position(table) if "latitude" in table else None
+    position = _position(table, settings) if "latitude" in table else None
     if position is not None:
+        _keep_latitudes(position, cleaner)
         _drop_zeros(position, cleaner)
     if "fix_status" in table:
         cleaner.keep(table.column("fix_status") >= 0.0, "no_fix", "positions have no fix")
@@ -71,11 +75,26 @@ def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     return _Part(cleaner.times, *chosen), cleaner.notes
 
 
-def _position(table: Table) -> Floats:
-    latitude, longitude = _of_receiver(table, "latitude"), _of_receiver(table, "longitude")
-    height_m = table.column("height") if "height" in table else np.full_like(latitude, np.nan)
+def _position(table: Table, settings: Reference) -> Floats:
+    unit = ANGLE_UNITS[settings.angle_unit]
+    latitude, longitude = _of_receiver(table, "latitude") * unit, _of_receiver(table, "longitude") * unit
     # The wrapped negative lies in [-pi, pi), so that its negative lies in (-pi, pi].
-    return np.stack([latitude * DEG, -wrap_angle(-longitude * DEG), height_m], axis=1)
+    return np.stack([latitude, -wrap_angle(-longitude), _height_m(table)], axis=1)
+
+
+def _height_m(table: Table) -> Floats:
+    if "depth" in table:
+        return -table.column("depth")
+    return table.column("height") if "height" in table else np.full(len(table), np.nan)
+
+
+def _keep_latitudes(position: Floats, cleaner: Cleaner) -> None:
+    """Drop the few positions beyond the poles; where they are many, the angles are something else."""
+    possible = ~(np.abs(position[:, 0]) > np.pi / 2.0)
+    count, hint = int(np.count_nonzero(~possible)), "reference.angle_unit, or reference.latitude names another field"
+    if not is_few(count, possible.size):
+        raise LogError(f"{cleaner.table.place}: {count} of {possible.size} latitudes are beyond the poles", hint)
+    cleaner.keep_possible(possible, "latitudes are beyond the poles", hint)
 
 
 def _drop_zeros(position: Floats, cleaner: Cleaner) -> None:
@@ -97,18 +116,20 @@ def _of_receiver(table: Table, quantity: str) -> Floats:
 
 
 def _attitude(table: Table, settings: Reference) -> Floats | None:
-    if "quaternion" in table:
+    if "quaternion" in table and ("roll" not in table or settings.quaternion is not None):
         mat = mat_from_quat(table.values("quaternion", 4))
         return mat if settings.axes == "ned_frd" else np.asarray(NED_FROM_ENU @ mat @ FRD_FROM_FLU)
     if "roll" in table:
-        pitch = -table.column("pitch_bow_down") if "pitch_bow_down" in table else table.column("pitch")
-        return mat_from_rpy(np.stack([table.column("roll"), pitch, table.column("heading")], axis=1) * DEG)
+        pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
+        rpy = np.stack([table.column("roll"), pitch, table.column("heading")], axis=1)
+        return mat_from_rpy(rpy * ANGLE_UNITS[settings.angle_unit])
     return None
 
 
 def _velocity_n(table: Table, settings: Reference, mat_nb: Floats | None) -> Floats | None:
-    if "velocity_n" in table:
-        return table.values("velocity_n", 3)
+    if "velocity_n" in table and ("velocity_b" not in table or settings.velocity_n is not None):
+        velocity = table.values("velocity_n", 3)
+        return velocity @ NED_FROM_ENU if settings.axes == "enu_flu" else velocity
     if "velocity_b" not in table or mat_nb is None:
         return None
     velocity_b = table.values("velocity_b", 3)

@@ -130,7 +130,8 @@ def _explained(topics: "_Topics", wish: Wish, look: Callable[[], tuple[Source, .
 
 
 def _references(topics: "_Topics", config: Config, dvl_topic: str) -> tuple[Source, ...]:
-    solution = topics.find(solution_wish(config), besides=dvl_topic)
+    wish = solution_wish(config)
+    solution = topics.find(wish, besides=dvl_topic) or (topics.need(wish) if any(wish.paths.values()) else None)
     if solution and "latitude" in solution.fields and config.reference.fix is None:
         return (solution,)
     fix = topics.find(fix_wish(config))
@@ -162,7 +163,7 @@ class _Topics:
             return LogError(f"{lack}: it has no messages at all", self._nothing_recorded())
         wanted = ", ".join(type_name for types in wish.by_type for type_name in types)
         empty = sorted(topic for topic, type_name in self._empty.items() if type_name in wanted.split(", "))
-        found = sorted({channel.type_name for channels in self._channels.values() for channel in channels})
+        found = sorted({one.type_name or one.topic for channels in self._channels.values() for one in channels})
         but = f"; {listed(empty)} would be, without a single message" if empty else ""
         return LogError(
             f"{lack}: no message is of a type known for one ({wanted}); it has {listed(found)}{but}",

@@ -14,6 +14,22 @@ from insdvl_replay.logs.encodings import channel_paths, check_encoding
 from insdvl_replay.logs.field_paths import Kinds, find_path, split_paths
 from insdvl_replay.logs.known_types import LOG_TIME, Fields, KnownType, Types
 
+BOW_DOWN: Final = "_bow_down"
+"""Ends the name of a pitch with the opposite sign."""
+_ANGLES: Final = ({"latitude", "longitude"}, {"roll", "pitch", "heading"})
+_SOLUTION: Final = (
+    "latitude",
+    "longitude",
+    "height",
+    "depth",
+    "velocity_n",
+    "velocity_b",
+    "quaternion",
+    "roll",
+    "pitch",
+    "heading",
+)
+
 Section = TypeVar("Section", bound=msgspec.Struct)
 
 
@@ -81,6 +97,8 @@ class Wish:
         Field paths of the configuration by quantity.
     enough : sequence of set of str
         The quantities of one of these sets must be there.
+    together : sequence of set of str
+        Of each of these sets all must be there or none.
     stamp : str or None
         Of the configuration.
     latency_s : float
@@ -94,6 +112,7 @@ class Wish:
     if_named: Types = field(default_factory=dict)
     paths: Mapping[str, str | None] = field(default_factory=dict)
     enough: Sequence[set[str]] = ()
+    together: Sequence[set[str]] = ()
     stamp: str | None = None
     latency_s: float = 0.0
 
@@ -129,6 +148,7 @@ class Wish:
         paths = channel_paths(channels[0], f"{place}: {topic}")
         known = self.known(type_name) or KnownType({})
         fields = {**_present(known.fields, paths), **{name: path for name, path in self.paths.items() if path}}
+        self._refuse_parts(f"{place}: topic '{topic}'", fields)
         if not any(quantities <= fields.keys() for quantities in self.enough):
             reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
             if known.fields:
@@ -136,6 +156,14 @@ class Wish:
             raise LogError(f"{place}: topic '{topic}' {reason}", self.how_to_name())
         stamp = self.stamp or _stamp(known.stamp, paths)
         return Source(self.role, topic, type_name, tuple(channels), fields, stamp, self.latency_s, known.conventions)
+
+    def _refuse_parts(self, place: str, fields: Fields) -> None:
+        """Refuse quantities that say nothing without another one."""
+        given = {quantity.removesuffix(BOW_DOWN) for quantity in fields}
+        for quantities in self.together:
+            if (lacking := sorted(quantities - given)) and (alone := sorted(quantities & given)):
+                missing = f'{self.role}.{lacking[0]} = "field.path"'
+                raise LogError(f"{place} gives {' and '.join(alone)} without {' and '.join(lacking)}", missing)
 
     def how_to_name(self) -> str:
         """Say which keys lead to a topic of an unknown type."""
@@ -192,7 +220,9 @@ def solution_wish(config: Config) -> Wish:
         topic=reference.topic,
         by_type=[known_types.NAV_SOLUTION, known_types.ODOMETRY],
         if_named=known_types.FIX,
-        enough=[{"velocity_n"}, {"velocity_b"}, {"latitude"}],
+        paths={quantity: getattr(reference, quantity) for quantity in _SOLUTION},
+        enough=[{"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES],
+        together=_ANGLES,
         stamp=reference.stamp,
         latency_s=reference.latency_s,
     )
@@ -206,7 +236,7 @@ def fix_wish(config: Config) -> Wish:
         key="reference.fix",
         topic=reference.fix,
         by_type=[known_types.FIX],
-        enough=[{"latitude"}],
+        enough=[{"latitude", "longitude"}],
         stamp=reference.stamp,
         latency_s=reference.latency_s,
     )

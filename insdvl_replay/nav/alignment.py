@@ -123,7 +123,7 @@ def check_start(initial: Initial, *, has_reference: bool, has_position: bool, ha
     if from_reference and not has_reference:
         raise LogError(
             "no reference solution was found to start from",
-            "name it with --set reference.topic=..., or start level: --set initial.source=level "
+            "name it with --set reference.topic=... and its fields, or start level: --set initial.source=level "
             "--set initial.heading_deg=... --set initial.latitude_deg=...",
         )
     if not (from_reference and has_position):
