@@ -1,9 +1,12 @@
 """How long a check of many dives takes: the first on one process and on two, and the second, which replays nothing.
 
-The dives are simulated into a temporary folder, which is removed in the end.
+The dives are simulated into a temporary folder, which is removed in the end. Each check is made several times, in turn,
+and the fastest counts: what else the machine does only ever makes it slower. Processor time says what the work costs
+where others use the machine, too; a second process adds its start, not the time of a dive.
 """
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -15,6 +18,7 @@ from insdvl_replay.sim.dive import simulate_dive
 
 DIVES = 200
 DURATION_S = 60.0
+ROUNDS = 3
 GATES = """
 dives = ["dives"]
 
@@ -46,19 +50,32 @@ def seconds_of_check(folder: Path, *arguments: str) -> tuple[float, float]:
     return wall_s, after.children_user + after.children_system - before.children_user - before.children_system
 
 
+def fastest_checks(folder: Path) -> dict[str, tuple[float, float]]:
+    """Give the least wall-clock and the least processor time of each kind of check."""
+    kinds = {
+        "first, one process": ("--results", "one"),
+        "first, two processes": ("--results", "two", "--jobs", "2"),
+        "second": ("--results", "one"),
+    }
+    times: dict[str, list[tuple[float, float]]] = {label: [] for label in kinds}
+    for _ in range(ROUNDS):
+        for results in ("one", "two"):
+            shutil.rmtree(folder / results, ignore_errors=True)
+        for label, arguments in kinds.items():
+            times[label].append(seconds_of_check(folder, *arguments))
+    return {label: (min(wall for wall, _ in of), min(cpu for _, cpu in of)) for label, of in times.items()}
+
+
 def main() -> None:
     """Measure and print."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         make_archive(folder)
         seconds_of_check(folder, "--results", "warm", "dives/dive_000.mcap")
-        checks = {
-            "first, one process": seconds_of_check(folder, "--results", "one"),
-            "first, two processes": seconds_of_check(folder, "--results", "two", "--jobs", "2"),
-            "second": seconds_of_check(folder, "--results", "one"),
-        }
+        checks = fastest_checks(folder)
     lines = [
-        f"{label:22} {wall_s:7.2f} s, {cpu_s:7.2f} s of processor time" for label, (wall_s, cpu_s) in checks.items()
+        f"{label:22} {wall_s:7.2f} s, {cpu_s:7.2f} s of processor time, {1e3 * cpu_s / DIVES:5.1f} ms a dive"
+        for label, (wall_s, cpu_s) in checks.items()
     ]
     one_s, two_s, second_s = (wall_s for wall_s, _ in checks.values())
     lines.append(

@@ -17,9 +17,10 @@ import msgspec
 
 from insdvl_replay import __version__
 from insdvl_replay.config import Config
+from insdvl_replay.dive_names import unique_names
 from insdvl_replay.errors import ConfigError, LogError, UserError
 from insdvl_replay.executors import WorkerLostError, Workers, do_each
-from insdvl_replay.report.folder import COMPLETE, refuse_existing_folder, result_folder
+from insdvl_replay.report.folder import COMPLETE, DIVE_FILES, refuse_existing_folder, result_folder
 from insdvl_replay.report.json_report import Report, decode_report, encode_report, package_versions
 from insdvl_replay.sources import sources_digest
 from insdvl_replay.studies.workers import each
@@ -61,7 +62,7 @@ class Task:
     name : Path
         The one of them after which the dive is named.
     target : Path
-        Its result folder.
+        Its result folder, which bears the dive's name.
     order : Order
     """
 
@@ -108,19 +109,12 @@ def plan_tasks(logs: Sequence[Path], output: Path, order: Order, *, one_dive: bo
     Raises
     ------
     ConfigError
-        Two logs would share a folder.
+        Two dives would share a name.
     """
-    tasks: dict[Path, Task] = {}
-    for dive in [tuple(logs)] if one_dive else [(log,) for log in logs]:
-        name = _name_giver(dive)
-        target = output / name.absolute().stem
-        if target in tasks:
-            raise ConfigError(
-                f"{tasks[target].name} and {name} would both write {target}",
-                "replay them one by one, each with its own folder, or with --one-dive if they are parts of one dive",
-            )
-        tasks[target] = Task(dive, name, target, order)
-    return list(tasks.values())
+    dives = [tuple(logs)] if one_dive else [(log,) for log in logs]
+    givers = [_name_giver(dive) for dive in dives]
+    names = unique_names(givers)
+    return [Task(dive, giver, output / name, order) for dive, giver, name in zip(dives, givers, names, strict=True)]
 
 
 def _name_giver(logs: tuple[Path, ...]) -> Path:
@@ -231,7 +225,7 @@ def replay_into(task: Task) -> bytes:
 
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     run = replay_with_control if task.order.control else replay_log
-    replay = run(task.logs, task.order.config, allow_damaged=task.order.allow_damaged)
+    replay = run(task.logs, task.order.config, allow_damaged=task.order.allow_damaged, name=task.target.name)
     with result_folder(task.target, force=True) as folder:
         save_replay(replay, folder)
         report = decode_report((folder / COMPLETE).read_bytes())
@@ -250,7 +244,9 @@ def _known_report(task: Task) -> Report | None:
         same = (
             (report.tool.version, report.tool.sources) == (task.order.version, task.order.sources)
             and report.versions == package_versions()
+            and report.log.name == task.target.name
             and _is_of(task.order, report)
+            and all((task.target / name).is_file() for name in DIVE_FILES)
             and log_digest(task) == report.log.sha256
         )
     except (OSError, msgspec.DecodeError, UserError):  # a log that is no longer whole is told by its replay

@@ -10,8 +10,7 @@ from insdvl_replay.archive import Outcome
 from insdvl_replay.errors import ConfigError, UserError
 from insdvl_replay.evaluation.gate_findings import gate_findings
 from insdvl_replay.gate_file import Gates
-from insdvl_replay.gate_names import LOG
-from insdvl_replay.gates import CheckResult, Finding, Gate, Judgement, Status
+from insdvl_replay.gates import LOG, CheckResult, Finding, Gate, Judgement, Status
 from insdvl_replay.report.folder import result_file
 from insdvl_replay.report.json_report import Report
 from insdvl_replay.report.stored_results import read_results
@@ -121,10 +120,20 @@ def _baseline(gates: Gates, gate: Gate, result: StoredReport) -> StoredReport:
     path, command = baseline_path(gates, gate, result.log.name), f"`insdvl-replay check {gates.path} --update`"
     if not path.is_file():
         raise ConfigError(f"{path}: there is no baseline yet", f"{command} makes it")
-    (baseline,), _ = read_results(path)
-    if baseline.report.log.sha256 != result.log.sha256:
+    baseline = _stored_baseline(path)
+    if baseline is None:
+        raise ConfigError(f"{path}: is not a result that can be read", f"{command} makes it anew")
+    if baseline.log.sha256 != result.log.sha256:
         raise ConfigError(f"{path}: the baseline is of another log than {result.log.name}", f"{command} makes it anew")
-    return baseline.report
+    return baseline
+
+
+def _stored_baseline(path: Path) -> StoredReport | None:
+    """Read a baseline; None if there is none, or what is there is none."""
+    try:
+        return read_results(path)[0][0].report
+    except UserError:
+        return None
 
 
 def compare_with_baselines(gates: Gates, dives: Sequence[Checked]) -> list[tuple[str, Finding]]:
@@ -142,8 +151,7 @@ def compare_with_baselines(gates: Gates, dives: Sequence[Checked]) -> list[tuple
     """
     found = []
     for gate, dive, result in _with_baseline(gates, dives):
-        path = baseline_path(gates, gate, dive)
-        baseline = read_results(path)[0][0].report if path.is_file() else None
+        baseline = _stored_baseline(baseline_path(gates, gate, dive))
         found += [(dive, finding) for finding in gate_findings(gate, result, baseline)]
     return found
 

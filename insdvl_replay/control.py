@@ -26,7 +26,9 @@ LOWEST, HIGHEST = 1e-3, 1e3
 """Factors of the baseline's noise between which the fit looks."""
 
 
-def replay_with_control(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Replay:
+def replay_with_control(
+    path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False, name: str | None = None
+) -> Replay:
     """Replay the dive in a log, with the control beside the configured filters.
 
     Parameters
@@ -34,6 +36,7 @@ def replay_with_control(path: Path | Sequence[Path], config: Config, *, allow_da
     path : Path or sequence of Path
     config : Config
     allow_damaged : bool
+    name : str, optional
         As of `replay.replay_log`.
 
     Returns
@@ -47,7 +50,7 @@ def replay_with_control(path: Path | Sequence[Path], config: Config, *, allow_da
     """
     dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
     config, note = with_control(dive, config)
-    return replay_dive(replace(dive, notes=(*dive.notes, note)), config)
+    return replay_dive(replace(dive, name=name or dive.name, notes=(*dive.notes, note)), config)
 
 
 def with_control(dive: Dive, config: Config) -> tuple[Config, Note]:

@@ -37,15 +37,19 @@ def find_dives(names: Sequence[str], beside: Path = Path(), *, results: bool = F
     Returns
     -------
     list of Path
-        In the order of the names, and by name below a folder. A name without ``*`` or ``?`` that does not exist is
-        among them, so that it is told like any other log that cannot be read.
+        In the order of the names, and by name below a folder; each once, however often it is meant. A name without
+        ``*`` or ``?`` that does not exist is among them, so that it is told like any other log that cannot be read.
 
     Raises
     ------
     ConfigError
         A pattern, folder or list without any dive, or a list that cannot be read.
     """
-    return [dive for name in names for dive in _meant(name, beside, results=results)]
+    found: dict[Path, Path] = {}
+    for name in names:
+        for dive in _meant(name, beside, results=results):
+            found.setdefault(dive.resolve(), dive)
+    return list(found.values())
 
 
 def _meant(name: str, beside: Path, *, results: bool, lists: bool = True) -> list[Path]:

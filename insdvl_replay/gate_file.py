@@ -1,5 +1,6 @@
 """Gates from TOML: strict, so that a slip is an error with its line, its key and the nearest known name."""
 
+import math
 import re
 import tomllib
 from collections.abc import Collection
@@ -11,7 +12,7 @@ import msgspec
 from msgspec import Struct
 
 from insdvl_replay.errors import ConfigError, about, refuse_unknown
-from insdvl_replay.gates import Gate, GateFile
+from insdvl_replay.gates import LOG, Gate, GateFile
 
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
 _HEADER: Final = re.compile(r"\s*\[\[\s*gate\s*\]\]")
@@ -99,7 +100,7 @@ def _line_of(text: str, first: int, entry: dict[str, Any], kind: type[Struct]) -
     """Find the line of the key that is wrong with an entry; its first line if none is."""
     keys = [key for key in entry if key not in kind.__struct_fields__] or [_wrong_key(entry, kind)]
     for number, line in enumerate(text.splitlines()[max(0, first - 1) :], max(1, first)):
-        if keys[0] and re.match(rf"""\s*["']?{re.escape(keys[0])}["']?\s*=""", line):
+        if keys[0] and re.match(rf"""\s*(\[\[?\s*)?["']?{re.escape(keys[0])}["']?\s*[]=]""", line):
             return number
     return first
 
@@ -135,7 +136,10 @@ def _converted(entry: dict[str, Any], kind: type[Struct]) -> Any:
 
 
 def _check_gate(gate: Gate) -> None:
+    _check_limits(gate)
     allowances = (gate.max_worse_pct, gate.max_worse_abs)
+    if gate.baseline is not None and (strange := re.search(r"\{.*?\}", gate.baseline.replace(LOG, ""))):
+        raise ConfigError(f"baseline: {strange[0]} is not known", f"{LOG} stands for the dive's name")
     if all(limit is None for limit in (gate.min, gate.max, gate.equals, gate.baseline)):
         raise ConfigError(f"'{gate.name}' has no condition", "add min, max, equals or baseline")
     if (gate.baseline is None) != (allowances == (None, None)):
@@ -143,6 +147,15 @@ def _check_gate(gate: Gate) -> None:
             f"'{gate.name}': baseline and max_worse_pct or max_worse_abs need each other",
             'baseline = "baselines/{log}.json" with max_worse_pct = 5',
         )
+
+
+def _check_limits(gate: Gate) -> None:
+    for key in ("min", "max", "max_worse_pct", "max_worse_abs"):
+        limit = getattr(gate, key)
+        if limit is not None and not math.isfinite(limit):
+            raise ConfigError(f"{key} = {limit} is no limit", f"{key} = 40.0")
+    if gate.min is not None and gate.max is not None and gate.min > gate.max:
+        raise ConfigError(f"no value is at least {gate.min:g} and at most {gate.max:g}", "exchange min and max")
 
 
 def _check_all(content: GateFile) -> None:

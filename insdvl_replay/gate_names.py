@@ -1,16 +1,13 @@
 """Whether gates name what a result can have, which is asked before anything is replayed."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any, Final, get_args, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 from insdvl_replay.errors import ConfigError, about, refuse_unknown
 from insdvl_replay.gate_file import Gates
 from insdvl_replay.gates import ANY, Gate
 from insdvl_replay.report.json_report import Candidate, Tables
 from insdvl_replay.result_tables import CANDIDATES, LAYOUTS, TableLayout
-
-LOG: Final = "{log}"
-"""Stands in the path of a baseline for the dive's name."""
 
 
 def refuse_unknown_names(gates: Gates, filters: Sequence[str] | None) -> None:

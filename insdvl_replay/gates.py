@@ -9,6 +9,9 @@ from insdvl_replay.stored_result import Cell
 ANY: Final = "*"
 """Stands for every table, filter or row."""
 
+LOG: Final = "{log}"
+"""Stands in the path of a baseline for the dive's name."""
+
 Level = Literal["error", "warn", "off"]
 Status = Literal["failed", "unusable", "warning", "off", "passed"]
 """``unusable``: the dive could not be replayed, or its result not be read."""

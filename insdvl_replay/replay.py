@@ -75,7 +75,9 @@ class Replay:
     notes: tuple[Note, ...]
 
 
-def replay_log(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Replay:
+def replay_log(
+    path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False, name: str | None = None
+) -> Replay:
     """Replay the dive in a log.
 
     Parameters
@@ -85,6 +87,8 @@ def replay_log(path: Path | Sequence[Path], config: Config, *, allow_damaged: bo
     config : Config
     allow_damaged : bool
         Replay what can be believed of a damaged log; what is lost is a note.
+    name : str, optional
+        Of the dive, if not that of the log.
 
     Returns
     -------
@@ -97,7 +101,8 @@ def replay_log(path: Path | Sequence[Path], config: Config, *, allow_damaged: bo
     ConfigError
         The settings do not fit the log.
     """
-    return replay_dive(logs.read_dive(path, config, allow_damaged=allow_damaged), config)
+    dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
+    return replay_dive(replace(dive, name=name or dive.name), config)
 
 
 def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay:

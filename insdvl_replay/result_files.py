@@ -15,9 +15,8 @@ from insdvl_replay.replay_figures import replay_coverage, replay_figures
 from insdvl_replay.report.csv_tables import table_csv
 from insdvl_replay.report.dive_page import dive_page
 from insdvl_replay.report.folder import PAGE
-from insdvl_replay.report.json_report import Candidate, Tool, build_report, encode_report
+from insdvl_replay.report.json_report import Candidate, build_report, encode_report, this_tool
 from insdvl_replay.report.run_log import run_log
-from insdvl_replay.sources import sources_digest
 
 
 def save_replay(replay: Replay, folder: Path) -> None:
@@ -38,7 +37,7 @@ def save_replay(replay: Replay, folder: Path) -> None:
         replay.notes,
         replay.start_ns,
         replay.end_ns,
-        Tool(sources=sources_digest()),
+        this_tool(),
     )
     for name, table in replay.tables.items():
         (folder / f"{name}.csv").write_bytes(table_csv(table))

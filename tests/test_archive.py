@@ -23,6 +23,7 @@ import insdvl_replay
 from insdvl_replay.archive import Order, Task, known_reports, log_digest, plan_tasks, replay_archive, replay_into
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.config_file import load_config
+from insdvl_replay.dive_names import unique_names
 from insdvl_replay.dive_paths import find_dives
 from insdvl_replay.errors import ConfigError, LogError
 from insdvl_replay.executors import Pool, WorkerLostError, Workers, do_each, local_workers
@@ -135,6 +136,54 @@ def test_a_list_names_dives_seen_from_its_own_folder(tree: Path) -> None:
     assert [path.resolve() for path in found] == [
         tree / name for name in ("2026/c.mcap", "a.mcap", "b.mcap", "bag")
     ]  # fmt: skip
+
+
+def test_a_dive_that_is_meant_twice_is_one(tree: Path) -> None:
+    found = find_dives(["b.mcap", "*.mcap", "../" + tree.name, "bag/../b.mcap"], tree)
+    assert len(found) == len({path.resolve() for path in found}) == 6
+    assert found[:2] == [tree / "b.mcap", tree / "a.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        ("a.mcap sub/b.mcap", "a b"),
+        ("mon/x.mcap tue/x.mcap tue/y.mcap", "mon_x tue_x y"),
+        ("1/mon/x.mcap 2/mon/x.mcap tue/x.mcap", "1_mon_x 2_mon_x tue_x"),
+    ],
+)
+def test_dives_that_would_share_a_name_are_told_apart_by_their_folders(paths: str, names: str, tmp_path: Path) -> None:
+    assert unique_names([tmp_path / path for path in paths.split()]) == names.split()
+
+
+@pytest.mark.parametrize("paths", ["x.mcap x", "mon/x.mcap tue/x.mcap tue_x.mcap"])
+def test_dives_that_folders_do_not_tell_apart_are_refused(paths: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"x\.mcap and .*x(\.mcap)? would share the name .*x$"):
+        unique_names([tmp_path / path for path in paths.split()])
+
+
+def test_two_dives_of_one_name_are_replayed_beside_each_other(archive: Path, tmp_path: Path) -> None:
+    for day, seed in (("monday", 1), ("tuesday", 2)):
+        (tmp_path / day).mkdir()
+        shutil.copy(archive / f"dive_{seed}.mcap", tmp_path / day / "dive.mcap")
+    logs = [str(tmp_path / day) for day in ("monday", "tuesday")]
+    assert run_command_line(["run", *logs, "-o", str(tmp_path / "out")]) == 0
+    for name in ("monday_dive", "tuesday_dive"):
+        assert decode_report((tmp_path / "out" / name / "report.json").read_bytes()).log.name == name
+    rows = (tmp_path / "out" / "summary.csv").read_text().splitlines()[1:]
+    assert [row.partition(",")[0] for row in rows] == ["monday_dive", "tuesday_dive"]
+    assert known_reports(plan_tasks(find_dives(logs), tmp_path / "out", Order(load_config())), force=False)
+    assert not known_reports(plan_tasks(find_dives(logs[:1]), tmp_path / "out", Order(load_config())), force=False)
+
+
+def test_a_result_that_lost_a_file_is_made_anew(archive: Path, results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results, tmp_path / "out")
+    (tmp_path / "out" / "dive_2" / "report.html").unlink()
+    done = run(archive, "-o", "out", "--force", cwd=tmp_path)
+    assert [line for line in done.stderr.splitlines() if line.startswith("wrote")] == [
+        "wrote out/dive_2", "wrote out/summary.csv", "wrote out/index.html"
+    ]  # fmt: skip
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
 
 
 @pytest.mark.parametrize("name", ["*.bag", "none?.mcap", "empty", "empty.txt"])

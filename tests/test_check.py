@@ -256,6 +256,16 @@ def test_a_baseline_of_another_log_does_not_count(team: Path) -> None:
     assert "baselines/transit.json: the baseline is of another log than transit" in done.stdout
 
 
+def test_a_broken_baseline_is_told_and_made_anew(team: Path) -> None:
+    (team / "baselines").mkdir()
+    (team / "baselines" / "transit.json").write_text('{"tool": ')
+    done = check(team, BASELINE)
+    assert done.returncode == 1
+    assert "transit.json: is not a result that can be read; `insdvl-replay check gates.toml --update`" in done.stdout
+    assert check(team, BASELINE, "--update").returncode == 0
+    assert check(team, BASELINE).returncode == 0
+
+
 def test_dives_do_not_share_a_baseline(team: Path) -> None:
     done = check(team, BASELINE.replace("{log}", "all"), "--update")
     assert done.returncode == 2
@@ -270,6 +280,17 @@ def test_update_without_a_baseline_is_an_error(team: Path) -> None:
 
 
 # --- Output.
+
+
+@pytest.mark.parametrize("option", ["--output", "--summary-file"])
+@pytest.mark.parametrize("name", ["gates.toml", "dives/transit.mcap", "dives"])
+def test_what_is_checked_is_not_written_over(option: str, name: str, team: Path) -> None:
+    before = (team / "dives" / "transit.mcap").read_bytes()
+    done = check(team, PASSING, option, name)
+    assert done.returncode == 2
+    assert re.match(rf"error: {option} {name}: is (what is checked|a folder); hint: give ", done.stderr)
+    assert (team / "gates.toml").read_text().endswith(PASSING)
+    assert (team / "dives" / "transit.mcap").read_bytes() == before
 
 
 def judged(*statuses: str, reasons: Sequence[str] = ("because",)) -> CheckResult:

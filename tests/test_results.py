@@ -13,6 +13,7 @@ from rosbags.highlevel import AnyReader
 
 from insdvl_replay.config_file import load_config
 from insdvl_replay.replay import replay_log
+from insdvl_replay.report.folder import DIVE_FILES
 from insdvl_replay.result_files import save_replay
 
 SAMPLE = Path(__file__).parents[1] / "sample_logs" / "figure_eight.mcap"
@@ -32,7 +33,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def test_folder_holds_the_files_of_the_contract(results: tuple[Path, Path]) -> None:
-    assert {path.name for path in results[0].iterdir()} == FILES
+    assert {path.name for path in results[0].iterdir()} == FILES == set(DIVE_FILES)
 
 
 @pytest.mark.parametrize("name", sorted(FILES))

@@ -116,6 +116,7 @@ def check_dives(
     if not chosen:
         raise ConfigError(f"{path}: names no dives", f'`insdvl-replay check {path} DIVE...`, or dives = ["*.mcap"]')
     paths = find_dives(chosen, beside, results=True)
+    _refuse_to_overwrite(told, [path, *paths])
     order = Order(_settings(gates, config, settings), allow_damaged=gates.content.allow_damaged)
     refuse_unknown_names(gates, None if any(map(_is_result, paths)) else list(order.config.filters))
     checked = list(_checked(paths, order, replaying))
@@ -129,6 +130,15 @@ def check_dives(
         first = result.judgements[0]
         tell(f"error: {check_sentence(result)}; the first: {first.dive}: {first.gate}: {'; '.join(first.reasons)}")
     return max(codes, default=0)
+
+
+def _refuse_to_overwrite(told: Told, inputs: Sequence[Path]) -> None:
+    """Refuse, before any work, to write where something is read."""
+    for option, path in (("--output", told.output), ("--summary-file", told.summary)):
+        if path is not None and path.resolve() in {read.resolve() for read in inputs}:
+            raise ConfigError(f"{option} {path}: is what is checked", "give it another name")
+        if path is not None and path.is_dir():
+            raise ConfigError(f"{option} {path}: is a folder", "give the name of a file")
 
 
 def _settings(gates: Gates, config: Path | None, settings: Sequence[str]) -> Config:

@@ -6,7 +6,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from insdvl_replay.gates import CheckResult, Judgement
-from insdvl_replay.report.json_report import Tool
+from insdvl_replay.report.json_report import Tool, this_tool
 
 
 class CheckReport(Struct, frozen=True):
@@ -34,7 +34,7 @@ def check_json(result: CheckResult) -> str:
     str
     """
     report = CheckReport(
-        Tool(),
+        this_tool(),
         result.gates,
         result.count("failed"),
         result.count("unusable"),

@@ -8,11 +8,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from insdvl_replay.errors import ConfigError
+from insdvl_replay.result_tables import TABLES
 
 COMPLETE = "report.json"
 """The file by which a result folder is known, written last."""
 PAGE = "report.html"
 """The page that shows a result."""
+DIVE_FILES = (*(f"{layout.name}.csv" for layout in TABLES), "replay.mcap", "config.toml", "run.log", PAGE, COMPLETE)
+"""All files of the result of a dive."""
 
 
 @contextmanager

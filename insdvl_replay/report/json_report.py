@@ -14,6 +14,7 @@ from insdvl_replay import __version__
 from insdvl_replay.channel import Channel
 from insdvl_replay.config import Config
 from insdvl_replay.errors import Note
+from insdvl_replay.sources import sources_digest
 
 if TYPE_CHECKING:
     # Only their types are needed, and whoever looks into a log or a report must not wait for them.
@@ -150,6 +151,11 @@ class Tool(Struct, frozen=True):
     ] = None
     started_at: Annotated[str | None, Meta(description="UTC, ISO 8601")] = None
     elapsed_s: float | None = None
+
+
+def this_tool() -> Tool:
+    """Name this program as it is, without the time of day."""
+    return Tool(sources=sources_digest())
 
 
 class Report(Struct, frozen=True):

@@ -6,7 +6,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from insdvl_replay.errors import Note
-from insdvl_replay.report.json_report import Tool, package_versions, records
+from insdvl_replay.report.json_report import Tool, package_versions, records, this_tool
 
 if TYPE_CHECKING:
     # Only its type is needed, and whoever asks for the schema must not wait for pandas.
@@ -31,7 +31,7 @@ class StudyResult(Struct, frozen=True):
 def study_json(report: "StudyReport") -> bytes:
     """Write a study as JSON, null for what is missing. The same study gives the same bytes."""
     result = StudyResult(
-        tool=Tool(),
+        tool=this_tool(),
         versions=package_versions(),
         study=report.study,
         arguments=dict(report.arguments),

@@ -1,0 +1,46 @@
+"""What dives are called: every result, table and baseline bears its dive's name, so that no two may share one."""
+
+import os
+from collections import Counter
+from collections.abc import Hashable, Sequence
+from pathlib import Path
+
+from insdvl_replay.errors import ConfigError
+
+
+def unique_names(paths: Sequence[Path]) -> list[str]:
+    """Name each dive after its file, and those that would share a name after as many folders as tell them apart.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Such as ``monday/dive.mcap``, ``tuesday/dive.mcap`` and ``tuesday/test.mcap``.
+
+    Returns
+    -------
+    list of str
+        Such as ``monday_dive``, ``tuesday_dive`` and ``test``.
+
+    Raises
+    ------
+    ConfigError
+        Folders do not tell two dives apart either.
+    """
+    whole = [Path(os.path.abspath(path)).with_suffix("").parts[1:] for path in paths]  # noqa: PTH100  # resolves `..`
+    lengths = [1] * len(paths)
+    while again := _repeated([parts[-length:] for parts, length in zip(whole, lengths, strict=True)]):
+        if all(lengths[place] >= len(whole[place]) for place in again):
+            break
+        for place in again:
+            lengths[place] += 1
+    names = ["_".join(parts[-length:]) for parts, length in zip(whole, lengths, strict=True)]
+    if again := _repeated(names):
+        both = " and ".join(str(paths[place]) for place in again if names[place] == names[again[0]])
+        raise ConfigError(f"{both} would share the name {names[again[0]]}", "rename one of them")
+    return names
+
+
+def _repeated(names: Sequence[Hashable]) -> list[int]:
+    """Give the places of names that there are twice."""
+    times = Counter(names)
+    return [place for place, name in enumerate(names) if times[name] > 1]
