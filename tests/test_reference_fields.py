@@ -1,6 +1,7 @@
 """A reference of a type of nobody: its fields by path, with their units and axes, give what a known type gives."""
 
 import json
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.columns import Dive, ReferenceColumns
 from insdvl_replay.config_file import load_config
 from insdvl_replay.errors import LogError
+from insdvl_replay.inspection import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.states import DEG
@@ -111,6 +113,32 @@ def test_fields_that_say_nothing_are_refused(
     with pytest.raises(LogError, match=sentence) as refused:
         read_dive(log, load_config(overrides=settings(named)))
     assert hint in refused.value.hint
+
+
+def test_inspect_proposes_the_fields(dive: Dive, tmp_path: Path) -> None:
+    log = foreign_log(dive, by_angles, tmp_path / "dive.mcap")
+    inventory = inspect_log(log, load_config())
+    assert not inventory.remaining
+    proposed = tmp_path / "proposed.toml"
+    proposed.write_text(inventory.configuration, "utf-8")
+    reference = load_config(file=proposed).reference
+    chosen = {name: getattr(reference, name) for name in ("topic", "latitude", "longitude", "velocity_n", "stamp")}
+    assert chosen == {
+        "topic": "nav/out", "latitude": "lat", "longitude": "lon", "velocity_n": "vn, ve, vd", "stamp": "log_time"
+    }  # fmt: skip
+    assert "reference.topic" in inventory.decisions
+
+
+def partly(reference: ReferenceColumns, row: int) -> Message:
+    """Write a position with an altitude above the bottom, half an attitude and half a velocity."""
+    message = by_angles(reference, row)
+    return {"lat": message["lat"], "lon": message["lon"], "altitude": 12.0, "roll": 0.1, "vel_north": 1.0, "depth": 3.0}
+
+
+def test_inspect_proposes_no_altitude_as_height_and_no_half_attitude(dive: Dive, tmp_path: Path) -> None:
+    inventory = inspect_log(foreign_log(dive, partly, tmp_path / "dive.mcap"), load_config())
+    proposed = tomllib.loads(inventory.configuration)["reference"]
+    assert proposed.keys() == {"topic", "latitude", "longitude", "depth", "angle_unit", "stamp"}
 
 
 def test_fields_without_a_topic_are_not_passed_over(dive: Dive, tmp_path: Path) -> None:

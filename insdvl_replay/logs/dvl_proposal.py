@@ -60,6 +60,8 @@ def dvl_settings(log: Recording, topic: SeenTopic) -> list[Setting]:
     settings = [Setting("dvl.topic", topic.topic)]
     if velocities:
         settings += [*_velocity(velocities), _unit(velocities[0]), *_valid(topic)]
+    elif beams:
+        settings.append(_unit(beams[0]))
     if beams:
         settings += list(_beams(topic, beams, bool(velocities)))
     return [*settings, stamp_setting(log, topic, "dvl"), *_mounting()]
@@ -125,7 +127,8 @@ def _valid(topic: SeenTopic) -> Iterator[Setting]:
 def _unit(velocity: Candidate) -> Setting:
     fitting = [unit for unit, factor in VELOCITY_UNITS.items() if _SLOWEST_MPS < velocity.size * factor < _QUICKEST_MPS]
     best = next(iter(fitting), "m/s")
-    seen = f"the median speed is {velocity.size * VELOCITY_UNITS[best]:.3g} m/s then"
+    what = "length of all beams' velocities" if velocity.is_beams else "speed"
+    seen = f"the median {what} is {velocity.size * VELOCITY_UNITS[best]:.3g} m/s then"
     if len(fitting) == 1:
         return Setting("dvl.velocity_unit", best, f"{seen}, and in no other unit a vehicle's")
     return Setting("dvl.velocity_unit", best, seen, f"the size leaves it open: {', '.join(VELOCITY_UNITS)}")

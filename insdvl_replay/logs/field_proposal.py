@@ -7,6 +7,7 @@ from insdvl_replay.logs.settings import Setting
 from insdvl_replay.logs.sightings import SeenTopic
 
 _NEEDED: Final = {"imu": ("specific_force", "angular_rate"), "dvl": ("velocity",)}
+_INSTEAD: Final = {"velocity": ("beam_velocity =  # one number for each beam",)}
 _LONGEST: Final = 12
 """Topics that are listed at most."""
 
@@ -33,7 +34,8 @@ def listed_settings(role: str, seen: Sequence[SeenTopic]) -> Iterator[Setting]:
     text = "no topic has fields that are named like those of this role; the topics with numbers, and their fields, are"
     yield Setting(f"{role}.topic", None, open=text, listed=tuple(lines))
     for quantity in _NEEDED[role]:
-        yield Setting(f"{role}.{quantity}", None, open='one of three numbers, or three side by side as in "p, q, r"')
+        text = 'one of three numbers, or three side by side as in "p, q, r"'
+        yield Setting(f"{role}.{quantity}", None, open=text, others=_INSTEAD.get(quantity, ()))
 
 
 def _lines(topic: SeenTopic) -> Iterator[str]:

@@ -19,6 +19,7 @@ from insdvl_replay.logs.field_proposal import listed_settings
 from insdvl_replay.logs.imu_proposal import imu_settings, imu_topic, judged_imu, judged_rates, measured_scale
 from insdvl_replay.logs.plausibility import gyro_scale
 from insdvl_replay.logs.recording import Recording
+from insdvl_replay.logs.reference_proposal import reference_settings, reference_topic
 from insdvl_replay.logs.roles import Finding, explain_roles
 from insdvl_replay.logs.settings import Setting, decisions, not_yet_set, settings_toml, with_settings
 from insdvl_replay.logs.sightings import SeenTopic, see_topics
@@ -90,8 +91,10 @@ def _choices(findings: Sequence[Finding]) -> Iterator[Setting]:
 
 
 def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> list[Setting]:
-    """Find topics of unknown types for the roles without which there is no replay."""
-    wanted = {finding.role for finding in findings if finding.error and not finding.candidates} & {"imu", "dvl"}
+    """Find topics of unknown types for the roles that no topic of a known type plays."""
+    wanted = {finding.role for finding in findings if not finding.sources and not finding.candidates}
+    if config.initial.source == "level":
+        wanted -= {"reference"}
     if not wanted:
         return []
     taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
@@ -106,6 +109,9 @@ def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> list
         heard = _named(seen, config.dvl.topic)
         dvl = dvl_topic(heard)
         settings += dvl_settings(log, dvl) if dvl else listed_settings("dvl", heard)
+        seen = [topic for topic in seen if topic is not dvl]
+    if "reference" in wanted and (reference := reference_topic(_named(seen, config.reference.topic))):
+        settings += reference_settings(log, reference)
     return settings
 
 

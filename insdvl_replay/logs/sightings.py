@@ -28,8 +28,8 @@ _WORDS: Final = {
     "specific_force": re.compile(r"acc|force|\b[af]x\b"),
     "angular_rate": re.compile(r"gyr|ang|rate|omega|rot|turn|\b[gw]x\b|\bp, (\S+\.)?q, "),
     "velocity": re.compile(r"^(?!.*(ang|gyr)).*(vel|speed|twist|surge|\bvx\b|\bu, (\S+\.)?v, )"),
-    "beam_velocity": re.compile(r"(\[\*\]|beam|trans).*vel|vel.*(beam|trans)"),
-    "beam_valid": re.compile(r"(\[\*\]|beam|trans).*(valid|lock)"),
+    "beam_velocity": re.compile(r"(\[\*\]|beam|trans).*(vel|[._]v$)|vel.*(beam|trans)"),
+    "beam_valid": re.compile(r"(\[\*\]|beam|trans).*(valid|lock|good)"),
 }
 _GRAVITY_PART: Final = 0.1
 """A specific force is known by its size, where it differs from gravity by no more than this part of it."""

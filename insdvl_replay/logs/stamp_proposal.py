@@ -17,7 +17,7 @@ from insdvl_replay.logs.wishes import Source
 
 _ENOUGH: Final = 1000
 _HEADER: Final = "header.stamp"
-_NAMES: Final = re.compile(r"time|stamp|clock|epoch|utc|tick|^t$|(^|_)t_|_([mun]s|sec)$")
+_NAMES: Final = re.compile(r"time|stamp|clock|epoch|utc|tick|^t$|(^|_)(t_|ts$)|_([mun]s|sec)$")
 _STRAY: Final = 0.05
 """Share of the sample's length by which a clock may wander; what counts from the message before does not run at all."""
 
