@@ -364,6 +364,17 @@ def test_damage_is_an_obstacle_and_no_reason_to_stop(log: Path, capsys: pytest.C
     assert inventory["log"]["messages"] > 0
 
 
+def test_first_pings_without_a_bottom_are_a_warning_and_no_obstacle(dive: Dive, tmp_path: Path) -> None:
+    log = tmp_path / "dive.mcap"
+    beams = dive.dvl.beam_velocity_mps
+    assert beams is not None
+    write_dive(log, replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=np.full_like(beams, np.nan))))
+    sample = inspect_log(log, load_config())
+    assert "by the first messages alone a replay would stop: /dvl: no message of" in warnings(sample)
+    assert obstacles(sample) == ""
+    assert "/dvl: no message of" in obstacles(inspect_log(log, load_config(), deep=True))
+
+
 def test_allowed_damage_is_told_and_is_no_obstacle(log: Path) -> None:
     data = log.read_bytes()
     log.write_bytes(data[: len(data) * 2 // 3])

@@ -185,7 +185,8 @@ def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
         text = (
             f"filter {name} broke down: {lost} of {total} {kind} innovations are not finite, from number {first + 1} on"
         )
-        return [Note("filter_not_finite", text, lost, "warning", "check the units and sizes of [noise] and [initial]")]
+        hint = 'check the units and sizes of [noise] and [initial]; after long IMU gaps, imu.long_gaps = "split"'
+        return [Note("filter_not_finite", text, lost, "warning", hint)]
     rejected = _rejected(innovations)
     if rejected > MANY_REJECTED * total:
         text = f"filter {name} rejected {rejected} of {total} {kind} innovations"

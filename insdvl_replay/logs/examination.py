@@ -33,6 +33,7 @@ _ENOUGH: Final = 1000
 _ENOUGH_OF_OTHERS: Final = 10
 _MEASURED: Final = re.compile(r"(scale|heading_deg|mounting_rpy_deg) = ")
 _LOOK_DEEPER: Final = "`inspect --deep` measures by how much; the first messages only show that something is off"
+_LOOK_FURTHER: Final = "`inspect --deep` reads all messages and tells whether it is so"
 _NO_PINGS: Final = DvlColumns(np.empty(0, np.int64), velocity_d=np.empty((0, 3)))
 
 
@@ -122,9 +123,13 @@ class Examination:
         try:
             self._decode(finding.role, tables)
         except UserError as error:
-            # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
             if self.deep or finding.role == "imu" or isinstance(error, ConfigError):
                 self._stopped_by(error)
+                return
+            # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
+            sentence = error.message.removeprefix(f"{self.log.path}: ")
+            text = f"by the first messages alone a replay would stop: {sentence}"
+            self.notes.append(Note("first_messages", text, 1, "warning", _LOOK_FURTHER))
 
     def _look_at_candidate(self, source: Source) -> None:
         """Keep what one of several topics would give; what is wrong with it is no obstacle yet."""

@@ -120,10 +120,10 @@ def _explained(topics: "_Topics", wish: Wish, look: Callable[[], tuple[Source, .
         if candidates:
             reason = f"{', '.join(source.topic for source in candidates)} could each be it"
         elif wish.topic is None and not topics.candidates(wish, besides):
-            reason = "no message is of a type known for one"
+            reason = topics.reason_for_none
         return Finding(wish.role, (), reason, error, candidates)
     if not sources:
-        return Finding(wish.role, (), "no message is of a type known for one")
+        return Finding(wish.role, (), topics.reason_for_none)
     if wish.topic is not None:
         return Finding(wish.role, sources, f"named by {wish.key}")
     return Finding(wish.role, sources, "by type, which no other topic has")
@@ -148,6 +148,11 @@ class _Topics:
             if channel.messages:
                 self._channels.setdefault(channel.topic, []).append(channel)
         self._empty = {channel.topic: channel.type_name for channel in channels if channel.topic not in self._channels}
+
+    @property
+    def reason_for_none(self) -> str:
+        """Why no topic plays a role that none is named for."""
+        return "no message is of a type known for one" if self._channels else "the log has no messages"
 
     def need(self, wish: Wish) -> Source:
         """Find the topic of a role that a replay cannot do without."""
