@@ -191,6 +191,16 @@ def test_gyros_that_do_not_follow_the_reference_are_told(turning: Dive) -> None:
     assert "imu_gyro_contradiction" in notes_of(replace(turning, imu=replace(turning.imu, angular_rate_b=swapped)))
 
 
+def test_positions_that_contradict_the_velocity_beside_them_are_told(turning: Dive) -> None:
+    reference = reference_of(turning)
+    swapped = replace(reference, position=reference.position[:, [1, 0, 2]])
+    assert "reference_contradiction" in notes_of(replace(turning, reference=swapped))
+    rng = np.random.default_rng(9)
+    noise_m = rng.normal(0.0, 1.0, (len(reference.time_ns), 2))
+    noisy = reference.position + np.pad(noise_m / 6.4e6, ((0, 0), (0, 1)))
+    assert "reference_contradiction" not in notes_of(replace(turning, reference=replace(reference, position=noisy)))
+
+
 def test_noise_of_a_vehicle_that_lies_still_contradicts_nobody() -> None:
     still = simulate_dive("static", duration_s=60.0, imu_rate_hz=50.0, seed=6)
     reference, rng = reference_of(still), np.random.default_rng(7)
