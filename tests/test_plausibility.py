@@ -191,6 +191,14 @@ def test_gyros_that_do_not_follow_the_reference_are_told(turning: Dive) -> None:
     assert "imu_gyro_contradiction" in notes_of(replace(turning, imu=replace(turning.imu, angular_rate_b=swapped)))
 
 
+def test_single_gyro_that_turns_the_other_way_is_told(turning: Dive) -> None:
+    mirrored = ImuColumns(
+        turning.imu.time_ns, turning.imu.specific_force_b * [1, -1, 1], turning.imu.angular_rate_b * [1, -1, 1]
+    )
+    note = notes_of(replace(turning, imu=mirrored))["imu_gyro_axis"]
+    assert note.text.startswith("the angular rate starboard turns against")
+
+
 def test_positions_that_contradict_the_velocity_beside_them_are_told(turning: Dive) -> None:
     reference = reference_of(turning)
     swapped = replace(reference, position=reference.position[:, [1, 0, 2]])

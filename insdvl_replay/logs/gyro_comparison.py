@@ -31,14 +31,17 @@ class AttitudeFit:
         Measured over true.
     correlation : float
         1 or -1 where the gyros show nothing else.
-    swing : float
-        How far the reference's attitude goes to and fro, rad: of a vehicle that lies still there is only noise to
-        compare.
+    swing : ndarray, shape (3,)
+        How far the reference's attitude goes to and fro about each axis, rad: of a vehicle that lies still there is
+        only noise to compare.
+    by_axis : ndarray, shape (3,)
+        The correlation about each axis.
     """
 
     scale: float
     correlation: float
-    swing: float
+    swing: Floats
+    by_axis: Floats
 
 
 def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFit | None:
@@ -65,10 +68,20 @@ def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFi
     good = turning & (step_s <= LONGEST_STEP_S) & (np.linalg.norm(turned, axis=1) < 1.0)
     if np.count_nonzero(good) < ENOUGH:
         return None
-    product, power = float(np.sum(summed[good] * turned[good])), float(np.sum(turned[good] ** 2))
-    summed_power = float(np.sum(summed[good] ** 2))
-    correlation = product / float(np.sqrt(power * summed_power)) if summed_power else 0.0
-    return AttitudeFit(product / power, correlation, float(np.ptp(np.cumsum(turned, axis=0), axis=0).max()))
+    product, power, summed_power = (
+        np.sum(one[good] * other[good], axis=0) for one, other in ((summed, turned), (turned, turned), (summed, summed))
+    )
+    return AttitudeFit(
+        scale=float(product.sum() / power.sum()),
+        correlation=float(_correlation(product.sum(), power.sum() * summed_power.sum())),
+        swing=np.ptp(np.cumsum(turned, axis=0), axis=0),
+        by_axis=_correlation(product, power * summed_power),
+    )
+
+
+def _correlation(product: Floats, powers: Floats) -> Floats:
+    """Divide by the root of both powers; 0 where one is 0."""
+    return np.divide(product, np.sqrt(powers), out=np.zeros_like(product), where=powers > 0.0)
 
 
 def gyro_by_gravity(imu: ImuColumns) -> float | None:

@@ -15,7 +15,7 @@ from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.dvl_comparison import TrackFit, track_by_positions
 from insdvl_replay.logs.dvl_health import COHERENT, INCOHERENT, SCALE_DOUBT, dvl_checks, scale_notes
 from insdvl_replay.logs.gyro_comparison import AttitudeFit, gyro_by_attitude, gyro_by_gravity
-from insdvl_replay.logs.imu_health import Check, imu_checks
+from insdvl_replay.logs.imu_health import AXES, Check, imu_checks
 from insdvl_replay.logs.reference_health import reference_checks
 from insdvl_replay.rotation import wrap_angle
 from insdvl_replay.states import DEG
@@ -26,6 +26,8 @@ TRACK_DOUBT: Final = 0.15
 """The same for gyros seen through a track, whose DVL and positions have errors of their own."""
 GRAVITY_SWING: Final = 0.7
 """The same for gyros seen by gravity, which in a moving vehicle swings with its own acceleration."""
+AXIS_AGAINST: Final = 0.7
+"""Correlation about one axis, of the opposite sign, that is no noise."""
 LEAST_SWING: Final = 3.0 * DEG
 """Attitudes of a vehicle that swings less are no witness against its gyros."""
 HEADING_DOUBT: Final = 30.0 * DEG
@@ -162,14 +164,35 @@ def _gyro_notes(place: str, imu: ImuColumns, found: GyroScale | None, settings: 
 
 
 def _attitude_notes(imu: ImuColumns, by_attitude: AttitudeFit | None) -> list[Note]:
-    if by_attitude is None or abs(by_attitude.correlation) >= INCOHERENT or by_attitude.swing < LEAST_SWING:
+    if by_attitude is None or by_attitude.swing.max() < LEAST_SWING:
         return []
+    if abs(by_attitude.correlation) >= INCOHERENT:
+        return _axis_notes(imu, by_attitude)
     text = (
         "the angular rate does not follow the change of the reference's attitude, from 0 s on "
         f"(correlation {by_attitude.correlation:.2f})"
     )
     hint = "imu.axes, reference.axes, or imu.stamp and reference.stamp"
     return [Note("imu_gyro_contradiction", text, len(imu.time_ns), "warning", hint)]
+
+
+def _axis_notes(imu: ImuColumns, by_attitude: AttitudeFit) -> list[Note]:
+    """Find axes that turn the other way while another one follows the reference."""
+    known = by_attitude.swing >= LEAST_SWING
+    if not np.any(known & (by_attitude.by_axis > AXIS_AGAINST)):
+        return []
+    axes = np.flatnonzero(known & (by_attitude.by_axis < -AXIS_AGAINST)).tolist()
+    return [
+        Note(
+            "imu_gyro_axis",
+            f"the angular rate {AXES[axis]} turns against the reference's attitude, from 0 s on "
+            f"(correlation {by_attitude.by_axis[axis]:.2f}), while another axis follows it",
+            len(imu.time_ns),
+            "warning",
+            "imu.axes, or imu.angular_rate names the fields in another order",
+        )
+        for axis in axes
+    ]
 
 
 def _track_notes(place: str, track: TrackFit | None, dvl: DvlColumns, config: Config) -> list[Note]:
