@@ -6,13 +6,13 @@ import tomllib
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import msgspec
 from msgspec import Struct
 
 from insdvl_replay.errors import ConfigError, about, refuse_unknown
-from insdvl_replay.gates import LOG, Gate, GateFile
+from insdvl_replay.gates import LOG, Gate, GateFile, Level
 
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
 _HEADER: Final = re.compile(r"\s*\[\[\s*gate\s*\]\]")
@@ -68,6 +68,8 @@ def load_gates(path: Path) -> Gates:
     for number, entry in enumerate(_entries(raw)):
         with about(f"{_place(path, _line_of(text, lines[number], entry, Gate))}: gate {number + 1}"):
             _refuse_unknown_keys(entry, Gate.__struct_fields__)
+            if isinstance(level := entry.get("level"), str):
+                refuse_unknown("level", level, get_args(Level))
             _check_gate(_converted(entry, Gate))
     with about(_place(path, _line_of(text, 0, raw, GateFile))):
         content = _converted(raw, GateFile)

@@ -193,6 +193,9 @@ def test_settings_of_the_gate_file_and_the_command_line(team: Path) -> None:
     assert scale() == 1.02
     assert scale("-c", "other.toml") == 1.03
     assert scale("--set", "dvl.scale=1.04") == 1.04
+    (team / "vehicle.toml").unlink()
+    refused = check(team, 'config = "vehicle.toml"\n' + PASSING)
+    assert refused.stderr.startswith("error: gates.toml: config names vehicle.toml, which is no file")
 
 
 def test_results_are_judged_as_they_are(team: Path) -> None:

@@ -44,7 +44,7 @@ def why(gate_: Gate, report: StoredReport, baseline: StoredReport | None = None)
         ("dvies = []\n" + GATE + "max = 1", ":1: ", "key 'dvies' is not known", "did you mean dives?"),
         (GATE + "maxx = 1", ":5: gate 1: ", "key 'maxx' is not known", "did you mean max?"),
         (GATE + 'max = "1"', ":5: gate 1: ", "max: expected `float | null`, got `str`, found '1'", "for example"),
-        (GATE + 'max = 1\nlevel = "loud"', ":6: gate 1: ", "level: invalid enum value 'loud'", ""),
+        (GATE + 'max = 1\nlevel = "loud"', ":6: gate 1: ", "level 'loud' is not known", "known: error, warn, off"),
         (GATE, ":1: gate 1: ", "'a' has no condition", "min, max, equals or baseline"),
         (GATE + "max_worse_pct = 1\nmax = 1", ":1: gate 1: ", "need each other", "max_worse_pct = 5"),
         (GATE + 'baseline = "b.json"', ":1: gate 1: ", "need each other", "max_worse_pct = 5"),

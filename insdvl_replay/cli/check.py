@@ -49,9 +49,9 @@ def check(
 ) -> int:
     """Hold dives against gates, for a job that runs every night.
 
-    Logs are replayed first, but for those whose log, settings and versions are those of the result that lies there;
-    result folders are taken as they are. All gates of all dives are judged. What is missing or empty never passes. The
-    exit code is 0 if no gate of level error failed, 1 if one did, 3 if a dive cannot be used.
+    Logs are replayed first, but for those whose log, settings, versions and code are those of the result that lies
+    there; result folders are taken as they are. All gates of all dives are judged. What is missing or empty never
+    passes. The exit code is 0 if no gate of level error failed, 1 if one did, 3 if a dive cannot be used.
 
     \b
     Example:

@@ -144,6 +144,8 @@ def _refuse_to_overwrite(told: Told, inputs: Sequence[Path]) -> None:
 def _settings(gates: Gates, config: Path | None, settings: Sequence[str]) -> Config:
     named = gates.content.config
     file = config if config or named is None else gates.path.parent / named
+    if file != config and file is not None and not file.is_file():
+        raise ConfigError(f"{gates.path}: config names {file}, which is no file", "paths are seen from the gate file")
     return load_config(gates.content.preset, file, settings)
 
 
