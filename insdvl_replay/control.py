@@ -122,15 +122,17 @@ def _fitted(dive: Dive, config: Config, baseline: Filter) -> Filter:
         (history,) = run_filters(dive, start, alone)
         return -log_likelihood(history.innovations[0])
 
-    first = min(np.log(STARTS), key=unlikelihood)
-    simplex = first + np.vstack([np.zeros(3), -2.0 * np.eye(3)])
-    found = minimize(
-        unlikelihood,
-        first,
-        method="Nelder-Mead",
-        options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.1, "maxfev": 300},
-    )
-    return filter_with(found.x)
+    best = min(np.log(STARTS), key=unlikelihood)
+    for step in (-2.0, 0.5):  # the second search frees what fell flat against an edge
+        simplex = best + np.vstack([np.zeros(3), step * np.eye(3)])
+        found = minimize(
+            unlikelihood,
+            best,
+            method="Nelder-Mead",
+            options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.1, "maxfev": 150},
+        )
+        best = np.clip(found.x, np.log(LOWEST), np.log(HIGHEST))
+    return filter_with(best)
 
 
 def _at_the_edge(factor: float) -> bool:
