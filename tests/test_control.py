@@ -13,7 +13,7 @@ from insdvl_replay.control import replay_with_control, with_control
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.history import Innovations
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.dvl_errors import DvlErrors
 from insdvl_replay.sim.imu_errors import ImuErrors
@@ -95,5 +95,5 @@ def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(snapir: 
         # What gyro and DVL alone disagree by while the vehicle goes straight is 6 to 13 mm/s in these dives.
         assert 0.004 < (replay.config.filters["tuned"].velocity_sd_mps or 0.0) < 0.015
     (tmp_path / "again.toml").write_text(render_toml(replay.config))
-    again = replay_dive(replay.dive, load_config(file=tmp_path / "again.toml"))
+    again = replay_log(snapir / "snapir_12.mcap", load_config(file=tmp_path / "again.toml"))
     assert again.tables["consistency"].equals(replay.tables["consistency"])
