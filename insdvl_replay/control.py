@@ -5,7 +5,9 @@ The fit takes the noise under which the baseline's own innovations are most like
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -24,6 +26,9 @@ FIT_S = 1800.0
 """The fit reads this much of a dive; noise does not change so much that more would say more."""
 LOWEST, HIGHEST = 1e-3, 1e3
 """Factors of the baseline's noise between which the fit looks."""
+STARTS: Final = tuple(product((1.0, 0.1, 0.01), (1.0, 10.0, 100.0), (1.0, 0.3)))
+"""Factors of which the likeliest is the start: innovations can have several likely causes, a quiet DVL on a restless
+IMU among them, and a search from one place finds the nearest. Order as of `_keys`."""
 
 
 def replay_with_control(
@@ -87,6 +92,8 @@ def with_control(dive: Dive, config: Config) -> tuple[Config, Note]:
     values = {key: getattr(tuned, key) for key in _keys(config, baseline)}
     pasted = ", ".join(f"{key} = {value:.4g}" for key, value in values.items())
     text = f"noise of the control, fitted to the baseline's innovations: [filters.{NAME}] {pasted}"
+    if edges := [key for key, value in values.items() if _at_the_edge(value / _value(baseline, config, key))]:
+        text += f"; at the edge of what is looked at, where the innovations tell no more: {', '.join(edges)}"
     note = Note("control_fitted", text, len(values))
     return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), note
 
@@ -115,14 +122,21 @@ def _fitted(dive: Dive, config: Config, baseline: Filter) -> Filter:
         (history,) = run_filters(dive, start, alone)
         return -log_likelihood(history.innovations[0])
 
-    simplex = np.vstack([np.zeros(3), -2.0 * np.eye(3)])
-    found = minimize(
-        unlikelihood,
-        np.zeros(3),
-        method="Nelder-Mead",
-        options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.1, "maxfev": 150},
-    )
-    return filter_with(found.x)
+    best = min(np.log(STARTS), key=unlikelihood)
+    for step in (-2.0, 0.5):  # the second search frees what fell flat against an edge
+        simplex = best + np.vstack([np.zeros(3), step * np.eye(3)])
+        found = minimize(
+            unlikelihood,
+            best,
+            method="Nelder-Mead",
+            options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.1, "maxfev": 150},
+        )
+        best = np.clip(found.x, np.log(LOWEST), np.log(HIGHEST))
+    return filter_with(best)
+
+
+def _at_the_edge(factor: float) -> bool:
+    return not 1.01 * LOWEST < factor < HIGHEST / 1.01
 
 
 def _value(baseline: Filter, config: Config, key: str) -> float:

@@ -142,7 +142,7 @@ def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: StudyReport) -> Ite
         f"phi_n {level_0:.2f} to {level:.2f} mrad, phi_d {heading_0:.2f} to {heading:.2f} mrad",
         level < level_0 and heading > heading_0,
     )
-    turned = ensemble_sd(aided, "phi_n", 360.0)
+    turned = larger_sd(aided, "phi_n", 360.0)
     yield judged(
         place,
         "the first U-turn makes levelling converge promptly",
@@ -157,7 +157,7 @@ def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: StudyReport) -> Ite
         end < turned < heading,
     )
     shares = {
-        state: ensemble_sd(aided, state, np.inf) / ensemble_sd(aided, state, 0.0)
+        state: larger_sd(aided, state, np.inf) / ensemble_sd(aided, state, 0.0)
         for state in ("ba_x", "ba_y", "ba_z", "bg_x", "bg_y", "bg_z")
     }
     yield judged(
@@ -239,14 +239,15 @@ def sea_claims(dives: list[Replay]) -> Iterator[Claim]:
         REPEATED if abs(float(np.median(believed)) - 40.0) <= 5.0 else NOT_REPEATED,
     )
     errors = position_errors(dives)
-    better = int((errors["windowed"] < 0.95 * errors["baseline"]).sum())
-    yield judged(
-        "conclusion",
-        "accuracy gets better",
-        f"position error against the reference at least 5 % smaller on {better} of {len(errors)} dives, median "
-        f"{errors['baseline'].median():.2f} m before and {errors['windowed'].median():.2f} m after",
-        better > len(errors) / 2,
-    )
+    for name, how in (("windowed", "slope predicted"), ("published", "as printed")):
+        better = int((errors[name] < 0.95 * errors["baseline"]).sum())
+        yield judged(
+            "conclusion",
+            f"accuracy gets better, {how}",
+            f"position error against the reference at least 5 % smaller on {better} of {len(errors)} dives, median "
+            f"{errors['baseline'].median():.2f} m before and {errors[name].median():.2f} m after",
+            better > len(errors) / 2,
+        )
 
 
 def position_errors(dives: list[Replay]) -> pd.DataFrame:
@@ -306,6 +307,13 @@ def ensemble_sd(ensemble: Ensemble, state: str, time_s: float) -> float:
     """Give the last sigma from P up to a time, shown unit."""
     row = np.flatnonzero(ensemble.time_s <= time_s)[-1]
     return float(ensemble.sd[row, INDEX[state]] / FACTOR[state])
+
+
+def larger_sd(ensemble: Ensemble, state: str, time_s: float) -> float:
+    """Give sigma from P or that over the runs up to a time, whichever is larger: P alone may be over-confident."""
+    row = np.flatnonzero(ensemble.time_s <= time_s)[-1]
+    larger = max(ensemble.sd[row, INDEX[state]], ensemble.error_sd[row, INDEX[state]])
+    return float(larger / FACTOR[state])
 
 
 def settling_s(ensemble: Ensemble, state: str) -> float:

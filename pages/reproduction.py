@@ -23,6 +23,7 @@ from insdvl_replay.config_file import load_config
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.report.study import StudyReport
+from insdvl_replay.states import NINE
 from insdvl_replay.studies.montecarlo import study_montecarlo
 from insdvl_replay.studies.observability import study_observability
 from insdvl_replay.studies.window import study_window
@@ -35,6 +36,11 @@ PUBLISHED_FILTER = (
     'filters.published={aiding=["velocity","acceleration"],'
     'acceleration={model="published",window=3,sd_mps2=0.103,max_window_gap_s=2.5}}'
 )
+FOG_STUDIES = (
+    *((scenario, "levy-klein") for scenario in ("straight", "figure-eight", "lawnmower")),
+    ("lawnmower", "fog"),
+)
+FOG_RUNS = 50
 SD_WITHIN = 0.05
 """Standard deviations agree within this share."""
 REACHED_WITHIN_S = 8.0
@@ -51,6 +57,7 @@ class Findings:
     eight: Replay
     ensembles: tuple[Ensemble, ...]
     montecarlo: StudyReport
+    fog: dict[tuple[str, str], StudyReport]
     window: StudyReport
     observability: StudyReport
     dives: list[Replay]
@@ -67,10 +74,16 @@ def find(dives: Path) -> Findings:
         eight=sample("figure_eight", with_published),
         ensembles=ensembles,
         montecarlo=montecarlo,
+        fog={(where, preset): fog_study(where, preset) for where, preset in FOG_STUDIES},
         window=study_window(paths, snapir),
         observability=study_observability("straight", config, earth_rate=False),
         dives=[replay_log(path, snapir) for path in paths],
     )
+
+
+def fog_study(scenario: str, preset: str) -> StudyReport:
+    """Simulate dives with the sensors of a survey vehicle."""
+    return study_montecarlo(scenario, load_config(preset=preset), imu="fog", runs=FOG_RUNS)[0]
 
 
 def sample(name: str, config: Config) -> Replay:
@@ -88,6 +101,7 @@ def written(found: Findings) -> str:
             "times": times,
             "eight": eight,
             "claims": claims_in_words,
+            "tuning": tuning,
             "verdicts": verdicts,
             "positions": positions,
         }.items()
@@ -214,6 +228,28 @@ def _verdicts(replay: Replay) -> Iterator[tuple[str, ...]]:
             f"{errors[verdict.filter]:.2f}",
             f"{verdict.improvement}, {verdict.consistency}",
         )
+
+
+def tuning(found: Findings) -> str:
+    """How settings and sensors decide whether a believed improvement is a true one."""
+    studies = {("lawnmower", "levy-klein", "as the filter believes"): found.montecarlo}
+    studies |= {(*key, "fibre-optic"): study for key, study in found.fog.items()}
+    return markdown_table(
+        ("scenario", "sensors", "settings", "believed", "true", "NEES: baseline", "with accelerations"),
+        [
+            (scenario, sensors, preset, *_improvements(study.tables["montecarlo"]), *_nees(study.tables["verdicts"]))
+            for (scenario, preset, sensors), study in studies.items()
+        ],
+    )
+
+
+def _improvements(table: pd.DataFrame) -> tuple[str, ...]:
+    rows = table[(table["filter"] == "aided") & table["state"].isin([state.id for state in NINE])]
+    return tuple(percent(rows[f"{kind}_improvement_pct"].mean()) for kind in ("believed", "true"))
+
+
+def _nees(table: pd.DataFrame) -> tuple[str, ...]:
+    return tuple(f"{row.mean_nees:.1f}, {row.verdict}" for row in table.itertuples())
 
 
 def positions(found: Findings) -> str:

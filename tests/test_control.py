@@ -13,7 +13,7 @@ from insdvl_replay.control import replay_with_control, with_control
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.history import Innovations
-from insdvl_replay.replay import replay_dive
+from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.dvl_errors import DvlErrors
 from insdvl_replay.sim.imu_errors import ImuErrors
@@ -63,9 +63,17 @@ def test_fit_finds_the_noise_that_the_dive_was_made_with(dive: Dive) -> None:
     assert tuned.accel_white_mps_rts == pytest.approx(TRUE["accel_white_mps_rts"], rel=0.15)
     assert tuned.beam_sd_mps == pytest.approx(TRUE["beam_sd_mps"], rel=0.05)
     assert "[filters.tuned] accel_white_mps_rts = 0.00" in note.text
+    assert "edge" not in note.text
     nis = replay_dive(dive, config).tables["consistency"].set_index(["filter", "measurement"])
     assert nis.loc[("tuned", "velocity"), "verdict"] == "consistent"
     assert nis.loc[("baseline", "velocity"), "verdict"] == "over-cautious"
+
+
+def test_fit_says_where_it_met_the_edge_of_its_range(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("insdvl_replay.control.LOWEST", 0.5)
+    config, note = with_control(dive, WRONG)
+    assert config.filters["tuned"].accel_white_mps_rts == pytest.approx(0.5 * 0.05, rel=0.01)
+    assert note.text.endswith("the innovations tell no more: accel_white_mps_rts, gyro_white_rad_rts, beam_sd_mps")
 
 
 def test_control_needs_its_name_and_a_baseline_aided_by_velocity(dive: Dive) -> None:
@@ -80,10 +88,12 @@ def test_control_needs_its_name_and_a_baseline_aided_by_velocity(dive: Dive) -> 
 @pytest.mark.slow
 def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(snapir: Path, tmp_path: Path) -> None:
     config = load_config(file=Path(__file__).parents[1] / "examples" / "snapir.toml")
-    for run in ("02", "07", "12"):
+    for run in ("02", "05", "12"):
         replay = replay_with_control(snapir / f"snapir_{run}.mcap", config)
         rows = replay.tables["consistency"].set_index(["filter", "measurement"])
         assert 0.8 < rows.loc[("tuned", "velocity"), "mean_nis"] / 3.0 < 1.25
+        # What gyro and DVL alone disagree by while the vehicle goes straight is 6 to 13 mm/s in these dives.
+        assert 0.004 < (replay.config.filters["tuned"].velocity_sd_mps or 0.0) < 0.015
     (tmp_path / "again.toml").write_text(render_toml(replay.config))
-    again = replay_dive(replay.dive, load_config(file=tmp_path / "again.toml"))
+    again = replay_log(snapir / "snapir_12.mcap", load_config(file=tmp_path / "again.toml"))
     assert again.tables["consistency"].equals(replay.tables["consistency"])

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from scipy import signal, stats
@@ -10,7 +11,7 @@ from scipy import signal, stats
 from insdvl_replay.columns import Dive, Floats
 from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Initial, Noise
 from insdvl_replay.evaluation.consistency import mean_interval
-from insdvl_replay.evaluation.credibility import MANY_FAR_OFF, credibility_table, probability_of
+from insdvl_replay.evaluation.credibility import FAR_SMALLER, MANY_FAR_OFF, credibility_table, probability_of
 from insdvl_replay.evaluation.effective_samples import effective_samples
 from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
 from insdvl_replay.replay import Replay, replay_dive
@@ -67,7 +68,7 @@ def test_errors_drawn_from_p_are_credible_in_every_row() -> None:
     np.testing.assert_allclose(table["effective_samples"], K, rtol=0.02)
 
 
-@pytest.mark.parametrize(("factor", "word"), [(1.2, "over-confident"), (0.8, "consistent"), (0.4, "over-cautious")])
+@pytest.mark.parametrize(("factor", "word"), [(1.2, "over-confident"), (0.8, "consistent"), (0.2, "over-cautious")])
 def test_errors_of_another_size_are_found_out_in_every_row(factor: float, word: str) -> None:
     table = judged(drawn(factor))
     assert (table["verdict"] == word).all()
@@ -135,6 +136,23 @@ def test_correlated_errors_drawn_from_p_are_seldom_called_far_off() -> None:
         far_off = float(np.mean(np.abs(series) > 3.0))
         flagged += far_off >= MANY_FAR_OFF and probability_of(far_off, effective_samples(series[:, None])) < 0.05
     assert flagged / runs < 0.05
+
+
+def hanging_on_heading(sigmas: float) -> StateErrors:
+    """A velocity whose variance is nine tenths the heading's, which is exact; the rest errs as drawn, by a factor."""
+    correlation = np.eye(12)
+    correlation[0, 5] = correlation[5, 0] = np.sqrt(0.9)
+    cov = correlation * np.outer(SD, SD)
+    error = np.random.default_rng(7).normal(size=(K, 12)) * SD
+    error[:, 0] *= sigmas * np.sqrt(0.1)
+    return replace(drawn(), error=error, cov=np.tile(cov, (K, 1, 1)))
+
+
+@pytest.mark.parametrize(("sigmas", "word"), [(1.0, "consistent"), (0.4, "over-cautious")])
+def test_velocity_that_hangs_on_the_heading_is_judged_by_what_is_its_own(sigmas: float, word: str) -> None:
+    row = judged(hanging_on_heading(sigmas)).loc["velocity_n"]
+    assert row["mean_nees"] == pytest.approx(0.1 * sigmas**2, rel=0.11)
+    assert row["verdict"] == word
 
 
 def test_what_the_reference_lacks_is_said_and_not_counted() -> None:
@@ -227,6 +245,16 @@ def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(
     (verdict,) = replay.verdicts
     assert verdict.credibility == "over-confident"
     assert verdict.sentence.endswith("published is over-confident, baseline consistent.")
+
+
+def test_straight_line_gives_no_false_words_on_what_its_heading_hides() -> None:
+    """The heading starts exact and is never seen, so that the velocity across the track errs by less than P allows."""
+    alone = msgspec.structs.replace(MATCHED, filters={"baseline": MATCHED.filters["baseline"]})
+    straight = exact_dive("straight", imu_rate_hz=50.0)
+    for seed in (1, 2, 5):
+        table = rows(replay_dive(add_errors(straight, *matched_errors(alone), seed), alone)).loc["baseline"]
+        assert table.loc["velocity_e", "mean_nees"] < FAR_SMALLER
+        assert table.loc["velocity_e", "verdict"] == "consistent"
 
 
 def test_settings_of_the_paper_are_over_cautious_for_a_fibre_optic_imu() -> None:

@@ -1,13 +1,25 @@
 """What is said of one dive around its tables."""
 
-from insdvl_replay.report.json_report import Report
+from typing import Final
+
+from insdvl_replay.report.json_report import Candidate, Report
 from insdvl_replay.report.shown import percent
+
+_IN_SHORT: Final = {"not borne out": "NOT borne out", "worse": "WORSE", "none believed": "no improvement"}
 
 
 def heading(report: Report) -> str:
-    """Say in one line what was replayed."""
-    filters = " against ".join([", ".join(report.filters), report.baseline] if report.filters else [report.baseline])
-    return f"{report.log.name}: {filters} over {report.log.duration_s:.1f} s"
+    """Say in one line what was replayed, and what has become of each believed improvement."""
+    if not report.filters:
+        return f"{report.log.name}: {report.baseline} over {report.log.duration_s:.1f} s"
+    replayed = f"{', '.join(report.filters)} against {report.baseline} over {report.log.duration_s:.1f} s"
+    found = "; ".join(f"{name}: {_in_short(candidate)}" for name, candidate in report.filters.items())
+    return f"{report.log.name}: {replayed}; {found}"
+
+
+def _in_short(candidate: Candidate) -> str:
+    word = _IN_SHORT.get(candidate.improvement, candidate.improvement)
+    return f"{percent(candidate.mean_improvement_pct)} believed, {word}"
 
 
 def verdict_lines(report: Report) -> list[str]:
