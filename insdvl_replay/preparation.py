@@ -57,7 +57,11 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         Nothing to replay in the span, or no reference to start from.
     ConfigError
         The settings do not fit the dive.
+    ValueError
+        The dive is what a replay keeps of it, the times of its IMU without the readings.
     """
+    if len(dive.imu.specific_force_b) != len(dive.imu.time_ns):
+        raise ValueError(f"{dive.name}: the readings of its IMU were let go; read the log anew")
     velocities, notes = _velocities(dive, config)
     start_ns, end_ns = _span(dive, velocities, config)
     lever_arm_b = np.array(config.dvl.lever_arm_m)

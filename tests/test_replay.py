@@ -548,3 +548,9 @@ def test_reference_that_sees_half_of_the_dive_is_a_warning(straight: Dive) -> No
     assert found.severity == "warning"
     assert "covers 50 % of the replay" in found.text
     assert "reference_coverage" not in {found.code for found in replay_dive(straight, config()).notes}
+
+
+def test_what_a_replay_keeps_of_a_dive_is_not_replayed_again() -> None:
+    replay = replay_dive(exact_dive("straight", duration_s=20.0), Config())
+    with pytest.raises(ValueError, match="the readings of its IMU were let go"):
+        replay_dive(replay.dive, Config())
