@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,8 @@ class Table:
         Every path that the messages have, with the type of what is there.
     files : ndarray of int64, shape (k,), or None
         Number of the file from which each message is, where they are from several.
+    has_whole_times : bool
+        Whether the stamps were seconds and nanoseconds. Their column is nanoseconds, which takes half the memory.
     """
 
     place: str
@@ -60,6 +62,7 @@ class Table:
     repeats: int = 0
     known: Kinds = field(default_factory=dict)
     files: NDArray[np.int64] | None = None
+    has_whole_times: bool = False
 
     def __len__(self) -> int:
         """Give the number of messages."""
@@ -139,6 +142,13 @@ class Table:
         latency_ns = round(self.source.latency_s * _NS_PER_S)
         return time_ns - latency_ns if latency_ns else time_ns
 
+    @property
+    def stamp_numbers(self) -> NDArray[Any] | None:
+        """Stamps that are mere numbers, shape (k,); None where they are times."""
+        values = self.columns[stamp_path(self.source.stamp)]
+        is_time = self.source.stamp in RECORDER_STAMPS or self.has_whole_times or values.shape[1] != 1
+        return None if is_time else values[:, 0]
+
     def clock(self) -> Clock:
         """Compare the times of validity with the times of recording.
 
@@ -160,8 +170,8 @@ class Table:
 
     def _stamped(self, path: str) -> TimeNs:
         values = self.columns[path]
-        if values.shape[1] == 2:
-            return np.asarray(values[:, 0] * _NS_PER_S + values[:, 1], np.int64)
+        if self.has_whole_times:
+            return values[:, 0]
         if values.shape[1] != 1:
             raise LogError(
                 f"{self.place}: field '{path}' holds {values.shape[1]} numbers and is no time",
@@ -270,9 +280,14 @@ class _Builder:
             raise error or LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
         read = {path: column.rows() for path, column in self.filling.items()}
         columns, channel_ids, repeats = merged(read, self.stretches)
-        known = next(iter(self.readers.values())).known
-        fault = error.message if error else ""
-        table = Table(self.place, self.source, columns, unreadable, fault, repeats, known, _files_of(channel_ids))
+        stamp, fault = stamp_path(self.source.stamp), error.message if error else ""
+        has_whole_times = columns[stamp].shape[1] == 2
+        if has_whole_times:
+            columns[stamp] = _nanoseconds(columns[stamp])
+        known, files = next(iter(self.readers.values())).known, _files_of(channel_ids)
+        table = Table(
+            self.place, self.source, columns, unreadable, fault, repeats, known, files, has_whole_times=has_whole_times
+        )
         if unreadable and not self.log.allow_damaged:
             raise table.refusal()
         return table
@@ -281,6 +296,13 @@ class _Builder:
 def _files_of(channel_ids: NDArray[np.int64]) -> NDArray[np.int64] | None:
     files = channel_ids // CHANNELS_OF_A_PART
     return files if files.size and files.min() != files.max() else None
+
+
+def _nanoseconds(stamps: NDArray[Any]) -> NDArray[np.int64]:
+    """Make one number of seconds and nanoseconds, shape (k, 1)."""
+    time_ns = stamps[:, :1] * _NS_PER_S
+    time_ns += stamps[:, 1:]
+    return time_ns.astype(np.int64, copy=False)
 
 
 def stamp_path(stamp: str) -> str:
