@@ -11,6 +11,7 @@ import pytest
 from insdvl_replay import compiled
 
 PROCESSES = 4
+SAMPLES = Path(__file__).resolve().parents[1] / "sample_logs"
 
 
 def started(cache: Path, *arguments: str) -> subprocess.Popen[str]:
@@ -20,8 +21,8 @@ def started(cache: Path, *arguments: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow
-def test_processes_that_start_at_once_compile_side_by_side_and_agree(sample_logs: Path, tmp_path: Path) -> None:
-    log = str(sample_logs / "straight.mcap")
+def test_processes_that_start_at_once_compile_side_by_side_and_agree(tmp_path: Path) -> None:
+    log = str(SAMPLES / "straight.mcap")
     runs = [started(tmp_path / "cache", "run", log, "-o", str(tmp_path / f"{i}")) for i in range(PROCESSES)]
     for run in runs:
         _, errors = run.communicate()
