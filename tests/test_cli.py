@@ -13,6 +13,7 @@ import pytest
 from insdvl_replay import __version__
 from insdvl_replay.cli import run_command_line
 
+SAMPLE = Path(__file__).resolve().parents[1] / "sample_logs" / "straight.mcap"
 DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
@@ -40,7 +41,7 @@ DOCUMENTED = {
     ],
     "config": ["--preset NAME", "--from FILE", "--set KEY=VALUE", "-v, --verbose", "--help"],
     "schema": ["NAME", "-v, --verbose", "--help"],
-    "compile": ["-v, --verbose"],
+    "compile": ["-v, --verbose", "--help"],
     "study montecarlo": [
         "SCENARIO", "--runs N", "--seed N", "--run K", "--duration S", "--imu GRADE", "--jobs N", "-o, --output DIR",
         "--png", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json|csv|md|latex>",
@@ -126,7 +127,7 @@ sys.exit(",".join({"numpy", "pandas", "numba", "scipy", "mcap", "rich", "msgspec
     ],
 )
 def test_a_command_loads_only_what_it_needs(command: str, heavy: str) -> None:
-    arguments = command.format(straight=PROJECT / "sample_logs" / "straight.mcap").split()
+    arguments = command.format(straight=SAMPLE).split()
     script = f"""
 import sys
 from insdvl_replay.cli import run_command_line

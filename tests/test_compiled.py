@@ -57,7 +57,7 @@ def test_code_in_a_folder_that_cannot_be_written_is_used_from_a_copy(
     monkeypatch.setenv("INSDVL_REPLAY_CACHE", str(tmp_path))
     monkeypatch.setattr(compiled, "can_write", lambda _: False)
     assert compiled._cache_folder() is None
-    folder = tmp_path / f"compiled-{compiled._digest_of_sources()}"
+    folder = compiled.usual_folder()
     folder.mkdir()
     (folder / "filter.nbc").write_bytes(b"code")
     copy = compiled._cache_folder()
