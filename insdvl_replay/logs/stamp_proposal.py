@@ -11,7 +11,8 @@ from insdvl_replay.logs.clocks import LARGEST_JITTER_S, stamp_unit
 from insdvl_replay.logs.recording import Recording
 from insdvl_replay.logs.settings import Setting
 from insdvl_replay.logs.sightings import SeenTopic
-from insdvl_replay.logs.tables import Table, read_sample, stamp_path
+from insdvl_replay.logs.table_reading import read_sample
+from insdvl_replay.logs.tables import Table, stamp_path
 from insdvl_replay.logs.vectors import time_paths
 from insdvl_replay.logs.wishes import Source
 
