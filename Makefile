@@ -26,11 +26,12 @@ lint: .venv/test.stamp
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# Makes logs of up to 3 GB in the temporary folder and removes them; takes some ten minutes.
+# Makes logs of up to 3 GB in the temporary folder and removes them; takes some twenty minutes.
 bench: .venv/test.stamp
 	$(BIN)/python benchmarks/reading.py
 	PYTHONPATH=tests $(BIN)/python benchmarks/filtering.py
 	$(BIN)/python benchmarks/archive.py
+	$(BIN)/python benchmarks/whole_run.py
 
 # Made anew only when the simulation or the writer changes; tests hold them to SHA256SUMS.
 samples: .venv/run.stamp

@@ -5,12 +5,15 @@ therefore lies in a folder named after the digest of all compiled sources: other
 
 Environment
 -----------
-INSDVL_REPLAY_CACHE : folder for compiled code; default ``~/.cache/insdvl-replay``. Where it cannot be written, each
-    process compiles for itself.
+INSDVL_REPLAY_CACHE : folder for compiled code; default ``~/.cache/insdvl-replay``. What ``insdvl-replay compile`` left
+    there is used even where nothing can be written, as in a container; if nothing is there, each process compiles for
+    itself.
 NUMBA_DISABLE_JIT=1 : run the same functions as plain Python, to step through them with a debugger.
 """
 
+import atexit
 import os
+import shutil
 import tempfile
 from collections.abc import Callable
 from importlib.metadata import version
@@ -27,18 +30,57 @@ _SOURCES: Final = ("nav/*.py", "earth.py", "logs/record*.py")
 """Where compiled functions, and what they are made of, stand."""
 
 
-def _cache_folder() -> str | None:
+# Nobody calls the compiled functions from C; their entries for it would take a sixth of the time to compile.
+_OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+
+
+def usual_folder() -> Path:
+    """Give the folder in which the code of these sources is looked for, and kept if that can be.
+
+    Raises
+    ------
+    RuntimeError
+        The user has no home, and the environment names no folder.
+    """
+    base = os.environ.get("INSDVL_REPLAY_CACHE") or Path.home() / ".cache" / "insdvl-replay"
+    return Path(base) / f"compiled-{sources_digest(_SOURCES)}-numba-{version('numba')}"
+
+
+def _cache_folder() -> Path | None:
     try:
-        base = os.environ.get("INSDVL_REPLAY_CACHE") or Path.home() / ".cache" / "insdvl-replay"
-        folder = Path(base) / f"compiled-{sources_digest(_SOURCES)}-numba-{version('numba')}"
+        folder = usual_folder()
+    except RuntimeError:
+        return None
+    if can_write(folder):
+        return folder
+    return copied(folder) if _holds_code(folder) else None
+
+
+def can_write(folder: Path) -> bool:
+    """Tell whether files can be made in a folder, which is made if need be."""
+    try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            return str(folder)
-    except (OSError, RuntimeError):  # no place to write, or a user without a home
+            return True
+    except OSError:
+        return False
+
+
+def copied(folder: Path) -> Path | None:
+    """Copy a folder to where it can be written, since numba reads from no other; it is gone with the process."""
+    try:
+        copy = Path(tempfile.mkdtemp(prefix="insdvl-replay-"))
+        atexit.register(shutil.rmtree, copy, ignore_errors=True)
+        return Path(shutil.copytree(folder, copy, dirs_exist_ok=True))
+    except OSError:
         return None
 
 
-_FOLDER = _cache_folder()
+def _holds_code(folder: Path) -> bool:
+    return any(folder.rglob("*.nbc"))
+
+
+_FOLDER: Final = _cache_folder()
 
 
 def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
@@ -48,13 +90,18 @@ def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
 
     settings: Any = config  # numba reads the folder while it decorates
     before = settings.CACHE_DIR
-    settings.CACHE_DIR = _FOLDER or before
+    settings.CACHE_DIR = str(_FOLDER or before)
     try:
-        return cast(Callable[_P, _T], numba.njit(cache=_FOLDER is not None, error_model="numpy", nogil=True)(function))
+        return cast(Callable[_P, _T], numba.njit(cache=_FOLDER is not None, **_OPTIONS)(function))
     finally:
         settings.CACHE_DIR = before
 
 
 def is_warm() -> bool:
     """Say whether the compiled filter waits on disk, so that a first run can explain what it waits for."""
-    return _FOLDER is not None and any(Path(_FOLDER).rglob("*.nbc"))
+    return _FOLDER is not None and _holds_code(_FOLDER)
+
+
+def cache_folder() -> Path | None:
+    """Give the folder of the compiled code, or None where none can be kept."""
+    return _FOLDER

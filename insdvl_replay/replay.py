@@ -21,6 +21,7 @@ from insdvl_replay.evaluation.reference_rate import reference_rate_notes
 from insdvl_replay.evaluation.state_errors import state_errors
 from insdvl_replay.evaluation.verdicts import Verdict, verdicts
 from insdvl_replay.history import History
+from insdvl_replay.memory import return_freed_memory
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.filter import run_filter
@@ -134,6 +135,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     judged_ns = _judged_ns(dive, start, config)
     histories = run_filters(dive, start, config, cov_ns=judged_ns)
     dive = replace(dive, imu=dive.imu.times_only())
+    return_freed_memory()
     errors, tables = _tables(dive, start, histories)
     judged = verdicts(tables, config.baseline, [history.filter for history in histories[1:]])
     notes = dive.notes + start.notes + update_notes(histories)
@@ -201,6 +203,7 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, cov_ns: TimeNs |
     timeline = build_timeline(
         dive.imu, start.velocities.time_ns, reference_ns, start.alignment.start_ns, start.end_ns, start.gaps
     )
+    return_freed_memory()
 
     def run(name: str) -> History:
         filter_ = config.filters[name]

@@ -13,6 +13,7 @@ import pytest
 from insdvl_replay import __version__
 from insdvl_replay.cli import run_command_line
 
+SAMPLE = Path(__file__).resolve().parents[1] / "sample_logs" / "straight.mcap"
 DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
@@ -40,6 +41,7 @@ DOCUMENTED = {
     ],
     "config": ["--preset NAME", "--from FILE", "--set KEY=VALUE", "-v, --verbose", "--help"],
     "schema": ["NAME", "-v, --verbose", "--help"],
+    "compile": ["-v, --verbose", "--help"],
     "study montecarlo": [
         "SCENARIO", "--runs N", "--seed N", "--run K", "--duration S", "--imu GRADE", "--jobs N", "-o, --output DIR",
         "--png", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json|csv|md|latex>",
@@ -114,6 +116,27 @@ sys.exit(",".join({"numpy", "pandas", "numba", "scipy", "mcap", "rich", "msgspec
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("command", "heavy"),
+    [
+        ("schema report", ""),
+        ("config", ""),
+        ("inspect {straight}", "numpy mcap"),
+    ],
+)
+def test_a_command_loads_only_what_it_needs(command: str, heavy: str) -> None:
+    arguments = command.format(straight=SAMPLE).split()
+    script = f"""
+import sys
+from insdvl_replay.cli import run_command_line
+run_command_line({arguments})
+found = {{"numpy", "pandas", "numba", "scipy", "mcap", "matplotlib"}} & set(sys.modules)
+print(*sorted(found), file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert set(done.stderr.split()) == set(heavy.split())
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

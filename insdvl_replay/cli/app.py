@@ -7,6 +7,7 @@ import typer
 from insdvl_replay import __version__
 from insdvl_replay.cli.check import check
 from insdvl_replay.cli.compare import compare
+from insdvl_replay.cli.compilation import compile_
 from insdvl_replay.cli.config import config
 from insdvl_replay.cli.inspection import inspect
 from insdvl_replay.cli.messages import emit
@@ -19,6 +20,7 @@ from insdvl_replay.cli.study import study
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 for command in (run, compare, check, inspect, simulate, config, schema):
     app.command()(command)
+app.command("compile")(compile_)
 app.add_typer(study, name="study")
 
 

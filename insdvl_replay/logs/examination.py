@@ -25,7 +25,8 @@ from insdvl_replay.logs.recording import Recording
 from insdvl_replay.logs.reference import decode_reference
 from insdvl_replay.logs.roles import Finding
 from insdvl_replay.logs.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
-from insdvl_replay.logs.tables import Table, read_sample, read_tables
+from insdvl_replay.logs.table_reading import read_sample, read_tables
+from insdvl_replay.logs.tables import Table
 from insdvl_replay.logs.wishes import Source
 
 _ENOUGH: Final = 1000

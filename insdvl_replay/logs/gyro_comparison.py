@@ -135,7 +135,11 @@ def turned_by(imu: ImuColumns, at_s: Floats) -> Floats:
     step_s = np.diff(sample_s)
     columns = []
     for rate in imu.angular_rate_b.T:
-        total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step_s)])
+        total = np.zeros(len(rate))
+        turned = np.add(rate[1:], rate[:-1], out=total[1:])
+        turned *= 0.5
+        turned *= step_s
+        np.cumsum(turned, out=turned)
         columns.append(np.interp(at_s, sample_s, total))
     return np.stack(columns, axis=1)
 

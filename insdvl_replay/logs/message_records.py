@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from insdvl_replay.columns import TimeNs
 from insdvl_replay.logs.layout import layout_for_texts
 from insdvl_replay.logs.log_file import IndexedChunk
-from insdvl_replay.logs.messages import Batch
+from insdvl_replay.logs.messages import Batch, InUnit
 from insdvl_replay.logs.ros2msg import Definition, definition_text, parse_definitions
 
 CHUNK_BYTES: Final = 1024 * 1024
@@ -62,7 +62,7 @@ class MessageRecords:
         messages = self._layout.new_messages(len(time_ns))
         for path, column in self.batch.columns.items():
             value: Any = self._texts.get(path, column)
-            messages[path] = value[rows] if isinstance(value, np.ndarray) else value
+            messages[path] = value[rows] if isinstance(value, np.ndarray | InUnit) else value
         records["message"] = messages.view(f"V{self._layout.size}")
         as_bytes: list[bytes] = records.view(f"V{self.size}").tolist()
         return as_bytes

@@ -28,7 +28,28 @@ FRAMES: Final = {
 }
 """What the names in ``frame_id`` mean."""
 
-Column = NDArray[Any] | str | float | tuple[float, ...]
+
+@dataclass(frozen=True)
+class InUnit:
+    """A column in another unit, which is converted as it is written: a copy would take as much memory as the history.
+
+    Attributes
+    ----------
+    values : ndarray, shape (k,) or (k, n)
+        SI units.
+    unit : float
+        One unit in SI.
+    """
+
+    values: Floats
+    unit: float
+
+    def __getitem__(self, rows: slice) -> Floats:
+        """Give some rows in the unit."""
+        return self.values[rows] / self.unit
+
+
+Column = NDArray[Any] | InUnit | str | float | tuple[float, ...]
 """Values of one field: an array with one row per message, or what all messages share."""
 
 _NS_PER_S: Final = 1_000_000_000

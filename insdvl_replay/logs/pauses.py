@@ -28,7 +28,8 @@ def note_gaps(cleaner: Cleaner, max_gap_s: float) -> None:
     """
     times = cleaner.times
     pauses_s = seconds(times[1:], times[:-1])
-    short_s = pauses_s[pauses_s <= max_gap_s]
+    is_short = pauses_s <= max_gap_s
+    short_s = pauses_s if is_short.all() else pauses_s[is_short]
     least_s = min(GAP_STEPS * float(short_s.mean()), max_gap_s) if short_s.size else max_gap_s
     gaps = np.flatnonzero(pauses_s > least_s)
     if not gaps.size:

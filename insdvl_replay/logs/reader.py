@@ -16,7 +16,7 @@ from insdvl_replay.logs.recording import open_recording
 from insdvl_replay.logs.reference import decode_reference
 from insdvl_replay.logs.roles import Roles, assign_roles
 from insdvl_replay.logs.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
-from insdvl_replay.logs.tables import read_tables
+from insdvl_replay.logs.table_reading import read_tables
 
 
 def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:

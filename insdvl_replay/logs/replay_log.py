@@ -17,6 +17,7 @@ from insdvl_replay.logs.messages import (
     ODOM,
     Batch,
     Column,
+    InUnit,
     angles,
     missing_xyz,
     solution,
@@ -128,16 +129,18 @@ def _filter_batches(history: History, errors: Errors | None) -> Iterator[Batch]:
 
 
 def _state(topic: str, history: History) -> Batch:
-    columns = {
+    columns: dict[str, Column] = {
         **solution(history.position, history.velocity_n, history.mat_nb),
-        "accel_bias_mg": history.accel_bias_b / MG,
-        "gyro_bias_degph": history.gyro_bias_b / DEG_PER_HOUR,
+        "accel_bias_mg": InUnit(history.accel_bias_b, MG),
+        "gyro_bias_degph": InUnit(history.gyro_bias_b, DEG_PER_HOUR),
     }
     return stamped(topic, "insdvl_msgs/msg/FilterState", history.time_ns, NED, columns)
 
 
 def _sigma(topic: str, history: History) -> Batch:
-    columns = {f"{state.id}_{_UNIT_NAMES[state.unit]}": history.sd[:, state.index] / state.factor for state in STATES}
+    columns: dict[str, Column] = {
+        f"{state.id}_{_UNIT_NAMES[state.unit]}": InUnit(history.sd[:, state.index], state.factor) for state in STATES
+    }
     return stamped(topic, "insdvl_msgs/msg/FilterSigma", history.time_ns, NED, columns)
 
 

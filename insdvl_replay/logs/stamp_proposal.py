@@ -11,7 +11,8 @@ from insdvl_replay.logs.clocks import LARGEST_JITTER_S, stamp_unit
 from insdvl_replay.logs.recording import Recording
 from insdvl_replay.logs.settings import Setting
 from insdvl_replay.logs.sightings import SeenTopic
-from insdvl_replay.logs.tables import Table, read_sample, stamp_path
+from insdvl_replay.logs.table_reading import read_sample
+from insdvl_replay.logs.tables import Table, stamp_path
 from insdvl_replay.logs.vectors import time_paths
 from insdvl_replay.logs.wishes import Source
 
@@ -77,7 +78,7 @@ def _clocks(log: Recording, seen: SeenTopic) -> Iterator[tuple[Clock, str]]:
             table = read_sample(log, source, _ENOUGH)
             clock = table.clock()
             if _keeps_step(clock, table):
-                yield clock, _unit(table, path)
+                yield clock, _unit(table)
 
 
 def _keeps_step(clock: Clock, table: Table) -> bool:
@@ -86,11 +87,11 @@ def _keeps_step(clock: Clock, table: Table) -> bool:
     return clock.messages < 2 or clock.spread_s < min(LARGEST_JITTER_S, _STRAY * span_s)
 
 
-def _unit(table: Table, path: str) -> str:
-    values = table.columns[path]
-    if values.shape[1] > 1:
+def _unit(table: Table) -> str:
+    numbers = table.stamp_numbers
+    if numbers is None:
         return ""
-    return f", read as {stamp_unit(values[:, 0], table.columns['log_time'][:, 0])[1]},"
+    return f", read as {stamp_unit(numbers, table.columns['log_time'][:, 0])[1]},"
 
 
 def _apart(clock: Clock) -> str:

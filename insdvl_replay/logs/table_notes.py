@@ -7,7 +7,7 @@ import numpy as np
 
 from insdvl_replay.errors import Note
 from insdvl_replay.logs.clocks import stamp_unit
-from insdvl_replay.logs.tables import RECORDER_STAMPS, Table, stamp_path
+from insdvl_replay.logs.tables import Table
 from insdvl_replay.logs.wishes import Source
 
 _COPY_AGAIN: Final = "copy the log again from the recorder if it still has it"
@@ -93,9 +93,9 @@ def stamp_notes(tables: Iterable[Table]) -> tuple[Note, ...]:
     notes = []
     for table in tables:
         source = table.source
-        values = table.columns[stamp_path(source.stamp)]
-        if source.stamp not in RECORDER_STAMPS and values.shape[1] == 1:
-            unit = stamp_unit(values[:, 0], table.columns["log_time"][:, 0])[1]
+        numbers = table.stamp_numbers
+        if numbers is not None:
+            unit = stamp_unit(numbers, table.columns["log_time"][:, 0])[1]
             text = f"{source.topic}: stamp '{source.stamp}' was read as {unit}"
             notes.append(Note(f"{source.role}_stamp_unit", text))
     return tuple(notes)

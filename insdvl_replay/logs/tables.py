@@ -1,8 +1,7 @@
-"""The columns of every topic that plays a role, in one pass through the log."""
+"""What a log holds of one topic that plays a role, as columns."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,21 +9,13 @@ from numpy.typing import NDArray
 from insdvl_replay.columns import Floats, TimeNs
 from insdvl_replay.errors import LogError
 from insdvl_replay.inventory import Clock
-from insdvl_replay.logs.channel import LogChannel
-from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.clocks import measure_clock, stamp_unit
-from insdvl_replay.logs.encodings import open_reader
 from insdvl_replay.logs.field_errors import fields_hint
-from insdvl_replay.logs.field_paths import Columns, FieldReader, Kinds, split_paths
-from insdvl_replay.logs.filling import Filling
-from insdvl_replay.logs.merging import merged
-from insdvl_replay.logs.parts import CHANNELS_OF_A_PART
-from insdvl_replay.logs.recording import Recording
+from insdvl_replay.logs.field_paths import Columns, Kinds, split_paths
 from insdvl_replay.logs.refusal import refused
-from insdvl_replay.logs.salvage import Salvage
 from insdvl_replay.logs.wishes import Source
 
-_NS_PER_S: Final = 1_000_000_000
+NS_PER_S: Final = 1_000_000_000
 RECORDER_STAMPS: Final = ("log_time", "publish_time")
 """Stamps that stand in no message."""
 
@@ -50,6 +41,8 @@ class Table:
         Every path that the messages have, with the type of what is there.
     files : ndarray of int64, shape (k,), or None
         Number of the file from which each message is, where they are from several.
+    has_whole_times : bool
+        Whether the stamps were seconds and nanoseconds. Their column is nanoseconds, which takes half the memory.
     """
 
     place: str
@@ -60,6 +53,7 @@ class Table:
     repeats: int = 0
     known: Kinds = field(default_factory=dict)
     files: NDArray[np.int64] | None = None
+    has_whole_times: bool = False
 
     def __len__(self) -> int:
         """Give the number of messages."""
@@ -133,11 +127,18 @@ class Table:
         time_ns = self.columns[stamp][:, 0] if stamp in RECORDER_STAMPS else self._stamped(stamp_path(stamp))
         if time_ns.size > 1 and time_ns.min() == time_ns.max():
             raise LogError(
-                f"{self.place}: stamp '{stamp}' is {time_ns[0] / _NS_PER_S:.9f} s in each of {time_ns.size} messages",
+                f"{self.place}: stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages",
                 f'{self.source.role}.stamp = "log_time"',
             )
-        latency_ns = round(self.source.latency_s * _NS_PER_S)
+        latency_ns = round(self.source.latency_s * NS_PER_S)
         return time_ns - latency_ns if latency_ns else time_ns
+
+    @property
+    def stamp_numbers(self) -> NDArray[Any] | None:
+        """Stamps that are mere numbers, shape (k,); None where they are times."""
+        values = self.columns[stamp_path(self.source.stamp)]
+        is_time = self.source.stamp in RECORDER_STAMPS or self.has_whole_times or values.shape[1] != 1
+        return None if is_time else values[:, 0]
 
     def clock(self) -> Clock:
         """Compare the times of validity with the times of recording.
@@ -160,8 +161,8 @@ class Table:
 
     def _stamped(self, path: str) -> TimeNs:
         values = self.columns[path]
-        if values.shape[1] == 2:
-            return np.asarray(values[:, 0] * _NS_PER_S + values[:, 1], np.int64)
+        if self.has_whole_times:
+            return values[:, 0]
         if values.shape[1] != 1:
             raise LogError(
                 f"{self.place}: field '{path}' holds {values.shape[1]} numbers and is no time",
@@ -174,113 +175,6 @@ class Table:
             )
         counted = values[:, 0] * stamp_unit(values[:, 0], self.columns["log_time"][:, 0])[0]
         return counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
-
-
-def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
-    """Read the columns of several topics.
-
-    Parameters
-    ----------
-    log : Log or Parts
-    sources : sequence of Source
-
-    Returns
-    -------
-    list of Table
-        In the order of the sources.
-
-    Raises
-    ------
-    LogError
-        A field is not there, or a message cannot be read.
-    """
-    builders = [_Builder(log, source) for source in sources]
-    for block in log.blocks({channel.id for source in sources for channel in source.channels}):
-        for builder in builders:
-            builder.add(block)
-    return [builder.table() for builder in builders]
-
-
-def read_sample(log: Recording, source: Source, enough: int) -> Table:
-    """Read the columns of a topic's first messages.
-
-    Parameters
-    ----------
-    log : Log or Parts
-    source : Source
-    enough : int
-        Stop after the block with which there are that many.
-
-    Returns
-    -------
-    Table
-
-    Raises
-    ------
-    LogError
-        A field is not there, or a message cannot be read.
-    """
-    builder, messages = _Builder(log, source), 0
-    for block in log.blocks({channel.id for channel in source.channels}):
-        builder.add(block)
-        messages += block.offsets.size
-        if messages >= enough:
-            break
-    return builder.table()
-
-
-@dataclass
-class _Builder:
-    """Collects the columns of one topic, block by block."""
-
-    log: Recording
-    source: Source
-    readers: dict[int, FieldReader] = field(init=False)
-    filling: dict[str, Filling] = field(init=False)
-    stretches: list[tuple[int, int]] = field(default_factory=list)
-    salvage: Salvage = field(default_factory=Salvage)
-
-    def __post_init__(self) -> None:
-        self.place = f"{self.log.path}: {self.source.topic}"
-        fields = (path for paths in self.source.fields.values() for path in split_paths(paths))
-        paths = dict.fromkeys([stamp_path(self.source.stamp), "log_time", *fields])
-        announced = sum(channel.messages for channel in self.source.channels)
-        self.filling = {path: Filling(announced) for path in paths}
-        self.readers = {channel.id: self._reader(channel) for channel in self.source.channels}
-
-    def _reader(self, channel: LogChannel) -> FieldReader:
-        return open_reader(channel, [path for path in self.filling if path not in RECORDER_STAMPS], self.place)
-
-    def add(self, block: Block) -> None:
-        """Read a block if it is of this topic."""
-        reader = self.readers.get(block.channel_id)
-        if reader is None:
-            return
-        for part, fields in self.salvage.read(reader, block):
-            recorder = {"log_time": part.log_time[:, None], "publish_time": part.publish_time[:, None]}
-            columns = recorder | fields
-            for path, column in self.filling.items():
-                column.add(columns[path])
-            self.stretches.append((part.channel_id, part.log_time.size))
-
-    def table(self) -> Table:
-        """Give what has been read."""
-        unreadable, error = tuple(self.salvage.unreadable_ns), self.salvage.error
-        if not all(self.filling.values()):
-            raise error or LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
-        read = {path: column.rows() for path, column in self.filling.items()}
-        columns, channel_ids, repeats = merged(read, self.stretches)
-        known = next(iter(self.readers.values())).known
-        fault = error.message if error else ""
-        table = Table(self.place, self.source, columns, unreadable, fault, repeats, known, _files_of(channel_ids))
-        if unreadable and not self.log.allow_damaged:
-            raise table.refusal()
-        return table
-
-
-def _files_of(channel_ids: NDArray[np.int64]) -> NDArray[np.int64] | None:
-    files = channel_ids // CHANNELS_OF_A_PART
-    return files if files.size and files.min() != files.max() else None
 
 
 def stamp_path(stamp: str) -> str:

@@ -110,8 +110,8 @@ def _run(
     place = place_at(ins.position[0], ins.position[2])
     z, H = np.zeros(3), np.zeros((3, 12))
 
-    write_record(ins, records, 0)
-    row, before = 1, instant_at(timeline, 0)
+    row, before = 0, instant_at(timeline, 0)
+    write_record(ins, records, row)
     for k in range(1, len(timeline.time_ns)):
         now = instant_at(timeline, k)
         dt = now.time_s - before.time_s
@@ -134,8 +134,8 @@ def _run(
                     _update(ins, measurement, m, ping, z, H, updates)
             write_vector(_velocity_b(ins), memory.velocity_after_b)
         if timeline.record[k]:
-            write_record(ins, records, row)
             row += 1
+            write_record(ins, records, row)
         before = now
 
 

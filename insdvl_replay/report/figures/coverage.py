@@ -70,7 +70,8 @@ def covered_shares(source: Source, start_ns: int, end_ns: int, columns: int = _C
     """
     if len(source.time_ns) < 2:
         return np.zeros(columns)
-    lasts = np.diff(source.time_ns, append=source.time_ns[-1:]).astype(np.float64)
+    lasts = np.empty(len(source.time_ns))
+    np.subtract(source.time_ns[1:], source.time_ns[:-1], out=lasts[:-1], casting="unsafe")
     usual = float(np.median(lasts[:-1]))
     lasts[-1] = usual
     np.minimum(lasts, _LASTS * usual, out=lasts)
@@ -82,7 +83,8 @@ def covered_shares(source: Source, start_ns: int, end_ns: int, columns: int = _C
 
 def _covered_ns(begins_ns: TimeNs, lasts: Floats, until_ns: TimeNs) -> Floats:
     """Add up what samples cover, of which each lasts for a while, until some times."""
-    before = np.concatenate([[0.0], np.cumsum(lasts)])
+    before = np.zeros(len(lasts) + 1)
+    np.cumsum(lasts, out=before[1:])
     rows = np.searchsorted(begins_ns, until_ns, side="right")
     latest = np.maximum(rows - 1, 0)
     unfinished = np.maximum(lasts[latest] - (until_ns - begins_ns[latest]), 0.0)

@@ -1,0 +1,66 @@
+"""Compiled code is made once, ahead if wanted, by any number of processes at once, and is found where it was left."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from insdvl_replay import compiled
+
+PROCESSES = 4
+SAMPLES = Path(__file__).resolve().parents[1] / "sample_logs"
+
+
+def started(cache: Path, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "insdvl_replay", *arguments]
+    environment = os.environ | {"INSDVL_REPLAY_CACHE": str(cache)}
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+@pytest.mark.slow
+def test_processes_that_start_at_once_compile_side_by_side_and_agree(tmp_path: Path) -> None:
+    log = str(SAMPLES / "straight.mcap")
+    runs = [started(tmp_path / "cache", "run", log, "-o", str(tmp_path / f"{i}")) for i in range(PROCESSES)]
+    for run in runs:
+        _, errors = run.communicate()
+        assert run.returncode == 0, errors
+    tables = {(tmp_path / f"{i}" / "straight" / "improvement.csv").read_bytes() for i in range(PROCESSES)}
+    assert len(tables) == 1
+    again = started(tmp_path / "cache", "compile")
+    assert again.communicate()[0].startswith("was compiled already: ")
+
+
+@pytest.mark.slow
+def test_compile_says_where_the_code_lies_and_how_long_it_took(tmp_path: Path) -> None:
+    printed, errors = started(tmp_path, "compile").communicate()
+    found = re.fullmatch(r"compiled in \d+\.\d s: (.+)\n", printed)
+    assert found, errors
+    assert Path(found[1]).parent == tmp_path
+    assert any(Path(found[1]).rglob("filter._run-*.nbc"))
+
+
+def test_compile_without_a_place_for_the_code_is_a_users_mistake(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    process = started(tmp_path / "file" / "cache", "compile")
+    _, errors = process.communicate()
+    assert process.returncode == 2
+    assert "cannot be written" in errors
+    assert "INSDVL_REPLAY_CACHE=" in errors
+
+
+def test_code_in_a_folder_that_cannot_be_written_is_used_from_a_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("INSDVL_REPLAY_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiled, "can_write", lambda _: False)
+    assert compiled._cache_folder() is None
+    folder = compiled.usual_folder()
+    folder.mkdir()
+    (folder / "filter.nbc").write_bytes(b"code")
+    copy = compiled._cache_folder()
+    assert copy is not None
+    assert copy != folder
+    assert (copy / "filter.nbc").read_bytes() == b"code"

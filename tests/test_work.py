@@ -1,0 +1,83 @@
+"""Work is counted, not timed: a step that is done message by message in Python again fails here on any machine."""
+
+import cProfile
+import pstats
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from insdvl_replay.columns import Dive
+from insdvl_replay.config import Config
+from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.replay import replay_dive
+from insdvl_replay.result_files import save_replay
+from insdvl_replay.sim.dive import simulate_dive
+
+SHORT_S, LONG_S = 100.0, 400.0
+IMU_HZ = 100.0
+
+
+def dive_of(duration_s: float) -> Dive:
+    return simulate_dive("lawnmower", seed=1, duration_s=duration_s)
+
+
+def calls(work: Callable[[], Any]) -> int:
+    """Function calls of Python that some work takes, those into C included."""
+    profile = cProfile.Profile()
+    profile.runcall(work)
+    return int(pstats.Stats(profile).total_calls)  # type: ignore[attr-defined]
+
+
+def calls_a_sample(work: Callable[[Dive], Callable[[], Any]]) -> float:
+    """How many calls each further sample of the IMU costs; what is done once for every dive does not count."""
+    short, long = work(dive_of(SHORT_S)), work(dive_of(LONG_S))
+    short()  # imports, and what is cached
+    return (calls(long) - calls(short)) / ((LONG_S - SHORT_S) * IMU_HZ)
+
+
+def test_reading_calls_nothing_for_each_message(tmp_path: Path) -> None:
+    def reading(dive: Dive) -> Callable[[], Dive]:
+        path = tmp_path / f"{len(dive.imu.time_ns)}.mcap"
+        write_dive(path, dive)
+        return lambda: read_dive(path, Config())
+
+    assert calls_a_sample(reading) < 1.0
+
+
+def test_writing_a_log_calls_nothing_for_each_message(tmp_path: Path) -> None:
+    assert calls_a_sample(lambda dive: lambda: write_dive(tmp_path / "dive.mcap", dive)) < 0.5
+
+
+def test_filtering_calls_nothing_for_each_epoch() -> None:
+    assert calls_a_sample(lambda dive: lambda: replay_dive(dive, Config())) < 0.05
+
+
+def test_saving_calls_little_for_each_epoch(tmp_path: Path) -> None:
+    assert calls_a_sample(lambda dive: lambda: save_replay(replay_dive(dive, Config()), tmp_path)) < 1.0
+
+
+def test_reading_takes_little_memory_beyond_the_columns(tmp_path: Path) -> None:
+    """Besides columns of times and readings: times of the recorder, other topics, and little for a while."""
+    path = tmp_path / "dive.mcap"
+    write_dive(path, dive_of(4.0 * LONG_S))
+    read_dive(path, Config())
+    tracemalloc.start()
+    try:
+        imu = read_dive(path, Config()).imu
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    kept = imu.time_ns.nbytes + imu.specific_force_b.nbytes + imu.angular_rate_b.nbytes
+    blocks = 2 * 2**20  # open chunks, of which some are ready ahead
+    assert peak < 3.0 * kept + blocks
+
+
+@pytest.mark.parametrize("quantity", ["time_ns", "specific_force_b", "angular_rate_b"])
+def test_a_replay_lets_the_readings_go_and_keeps_the_times(quantity: str) -> None:
+    dive = dive_of(SHORT_S)
+    kept, given = getattr(replay_dive(dive, Config()).dive.imu, quantity), getattr(dive.imu, quantity)
+    np.testing.assert_array_equal(kept, given if quantity == "time_ns" else given[:0])
