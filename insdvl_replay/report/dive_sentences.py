@@ -6,6 +6,11 @@ from insdvl_replay.report.json_report import Candidate, Report
 from insdvl_replay.report.shown import percent
 
 _IN_SHORT: Final = {"not borne out": "NOT borne out", "worse": "WORSE", "none believed": "no improvement"}
+MEANS: Final = (
+    "believed: mean over nine states, by the filter's own covariance; actual: median of the errors against the "
+    "reference; sooner: mean convergence"
+)
+"""What stands in the columns of candidates."""
 
 
 def heading(report: Report) -> str:
