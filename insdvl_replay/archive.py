@@ -247,12 +247,13 @@ def _known_report(task: Task) -> Report | None:
     """Give the result that is there if another replay would give the same; the log is read last."""
     try:
         report = decode_report((task.target / COMPLETE).read_bytes())
+        filters = [report.baseline, *report.filters] if task.order.trajectories else []
         same = (
             (report.tool.version, report.tool.sources) == (task.order.version, task.order.sources)
             and report.versions == package_versions()
             and report.log.name == task.target.name
             and _is_of(task.order, report)
-            and all((task.target / name).is_file() for name in _files(task.order, report))
+            and all((task.target / name).is_file() for name in (*DIVE_FILES, *map(trajectory_file, filters)))
             and log_digest(task) == report.log.sha256
         )
     except (OSError, msgspec.DecodeError, UserError):  # a log that is no longer whole is told by its replay
@@ -270,12 +271,6 @@ def _is_of(order: Order, report: Report) -> bool:
         *configured, _ = config["filters"]
         config = config | {"filters": {name: config["filters"][name] for name in configured}}
     return msgspec.json.encode(config) == msgspec.json.encode(order.config)
-
-
-def _files(order: Order, report: Report) -> list[str]:
-    """Name the files that the result must have."""
-    filters = [report.baseline, *report.filters] if order.trajectories else []
-    return [*DIVE_FILES, *map(trajectory_file, filters)]
 
 
 def log_digest(task: Task) -> str:
