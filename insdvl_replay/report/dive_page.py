@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from insdvl_replay.report.dive_sentences import heading
+from insdvl_replay.report.dive_sentences import replayed
 from insdvl_replay.report.dive_tables import glance_table, shown_tables
 from insdvl_replay.report.figures.improvement import improvement_bars
 from insdvl_replay.report.json_report import Report
@@ -50,7 +50,7 @@ def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: 
         Heading("Provenance"),
         *_provenance(report, settings),
     ]
-    return page(heading(report), parts)
+    return page(replayed(report), parts)
 
 
 def _first_screen(report: Report) -> Iterator[Part]:
