@@ -20,7 +20,7 @@ from insdvl_replay.config import Config
 from insdvl_replay.dive_names import unique_names
 from insdvl_replay.errors import ConfigError, LogError, UserError
 from insdvl_replay.executors import WorkerLostError, Workers, do_each
-from insdvl_replay.report.folder import COMPLETE, DIVE_FILES, refuse_existing_folder, result_folder
+from insdvl_replay.report.folder import COMPLETE, DIVE_FILES, refuse_existing_folder, result_folder, trajectory_file
 from insdvl_replay.report.json_report import Report, decode_report, encode_report, package_versions
 from insdvl_replay.sources import sources_digest
 from insdvl_replay.studies.workers import each
@@ -40,6 +40,8 @@ class Order:
         Use what can be read of a damaged log.
     control : bool
         Add the baseline with its noise fitted.
+    trajectories : bool
+        Write TUM files, too.
     version, sources : str
         Of the tool, which workers elsewhere must have, too.
     """
@@ -47,6 +49,7 @@ class Order:
     config: Config
     allow_damaged: bool = False
     control: bool = False
+    trajectories: bool = False
     version: str = __version__
     sources: str = field(default_factory=sources_digest)
 
@@ -222,12 +225,15 @@ def replay_into(task: Task) -> bytes:
     from insdvl_replay.control import replay_with_control
     from insdvl_replay.replay import replay_log
     from insdvl_replay.result_files import save_replay
+    from insdvl_replay.trajectory_files import save_trajectories
 
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     run = replay_with_control if task.order.control else replay_log
     replay = run(task.logs, task.order.config, allow_damaged=task.order.allow_damaged, name=task.target.name)
     with result_folder(task.target, force=True) as folder:
         save_replay(replay, folder)
+        if task.order.trajectories:
+            save_trajectories(replay, folder)
         report = decode_report((folder / COMPLETE).read_bytes())
         tool = msgspec.structs.replace(
             report.tool, started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3)
@@ -241,12 +247,13 @@ def _known_report(task: Task) -> Report | None:
     """Give the result that is there if another replay would give the same; the log is read last."""
     try:
         report = decode_report((task.target / COMPLETE).read_bytes())
+        filters = [report.baseline, *report.filters] if task.order.trajectories else []
         same = (
             (report.tool.version, report.tool.sources) == (task.order.version, task.order.sources)
             and report.versions == package_versions()
             and report.log.name == task.target.name
             and _is_of(task.order, report)
-            and all((task.target / name).is_file() for name in DIVE_FILES)
+            and all((task.target / name).is_file() for name in (*DIVE_FILES, *map(trajectory_file, filters)))
             and log_digest(task) == report.log.sha256
         )
     except (OSError, msgspec.DecodeError, UserError):  # a log that is no longer whole is told by its replay

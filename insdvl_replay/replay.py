@@ -28,6 +28,7 @@ from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation import Prepared, prepare_dive
+from insdvl_replay.stages import begin
 
 WELL_COVERED = 0.9
 """Share of a replay that a reference has to cover before its errors are taken for those of the whole."""
@@ -199,6 +200,7 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, cov_ns: TimeNs |
     tuple of History
         In the order of the configuration.
     """
+    begin("running the filters")
     reference_ns = dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64)
     timeline = build_timeline(
         dive.imu, start.velocities.time_ns, reference_ns, start.alignment.start_ns, start.end_ns, start.gaps

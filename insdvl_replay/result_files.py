@@ -17,6 +17,7 @@ from insdvl_replay.report.dive_page import dive_page
 from insdvl_replay.report.folder import PAGE
 from insdvl_replay.report.json_report import Candidate, build_report, encode_report, this_tool
 from insdvl_replay.report.run_log import run_log
+from insdvl_replay.stages import begin
 
 
 def save_replay(replay: Replay, folder: Path) -> None:
@@ -28,6 +29,7 @@ def save_replay(replay: Replay, folder: Path) -> None:
     folder : Path
         Exists; its other files are left alone.
     """
+    begin("writing the results")
     settings = render_toml(replay.config)
     report = build_report(
         replay.dive,

@@ -22,6 +22,13 @@ UNREADABLE = """
   .filter(e => e.textContent && e.getBoundingClientRect().height < 9)
   .map(e => e.textContent)
 """
+CUT = """
+[...document.querySelectorAll(".picture svg")].flatMap(svg => {
+  const frame = svg.getBoundingClientRect();
+  const inside = r => r.left >= frame.left - 1 && r.right <= frame.right + 1 && r.bottom <= frame.bottom + 1;
+  return [...svg.querySelectorAll("text")].filter(e => !inside(e.getBoundingClientRect())).map(e => e.textContent);
+})
+"""
 EMPTY = """
 [...document.querySelectorAll("svg.panel, svg.strip, .picture svg, table")]
   .filter(e => { const r = e.getBoundingClientRect(); return r.width < 200 || r.height < 12; }).length
@@ -81,6 +88,7 @@ def test_page_is_whole_and_readable(
     assert browser.value("document.documentElement.scrollWidth") <= width
     assert browser.value(WIDER) == []
     assert browser.value(UNREADABLE) == []
+    assert browser.value(CUT) == []
     assert browser.value(EMPTY) == 0
     assert browser.value(FAINT) == []
 

@@ -18,8 +18,8 @@ DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--format <table|json|csv|md|latex>",
-        "--allow-damaged", "--one-dive", "--control", "--strict", "--jobs N", "--scheduler ADDR", "--rerun", "--force",
-        "-v, --verbose", "--help",
+        "--allow-damaged", "--one-dive", "--control", "--tum", "--strict", "--jobs N", "--scheduler ADDR",
+        "--rerun", "--force", "-v, --verbose", "--help",
     ],
     "compare": [
         "OLD", "NEW", "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",

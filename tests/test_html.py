@@ -12,7 +12,7 @@ import pytest
 from insdvl_replay.config_file import load_config
 from insdvl_replay.errors import Note
 from insdvl_replay.replay import Replay, replay_dive, replay_log
-from insdvl_replay.report.dive_tables import shown_tables
+from insdvl_replay.report.dive_tables import glance_table, shown_tables
 from insdvl_replay.report.figures.clock import Clock
 from insdvl_replay.report.figures.coverage import Source, covered_shares
 from insdvl_replay.report.json_report import Report, decode_report
@@ -78,6 +78,7 @@ def result(replay: Replay, tmp_path_factory: pytest.TempPathFactory) -> tuple[Do
 def test_verdict_comes_first_and_every_cell_of_every_table_is_there(result: tuple[Document, Report, bytes]) -> None:
     document, report, _ = result
     assert document.texts["p"][0] == report.filters["aided"].verdict
+    assert tuple(document.texts["td"][:7]) == glance_table(report).rows[0]
     for table in shown_tables(report):
         assert table.title in document.texts["h3"]
         for row in table.rows:
@@ -104,7 +105,7 @@ def test_every_plot_is_there_with_a_line_for_each_filter(result: tuple[Document,
 
 def test_believed_stands_beside_actual(result: tuple[Document, Report, bytes]) -> None:
     document, report, _ = result
-    bars = document.texts["table"][len(shown_tables(report))]
+    bars = document.texts["table"][1 + len(shown_tables(report))]
     aided = report.filters["aided"]
     assert f"{aided.mean_improvement_pct:.1f} %{aided.reference_improvement_pct:.1f} %" in bars
     assert document.count("rect", "believed") == 1 + 12

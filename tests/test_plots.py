@@ -60,6 +60,14 @@ def test_short_series_are_left_alone() -> None:
     np.testing.assert_array_equal(band_envelope(x[:150], -x[:150], x[:150])[2], x[:150])
 
 
+@pytest.mark.parametrize(("curves", "most"), [(1, 300), (4, 300), (24, 50)])
+def test_many_curves_share_the_points_of_a_few(curves: int, most: int) -> None:
+    x = np.linspace(0.0, 1.0, 5000)
+    found = lines(Panel("", "", tuple(Curve(x, np.sin(50.0 * x + n), "filter0") for n in range(curves))))
+    assert len(found) == curves
+    assert all(most / 2 < len(line) <= most for line in found)
+
+
 def test_a_long_band_holds_every_value_between() -> None:
     x = np.arange(10_000.0)
     high = np.random.default_rng(6).uniform(1.0, 2.0, len(x))

@@ -55,7 +55,7 @@ def inspect(
     inventories: list[Inventory] = []
     for dive in dives:
         try:
-            with patience(f"reading {dive[0].name}"):
+            with patience(f"inspecting {dive[0].name}"):
                 inventory = inspect_log(dive, resolved, deep=deep, allow_damaged=allow_damaged)
         except Exception as error:
             code = max(code, tell_failure(error, verbose))

@@ -41,6 +41,9 @@ def run(
     control: Annotated[
         bool, typer.Option("--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log.")
     ] = False,
+    tum: Annotated[
+        bool, typer.Option("--tum", help="Write trajectories for evo, too: filter_NAME.tum and reference.tum.")
+    ] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
@@ -61,6 +64,7 @@ def run(
       insdvl-replay run dives/*.mcap -o results -c vehicle.toml --format md
       insdvl-replay run sensors.mcap gnss.mcap --one-dive
       insdvl-replay run archive --jobs 4
+      insdvl-replay run dive.mcap --tum
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
     """
     from insdvl_replay.archive import Order
@@ -72,6 +76,6 @@ def run(
     return replay_dives(
         logs,
         output,
-        Order(resolved, allow_damaged=allow_damaged, control=control),
+        Order(resolved, allow_damaged=allow_damaged, control=control, trajectories=tum),
         Manner(format_, one_dive, strict, force, rerun, jobs, scheduler, verbose),
     )

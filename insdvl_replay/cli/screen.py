@@ -9,6 +9,7 @@ from rich.console import Console, RenderableType
 from insdvl_replay.compiled import is_warm
 from insdvl_replay.report.json_report import Report
 from insdvl_replay.report.terminal import terminal_report
+from insdvl_replay.stages import told_to
 
 PIPED_COLUMNS = 10_000
 """Wide enough that nothing is ever folded where no terminal limits the width."""
@@ -29,12 +30,12 @@ def printed(content: RenderableType) -> str:
 
 @contextmanager
 def patience(text: str) -> Iterator[None]:
-    """Say what is waited for, on a terminal only."""
+    """Say what is waited for, and how far the work is, on a terminal only."""
     console = Console(file=sys.stderr, highlight=False)
     if not console.is_terminal:
         yield
         return
-    with console.status(text):
+    with console.status(text) as status, told_to(lambda stage: status.update(f"{text}: {stage}")):
         yield
 
 

@@ -17,6 +17,7 @@ from insdvl_replay.logs.reference import decode_reference
 from insdvl_replay.logs.roles import Roles, assign_roles
 from insdvl_replay.logs.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.table_reading import read_tables
+from insdvl_replay.stages import begin
 
 
 def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:
@@ -44,6 +45,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     ConfigError
         The axes or the beam geometry of the configuration cannot be.
     """
+    begin("reading the log")
     log = open_recording(path, allow_damaged=allow_damaged)
     place = str(log.path)
     roles = assign_roles(place, log.channels, config)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 
 from insdvl_replay.columns import Dive, Floats, TimeNs
-from insdvl_replay.earth import meridian_radius_m, transverse_radius_m
+from insdvl_replay.east_north_up import MAT_FRD_FLU, east_north_up_m, quat_enu_flu
 from insdvl_replay.errors import Note
 from insdvl_replay.history import History, Innovations
 from insdvl_replay.logs.messages import (
@@ -27,7 +27,6 @@ from insdvl_replay.logs.messages import (
 )
 from insdvl_replay.logs.ros2msg import Field, definition_text, parse_definitions
 from insdvl_replay.logs.writer import write_log
-from insdvl_replay.rotation import quat_from_mat, wrap_angle
 from insdvl_replay.states import DEG_PER_HOUR, MG, STATES
 
 if TYPE_CHECKING:
@@ -37,8 +36,6 @@ if TYPE_CHECKING:
 Sampled = tuple[TimeNs, Floats]
 """Times of validity, shape (m,), and vectors in body axes, shape (m, 3)."""
 
-_MAT_ENU_NED: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-_MAT_FRD_FLU: Final = np.diag([1.0, -1.0, -1.0])
 _UNIT_NAMES: Final = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
 _LOG_LEVELS: Final = {"info": 20, "warning": 30}
 
@@ -168,24 +165,15 @@ def _innovation(topic: str, innovations: Innovations) -> Batch:
 def _odometry(topic: str, history: History) -> Batch:
     """East-north-up and forward-port-up, the velocity in the body; zero covariances mean unknown."""
     velocity_b = np.einsum("kji,kj->ki", history.mat_nb, history.velocity_n)
-    quat = quat_from_mat(_MAT_ENU_NED @ history.mat_nb @ _MAT_FRD_FLU)
+    quat = quat_enu_flu(history.mat_nb)
     columns: dict[str, Column] = {
         "child_frame_id": BASE_LINK,
-        **xyz("pose.pose.position", _east_north_up_m(history.position)),
+        **xyz("pose.pose.position", east_north_up_m(history.position, history.position[0])),
         **{f"pose.pose.orientation.{axis}": quat[:, i] for i, axis in enumerate("xyzw")},
-        **xyz("twist.twist.linear", velocity_b @ _MAT_FRD_FLU),
+        **xyz("twist.twist.linear", velocity_b @ MAT_FRD_FLU),
         **missing_xyz("twist.twist.angular"),
     }
     return stamped(topic, "nav_msgs/msg/Odometry", history.time_ns, ODOM, columns)
-
-
-def _east_north_up_m(position: Floats) -> Floats:
-    """Measure along the ellipsoid with the radii halfway, so that up is height wherever the dive leads."""
-    latitude, longitude, up_m = (position - position[0]).T
-    middle_latitude, _, middle_height_m = ((position + position[0]) / 2.0).T
-    north_m = latitude * (meridian_radius_m(middle_latitude) + middle_height_m)
-    parallel_radius_m = (transverse_radius_m(middle_latitude) + middle_height_m) * np.cos(middle_latitude)
-    return np.stack([wrap_angle(longitude) * parallel_radius_m, north_m, up_m], axis=-1)
 
 
 def _fix(topic: str, history: History) -> Batch:

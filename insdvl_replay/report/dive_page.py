@@ -1,15 +1,18 @@
 """The page of one dive: what to think of it, the tables, the figures, what was lost, and where it all comes from."""
 
 from collections.abc import Iterator, Sequence
+from typing import Final
 
-from insdvl_replay.report.dive_sentences import closing_lines, heading, verdict_lines
-from insdvl_replay.report.dive_tables import shown_tables
+from insdvl_replay.report.dive_sentences import replayed
+from insdvl_replay.report.dive_tables import glance_table, shown_tables
 from insdvl_replay.report.figures.improvement import improvement_bars
 from insdvl_replay.report.json_report import Report
-from insdvl_replay.report.page import Heading, Html, Lead, Part, page
+from insdvl_replay.report.page import Heading, Html, Lead, LinkedTable, Part, page
 from insdvl_replay.report.page_parts import facts, losses, settings_details
 from insdvl_replay.report.plots.panel import Figure
 from insdvl_replay.report.shown import ShownTable
+
+_TONES: Final = {"borne out": "good", "not borne out": "bad", "worse": "bad"}
 
 
 def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: str) -> bytes:
@@ -35,10 +38,9 @@ def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: 
         f"{strips}</figure>"
     )
     parts: list[Part] = [
-        *map(Lead, verdict_lines(report)),
+        *_first_screen(report),
         Heading("Tables"),
         *shown_tables(report),
-        *closing_lines(report),
         Heading("Figures"),
         Html(_bars(report)),
         *figures,
@@ -48,14 +50,23 @@ def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: 
         Heading("Provenance"),
         *_provenance(report, settings),
     ]
-    return page(heading(report), parts)
+    return page(replayed(report), parts)
+
+
+def _first_screen(report: Report) -> Iterator[Part]:
+    """Say what to think of each candidate, and lay the words and numbers behind it beside each other."""
+    for candidate in report.filters.values():
+        yield Lead(candidate.verdict, _TONES.get(candidate.improvement, ""))
+    if report.filters:
+        yield LinkedTable(glance_table(report), ())
 
 
 def _bars(report: Report) -> str:
     bars = "".join(improvement_bars(report, name) for name in report.filters)
     return (
-        "<figure><figcaption><strong>Believed against actual</strong><span>Upper bars, blue: what a filter believes to "
-        "have gained, by its own covariance. Lower bars: what it has gained against the reference.</span></figcaption>"
+        "<figure><figcaption><strong>Believed against actual: how much smaller the errors are</strong><span>Upper "
+        "bars, blue: what a filter believes to have gained, by its own covariance. Lower bars: what it has gained "
+        "against the reference.</span></figcaption>"
         f'<div class="tables">{bars}</div></figure>'
     )
 

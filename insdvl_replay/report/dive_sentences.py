@@ -6,15 +6,22 @@ from insdvl_replay.report.json_report import Candidate, Report
 from insdvl_replay.report.shown import percent
 
 _IN_SHORT: Final = {"not borne out": "NOT borne out", "worse": "WORSE", "none believed": "no improvement"}
+MEANS: Final = (
+    "believed: mean over nine states, by the filter's own covariance; actual: median of the errors against the "
+    "reference; sooner: mean convergence"
+)
+"""What stands in the columns of candidates."""
+
+
+def replayed(report: Report) -> str:
+    """Say in one line what was replayed."""
+    candidates = f"{', '.join(report.filters)} against " if report.filters else ""
+    return f"{report.log.name}: {candidates}{report.baseline} over {report.log.duration_s:.1f} s"
 
 
 def heading(report: Report) -> str:
     """Say in one line what was replayed, and what has become of each believed improvement."""
-    if not report.filters:
-        return f"{report.log.name}: {report.baseline} over {report.log.duration_s:.1f} s"
-    replayed = f"{', '.join(report.filters)} against {report.baseline} over {report.log.duration_s:.1f} s"
-    found = "; ".join(f"{name}: {_in_short(candidate)}" for name, candidate in report.filters.items())
-    return f"{report.log.name}: {replayed}; {found}"
+    return "; ".join([replayed(report), *(f"{name}: {_in_short(found)}" for name, found in report.filters.items())])
 
 
 def _in_short(candidate: Candidate) -> str:

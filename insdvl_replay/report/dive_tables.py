@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol, TypeVar
 
+from insdvl_replay.report.dive_sentences import MEANS
 from insdvl_replay.report.json_report import (
     ConsistencyRow,
     ConvergenceRow,
@@ -11,7 +12,7 @@ from insdvl_replay.report.json_report import (
     ReferenceErrorRow,
     Report,
 )
-from insdvl_replay.report.shown import ShownTable, decimal, number, percent, row_label
+from insdvl_replay.report.shown import MISSING, ShownTable, decimal, number, percent, row_label
 from insdvl_replay.result_tables import is_whole
 
 
@@ -36,6 +37,37 @@ def shown_tables(report: Report) -> list[ShownTable]:
         Tables without rows are left out.
     """
     return list(_tables(report))
+
+
+def glance_table(report: Report) -> ShownTable:
+    """Lay each candidate's verdicts and mean improvements beside each other.
+
+    Parameters
+    ----------
+    report : Report
+
+    Returns
+    -------
+    ShownTable
+    """
+    return ShownTable(
+        "At a glance",
+        ("filter", "improvement", "believed", "actual", "sooner", "innovations", "errors"),
+        "llrrrll",
+        tuple(
+            (
+                name,
+                candidate.improvement,
+                percent(candidate.mean_improvement_pct),
+                percent(candidate.reference_improvement_pct),
+                percent(candidate.mean_convergence_improvement_pct),
+                candidate.consistency,
+                candidate.credibility or MISSING,
+            )
+            for name, candidate in report.filters.items()
+        ),
+        f"{MEANS}; innovations and errors: whether they are as large as the filter says",
+    )
 
 
 def _tables(report: Report) -> Iterator[ShownTable]:

@@ -16,6 +16,13 @@ PAGE = "report.html"
 """The page that shows a result."""
 DIVE_FILES = (*(f"{layout.name}.csv" for layout in TABLES), "replay.mcap", "config.toml", "run.log", PAGE, COMPLETE)
 """All files of the result of a dive."""
+REFERENCE_TRAJECTORY = "reference.tum"
+"""The reference's trajectory, where trajectories are asked for."""
+
+
+def trajectory_file(name: str) -> str:
+    """Name the file of a filter's trajectory; no filter's name makes it that of the reference."""
+    return f"filter_{name}.tum"
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from insdvl_replay.report.plots.svg import panel_svg
 from insdvl_replay.report.shown import ShownTable
 
 _POINTS: Final = ("rejected",)
-_SHORT: Final = 24
+_SHORT: Final = 20
 """Cells with more characters are folded; the others stand on one line."""
 
 _SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
@@ -21,9 +21,17 @@ _SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
 
 @dataclass(frozen=True)
 class Lead:
-    """The sentence that a reader takes away."""
+    """The sentence that a reader takes away.
+
+    Attributes
+    ----------
+    text : str
+    tone : str
+        ``good`` or ``bad``, which colours the edge beside it; empty for neither.
+    """
 
     text: str
+    tone: str = ""
 
 
 @dataclass(frozen=True)
@@ -59,7 +67,8 @@ def page(title: str, parts: Sequence[Part], script: str = "") -> bytes:
     ----------
     title : str
     parts : sequence of Part
-        In the order in which they are read. Tables that follow each other lie side by side where there is room.
+        In the order in which they are read; before the first heading stand links to all of them. Tables that follow
+        each other lie side by side where there is room.
     script : str
         What makes the page more comfortable, and what it can do without.
 
@@ -71,7 +80,9 @@ def page(title: str, parts: Sequence[Part], script: str = "") -> bytes:
     style = files("insdvl_replay.report").joinpath("page.css").read_text("utf-8")
     headings = [part.text for part in parts if isinstance(part, Heading)]
     links = "".join(f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
-    body = [f"<h1>{escape(title)}</h1>", f"<nav>{links}</nav>" if links else "", *_dressed(parts)]
+    first = next((place for place, part in enumerate(parts) if isinstance(part, Heading)), len(parts))
+    nav = [f"<nav>{links}</nav>"] if links else []
+    body = [f"<h1>{escape(title)}</h1>", *_dressed(parts[:first]), *nav, *_dressed(parts[first:])]
     head = [
         '<meta charset="utf-8">',
         _SIGNATURE,
@@ -114,9 +125,15 @@ def table_html(table: ShownTable, links: Sequence[str] = ()) -> str:
     lines = "\n".join(f"<tr>{row}</tr>" for row in rows)
     footnote = f'<p class="footnote">{escape(table.footnote)}</p>' if table.footnote else ""
     return (
-        f'<section class="table"><h3>{escape(table.title)}</h3><div class="wide" tabindex="0"><table>'
+        f'<section class="table">{title_html(table.title)}<div class="wide" tabindex="0"><table>'
         f"<thead><tr>{header}</tr></thead><tbody>{lines}</tbody></table></div>{footnote}</section>"
     )
+
+
+def title_html(title: str) -> str:
+    """Dress the title of a table: what stands before its colon, or all of it, is its name."""
+    name, colon, rest = title.partition(": ")
+    return f"<h3><b>{escape(name + colon.rstrip())}</b>{' ' if rest else ''}{escape(rest)}</h3>"
 
 
 def _kind(cell: str, kind: str) -> str:
@@ -153,8 +170,8 @@ def _part_html(part: Part) -> str:
             return text
         case Heading(text):
             return f'<h2 id="{_anchor(text)}">{escape(text)}</h2>'
-        case Lead(text):
-            return f'<p class="lead">{escape(text)}</p>'
+        case Lead(text, tone):
+            return f'<p class="{f"lead {tone}".rstrip()}">{escape(text)}</p>'
         case ShownTable():
             return table_html(part)
         case LinkedTable(table, links):

@@ -49,7 +49,7 @@ def settings_details(settings: str) -> Html:
 
 
 def picture(name: str, svg: bytes) -> Html:
-    """Put a picture into the page, in the page's colours.
+    """Put a picture into the page, in the page's colours, no wider than it was drawn and never too small to be read.
 
     Parameters
     ----------
@@ -66,7 +66,8 @@ def picture(name: str, svg: bytes) -> Html:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
     text = re.sub(r'<g id="[^"]*"', "<g", text)
-    text = re.sub(r'(<svg [^>]*?) width="[^"]*" height="[^"]*"', rf'\1 role="img" aria-label="{escape(name)}"', text)
+    as_drawn = rf'\1 style="max-width: \2; min-width: calc(.7 * \2)" role="img" aria-label="{escape(name)}"'
+    text = re.sub(r'(<svg [^>]*?) width="([^"]*)" height="[^"]*"', as_drawn, text)
     text = re.sub(r'(id="|url\(#|href="#)', rf"\g<1>{re.sub('[^a-z]', '-', name)}-", text)
     for colour, variable in _THEME.items():
         text = text.replace(colour, variable)

@@ -39,7 +39,8 @@ def draw_windows(windows: pd.DataFrame) -> Figure:
         panels[0].set_ylabel("acceleration error, rms [m/s²]")
         if windows["log"].nunique() > 1:
             panels[0].plot([], [], color="grey", linewidth=0.6, label="each log alone")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+        labels = panels[0].get_legend_handles_labels()
+        figure.legend(*labels, loc="outside lower center", ncols=1 + len(arms), frameon=False)
     return figure
 
 

@@ -28,9 +28,9 @@ def improvement_bars(report: Report, name: str) -> str:
         An HTML table.
     """
     rows = "".join(_row(label, believed, actual) for label, believed, actual in _gains(report, name))
-    title = f"How much smaller the errors of {name} are than those of {report.baseline}"
+    title = f"{name} against {report.baseline}"
     return (
-        f'<section><h3>{escape(title)}</h3><table class="bars"><thead><tr><th>quantity</th>'
+        f'<section><h3><b>{escape(title)}</b></h3><table class="bars"><thead><tr><th>quantity</th>'
         '<th class="r">believed</th><th class="r">actual</th><th class="axis"><span>&minus;100 %</span><span>0</span>'
         f"<span>100 %</span></th></tr></thead><tbody>{rows}</tbody></table></section>"
     )

@@ -49,13 +49,13 @@ def motion_figure(tracks: Sequence[Track], baseline: History, clock: Clock) -> F
     down = [Curve(clock.time(track.time_ns), track.position_ned_m[:, 2], track.style) for track in tracks]
     return Figure(
         "What the vehicle did",
-        "The track from above and the way down begin at the start of the replay; speed over ground and turn rate are "
+        "The track from above and the depth begin at the start of the replay; speed over ground and turn rate are "
         "the baseline's.",
         (
             Panel("track: north [m] over east [m]", "east [m]", dashes_on_top(above), equal=True),
             Panel("speed over ground, horizontal [m/s]", clock.label, (_speed(baseline, clock),)),
             Panel("turn rate of the heading [deg/s]", clock.label, (_turn_rate(baseline, clock),)),
-            Panel("way down since the start [m]", clock.label, dashes_on_top(down)),
+            Panel("depth below the start [m]", clock.label, dashes_on_top(down)),
         ),
         tuple((track.style, track.label) for track in tracks),
     )

@@ -6,6 +6,13 @@ from insdvl_replay.columns import Floats
 
 COLUMNS = 150
 """Columns of a panel: about two screen pixels each."""
+_FEW = 4
+"""So many curves have all columns each; more share as many, or the page of many filters would be too large to send."""
+
+
+def shared_columns(curves: int) -> int:
+    """Give the columns of each of the curves of a panel."""
+    return COLUMNS * _FEW // max(curves, _FEW)
 
 
 def envelope(x: Floats, y: Floats, columns: int = COLUMNS) -> tuple[Floats, Floats]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.report.plots.axis import Axis, limits
-from insdvl_replay.report.plots.envelope import band_envelope, envelope, without_standstill
+from insdvl_replay.report.plots.envelope import band_envelope, envelope, shared_columns, without_standstill
 from insdvl_replay.report.plots.panel import Band, Curve, Panel
 
 WIDTH: Final = 360.0
@@ -91,30 +91,31 @@ def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
 
 
 def _content(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
+    columns = shared_columns(len(panel.curves))
     for band in panel.bands:
-        yield f'<path class="band {band.style}" d="{_band_path(band, x_axis, y_axis)}"/>'
+        yield f'<path class="band {band.style}" d="{_band_path(band, x_axis, y_axis, columns)}"/>'
     for place in y_axis.place(np.array(panel.levels)):
         yield f'<path class="line limit" d="M{x_axis.start:.1f} {place:.1f}H{x_axis.end:.1f}"/>'
     for curve in panel.curves:
         kind = "points" if curve.points else "line"
-        yield f'<path class="{kind} {curve.style}" d="{_curve_path(panel, curve, x_axis, y_axis)}"/>'
+        yield f'<path class="{kind} {curve.style}" d="{_curve_path(panel, curve, x_axis, y_axis, columns)}"/>'
 
 
-def _band_path(band: Band, x_axis: Axis, y_axis: Axis) -> str:
+def _band_path(band: Band, x_axis: Axis, y_axis: Axis, columns: int) -> str:
     known = np.isfinite(band.low) & np.isfinite(band.high)
     if not known.any():
         return ""
-    x, low, high = band_envelope(band.x[known], band.low[known], band.high[known])
+    x, low, high = band_envelope(band.x[known], band.low[known], band.high[known], columns)
     there = _line(x_axis.place(x), y_axis.place(high))
     back = _line(x_axis.place(x)[::-1], y_axis.place(low)[::-1])
     return f"{there}L{back[1:]}Z"
 
 
-def _curve_path(panel: Panel, curve: Curve, x_axis: Axis, y_axis: Axis) -> str:
+def _curve_path(panel: Panel, curve: Curve, x_axis: Axis, y_axis: Axis, columns: int) -> str:
     x, y = x_axis.place(curve.x), y_axis.place(curve.y)
     if curve.points:
         return _points(x, y)
-    return _line(*(without_standstill(x, y, _PIXEL) if panel.equal else envelope(x, y)))
+    return _line(*(without_standstill(x, y, _PIXEL) if panel.equal else envelope(x, y, columns)))
 
 
 def _line(x: Floats, y: Floats) -> str:
