@@ -48,7 +48,8 @@ class Imu(_Section, frozen=True):
     min_rate_hz: Annotated[NotNegative, Says("a slower IMU is refused")] = 20.0
     max_gap_s: Annotated[Positive, Says("pauses up to this are bridged as if nothing happened in them")] = 0.5
     long_gaps: Annotated[
-        Literal["grow", "split"], Says("longer ones: grow the uncertainty | split off the longest part without")
+        Literal["grow", "split"],
+        Says("longer ones: grow the uncertainty, up to a quarter turn | split off the longest part without"),
     ] = "grow"
     gap_accel_mps2: Annotated[NotNegative, Says("sd of the acceleration that nobody saw in a long gap, each axis")] = (
         0.5

@@ -18,6 +18,8 @@ from insdvl_replay.states import DEG, DV, PHI, STATES
 
 LONGEST_BRIDGE_S: Final = 3600.0
 """Through a longer gap the line between two readings says nothing; the dive has to be split there."""
+WIDEST_ATTITUDE_RAD: Final = np.pi / 2.0
+"""Where an attitude may be off by more, errors no longer add up and no filter is honest: the dive is split there."""
 BRIDGE_STEP_S: Final = 1.0
 """Spacing of the nodes inside a gap: short enough that growing uncertainties see each other grow."""
 
@@ -43,10 +45,13 @@ class Gaps:
         """How long each gap is, shape (g,)."""
         return seconds(self.end_ns, self.start_ns)
 
+    def where(self, keep: NDArray[np.bool_]) -> "Gaps":
+        """Keep some of the gaps."""
+        return Gaps(self.start_ns[keep], self.end_ns[keep], self.noise_density[keep])
+
     def within(self, start_ns: int, end_ns: int) -> "Gaps":
         """Keep the gaps that a span touches."""
-        keep = (self.start_ns < end_ns) & (self.end_ns > start_ns)
-        return Gaps(self.start_ns[keep], self.end_ns[keep], self.noise_density[keep])
+        return self.where((self.start_ns < end_ns) & (self.end_ns > start_ns))
 
     def overlap(self, from_ns: TimeNs, to_ns: TimeNs) -> NDArray[np.bool_]:
         """Tell which of some intervals hold part of a gap; an interval of no length, whether it lies inside one.
@@ -163,25 +168,50 @@ def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int
         A gap is too long to be bridged.
     """
     inside = gaps.within(start_ns, end_ns)
-    count = len(inside.start_ns)
-    if not count:
+    if not len(inside.start_ns):
         return start_ns, end_ns, ()
-    longest_s, first_s = float(inside.length_s.max()), (int(inside.start_ns[0]) - origin_ns) * 1e-9
-    found = (
-        f"the IMU has {_counted(count)} longer than {imu.max_gap_s:g} s, the first at {first_s:.1f} s, "
-        f"the longest of {longest_s:.1f} s, {inside.length_s.sum():.1f} s in all"
+    split_at = (
+        inside if imu.long_gaps == "split" else inside.where(_turns_unseen_rad(inside, imu) > WIDEST_ATTITUDE_RAD)
     )
+    notes: tuple[Note, ...] = ()
+    if len(split_at.start_ns):
+        kept_ns = split_at.longest_stretch(start_ns, end_ns)
+        notes = (_split_note(split_at, imu, (start_ns, end_ns), kept_ns, origin_ns),)
+        (start_ns, end_ns), inside = kept_ns, inside.within(*kept_ns)
+    if not len(inside.start_ns):
+        return start_ns, end_ns, notes
+    found = _found(inside, imu, origin_ns)
     split = "--set imu.long_gaps=split replays the longest part without"
-    if imu.long_gaps == "split":
-        kept_ns = inside.longest_stretch(start_ns, end_ns)
-        from_s, to_s = ((time_ns - origin_ns) * 1e-9 for time_ns in kept_ns)
-        left_out_s = (end_ns - start_ns - kept_ns[1] + kept_ns[0]) * 1e-9
-        text = f"{found}; only {from_s:.1f} to {to_s:.1f} s are replayed, {left_out_s:.1f} s are left out"
-        return *kept_ns, (Note("imu_split", text, count, "warning", "--set imu.long_gaps=grow bridges them"),)
-    if longest_s > LONGEST_BRIDGE_S:
+    if inside.length_s.max() > LONGEST_BRIDGE_S:
         raise LogError(f"{found}; over {LONGEST_BRIDGE_S:g} s nothing can bridge it", split)
     text = f"{found}; they are bridged, and the filters' uncertainty grows in them"
-    return start_ns, end_ns, (Note("imu_long_gaps", text, count, "warning", split),)
+    return start_ns, end_ns, (*notes, Note("imu_long_gaps", text, len(inside.start_ns), "warning", split))
+
+
+def _turns_unseen_rad(gaps: Gaps, imu: Imu) -> Floats:
+    """Give the deviation of what a vehicle may have turned in each gap."""
+    return np.asarray(imu.gap_rate_degps * DEG * gaps.length_s)
+
+
+def _split_note(gaps: Gaps, imu: Imu, span_ns: tuple[int, int], kept_ns: tuple[int, int], origin_ns: int) -> Note:
+    """Say what is left of a dive that is split, and which setting bridges its gaps."""
+    from_s, to_s = ((time_ns - origin_ns) * 1e-9 for time_ns in kept_ns)
+    left_out_s = (span_ns[1] - span_ns[0] - kept_ns[1] + kept_ns[0]) * 1e-9
+    hint, why = "--set imu.long_gaps=grow bridges them", ""
+    if imu.long_gaps == "grow":
+        widest_deg = float(_turns_unseen_rad(gaps, imu).max()) / DEG
+        why = f" ({imu.gap_rate_degps:g} deg/s unseen leave the attitude unknown by {widest_deg:.0f} deg)"
+        hint = "a smaller imu.gap_rate_degps, if the vehicle cannot have turned so fast, bridges them"
+    text = f"{_found(gaps, imu, origin_ns)}{why}; only {from_s:.1f} to {to_s:.1f} s are replayed, "
+    return Note("imu_split", f"{text}{left_out_s:.1f} s are left out", len(gaps.start_ns), "warning", hint)
+
+
+def _found(gaps: Gaps, imu: Imu, origin_ns: int) -> str:
+    longest_s, first_s = float(gaps.length_s.max()), (int(gaps.start_ns[0]) - origin_ns) * 1e-9
+    return (
+        f"the IMU has {_counted(len(gaps.start_ns))} longer than {imu.max_gap_s:g} s, the first at {first_s:.1f} s, "
+        f"the longest of {longest_s:.1f} s, {gaps.length_s.sum():.1f} s in all"
+    )
 
 
 def _counted(gaps: int) -> str:
