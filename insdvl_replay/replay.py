@@ -103,8 +103,13 @@ def replay_log(
     ConfigError
         The settings do not fit the log.
     """
+    # The dive is held by no name here, so that its readings can be let go once the filters have run.
+    return replay_dive(_read(path, config, allow_damaged, name), config)
+
+
+def _read(path: Path | Sequence[Path], config: Config, allow_damaged: bool, name: str | None) -> Dive:
     dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
-    return replay_dive(replace(dive, name=name or dive.name), config)
+    return replace(dive, name=name or dive.name)
 
 
 def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay:

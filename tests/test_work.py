@@ -3,6 +3,7 @@
 import cProfile
 import pstats
 import tracemalloc
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from insdvl_replay import replay
 from insdvl_replay.columns import Dive
 from insdvl_replay.config import Config
 from insdvl_replay.logs import read_dive, write_dive
@@ -74,6 +76,24 @@ def test_reading_takes_little_memory_beyond_the_columns(tmp_path: Path) -> None:
     kept = imu.time_ns.nbytes + imu.specific_force_b.nbytes + imu.angular_rate_b.nbytes
     blocks = 2 * 2**20  # open chunks, of which some are ready ahead
     assert peak < 3.0 * kept + blocks
+
+
+def test_the_readings_are_gone_when_the_tables_are_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, readings, make_tables = tmp_path / "dive.mcap", list[Callable[[], Any]](), replay._tables
+    write_dive(path, dive_of(SHORT_S))
+
+    def watched(*arguments: Any, **options: Any) -> Dive:
+        dive = read_dive(*arguments, **options)
+        readings.extend(weakref.ref(column) for column in (dive.imu.specific_force_b, dive.imu.angular_rate_b))
+        return dive
+
+    def tables_of(*arguments: Any) -> Any:
+        assert [alive() for alive in readings] == [None, None]
+        return make_tables(*arguments)
+
+    monkeypatch.setattr(replay.logs, "read_dive", watched)
+    monkeypatch.setattr(replay, "_tables", tables_of)
+    replay.replay_log(path, Config())
 
 
 @pytest.mark.parametrize("quantity", ["time_ns", "specific_force_b", "angular_rate_b"])

@@ -18,9 +18,9 @@ def compile_(verbose: Verbose = 0) -> None:
 
     \b
     Example:
+      insdvl-replay compile -v
       insdvl-replay compile
       INSDVL_REPLAY_CACHE=/opt/insdvl-replay insdvl-replay compile
-      insdvl-replay compile -v
     """
     from insdvl_replay.compiled import cache_folder, is_warm
     from insdvl_replay.errors import ConfigError
