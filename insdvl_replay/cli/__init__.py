@@ -4,6 +4,7 @@
 130 interrupted.
 """
 
+import os
 import signal
 import sys
 import warnings
@@ -18,7 +19,11 @@ def main() -> NoReturn:
     signal.signal(signal.SIGTERM, _interrupt)
     # numpy's word on overflows would point to lines of ours; what is not finite is told by notes and status words.
     warnings.filterwarnings("ignore", category=RuntimeWarning)
-    sys.exit(run_command_line(sys.argv[1:]))
+    code = run_command_line(sys.argv[1:])
+    if code == INTERRUPTED:
+        # The interpreter would wait for threads, and they for a worker that was ended while it sent its result.
+        os._exit(code)
+    sys.exit(code)
 
 
 def run_command_line(arguments: list[str]) -> int:
@@ -49,7 +54,7 @@ def run_command_line(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         code = INTERRUPTED
     if code == INTERRUPTED:
-        print("error: interrupted", file=sys.stderr)
+        print("error: interrupted", file=sys.stderr, flush=True)
     return code
 
 
