@@ -7,11 +7,13 @@
 import os
 import signal
 import sys
+import threading
 import warnings
 from types import FrameType
 from typing import NoReturn
 
 INTERRUPTED = 130
+LONGEST_FAREWELL_S = 5.0
 
 
 def main() -> NoReturn:
@@ -21,8 +23,11 @@ def main() -> NoReturn:
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     code = run_command_line(sys.argv[1:])
     if code == INTERRUPTED:
-        # The interpreter would wait for threads, and they for a worker that was ended while it sent its result.
-        os._exit(code)
+        # On its way out the interpreter waits for threads, and they, without end, for a worker that was ended while it
+        # sent its result.
+        impatience = threading.Timer(LONGEST_FAREWELL_S, os._exit, (code,))
+        impatience.daemon = True
+        impatience.start()
     sys.exit(code)
 
 
