@@ -86,8 +86,12 @@ def write_record(ins: Ins, records: Records, row: int) -> None:
             records.mat_nb[row, i, j] = ins.mat_nb[i, j]
     for i in range(12):
         records.sd[row, i] = math.sqrt(ins.P[i, i])
-    if records.cov_row[row] >= 0:
-        records.cov[records.cov_row[row]] = ins.P
+    cov_row = records.cov_row[row]
+    if cov_row >= 0:
+        # By elements: numba takes three seconds to compile the assignment of a whole array.
+        for i in range(12):
+            for j in range(12):
+                records.cov[cov_row, i, j] = ins.P[i, j]
 
 
 def history_of(
