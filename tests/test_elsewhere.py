@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pandas as pd
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
 
 from insdvl_replay.config_file import load_config
 from insdvl_replay.replay import replay_log
@@ -59,6 +61,28 @@ def test_foxgloves_libraries_read_every_message_with_the_values_of_the_tables(re
         }
     report = json.loads((result / "report.json").read_bytes())
     assert topics["/insdvl/baseline/state"]["last"]["header"]["stamp"]["sec"] == report["log"]["end_ns"] // 10**9
+
+
+@pytest.mark.slow
+def test_both_readers_of_ros_read_every_message_with_the_values_of_the_tables(result: Path) -> None:
+    log = result / "replay.mcap"
+    counts: Counter[str] = Counter()
+    with AnyReader([log]) as reader:
+        for connection, _, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+            counts[connection.topic] += 1
+    last, theirs = {}, Counter()
+    with log.open("rb") as file:
+        for _, channel, _, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+            last[channel.topic] = message
+            theirs[channel.topic] += 1
+    assert counts == theirs
+    for name in ("improvement", "convergence", "reference_error", "consistency", "credibility"):
+        table = pd.read_csv(result / f"{name}.csv")
+        assert counts[f"/insdvl/table/{name}"] == len(table)
+        for key, value in table.iloc[-1].items():
+            shown = getattr(last[f"/insdvl/table/{name}"], str(key))
+            assert shown == value or (value != value and (shown == "" or shown != shown)), key
 
 
 @pytest.fixture(scope="module")
