@@ -27,7 +27,10 @@ def study_page(report: "StudyReport", pictures: Mapping[str, bytes]) -> bytes:
         The same study gives the same bytes.
     """
     tool = Tool()
-    asked = {name: str(value) for name, value in report.arguments.items()}
+    asked = {
+        name: ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+        for name, value in report.arguments.items()
+    }
     versions = ", ".join(f"{name} {version}" for name, version in package_versions().items())
     parts: list[Part] = [
         *map(Lead, report.sentences),
