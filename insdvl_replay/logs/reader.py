@@ -46,6 +46,8 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         The axes or the beam geometry of the configuration cannot be.
     """
     begin("reading the log")
+    import insdvl_replay.logs.record_loops  # noqa: F401  all records are walked here: with the compiled loops
+
     log = open_recording(path, allow_damaged=allow_damaged)
     place = str(log.path)
     roles = assign_roles(place, log.channels, config)

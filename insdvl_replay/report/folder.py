@@ -127,7 +127,10 @@ def _beside(target: Path) -> Iterator[Path]:
         try:
             yield workspace
         finally:
-            shutil.rmtree(workspace, ignore_errors=True)
+            try:
+                shutil.rmtree(workspace, ignore_errors=True)
+            finally:  # an interruption may come while it is removed
+                shutil.rmtree(workspace, ignore_errors=True)
             for parent in made:
                 with suppress(OSError):  # no longer empty, or never made
                     parent.rmdir()
