@@ -104,10 +104,10 @@ def in_chunks(batches: Sequence[MessageRecords], head: bytes) -> Iterator[Indexe
         head = b""
 
 
-def _in_order(batches: Sequence[MessageRecords]) -> tuple[TimeNs, NDArray[np.int16]]:
+def _in_order(batches: Sequence[MessageRecords]) -> tuple[TimeNs, NDArray[np.int32]]:
     """Give the times of all messages in their order, and the batch that each is of."""
     time_ns = np.concatenate([records.batch.time_ns for records in batches])
-    batch_of = np.repeat(np.arange(len(batches), dtype=np.int16), [len(records.batch.time_ns) for records in batches])
+    batch_of = np.repeat(np.arange(len(batches), dtype=np.int32), [len(records.batch.time_ns) for records in batches])
     order = np.argsort(time_ns, kind="stable")
     return time_ns[order], batch_of[order]
 

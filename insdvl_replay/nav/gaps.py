@@ -197,7 +197,7 @@ def _split_note(gaps: Gaps, imu: Imu, span_ns: tuple[int, int], kept_ns: tuple[i
     """Say what is left of a dive that is split, and which setting bridges its gaps."""
     from_s, to_s = ((time_ns - origin_ns) * 1e-9 for time_ns in kept_ns)
     left_out_s = (span_ns[1] - span_ns[0] - kept_ns[1] + kept_ns[0]) * 1e-9
-    hint, why = "--set imu.long_gaps=grow bridges them", ""
+    hint, why = "--set imu.long_gaps=grow bridges those in which the attitude is not lost", ""
     if imu.long_gaps == "grow":
         widest_deg = float(_turns_unseen_rad(gaps, imu).max()) / DEG
         why = f" ({imu.gap_rate_degps:g} deg/s unseen leave the attitude unknown by {widest_deg:.0f} deg)"
