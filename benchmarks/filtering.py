@@ -41,7 +41,7 @@ Contender = Callable[[], tuple[float, Floats | None]]
 
 def epochs_of(inputs: Inputs) -> int:
     """Count the intervals of the time line."""
-    return len(inputs.timeline.time_ns) - 1
+    return len(instants(inputs.timeline).time_s) - 1
 
 
 def with_insdvl_replay(inputs: Inputs) -> tuple[float, Floats]:

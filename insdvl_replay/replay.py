@@ -148,6 +148,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     notes += _reference_notes(dive, config, start, histories[0], judged_ns)
     if not keep_cov:
         histories = tuple(history.without_cov() for history in histories)
+    return_freed_memory()
     return Replay(dive, config, start_ns, start.end_ns, start.velocities, histories, errors, tables, judged, notes)
 
 

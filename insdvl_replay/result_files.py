@@ -56,7 +56,8 @@ def save_replay(replay: Replay, folder: Path) -> None:
     )
     (folder / "config.toml").write_text(settings, "utf-8")
     (folder / "run.log").write_text(run_log(report), "utf-8")
-    (folder / PAGE).write_bytes(dive_page(report, replay_figures(replay), replay_coverage(replay), settings))
+    strips = replay_coverage(replay)  # before the figures, which hold much until they are drawn
+    (folder / PAGE).write_bytes(dive_page(report, replay_figures(replay), strips, settings))
     (folder / "report.json").write_bytes(encode_report(report))
 
 

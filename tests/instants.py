@@ -1,22 +1,50 @@
 """All that a filter is told at the nodes of a time line, as columns."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats
-from insdvl_replay.nav.timeline import Timeline, instant_at
+from insdvl_replay.columns import Floats, TimeNs
+from insdvl_replay.nav.timeline import Node, Timeline, first_node, is_event, is_last, next_node
 
 
 class Instants(NamedTuple):
-    """Readings at k nodes; shapes (k,), (k, 3) and (k, 3)."""
+    """Times and readings at k nodes; shapes (k,), (k,), (k, 3) and (k, 3).
 
+    Of each, the ping that is valid there and the gap that the interval before it lies in, -1 for none, and whether it
+    is recorded; shape (k,).
+    """
+
+    time_ns: TimeNs
     time_s: Floats
     specific_force_b: Floats
     angular_rate_b: Floats
+    ping: NDArray[np.int64]
+    gap: NDArray[np.int64]
+    record: NDArray[np.bool_]
 
 
 def instants(timeline: Timeline) -> Instants:
     """Go along a time line as the filter does."""
-    rows = [instant_at(timeline, k) for k in range(len(timeline.time_ns))]
-    return Instants(*(np.array(column) for column in zip(*rows, strict=True)))
+    nodes = list(_nodes(timeline))
+    event = np.array([node.event for node in nodes])
+    here = np.array([is_event(timeline, node) for node in nodes])
+    return Instants(
+        np.array([node.time_ns for node in nodes]),
+        np.array([node.time_s for node in nodes]),
+        np.array([node.specific_force_b for node in nodes]),
+        np.array([node.angular_rate_b for node in nodes]),
+        np.where(here, timeline.ping[event], -1),
+        np.append(-1, timeline.gap[event[:-1]]),
+        here & timeline.record[event],
+    )
+
+
+def _nodes(timeline: Timeline) -> Iterator[Node]:
+    node = first_node(timeline)
+    yield node
+    while not is_last(timeline, node):
+        node = next_node(timeline, node)
+        yield node

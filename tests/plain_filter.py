@@ -58,8 +58,8 @@ def run_plain_filter(inputs: Inputs) -> Belief:
         force_b = at.specific_force_b[k - 1 : k + 1].mean(axis=0) - belief.accel_bias_b
         rate_b = at.angular_rate_b[k - 1 : k + 1].mean(axis=0) - belief.gyro_bias_b
         belief = propagated(belief, force_b, rate_b, at.time_s[k] - at.time_s[k - 1], noise_density)
-        if timeline.ping[k] >= 0:
-            belief = updated(belief, velocity.measured_b[timeline.ping[k]], velocity.cov_b[timeline.ping[k]])
+        if at.ping[k] >= 0:
+            belief = updated(belief, velocity.measured_b[at.ping[k]], velocity.cov_b[at.ping[k]])
     return belief
 
 

@@ -17,7 +17,7 @@ def test_filter_is_what_the_matrices_say(grade: str) -> None:
     inputs = baseline_inputs(dive, Config(filters={"baseline": Filter(aiding=("velocity",))}))
     plain = run_plain_filter(inputs)
     timeline, start, noise_density, velocity = inputs
-    history = run_filter("fast", timeline, start, noise_density, (velocity,), np.zeros(3), cov_ns=timeline.time_ns)
+    history = run_filter("fast", timeline, start, noise_density, (velocity,), np.zeros(3), cov_ns=timeline.event_ns)
     sd = np.sqrt(np.diag(plain.P))
     np.testing.assert_allclose(history.sd[-1], sd, rtol=1e-7)
     # What is off comes of the Earth's gravity, which is computed anew every 0.6 m.

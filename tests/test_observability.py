@@ -67,10 +67,10 @@ def exact_nominal(scenario: str) -> tuple[Timeline, History]:
     assert dive.reference is not None
     time_ns = dive.reference.time_ns
     timeline = build_timeline(dive.imu, time_ns[100::100], time_ns, int(time_ns[0]), int(time_ns[-1]))
-    rows = len(timeline.time_ns)
+    rows = len(timeline.event_ns)
     history = History(
         filter="exact",
-        time_ns=timeline.time_ns,
+        time_ns=timeline.event_ns,
         updated=timeline.ping >= 0,
         position=dive.reference.position,
         velocity_n=dive.reference.velocity_n,
@@ -78,7 +78,7 @@ def exact_nominal(scenario: str) -> tuple[Timeline, History]:
         accel_bias_b=np.zeros((rows, 3)),
         gyro_bias_b=np.zeros((rows, 3)),
         sd=np.ones((rows, 12)),
-        cov_ns=timeline.time_ns[:0],
+        cov_ns=timeline.event_ns[:0],
         cov=np.empty((0, 12, 12)),
         innovations=(),
     )

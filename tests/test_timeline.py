@@ -52,13 +52,13 @@ def integral(timeline: Timeline) -> Floats:
     ids=["on a sample", "just after", "between", "just before", "first nanosecond", "last but one", "at the end"],
 )
 def test_ping_has_its_own_node_at_its_own_nanosecond(offset_ns: int, nodes: int) -> None:
-    timeline = whole(imu_100_hz(), ns(offset_ns))
-    assert len(timeline.time_ns) == nodes
-    row = int(np.flatnonzero(timeline.ping >= 0).item())
-    assert timeline.ping[row] == 0
-    assert timeline.time_ns[row] == EPOCH_NS + offset_ns
-    assert timeline.record[row]
-    assert instants(timeline).time_s[row] == pytest.approx(offset_ns * 1e-9, abs=1e-15)
+    at = instants(whole(imu_100_hz(), ns(offset_ns)))
+    assert len(at.time_ns) == nodes
+    row = int(np.flatnonzero(at.ping >= 0).item())
+    assert at.ping[row] == 0
+    assert at.time_ns[row] == EPOCH_NS + offset_ns
+    assert at.record[row]
+    assert at.time_s[row] == pytest.approx(offset_ns * 1e-9, abs=1e-15)
 
 
 @pytest.mark.parametrize("imu_hz", [50, 100, 400])
@@ -67,46 +67,42 @@ def test_every_sample_ping_and_reference_has_one_node(imu_hz: int, dvl_hz: int) 
     imu = imu_at(EPOCH_NS + np.rint(np.arange(5 * imu_hz + 1) * 1e9 / imu_hz).astype(np.int64))
     ping_ns = EPOCH_NS + np.rint((0.0137 + np.arange(4 * dvl_hz)) * 1e9 / dvl_hz).astype(np.int64)
     reference_ns = EPOCH_NS + np.rint(np.arange(21) * 0.25e9).astype(np.int64)
-    timeline = whole(imu, ping_ns, reference_ns)
-    assert set(timeline.time_ns.tolist()) == {*imu.time_ns.tolist(), *ping_ns.tolist(), *reference_ns.tolist()}
-    assert (np.diff(timeline.time_ns) > 0).all()
-    np.testing.assert_array_equal(timeline.time_ns[timeline.ping >= 0], ping_ns)
-    np.testing.assert_array_equal(timeline.ping[timeline.ping >= 0], np.arange(len(ping_ns)))
-    assert set(timeline.time_ns[timeline.record].tolist()) == {*ping_ns.tolist(), *reference_ns.tolist()}
+    at = instants(whole(imu, ping_ns, reference_ns))
+    assert set(at.time_ns.tolist()) == {*imu.time_ns.tolist(), *ping_ns.tolist(), *reference_ns.tolist()}
+    assert (np.diff(at.time_ns) > 0).all()
+    np.testing.assert_array_equal(at.time_ns[at.ping >= 0], ping_ns)
+    np.testing.assert_array_equal(at.ping[at.ping >= 0], np.arange(len(ping_ns)))
+    assert set(at.time_ns[at.record].tolist()) == {*ping_ns.tolist(), *reference_ns.tolist()}
 
 
 def test_reference_at_the_time_of_a_ping_shares_its_node() -> None:
-    timeline = whole(imu_100_hz(), ns(33 * MS), ns(33 * MS, 66 * MS))
-    assert (timeline.time_ns[timeline.record] - EPOCH_NS).tolist() == [0, 33 * MS, 66 * MS, 100 * MS]
-    assert (timeline.time_ns[timeline.ping >= 0] - EPOCH_NS).tolist() == [33 * MS]
+    at = instants(whole(imu_100_hz(), ns(33 * MS), ns(33 * MS, 66 * MS)))
+    assert (at.time_ns[at.record] - EPOCH_NS).tolist() == [0, 33 * MS, 66 * MS, 100 * MS]
+    assert (at.time_ns[at.ping >= 0] - EPOCH_NS).tolist() == [33 * MS]
 
 
 def test_reference_outside_the_span_is_left_out() -> None:
     reference_ns = ns(-1, 0, 14 * MS, 15 * MS, 50 * MS, 85 * MS, 86 * MS, 101 * MS)
-    timeline = build_timeline(imu_100_hz(), NONE, reference_ns, *ns(15 * MS, 85 * MS).tolist())
-    assert (timeline.time_ns[timeline.record] - EPOCH_NS).tolist() == [15 * MS, 50 * MS, 85 * MS]
+    at = instants(build_timeline(imu_100_hz(), NONE, reference_ns, *ns(15 * MS, 85 * MS).tolist()))
+    assert (at.time_ns[at.record] - EPOCH_NS).tolist() == [15 * MS, 50 * MS, 85 * MS]
 
 
 def test_span_may_begin_and_end_between_samples() -> None:
-    timeline = build_timeline(imu_100_hz(), ns(85 * MS), NONE, *ns(15 * MS, 85 * MS).tolist())
-    assert (timeline.time_ns[[0, 1, -2, -1]] - EPOCH_NS).tolist() == [15 * MS, 20 * MS, 80 * MS, 85 * MS]
-    assert instants(timeline).time_s[0] == 0.0
-    assert timeline.record[[0, -1]].all()
-    assert timeline.ping[-1] == 0
+    at = instants(build_timeline(imu_100_hz(), ns(85 * MS), NONE, *ns(15 * MS, 85 * MS).tolist()))
+    assert (at.time_ns[[0, 1, -2, -1]] - EPOCH_NS).tolist() == [15 * MS, 20 * MS, 80 * MS, 85 * MS]
+    assert at.time_s[0] == 0.0
+    assert at.record[[0, -1]].all()
+    assert at.ping[-1] == 0
 
 
 def test_readings_lie_on_the_line_between_samples() -> None:
     imu = imu_100_hz()
     ping_ns = ns(1, 5 * MS, 10 * MS, 37 * MS, 100 * MS - 1)
-    timeline = whole(imu, ping_ns)
+    at = instants(whole(imu, ping_ns))
     at_s, sample_s = (ping_ns - EPOCH_NS) * 1e-9, (imu.time_ns - EPOCH_NS) * 1e-9
-    pinged = timeline.ping >= 0
-    for made, readings in (
-        (instants(timeline).specific_force_b, imu.specific_force_b),
-        (instants(timeline).angular_rate_b, imu.angular_rate_b),
-    ):
-        np.testing.assert_allclose(made[pinged], make_interp_spline(sample_s, readings, k=1)(at_s), atol=1e-12)
-        np.testing.assert_array_equal(made[np.isin(timeline.time_ns, imu.time_ns)], readings)
+    for made, readings in ((at.specific_force_b, imu.specific_force_b), (at.angular_rate_b, imu.angular_rate_b)):
+        np.testing.assert_allclose(made[at.ping >= 0], make_interp_spline(sample_s, readings, k=1)(at_s), atol=1e-12)
+        np.testing.assert_array_equal(made[np.isin(at.time_ns, imu.time_ns)], readings)
 
 
 def test_readings_are_those_of_numpy_to_the_last_bit() -> None:
@@ -122,6 +118,18 @@ def test_a_time_line_does_not_copy_the_readings_unless_the_loop_cannot_take_them
     strided = ImuColumns(imu.time_ns, np.asfortranarray(imu.specific_force_b), imu.angular_rate_b)
     assert whole(strided, NONE).specific_force_b.flags.c_contiguous
     assert integral(whole(strided, NONE)).tolist() == integral(whole(imu, NONE)).tolist()
+
+
+def test_a_time_line_takes_memory_for_its_events_alone() -> None:
+    """A copy of what stands in the samples would be the largest part of a long dive."""
+    imu = imu_100_hz(100_000)
+    timeline = whole(imu, imu.time_ns[0] + 10_000 * MS * np.arange(1, 100))
+    of_samples = {"sample_ns", "specific_force_b", "angular_rate_b"}
+    own = sum(column.nbytes for name, column in timeline._asdict().items() if name not in of_samples)
+    assert own < 0.01 * imu.specific_force_b.nbytes
+    assert all(
+        np.shares_memory(getattr(timeline, name), getattr(imu, name.replace("sample", "time"))) for name in of_samples
+    )
 
 
 @settings(derandomize=True, deadline=None)

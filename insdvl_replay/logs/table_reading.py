@@ -84,6 +84,7 @@ class _Builder:
     filling: dict[str, Filling] = field(init=False)
     stretches: list[tuple[int, int]] = field(default_factory=list)
     salvage: Salvage = field(default_factory=Salvage)
+    has_whole_times: bool = False
 
     def __post_init__(self) -> None:
         self.place = f"{self.log.path}: {self.source.topic}"
@@ -103,10 +104,16 @@ class _Builder:
             return
         for part, fields in self.salvage.read(reader, block):
             recorder = {"log_time": part.log_time[:, None], "publish_time": part.publish_time[:, None]}
-            columns = recorder | fields
             for path, column in self.filling.items():
-                column.add(columns[path])
+                column.add(self._narrowed(path, (recorder | fields)[path]))
             self.stretches.append((part.channel_id, part.log_time.size))
+
+    def _narrowed(self, path: str, values: NDArray[Any]) -> NDArray[Any]:
+        """Make one number of a stamp's seconds and nanoseconds."""
+        if path != stamp_path(self.source.stamp) or values.shape[1] != 2:
+            return values
+        self.has_whole_times = True
+        return _nanoseconds(values)
 
     def table(self) -> Table:
         """Give what has been read."""
@@ -115,14 +122,9 @@ class _Builder:
             raise error or LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
         read = {path: column.rows() for path, column in self.filling.items()}
         columns, channel_ids, repeats = merged(read, self.stretches)
-        stamp, fault = stamp_path(self.source.stamp), error.message if error else ""
-        has_whole_times = columns[stamp].shape[1] == 2
-        if has_whole_times:
-            columns[stamp] = _nanoseconds(columns[stamp])
+        fault = error.message if error else ""
         known, files = next(iter(self.readers.values())).known, _files_of(channel_ids)
-        table = Table(
-            self.place, self.source, columns, unreadable, fault, repeats, known, files, has_whole_times=has_whole_times
-        )
+        table = Table(self.place, self.source, columns, unreadable, fault, repeats, known, files, self.has_whole_times)
         if unreadable and not self.log.allow_damaged:
             raise table.refusal()
         return table

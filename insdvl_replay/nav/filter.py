@@ -21,7 +21,7 @@ from insdvl_replay.nav.place import normal_gravity, place_at, within_reach
 from insdvl_replay.nav.recording import Ins, Records, Updates, history_of, new_records, new_updates, write_record
 from insdvl_replay.nav.start import Start
 from insdvl_replay.nav.strapdown import Motion, propagate
-from insdvl_replay.nav.timeline import Timeline, instant_at, mean
+from insdvl_replay.nav.timeline import Timeline, first_node, is_event, is_last, mean, next_node
 from insdvl_replay.nav.vector_algebra import Vector, matrix, rotate_back, subtract, vector, write_vector
 
 
@@ -80,7 +80,7 @@ def run_filter(
     -------
     History
     """
-    keep_cov = np.isin(timeline.time_ns[timeline.record], () if cov_ns is None else cov_ns)
+    keep_cov = np.isin(timeline.event_ns[timeline.record], () if cov_ns is None else cov_ns)
     records, updates = new_records(keep_cov), new_updates(len(measurements), int(timeline.ping.max()) + 1)
     ins = Ins(
         start.position.copy(),
@@ -110,10 +110,10 @@ def _run(
     place = place_at(ins.position[0], ins.position[2])
     z, H = np.zeros(3), np.zeros((3, 12))
 
-    row, before = 0, instant_at(timeline, 0)
+    row, before = 0, first_node(timeline)
     write_record(ins, records, row)
-    for k in range(1, len(timeline.time_ns)):
-        now = instant_at(timeline, k)
+    while not is_last(timeline, before):
+        now = next_node(timeline, before)
         dt = now.time_s - before.time_s
         if not within_reach(place, ins.position[0], ins.position[2]):
             place = place_at(ins.position[0], ins.position[2])
@@ -121,10 +121,14 @@ def _run(
         rate_b = subtract(mean(before.angular_rate_b, now.angular_rate_b), vector(ins.gyro_bias_b))
         motion = propagate(ins.position, ins.velocity_n, ins.mat_nb, force_b, rate_b, dt, place)
         propagate_cov(ins.P, motion, noise_density, dt)
-        if timeline.gap[k] >= 0:
-            add_noise(ins.P, timeline.gap_noise_density[timeline.gap[k]], dt)
+        gap = timeline.gap[before.event]
+        if gap >= 0:
+            add_noise(ins.P, timeline.gap_noise_density[gap], dt)
+        before = now
+        if not is_event(timeline, now):
+            continue
 
-        ping = timeline.ping[k]
+        ping = timeline.ping[now.event]
         if ping >= 0:
             _note_motion(ins, memory, ping, now.angular_rate_b, motion)
             for m in range(len(measurements.kind)):
@@ -133,10 +137,9 @@ def _run(
                     linearise(measurement, ping, _at_ping(ins, memory, now.specific_force_b, lever_arm_b), z, H)
                     _update(ins, measurement, m, ping, z, H, updates)
             write_vector(_velocity_b(ins), memory.velocity_after_b)
-        if timeline.record[k]:
+        if timeline.record[now.event]:
             row += 1
             write_record(ins, records, row)
-        before = now
 
 
 def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:

@@ -69,14 +69,20 @@ class Gaps:
         over = np.searchsorted(self.end_ns, from_ns, side="right")
         return np.asarray(begun > over)
 
-    def bridge_ns(self) -> TimeNs:
-        """Give the times inside the gaps at which a time line needs nodes, shape (n,)."""
+    def after(self, time_ns: TimeNs) -> NDArray[np.int64]:
+        """Give the row of the gap that lies after each of some times, -1 for none; shape as the times."""
+        row = np.searchsorted(self.start_ns, time_ns, side="right") - 1
+        over = np.searchsorted(self.end_ns, time_ns, side="right") - 1
+        return np.where(row > over, row, -1)
+
+    def node_ns(self) -> TimeNs:
+        """Give the times at which a time line needs nodes: both ends of each gap and some between, shape (n,)."""
         steps = np.ceil(self.length_s / BRIDGE_STEP_S).astype(np.int64)
-        bridges = [
-            np.linspace(start, end, int(count), endpoint=False, dtype=np.int64)[1:]
+        nodes = [
+            np.linspace(start, end, int(count) + 1, dtype=np.int64)
             for start, end, count in zip(self.start_ns, self.end_ns, steps, strict=True)
         ]
-        return np.concatenate([np.empty(0, np.int64), *bridges])
+        return np.concatenate([np.empty(0, np.int64), *nodes])
 
     def longest_stretch(self, start_ns: int, end_ns: int) -> tuple[int, int]:
         """Give the longest part of a span that has no gap.

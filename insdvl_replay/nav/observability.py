@@ -20,7 +20,7 @@ from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.place import normal_gravity, place_at, within_reach
 from insdvl_replay.nav.strapdown import Motion, propagate
-from insdvl_replay.nav.timeline import Timeline, instant_at, mean
+from insdvl_replay.nav.timeline import Timeline, first_node, is_event, is_last, mean, next_node
 from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate_back, subtract, vector, write_vector
 
 TOLERANCE: Final = 3e-6
@@ -62,7 +62,7 @@ def nominal_pings(timeline: Timeline, nominal: History, *, earth_rate: bool = Tr
     timeline : Timeline
         Nodes with readings and pings.
     nominal : History
-        A row at each recorded node of the time line; from one to the next the motion is mechanised.
+        A row at each recorded event of the time line; from one to the next the motion is mechanised.
     earth_rate : bool
         False: let the Earth be flat and at rest, and take the Coriolis acceleration out of the readings.
 
@@ -75,7 +75,7 @@ def nominal_pings(timeline: Timeline, nominal: History, *, earth_rate: bool = Tr
     ValueError
         The history was recorded on another time line.
     """
-    if not np.array_equal(nominal.time_ns, timeline.time_ns[timeline.record]):
+    if not np.array_equal(nominal.time_ns, timeline.event_ns[timeline.record]):
         raise ValueError("the nominal motion has other times than the time line records")
     pings = int(timeline.ping.max()) + 1
     found = NominalPings(
@@ -228,7 +228,7 @@ def _walk(
     gravity: Floats,
     transition: Floats,
 ) -> None:
-    """Mechanise from one recorded node to the next, and multiply up the transition."""
+    """Mechanise from one recorded event to the next, and multiply up the transition."""
     position_now, velocity_now, mat_now = (
         nominal_position[0].copy(),
         nominal_velocity_n[0].copy(),
@@ -236,9 +236,9 @@ def _walk(
     )
     place, row = place_at(position_now[0], position_now[2]), 0
     F, Phi = np.zeros((12, 12)), np.eye(12)
-    before = instant_at(timeline, 0)
-    for k in range(1, len(timeline.time_ns)):
-        now, ping = instant_at(timeline, k), timeline.ping[k]
+    before = first_node(timeline)
+    while not is_last(timeline, before):
+        now = next_node(timeline, before)
         dt = now.time_s - before.time_s
         before_n = vector(velocity_now)
         if not within_reach(place, position_now[0], position_now[2]):
@@ -249,7 +249,12 @@ def _walk(
         rate_in_b = rotate_back(motion.mat_nb, motion.rate_in_n)
         write_system_matrix(motion if earth_rate else _on_a_resting_earth(motion, before_n), F)
         Phi += dt * (F @ Phi)
-        if timeline.record[k]:
+        before = now
+        if not is_event(timeline, now):
+            continue
+
+        ping = timeline.ping[now.event]
+        if timeline.record[now.event]:
             row += 1
             position_now[:] = nominal_position[row]
             velocity_now[:] = nominal_velocity_n[row]
@@ -261,7 +266,6 @@ def _walk(
             write_vector(subtract(rate_ib_b, rate_in_b), rate_nb_b[ping])
             gravity[ping] = normal_gravity(position_now[0], position_now[2])
             transition[ping] = Phi
-        before = now
 
 
 @compiled

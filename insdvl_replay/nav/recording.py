@@ -1,4 +1,4 @@
-"""What a filter writes down on its way: its state at the recorded nodes, and each innovation."""
+"""What a filter writes down on its way: its state at the recorded events, and each innovation."""
 
 import math
 from typing import NamedTuple
@@ -26,7 +26,7 @@ class Ins(NamedTuple):
 
 
 class Records(NamedTuple):
-    """The navigation state at the recorded nodes, and P at some: ``cov_row`` is its row in ``cov``, -1 for none."""
+    """The navigation state at the recorded events, and P at some: ``cov_row`` is its row in ``cov``, -1 for none."""
 
     position: Floats
     velocity_n: Floats
@@ -49,7 +49,7 @@ class Updates(NamedTuple):
 
 
 def new_records(keep_cov: NDArray[np.bool_]) -> Records:
-    """Make room for the states at recorded nodes, with all of P at those that are to keep it."""
+    """Make room for the states at recorded events, with all of P at those that are to keep it."""
     rows = len(keep_cov)
     return Records(
         position=np.empty((rows, 3)),
@@ -113,7 +113,7 @@ def history_of(
     -------
     History
     """
-    ping_ns = timeline.time_ns[timeline.ping >= 0]
+    ping_ns = timeline.event_ns[timeline.ping >= 0]
     innovations = []
     for m, measurement in enumerate(measurements):
         rows = measurement.available
@@ -132,7 +132,7 @@ def history_of(
             )
         )
     records.position[:, 1] = wrap_angle(records.position[:, 1])
-    time_ns = timeline.time_ns[timeline.record]
+    time_ns = timeline.event_ns[timeline.record]
     return History(
         filter=name,
         time_ns=time_ns,

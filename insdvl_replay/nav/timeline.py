@@ -1,8 +1,8 @@
-"""One time line for the filter: IMU samples, pings and reference times merged, readings interpolated between samples.
+"""One time line for the filter: the IMU's samples, and between them the events at which more than a reading is at hand.
 
 A ping falls inside an IMU interval. The time line has a node there, so that the filter propagates to the ping's time of
-validity, updates, and finishes the interval. Readings are interpolated as the filter goes along: a copy for each node
-would take more memory than the samples themselves.
+validity, updates, and finishes the interval. Samples and events are merged as the filter goes along: nodes with their
+readings would take more memory than the samples themselves.
 """
 
 from typing import NamedTuple, TypeVar
@@ -19,51 +19,54 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class Timeline(NamedTuple):
-    """Nodes between which the filter propagates, and the samples whose readings it takes.
+    """Samples and events, whose times are the nodes between which the filter propagates.
 
     Attributes
     ----------
-    time_ns : ndarray, shape (k,)
-        Strictly increasing, from start to end.
-    sample : ndarray of int, shape (k,)
-        Row of the last sample at or before each node.
-    ping : ndarray of int, shape (k,)
-        Row of the ping that is valid here, -1 for none.
-    record : ndarray of bool, shape (k,)
-        Whether the history keeps this node.
-    gap : ndarray of int, shape (k,)
-        Row of the long gap that the interval before this node lies in, -1 for none.
-    gap_noise_density : ndarray, shape (g, 12)
-        What each long gap adds to the density of the process noise, see `gaps.Gaps`.
     sample_ns : ndarray, shape (s,)
-        Times of the IMU's samples.
+        Times of the IMU's samples; the first is at or before the start, the last at or after the end.
     specific_force_b, angular_rate_b : ndarray, shape (s, 3)
         Readings of the samples, m/s^2 and rad/s.
+    event_ns : ndarray, shape (e,)
+        Strictly increasing, from start to end; where a sample has the same time, both are one node.
+    ping : ndarray of int, shape (e,)
+        Row of the ping that is valid at each event, -1 for none.
+    record : ndarray of bool, shape (e,)
+        Whether the history keeps the event.
+    gap : ndarray of int, shape (e,)
+        Row of the long gap that lies after each event, -1 for none.
+    gap_noise_density : ndarray, shape (g, 12)
+        What each long gap adds to the density of the process noise, see `gaps.Gaps`.
     """
 
-    time_ns: TimeNs
-    sample: NDArray[np.int32]
-    ping: NDArray[np.int32]
-    record: NDArray[np.bool_]
-    gap: NDArray[np.int32]
-    gap_noise_density: Floats
     sample_ns: TimeNs
     specific_force_b: Floats
     angular_rate_b: Floats
+    event_ns: TimeNs
+    ping: NDArray[np.int64]
+    record: NDArray[np.bool_]
+    gap: NDArray[np.int64]
+    gap_noise_density: Floats
 
 
-class Instant(NamedTuple):
-    """The readings at a node.
+class Node(NamedTuple):
+    """Where the filter is on the time line.
 
     Attributes
     ----------
+    time_ns : int
     time_s : float
         Seconds from the start.
+    sample, event : int
+        Rows of the last sample and of the last event that are not later.
     specific_force_b, angular_rate_b : tuple of float
-        m/s^2 and rad/s.
+        Readings, m/s^2 and rad/s: those of a sample, or on the line between two.
     """
 
+    time_ns: int
     time_s: float
+    sample: int
+    event: int
     specific_force_b: Vector
     angular_rate_b: Vector
 
@@ -71,7 +74,7 @@ class Instant(NamedTuple):
 def build_timeline(
     imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs, start_ns: int, end_ns: int, gaps: Gaps = NO_GAPS
 ) -> Timeline:
-    """Merge the IMU's samples with pings and reference times.
+    """Set pings and reference times among the IMU's samples.
 
     Parameters
     ----------
@@ -99,50 +102,30 @@ def build_timeline(
         raise ValueError("the span lies outside the IMU's samples")
     if len(ping_ns) and (ping_ns[0] <= start_ns or ping_ns[-1] > end_ns):
         raise ValueError("a ping lies outside the span")
-    inside = reference_ns[(reference_ns > start_ns) & (reference_ns < end_ns)]
-    kept = _merged(np.array([start_ns, end_ns], dtype=np.int64), ping_ns, inside)
     gaps = gaps.within(start_ns, end_ns)
-    time_ns = _merged(_between(imu.time_ns, start_ns, end_ns), _between(gaps.bridge_ns(), start_ns, end_ns), kept)
-    sample = np.searchsorted(imu.time_ns, time_ns, side="right").astype(np.int32)
-    sample -= 1
-    ping = np.full(len(time_ns), -1, dtype=np.int32)
-    ping[np.searchsorted(time_ns, ping_ns)] = np.arange(len(ping_ns))
-    record = np.zeros(len(time_ns), dtype=np.bool_)
-    record[np.searchsorted(time_ns, kept)] = True
+    ends_ns = np.array([start_ns, end_ns], dtype=np.int64)
+    recorded_ns = np.concatenate([ends_ns, ping_ns, _inside(reference_ns, ends_ns)])
+    event_ns = np.union1d(recorded_ns, _inside(gaps.node_ns(), ends_ns))
+    ping = np.full(len(event_ns), -1)
+    ping[np.searchsorted(event_ns, ping_ns)] = np.arange(len(ping_ns))
+    record = np.zeros(len(event_ns), dtype=np.bool_)
+    record[np.searchsorted(event_ns, recorded_ns)] = True
+    covering = slice(np.searchsorted(imu.time_ns, start_ns, side="right") - 1, np.searchsorted(imu.time_ns, end_ns) + 1)
     return Timeline(
-        time_ns,
-        sample,
+        _for_the_loop(imu.time_ns[covering]),
+        _for_the_loop(imu.specific_force_b[covering]),
+        _for_the_loop(imu.angular_rate_b[covering]),
+        event_ns,
         ping,
         record,
-        _gap_rows(time_ns, gaps),
+        gaps.after(event_ns),
         gaps.noise_density,
-        _for_the_loop(imu.time_ns),
-        _for_the_loop(imu.specific_force_b),
-        _for_the_loop(imu.angular_rate_b),
     )
 
 
-def _between(time_ns: TimeNs, start_ns: int, end_ns: int) -> TimeNs:
-    first, last = np.searchsorted(time_ns, start_ns, side="right"), np.searchsorted(time_ns, end_ns, side="left")
-    return time_ns[first:last]
-
-
-def _merged(*times_ns: TimeNs) -> TimeNs:
-    """Unite times; a stable sort merges runs that are sorted already in a hundredth of the time of any other."""
-    time_ns = np.concatenate(times_ns)
-    time_ns.sort(kind="stable")
-    once: TimeNs = time_ns[np.append(True, time_ns[1:] > time_ns[:-1])]
-    return once
-
-
-def _gap_rows(time_ns: TimeNs, gaps: Gaps) -> NDArray[np.int32]:
-    """Name the gap of each interval; its ends are nodes, so that no interval lies in it by half."""
-    rows = np.full(len(time_ns), -1, dtype=np.int32)
-    firsts = np.maximum(np.searchsorted(time_ns, gaps.start_ns, side="right"), 1)
-    lasts = np.searchsorted(time_ns, gaps.end_ns, side="left")
-    for row, (first, last) in enumerate(zip(firsts, lasts, strict=True)):
-        rows[first : last + 1] = row
-    return rows
+def _inside(time_ns: TimeNs, ends_ns: TimeNs) -> TimeNs:
+    inside: TimeNs = time_ns[(time_ns > ends_ns[0]) & (time_ns < ends_ns[1])]
+    return inside
 
 
 def _for_the_loop(column: NDArray[Scalar]) -> NDArray[Scalar]:
@@ -151,34 +134,72 @@ def _for_the_loop(column: NDArray[Scalar]) -> NDArray[Scalar]:
 
 
 @compiled
-def instant_at(timeline: Timeline, k: int) -> Instant:
-    """Give the readings at node k: those of a sample, or on the line between two.
+def first_node(timeline: Timeline) -> Node:
+    """Give the node at the start.
 
     Parameters
     ----------
     timeline : Timeline
-    k : int
 
     Returns
     -------
-    Instant
+    Node
     """
-    row = timeline.sample[k]
-    time_s, before_s = _elapsed_s(timeline, timeline.time_ns[k]), _elapsed_s(timeline, timeline.sample_ns[row])
-    force_b, rate_b = vector(timeline.specific_force_b[row]), vector(timeline.angular_rate_b[row])
+    return _node(timeline, timeline.event_ns[0], 0, 0)
+
+
+@compiled
+def next_node(timeline: Timeline, before: Node) -> Node:
+    """Go on to the next sample or event, whichever comes first.
+
+    Parameters
+    ----------
+    timeline : Timeline
+    before : Node
+        Not the last one.
+
+    Returns
+    -------
+    Node
+    """
+    sample_ns, event_ns = timeline.sample_ns[before.sample + 1], timeline.event_ns[before.event + 1]
+    sample, event = before.sample + (sample_ns <= event_ns), before.event + (event_ns <= sample_ns)
+    return _node(timeline, min(sample_ns, event_ns), sample, event)
+
+
+@compiled
+def is_last(timeline: Timeline, node: Node) -> bool:
+    """Tell whether a node is the end of the time line."""
+    return node.event == len(timeline.event_ns) - 1
+
+
+@compiled
+def is_event(timeline: Timeline, node: Node) -> bool:
+    """Tell whether a node is an event, and not a sample alone."""
+    here: bool = node.time_ns == timeline.event_ns[node.event]
+    return here
+
+
+@compiled
+def _node(timeline: Timeline, time_ns: int, sample: int, event: int) -> Node:
+    time_s, before_s = _elapsed_s(timeline, time_ns), _elapsed_s(timeline, timeline.sample_ns[sample])
+    force_b, rate_b = vector(timeline.specific_force_b[sample]), vector(timeline.angular_rate_b[sample])
     if time_s == before_s:
-        return Instant(time_s, force_b, rate_b)
-    into_s, step_s = time_s - before_s, _elapsed_s(timeline, timeline.sample_ns[row + 1]) - before_s
-    return Instant(
+        return Node(time_ns, time_s, sample, event, force_b, rate_b)
+    into_s, step_s = time_s - before_s, _elapsed_s(timeline, timeline.sample_ns[sample + 1]) - before_s
+    return Node(
+        time_ns,
         time_s,
-        _on_the_line(force_b, timeline.specific_force_b[row + 1], into_s, step_s),
-        _on_the_line(rate_b, timeline.angular_rate_b[row + 1], into_s, step_s),
+        sample,
+        event,
+        _on_the_line(force_b, timeline.specific_force_b[sample + 1], into_s, step_s),
+        _on_the_line(rate_b, timeline.angular_rate_b[sample + 1], into_s, step_s),
     )
 
 
 @compiled
 def _elapsed_s(timeline: Timeline, time_ns: int) -> float:
-    since_s: float = (time_ns - timeline.time_ns[0]) * 1e-9
+    since_s: float = (time_ns - timeline.event_ns[0]) * 1e-9
     return since_s
 
 
