@@ -60,7 +60,7 @@ def test_estimated_errors_are_taken_out_of_the_state() -> None:
     dx = K @ z
     expected_cov = ins.P.copy()
     keep_invariant_error(expected_cov, dx[DV])
-    correct(ins, K, z)
+    correct(ins, K.T, z)
     np.testing.assert_allclose(ins.velocity_n, VELOCITY_N - dx[DV], rtol=1e-14)
     np.testing.assert_allclose(ins.mat_nb, turned(-dx[PHI]) @ mat_nb, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(np.concatenate([ins.accel_bias_b, ins.gyro_bias_b]), dx[6:], rtol=1e-14)

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, standardised, update_cov
+from insdvl_replay.nav.kalman import cholesky, innovation_cov, standardised, transposed_gain, update_cov
 
 
 def random_case(seed: int, n: int = 12, m: int = 3) -> tuple[Floats, Floats, Floats, Floats]:
@@ -17,13 +17,13 @@ def random_case(seed: int, n: int = 12, m: int = 3) -> tuple[Floats, Floats, Flo
 
 
 def updated(P: Floats, H: Floats, R: Floats, z: Floats) -> tuple[Floats, Floats, float, Floats]:
-    PH, S, L = np.empty((len(P), len(z))), np.empty((len(z), len(z))), np.zeros((len(z), len(z)))
-    innovation_cov(P, H, R, PH, S)
+    HP, S, L = np.empty((len(z), len(P))), np.empty((len(z), len(z))), np.zeros((len(z), len(z)))
+    innovation_cov(P, H, R, HP, S)
     cholesky(S, L)
-    K = gain(PH, L)
+    KT = transposed_gain(HP, L)
     after = P.copy()
-    update_cov(after, H, R, K)
-    return after, K, float(np.sum(standardised(L, z) ** 2)), S
+    update_cov(after, H, R, HP, KT)
+    return after, KT.T, float(np.sum(standardised(L, z) ** 2)), S
 
 
 def test_update_is_the_textbooks() -> None:

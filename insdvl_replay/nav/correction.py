@@ -17,21 +17,21 @@ from insdvl_replay.nav.vector_algebra import compose, matrix, rotation_from_vect
 
 
 @compiled
-def correct(ins: Ins, K: Floats, z: Floats) -> None:
+def correct(ins: Ins, KT: Floats, z: Floats) -> None:
     """Take ``dx = K z`` out of the navigation state; the error state returns to zero.
 
     Parameters
     ----------
     ins : Ins
         Corrected; its P is that after the update.
-    K : ndarray, shape (12, 3)
-        Gain.
+    KT : ndarray, shape (3, 12)
+        K', of the gain.
     z : ndarray, shape (3,)
         Innovation.
     """
     dx = np.empty(12)
     for i in range(12):
-        dx[i] = K[i, 0] * z[0] + K[i, 1] * z[1] + K[i, 2] * z[2]
+        dx[i] = KT[0, i] * z[0] + KT[1, i] * z[1] + KT[2, i] * z[2]
     for i in range(3):
         ins.velocity_n[i] -= dx[i]
         ins.accel_bias_b[i] += dx[6 + i]

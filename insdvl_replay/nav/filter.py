@@ -15,7 +15,7 @@ from insdvl_replay.history import History
 from insdvl_replay.nav.correction import correct
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
 from insdvl_replay.nav.innovation import InsAtPing, linearise
-from insdvl_replay.nav.kalman import cholesky, gain, innovation_cov, standardised, update_cov
+from insdvl_replay.nav.kalman import cholesky, innovation_cov, standardised, transposed_gain, update_cov
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.place import normal_gravity, place_at, within_reach
 from insdvl_replay.nav.recording import Ins, Records, Updates, history_of, new_records, new_updates, write_record
@@ -147,7 +147,7 @@ def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
     longest = max(measurement.velocity_weights.shape[1] for measurement in measurements)
 
     def padded(weights: Floats, width: int) -> Floats:
-        return np.pad(weights, ((0, 0), (width - weights.shape[1], 0)))
+        return np.hstack([np.zeros((len(weights), width - weights.shape[1])), weights])
 
     return _Stack(
         np.array([measurement.kind for measurement in measurements]),
@@ -209,8 +209,8 @@ def _unstacked(stack: _Stack, m: int) -> Measurement:
 @compiled
 def _update(ins: Ins, measurement: Measurement, m: int, ping: int, z: Floats, H: Floats, updates: Updates) -> None:
     """Judge an innovation by its gate, use it if it passes, and write down both."""
-    R, PH, S, L = measurement.cov_b[ping], np.empty((12, 3)), np.empty((3, 3)), np.empty((3, 3))
-    innovation_cov(ins.P, H, R, PH, S)
+    R, HP, S, L = measurement.cov_b[ping], np.empty((3, 12)), np.empty((3, 3)), np.empty((3, 3))
+    innovation_cov(ins.P, H, R, HP, S)
     cholesky(S, L)
     nis = 0.0
     for whitened in standardised(L, z):
@@ -222,6 +222,6 @@ def _update(ins: Ins, measurement: Measurement, m: int, ping: int, z: Floats, H:
         updates.innovation_b[m, ping, i] = z[i]
         updates.sd_b[m, ping, i] = math.sqrt(S[i, i])
     if updates.used[m, ping]:
-        K = gain(PH, L)
-        update_cov(ins.P, H, R, K)
-        correct(ins, K, z)
+        KT = transposed_gain(HP, L)
+        update_cov(ins.P, H, R, HP, KT)
+        correct(ins, KT, z)

@@ -1,6 +1,7 @@
 """The Kalman update in Joseph form. It knows neither time nor sensors.
 
-The loops are written out: the matrices are small, and the compiler makes less of library calls.
+The loops are written out: the matrices are small, and the compiler makes less of library calls. All matrices of a
+measurement have its few components as rows and the n states as columns, so that the inner loops run along memory.
 Source: Groves, chapter 3; for NIS, Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
 Navigation", chapter 5.
 """
@@ -18,25 +19,25 @@ def multiply(A: Floats, B: Floats, product: Floats) -> None:
     """Write ``A B``; ``product`` is neither of them."""
     for i in range(A.shape[0]):
         for j in range(B.shape[1]):
-            total = 0.0
-            for k in range(A.shape[1]):
-                total += A[i, k] * B[k, j]
-            product[i, j] = total
+            product[i, j] = 0.0
+        for k in range(A.shape[1]):
+            factor = A[i, k]
+            for j in range(B.shape[1]):
+                product[i, j] += factor * B[k, j]
 
 
 @compiled
-def multiply_transposed(A: Floats, B: Floats, product: Floats) -> None:
-    """Write ``A B'``; ``product`` is neither of them."""
-    for i in range(A.shape[0]):
-        for j in range(B.shape[0]):
-            total = 0.0
-            for k in range(A.shape[1]):
-                total += A[i, k] * B[j, k]
-            product[i, j] = total
+def add_transposed_product(A: Floats, B: Floats, sign: float, total: Floats) -> None:
+    """Add ``sign A' B``."""
+    for i in range(A.shape[1]):
+        for k in range(A.shape[0]):
+            factor = sign * A[k, i]
+            for j in range(B.shape[1]):
+                total[i, j] += factor * B[k, j]
 
 
 @compiled
-def innovation_cov(P: Floats, H: Floats, R: Floats, PH: Floats, S: Floats) -> None:
+def innovation_cov(P: Floats, H: Floats, R: Floats, HP: Floats, S: Floats) -> None:
     """Write the covariance of the innovation, ``S = H P H' + R``.
 
     Parameters
@@ -44,17 +45,18 @@ def innovation_cov(P: Floats, H: Floats, R: Floats, PH: Floats, S: Floats) -> No
     P : ndarray, shape (n, n)
     H : ndarray, shape (m, n)
     R : ndarray, shape (m, m)
-    PH : ndarray, shape (n, m)
-        Written: P H'.
+    HP : ndarray, shape (m, n)
+        Written: H P.
     S : ndarray, shape (m, m)
         Written, symmetric.
     """
-    multiply_transposed(P, H, PH)
-    multiply(H, PH, S)
+    multiply(H, P, HP)
     for i in range(S.shape[0]):
         for j in range(i + 1):
-            S[i, j] = 0.5 * (S[i, j] + S[j, i] + R[i, j] + R[j, i])
-            S[j, i] = S[i, j]
+            twice = R[i, j] + R[j, i]
+            for k in range(H.shape[1]):
+                twice += HP[i, k] * H[j, k] + HP[j, k] * H[i, k]
+            S[i, j] = S[j, i] = 0.5 * twice
 
 
 @compiled
@@ -102,62 +104,62 @@ def standardised(L: Floats, innovation: Floats) -> Floats:
 
 
 @compiled
-def gain(PH: Floats, L: Floats) -> Floats:
-    """Solve ``K S = P H'`` for the gain, with the Cholesky factor of S and without inverting it.
+def transposed_gain(HP: Floats, L: Floats) -> Floats:
+    """Solve ``S K' = H P`` for the gain, with the Cholesky factor of S and without inverting it.
 
     Parameters
     ----------
-    PH : ndarray, shape (n, m)
+    HP : ndarray, shape (m, n)
     L : ndarray, shape (m, m)
 
     Returns
     -------
-    ndarray, shape (n, m)
+    ndarray, shape (m, n)
+        K'.
     """
-    n, m = PH.shape
-    K = np.empty((n, m))
-    for row in range(n):
-        for i in range(m):
-            total = PH[row, i]
-            for k in range(i):
-                total -= L[i, k] * K[row, k]
-            K[row, i] = total / L[i, i]
-        for i in range(m - 1, -1, -1):
-            total = K[row, i]
-            for k in range(i + 1, m):
-                total -= L[k, i] * K[row, k]
-            K[row, i] = total / L[i, i]
-    return K
+    m, n = HP.shape
+    KT = HP.copy()
+    for i in range(m):
+        for k in range(i):
+            for j in range(n):
+                KT[i, j] -= L[i, k] * KT[k, j]
+        for j in range(n):
+            KT[i, j] /= L[i, i]
+    for i in range(m - 1, -1, -1):
+        for k in range(i + 1, m):
+            for j in range(n):
+                KT[i, j] -= L[k, i] * KT[k, j]
+        for j in range(n):
+            KT[i, j] /= L[i, i]
+    return KT
 
 
 @compiled
-def update_cov(P: Floats, H: Floats, R: Floats, K: Floats) -> None:
+def update_cov(P: Floats, H: Floats, R: Floats, HP: Floats, KT: Floats) -> None:
     """Update the covariance in place, ``P <- (I - K H) P (I - K H)' + K R K'``, and keep it symmetric.
 
-    With ``A = I - K H`` it is ``A P + (K R - A P H') K'``; if K is the gain, the bracket vanishes but for rounding.
-    Multiplied out in this way, no product is of two matrices of n columns.
+    With ``B = P (I - K H)'`` it is ``B + K (R K' - H B)``; if K is the gain, the bracket vanishes but for rounding.
+    Multiplied out in this way, no product is of two matrices of n columns and rows.
 
     Parameters
     ----------
     P : ndarray, shape (n, n)
     H : ndarray, shape (m, n)
     R : ndarray, shape (m, m)
-    K : ndarray, shape (n, m)
+    HP : ndarray, shape (m, n)
+        H P.
+    KT : ndarray, shape (m, n)
+        K'.
     """
-    n, m = K.shape
-    HP, AP, change = np.empty((m, n)), np.empty((n, n)), np.empty((n, n))
-    APH, rest = np.empty((n, m)), np.empty((n, m))
-    multiply(H, P, HP)
-    multiply(K, HP, change)
+    m, n = H.shape
+    B, HB, rest = P.copy(), np.empty((m, n)), np.empty((m, n))
+    add_transposed_product(HP, KT, -1.0, B)
+    multiply(H, B, HB)
+    multiply(R, KT, rest)
+    for i in range(m):
+        for j in range(n):
+            rest[i, j] -= HB[i, j]
+    add_transposed_product(KT, rest, 1.0, B)
     for i in range(n):
         for j in range(n):
-            AP[i, j] = P[i, j] - change[i, j]
-    multiply_transposed(AP, H, APH)
-    multiply(K, R, rest)
-    for i in range(n):
-        for j in range(m):
-            rest[i, j] -= APH[i, j]
-    multiply_transposed(rest, K, change)
-    for i in range(n):
-        for j in range(n):
-            P[i, j] = 0.5 * ((AP[i, j] + AP[j, i]) + (change[i, j] + change[j, i]))
+            P[i, j] = 0.5 * (B[i, j] + B[j, i])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from insdvl_replay.columns import Floats, ImuColumns, TimeNs
 from insdvl_replay.compiled import compiled
 from insdvl_replay.nav.gaps import NO_GAPS, Gaps
-from insdvl_replay.nav.vector_algebra import Vector, add, scale, vector
+from insdvl_replay.nav.vector_algebra import Vector, add, row_vector, scale, subtract
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -183,7 +183,7 @@ def is_event(timeline: Timeline, node: Node) -> bool:
 @compiled
 def _node(timeline: Timeline, time_ns: int, sample: int, event: int) -> Node:
     time_s, before_s = _elapsed_s(timeline, time_ns), _elapsed_s(timeline, timeline.sample_ns[sample])
-    force_b, rate_b = vector(timeline.specific_force_b[sample]), vector(timeline.angular_rate_b[sample])
+    force_b, rate_b = row_vector(timeline.specific_force_b, sample), row_vector(timeline.angular_rate_b, sample)
     if time_s == before_s:
         return Node(time_ns, time_s, sample, event, force_b, rate_b)
     into_s, step_s = time_s - before_s, _elapsed_s(timeline, timeline.sample_ns[sample + 1]) - before_s
@@ -192,8 +192,8 @@ def _node(timeline: Timeline, time_ns: int, sample: int, event: int) -> Node:
         time_s,
         sample,
         event,
-        _on_the_line(force_b, timeline.specific_force_b[sample + 1], into_s, step_s),
-        _on_the_line(rate_b, timeline.angular_rate_b[sample + 1], into_s, step_s),
+        _on_the_line(force_b, row_vector(timeline.specific_force_b, sample + 1), into_s, step_s),
+        _on_the_line(rate_b, row_vector(timeline.angular_rate_b, sample + 1), into_s, step_s),
     )
 
 
@@ -204,11 +204,12 @@ def _elapsed_s(timeline: Timeline, time_ns: int) -> float:
 
 
 @compiled
-def _on_the_line(before: Vector, after: Floats, into_s: float, step_s: float) -> Vector:
+def _on_the_line(before: Vector, after: Vector, into_s: float, step_s: float) -> Vector:
+    step = subtract(after, before)
     return (
-        (after[0] - before[0]) / step_s * into_s + before[0],
-        (after[1] - before[1]) / step_s * into_s + before[1],
-        (after[2] - before[2]) / step_s * into_s + before[2],
+        step[0] / step_s * into_s + before[0],
+        step[1] / step_s * into_s + before[1],
+        step[2] / step_s * into_s + before[2],
     )
 
 

@@ -21,6 +21,12 @@ def vector(array: Floats) -> Vector:
 
 
 @compiled
+def row_vector(array: Floats, row: int) -> Vector:
+    """Read a row of an array of shape (k, 3); a view of it would be counted as a reference, which takes longer."""
+    return array[row, 0], array[row, 1], array[row, 2]
+
+
+@compiled
 def matrix(array: Floats) -> Matrix:
     """Read an array of shape (3, 3)."""
     return (
