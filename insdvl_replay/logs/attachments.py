@@ -2,11 +2,12 @@
 
 import hashlib
 import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+
+from zlib_ng import zlib_ng
 
 from insdvl_replay.logs.damage import Damage, DamageError
 
@@ -93,7 +94,7 @@ def attachment_damages(data: memoryview, places: Sequence[tuple[int, int]]) -> l
     damages = []
     for start, length in places:
         attachment = attachment_at(data, start, length)
-        if attachment.crc and zlib.crc32(data[start : start + attachment.size]) != attachment.crc:
+        if attachment.crc and zlib_ng.crc32(data[start : start + attachment.size]) != attachment.crc:
             damages.append(Damage(start, "the checksum of an attachment is not that of its bytes"))
     return damages
 
@@ -128,6 +129,6 @@ def _digest(path: Path, section_end: int) -> tuple[str, int]:
             part = memoryview(piece)[:count]
             digest.update(part)
             if place < section_end:
-                crc = zlib.crc32(part[: section_end - place], crc)
+                crc = zlib_ng.crc32(part[: section_end - place], crc)
             place += count
     return digest.hexdigest(), crc

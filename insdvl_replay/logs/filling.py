@@ -74,4 +74,5 @@ def _are_all(values: NDArray[Any], row: NDArray[Any]) -> bool:
     """Tell whether all rows are this one, NaN as NaN, and of its kind of number."""
     if values.dtype != row.dtype or values.shape[1] != row.shape[1]:
         return False
-    return bool(np.all((values == row) | ((values != values) & (row != row))))
+    same = values == row
+    return bool(same.all() or np.all(same | (np.isnan(values) & np.isnan(row))))

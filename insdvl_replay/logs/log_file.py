@@ -6,7 +6,6 @@ same bytes as that library's own writer. Source: https://mcap.dev/spec.
 """
 
 import struct
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import BinaryIO, Final
@@ -32,6 +31,7 @@ from mcap.records import (
     SummaryOffset,
 )
 from numpy.typing import NDArray
+from zlib_ng import zlib_ng
 
 from insdvl_replay.columns import TimeNs
 
@@ -139,7 +139,7 @@ class LogFile:
             data=compressed,
             message_start_time=first_ns,
             message_end_time=last_ns,
-            uncompressed_crc=zlib.crc32(chunk.data),
+            uncompressed_crc=zlib_ng.crc32(chunk.data),
             uncompressed_size=len(chunk.data),
         )
         offset, length = self._write(record)
@@ -171,7 +171,7 @@ class LogFile:
         self._write_group(Opcode.SUMMARY_OFFSET, offsets)
         footer = Footer(summary_start=summary_start, summary_offset_start=offsets_start, summary_crc=0)
         # The checksum covers the summary and the footer up to the checksum itself.
-        footer.summary_crc = zlib.crc32(_framed(footer)[:-4], self._summary_crc)
+        footer.summary_crc = zlib_ng.crc32(_framed(footer)[:-4], self._summary_crc)
         self._write(footer)
         self._stream.write(MAGIC)
 
@@ -179,7 +179,7 @@ class LogFile:
         """Write a group of the summary; give its place."""
         start, data = self._stream.tell(), b"".join(map(_framed, records))
         self._stream.write(data)
-        self._summary_crc = zlib.crc32(data, self._summary_crc)
+        self._summary_crc = zlib_ng.crc32(data, self._summary_crc)
         return SummaryOffset(group_opcode=opcode, group_start=start, group_length=len(data))
 
     def _summary(self) -> list[tuple[int, Sequence[McapRecord]]]:

@@ -4,13 +4,13 @@ Source: the MCAP specification, https://mcap.dev/spec.
 """
 
 import struct
-import zlib
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
 import lz4.frame
 import zstandard
+from zlib_ng import zlib_ng
 
 from insdvl_replay.logs.damage import DamageError, Span, plausible_span
 
@@ -137,7 +137,7 @@ def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
     content = _decompressed(packed, header.compression, header.size, chunk.offset)
     if len(content) != header.size:
         raise DamageError(chunk.offset, f"a chunk opens to {len(content)} bytes where {header.size} were announced")
-    if header.crc and zlib.crc32(content) != header.crc:
+    if header.crc and zlib_ng.crc32(content) != header.crc:
         raise DamageError(chunk.offset, "the checksum of a chunk is not that of its bytes")
     return content
 

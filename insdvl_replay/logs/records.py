@@ -7,6 +7,7 @@ Source: the MCAP specification, https://mcap.dev/spec.
 
 import struct
 import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
@@ -105,9 +106,19 @@ def find_records(data: memoryview, start: int, end: int) -> tuple[Records, int]:
         return found, stop
     from insdvl_replay.logs.record_loops import walk
 
-    opcodes, starts, lengths = np.empty(BATCH, np.uint8), np.empty(BATCH, np.int64), np.empty(BATCH, np.int64)
-    count, stop = walk(np.frombuffer(data, np.uint8), start, end, opcodes, starts, lengths)
-    return Records(opcodes[:count].copy(), starts[:count].copy(), lengths[:count].copy()), stop
+    room = _ROOM.records
+    count, stop = walk(np.frombuffer(data, np.uint8), start, end, room.opcodes, room.starts, room.lengths)
+    return Records(room.opcodes[:count].copy(), room.starts[:count].copy(), room.lengths[:count].copy()), stop
+
+
+class _Room(threading.local):
+    """Room for a batch, made once for each thread: to make it for each chunk takes longer than the walk."""
+
+    def __init__(self) -> None:
+        self.records = Records(np.empty(BATCH, np.uint8), np.empty(BATCH, np.int64), np.empty(BATCH, np.int64))
+
+
+_ROOM: Final = _Room()
 
 
 class _Plain:

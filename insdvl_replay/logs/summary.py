@@ -1,11 +1,11 @@
 """The summary at the end of an MCAP file: what the recorder says of the whole."""
 
-import zlib
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from mcap import records
 from mcap.opcode import Opcode
+from zlib_ng import zlib_ng
 
 from insdvl_replay.logs.damage import Damage, DamageError, Span, plausible_span
 from insdvl_replay.logs.records import MAGIC, RECORD_HEADER_SIZE, find_records, parsed, what_stands
@@ -102,7 +102,7 @@ def _read(data: memoryview, footer_start: int, footer: records.Footer) -> Summar
     if not len(MAGIC) <= start <= footer_start:
         raise DamageError(footer_start, f"the footer says that the summary starts at byte {start}")
     # The checksum covers the footer up to itself.
-    if footer.summary_crc and zlib.crc32(data[start : footer_start + _FOOTER_SIZE - 4]) != footer.summary_crc:
+    if footer.summary_crc and zlib_ng.crc32(data[start : footer_start + _FOOTER_SIZE - 4]) != footer.summary_crc:
         raise DamageError(start, "the checksum of the summary is not that of its bytes")
     summary = Summary(start, footer_start, checked=footer.summary_crc != 0)
     if not footer.summary_start:
@@ -141,7 +141,7 @@ def summary_behind(data: memoryview, start: int) -> Summary | None:
                 _file(summary, parsed(_KINDS[opcode], data, content, length))
             elif opcode == Opcode.FOOTER:
                 crc = parsed(records.Footer, data, content, length).summary_crc
-                summary.checked = crc == zlib.crc32(data[start : content + length - 4])
+                summary.checked = crc == zlib_ng.crc32(data[start : content + length - 4])
                 return summary if summary.checked or not crc else None
         except DamageError:
             return None
