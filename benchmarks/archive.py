@@ -1,10 +1,11 @@
-"""How long a check of many dives takes: the first on one process and on two, and the second, which replays nothing.
+"""How many dives an hour a check replays on one process and on two, and how long the second takes, which replays none.
 
 The dives are simulated into a temporary folder, which is removed in the end. Each check is made several times, in turn,
 and the fastest counts: what else the machine does only ever makes it slower. Processor time says what the work costs
 where others use the machine, too; a second process adds its start, not the time of a dive.
 """
 
+import argparse
 import os
 import shutil
 import subprocess
@@ -12,12 +13,13 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
+
+from results import machine, table, write_part
 
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
-DIVES = 200
-DURATION_S = 60.0
 ROUNDS = 3
 GATES = """
 dives = ["dives"]
@@ -29,59 +31,85 @@ row = "ba_z"
 column = "improvement_pct"
 min = 10.0
 """
+KINDS = {
+    "the first, one process": ("--results", "one"),
+    "the first, two processes": ("--results", "two", "--jobs", "2"),
+    "the second": ("--results", "one"),
+}
 
 
-def make_archive(folder: Path) -> None:
+class Took(NamedTuple):
+    """What a check took: wall-clock time, and processor time of all its processes."""
+
+    wall_s: float
+    processor_s: float
+
+
+def make_archive(folder: Path, dives: int, duration_s: float) -> None:
     """Simulate the dives and write the gates."""
     (folder / "gates.toml").write_text(GATES, "utf-8")
     (folder / "dives").mkdir()
-    for seed in range(DIVES):
-        write_dive(
-            folder / "dives" / f"dive_{seed:03d}.mcap", simulate_dive("straight", seed=seed, duration_s=DURATION_S)
-        )
+    for seed in range(dives):
+        dive = simulate_dive("straight", seed=seed, duration_s=duration_s)
+        write_dive(folder / "dives" / f"dive_{seed:03d}.mcap", dive)
 
 
-def seconds_of_check(folder: Path, *arguments: str) -> tuple[float, float]:
-    """Give the wall-clock and the processor time of one check in a process of its own."""
+def check(folder: Path, *arguments: str) -> Took:
+    """Time one check in a process of its own."""
     command = [sys.executable, "-m", "insdvl_replay", "check", "gates.toml", *arguments]
     before, start_s = os.times(), time.perf_counter()
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
     wall_s, after = time.perf_counter() - start_s, os.times()
-    return wall_s, after.children_user + after.children_system - before.children_user - before.children_system
+    used_s = after.children_user + after.children_system - before.children_user - before.children_system
+    return Took(wall_s, used_s)
 
 
-def fastest_checks(folder: Path) -> dict[str, tuple[float, float]]:
+def fastest_checks(folder: Path) -> dict[str, Took]:
     """Give the least wall-clock and the least processor time of each kind of check."""
-    kinds = {
-        "first, one process": ("--results", "one"),
-        "first, two processes": ("--results", "two", "--jobs", "2"),
-        "second": ("--results", "one"),
-    }
-    times: dict[str, list[tuple[float, float]]] = {label: [] for label in kinds}
+    taken: dict[str, list[Took]] = {kind: [] for kind in KINDS}
     for _ in range(ROUNDS):
         for results in ("one", "two"):
             shutil.rmtree(folder / results, ignore_errors=True)
-        for label, arguments in kinds.items():
-            times[label].append(seconds_of_check(folder, *arguments))
-    return {label: (min(wall for wall, _ in of), min(cpu for _, cpu in of)) for label, of in times.items()}
+        for kind, arguments in KINDS.items():
+            taken[kind].append(check(folder, *arguments))
+    return {kind: Took(*map(min, zip(*each, strict=True))) for kind, each in taken.items()}
+
+
+def report(dives: int, duration_s: float) -> str:
+    """Measure, and make a part of the page of it."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        make_archive(folder, dives, duration_s)
+        check(folder, "--results", "warm", "dives/dive_000.mcap")
+        checks = fastest_checks(folder)
+    first_s = checks["the first, one process"].wall_s
+    rows = [
+        f"| {kind} | {took.wall_s:.2f} | {took.processor_s:.2f} | {3600.0 * dives / took.wall_s:.0f} "
+        f"| {first_s / took.wall_s:.2f} x |"
+        for kind, took in checks.items()
+    ]
+    lines = [
+        f"# Archive: {dives} dives of {duration_s:g} s",
+        "",
+        f"A check of all of them against one gate, with all outputs; the fastest of {ROUNDS}, measured in turn. The "
+        "second check of an archive finds its results.",
+        "",
+        *table(("check", "s", "s of processor time", "dives an hour", "against one process"), rows),
+        "",
+        f"{machine()}; shared cores.",
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def main() -> None:
-    """Measure and print."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        make_archive(folder)
-        seconds_of_check(folder, "--results", "warm", "dives/dive_000.mcap")
-        checks = fastest_checks(folder)
-    lines = [
-        f"{label:22} {wall_s:7.2f} s, {cpu_s:7.2f} s of processor time, {1e3 * cpu_s / DIVES:5.1f} ms a dive"
-        for label, (wall_s, cpu_s) in checks.items()
-    ]
-    one_s, two_s, second_s = (wall_s for wall_s, _ in checks.values())
-    lines.append(
-        f"two processes: {one_s / two_s:.2f} x one; second check: {one_s / second_s:.1f} x faster than the first"
-    )
-    sys.stdout.write("\n".join(lines) + "\n")
+    """Measure, print and write the part of the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--dives", type=int, default=200)
+    parser.add_argument("--duration", type=float, default=400.0, metavar="S")
+    arguments = parser.parse_args()
+    part = report(arguments.dives, arguments.duration)
+    sys.stdout.write(part)
+    write_part(part)
 
 
 if __name__ == "__main__":

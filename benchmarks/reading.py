@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
+from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -29,8 +30,9 @@ from insdvl_replay.logs.container import Log
 PER_IMU = 1.01
 """Messages for each one of the IMU."""
 IMAGE = bytes(1_500_000)
-DECODED = 100_000
+READ, DECODED = 500_000, 100_000
 """Messages after which the slow readers are stopped; their speed is the same from the first to the last."""
+ROUNDS = 5
 
 KINDS: dict[str, dict[str, Any]] = {
     "zstd": {"compression": CompressionType.ZSTD},
@@ -124,7 +126,7 @@ def with_insdvl_replay(path: Path) -> dict[str, float]:
     return {"messages": len(imu.time_ns) * PER_IMU, "s": elapsed_s, "mb": max(peak_mb() - before_mb - kept_mb, 0.0)}
 
 
-def counted(items: Iterator[Any], most: int | None = None) -> dict[str, float]:
+def counted(items: Iterator[Any], most: int) -> dict[str, float]:
     """Go through messages and time it."""
     start_s, count = time.perf_counter(), 0
     for _ in islice(items, most):
@@ -136,9 +138,9 @@ TOPICS = ["/imu", "/dvl"]
 
 
 def with_mcap(path: Path) -> dict[str, float]:
-    """Go through the messages, not decoded."""
+    """Go through the first messages, not decoded."""
     with path.open("rb") as stream:
-        return counted(make_reader(stream).iter_messages(topics=TOPICS))
+        return counted(make_reader(stream).iter_messages(topics=TOPICS), READ)
 
 
 def with_mcap_ros2(path: Path) -> dict[str, float]:
@@ -168,22 +170,32 @@ READERS: dict[str, Callable[[Path], dict[str, float]]] = {
 }
 
 
-def measured(path: Path, reader: str) -> dict[str, float]:
-    """Run a reader in a process of its own; ours three times, of which the fastest counts."""
+def measured(path: Path, reader: str) -> dict[str, float] | None:
+    """Run a reader in a process of its own; None if it cannot read the log."""
     command = [sys.executable, __file__, "--reader", reader, str(path)]
-    repeats = 3 if reader == "insdvl-replay" else 1
-    results = [subprocess.run(command, capture_output=True, text=True) for _ in range(repeats)]
-    outcomes = [json.loads(result.stdout) for result in results if result.returncode == 0]
-    return min(outcomes, key=lambda outcome: outcome["s"]) if outcomes else {"messages": 0, "s": 0.0}
+    result = subprocess.run(command, capture_output=True, text=True)
+    return json.loads(result.stdout) if result.returncode == 0 else None
+
+
+def in_turn(path: Path) -> dict[str, dict[str, float] | None]:
+    """Let all readers read a log, one after the other, several times; give the medians."""
+    rounds = [{reader: measured(path, reader) for reader in READERS} for _ in range(ROUNDS)]
+    found: dict[str, dict[str, float] | None] = {}
+    for reader in READERS:
+        outcomes = [outcome for taken in rounds if (outcome := taken[reader])]
+        found[reader] = {key: median(one[key] for one in outcomes) for key in outcomes[0]} if outcomes else None
+    return found
 
 
 def row(name: str, path: Path) -> str:
     """Measure all readers on one log."""
-    outcomes = {reader: measured(path, reader) for reader in READERS}
+    outcomes = in_turn(path)
     ours = outcomes.pop("insdvl-replay")
+    if ours is None:
+        raise RuntimeError(f"insdvl-replay cannot read the log '{name}'")
     speed = ours["messages"] / ours["s"]
     ratios = [
-        f"{speed / (outcome['messages'] / outcome['s']):.0f} x" if outcome["messages"] else "cannot"
+        f"{speed / (outcome['messages'] / outcome['s']):.0f} x" if outcome else "cannot"
         for outcome in outcomes.values()
     ]
     cells = [name, f"{path.stat().st_size / 1e6:.0f}", f"{ours['s']:.2f}", f"{speed / 1e3:.0f}", *ratios]
@@ -225,7 +237,8 @@ def report(messages: int, camera_gb: float) -> str:
         "checksum, digests the file and gives clean columns; mcap goes through the messages without decoding them; the "
         "other two decode them.",
         "",
-        f"{machine()}; shared cores, warm cache: read the ratios. {GOALS}",
+        f"Medians of {ROUNDS}, measured in turn, of wall-clock time. {machine()}; shared cores, warm cache: read the "
+        f"ratios. {GOALS}",
         "",
     ]
     return "\n".join([*title, *table(COLUMNS, rows)]) + "\n"

@@ -5,10 +5,15 @@ own; what is compared is measured in turn. Name sections to measure only these.
 """
 
 import argparse
+import json
 import os
+import resource
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory, mkdtemp
@@ -18,12 +23,41 @@ from results import machine, table, write_part
 
 ROUNDS = 5
 PROGRAM = (sys.executable, "-m", "insdvl_replay")
-HOURS = (1.0, 3.0, 9.0)
 GOALS = {
     "start": "`--help` in 0.2 s, and 3 times what Python and typer take.",
     "dive": "3 s for a dive of 424 s at 100 Hz.",
     "first": "15 s for the first run on a machine, which compiles.",
     "growth": "15 s and 600 MB for 9 h at 100 Hz; memory grows with the columns.",
+}
+
+
+class Length(NamedTuple):
+    """A dive of which the growth is measured; the longest is run but once."""
+
+    name: str
+    duration_s: float
+    imu_rate_hz: float
+    rounds: int
+
+    @property
+    def columns_mb(self) -> float:
+        """What times and readings of the IMU take."""
+        return self.duration_s * self.imu_rate_hz * 7 * 8 / 2**20
+
+
+LENGTHS = (
+    Length("424 s at 100 Hz", 424.0, 100.0, ROUNDS),
+    Length("1 h at 100 Hz", 3600.0, 100.0, ROUNDS),
+    Length("3 h at 100 Hz", 10_800.0, 100.0, ROUNDS),
+    Length("9 h at 100 Hz", 32_400.0, 100.0, ROUNDS),
+    Length("24 h at 400 Hz", 86_400.0, 400.0, 1),
+)
+STAGES = {
+    "reading the log": "reading",
+    "running the filters": "filters",
+    "judging the filters": "judging",
+    "writing the results": "writing",
+    "drawing the report": "page",
 }
 
 
@@ -53,18 +87,24 @@ def in_turn(contenders: dict[str, Callable[[], Used]], rounds: int) -> dict[str,
     return {name: Used(*map(median, zip(*each, strict=True))) for name, each in taken.items()}
 
 
-def simulated(log: Path, scenario: str, duration_s: float) -> Path:
-    """Write a dive at 100 Hz."""
-    subprocess.run([*PROGRAM, "simulate", scenario, "-o", str(log), "--duration", str(duration_s)], check=True)
+def simulated(log: Path, scenario: str, duration_s: float, imu_rate_hz: float = 100.0) -> Path:
+    """Write a dive, in a process that gives its memory back."""
+    code = (
+        "import sys; from pathlib import Path; from insdvl_replay.logs import write_dive; "
+        "from insdvl_replay.sim.dive import simulate_dive; log, scenario, *numbers = sys.argv[1:]; "
+        "duration_s, imu_rate_hz = map(float, numbers); "
+        "write_dive(Path(log), simulate_dive(scenario, seed=1, duration_s=duration_s, imu_rate_hz=imu_rate_hz))"
+    )
+    subprocess.run([sys.executable, "-c", code, str(log), scenario, str(duration_s), str(imu_rate_hz)], check=True)
     return log
 
 
 def run_of(log: Path) -> tuple[str, ...]:
-    """Give the command that replays a log with all outputs."""
-    return (*PROGRAM, "run", str(log), "-o", str(log.parent / "out"), "--force", "--rerun")
+    """Give the arguments that replay a log with all outputs."""
+    return ("run", str(log), "-o", str(log.parent / "out"), "--force", "--rerun")
 
 
-def start(_: Path, rounds: int) -> dict[str, Used]:
+def start(_: Path) -> list[str]:
     """Measure the start of the program beside that of what it is made of."""
     commands = {
         "`python -c pass`": (sys.executable, "-c", "pass"),
@@ -72,53 +112,105 @@ def start(_: Path, rounds: int) -> dict[str, Used]:
         "`insdvl-replay --help`": (*PROGRAM, "--help"),
         "`insdvl-replay schema report`": (*PROGRAM, "schema", "report"),
     }
-    return in_turn({name: lambda command=command: used_by(command) for name, command in commands.items()}, rounds)
+    return used_rows(in_turn({name: lambda one=one: used_by(one) for name, one in commands.items()}, ROUNDS))
 
 
-def dive(folder: Path, rounds: int) -> dict[str, Used]:
+def dive(folder: Path) -> list[str]:
     """Measure the replay of a short dive."""
     log = simulated(folder / "dive.mcap", "straight", 424.0)
-    used_by(run_of(log))
-    return in_turn({"`run`, 424 s": lambda: used_by(run_of(log))}, rounds)
+    command = (*PROGRAM, *run_of(log))
+    used_by(command)
+    return used_rows(in_turn({"`run`, 424 s": lambda: used_by(command)}, ROUNDS))
 
 
-def first(folder: Path, rounds: int) -> dict[str, Used]:
+def first(folder: Path) -> list[str]:
     """Measure a run, and compiling alone, without any compiled code."""
     log = simulated(folder / "dive.mcap", "straight", 424.0)
 
-    def cold(command: Sequence[str]) -> Used:
-        return used_by(command, INSDVL_REPLAY_CACHE=mkdtemp(dir=folder))
+    def cold(*arguments: str) -> Used:
+        return used_by((*PROGRAM, *arguments), INSDVL_REPLAY_CACHE=mkdtemp(dir=folder))
 
-    contenders = {
-        "`run`, 424 s, the first": lambda: cold(run_of(log)),
-        "`compile`": lambda: cold([*PROGRAM, "compile"]),
-    }
-    return in_turn(contenders, rounds)
+    contenders = {"`run`, 424 s, the first": lambda: cold(*run_of(log)), "`compile`": lambda: cold("compile")}
+    return used_rows(in_turn(contenders, ROUNDS))
 
 
-def growth(folder: Path, rounds: int) -> dict[str, Used]:
-    """Measure dives of some hours."""
-    logs = {
-        f"`run`, {hours:g} h": simulated(folder / f"{hours:g}.mcap", "lawnmower", 3600.0 * hours) for hours in HOURS
-    }
-    used_by(run_of(next(iter(logs.values()))))
-    return in_turn({name: lambda log=log: used_by(run_of(log)) for name, log in logs.items()}, rounds)
+def used_rows(medians: dict[str, Used]) -> list[str]:
+    """Make a row of each process."""
+    least_s = min(used.processor_s for used in medians.values())
+    return [
+        f"| {name} | {used.processor_s:.2f} | {used.processor_s / least_s:.1f} x | {used.peak_mb:.0f} |"
+        for name, used in medians.items()
+    ]
 
 
-SECTIONS = {"start": start, "dive": dive, "first": first, "growth": growth}
+def growth(folder: Path) -> list[str]:
+    """Measure dives of more and more samples, each by its stages."""
+    return [grown_row(folder, length) for length in LENGTHS]
 
 
-def report(section: str, rounds: int) -> str:
+def grown_row(folder: Path, length: Length) -> str:
+    """Run a dive, and lay its stages side by side."""
+    log = simulated(folder / "dive.mcap", "lawnmower", length.duration_s, length.imu_rate_hz)
+    runs = [json.loads(subprocess.check_output(staged(log), stderr=subprocess.DEVNULL)) for _ in range(length.rounds)]
+    log.unlink()
+    cells = [length.name, f"{length.columns_mb:.0f}"]
+    cells += [f"{median(run['peak_mb'] for run in runs):.0f}", f"{median(run['wall_s'] for run in runs):.1f}"]
+    cells += [f"{median(run['stages'].get(stage, 0.0) for run in runs):.2f}" for stage in ("start", *STAGES.values())]
+    return f"| {' | '.join(cells)} |"
+
+
+def staged(log: Path) -> list[str]:
+    """Give the command that runs a log and says what its stages took."""
+    return [sys.executable, __file__, "--stages", *run_of(log)]
+
+
+def run_by_stages(arguments: list[str]) -> None:
+    """Run the program here, and print what each stage took of processor time, and the whole of time and memory."""
+    begin_s, spent, current = time.perf_counter(), dict[str, float](), ["start", 0.0]
+
+    def end_stage(following: str) -> None:
+        stage, since_s = current
+        now_s = time.process_time()
+        spent[STAGES.get(stage, stage)] = now_s - since_s
+        current[:] = [following, now_s]
+
+    from insdvl_replay.cli import run_command_line
+    from insdvl_replay.stages import told_to
+
+    with redirect_stdout(StringIO()), told_to(end_stage):
+        code = run_command_line(arguments)
+    end_stage("")
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    sys.stdout.write(json.dumps({"stages": spent, "wall_s": time.perf_counter() - begin_s, "peak_mb": peak_mb}))
+    sys.exit(code)
+
+
+USED_COLUMNS = ("what", "s", "against the first", "MB")
+GROWTH_COLUMNS = ("dive", "MB of the IMU's columns", "MB at most", "s", "start", *STAGES.values())
+SECTIONS: dict[str, tuple[Callable[[Path], list[str]], tuple[str, ...], str]] = {
+    "start": (start, USED_COLUMNS, "seconds of processor time of all threads, and the most memory."),
+    "dive": (dive, USED_COLUMNS, "seconds of processor time of all threads, and the most memory."),
+    "first": (first, USED_COLUMNS, "seconds of processor time of all threads, and the most memory."),
+    "growth": (
+        growth,
+        GROWTH_COLUMNS,
+        "all outputs, two filters, a ping a second and a reference of 5 Hz; the most memory, seconds of wall-clock "
+        "time, and seconds of processor time of all threads by stage. The longest is run once.",
+    ),
+}
+
+
+def report(section: str) -> str:
     """Measure a section and make a part of the page of it."""
+    measure, columns, what = SECTIONS[section]
     with TemporaryDirectory() as folder:
-        medians = SECTIONS[section](Path(folder), rounds)
-    rows = [f"| {name} | {used.processor_s:.2f} | {used.peak_mb:.0f} |" for name, used in medians.items()]
+        rows = measure(Path(folder))
     lines = [
         f"# Whole run: {section}",
         "",
-        f"Medians of {rounds}, measured in turn: seconds of processor time of all threads, and the most memory.",
+        f"Medians of {ROUNDS}, measured in turn: {what}",
         "",
-        *table(("what", "s", "MB"), rows),
+        *table(columns, rows),
         "",
         f"{machine()}; shared cores. At most {GOALS[section]}",
     ]
@@ -127,17 +219,16 @@ def report(section: str, rounds: int) -> str:
 
 def main() -> None:
     """Measure, print and write the parts of the page."""
+    if sys.argv[1:2] == ["--stages"]:
+        run_by_stages(sys.argv[2:])
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS)}; all if none is named"
     )
-    parser.add_argument("--quick", action="store_true", help="measure everything once, and leave the page as it is")
-    arguments = parser.parse_args()
-    for section in arguments.sections or SECTIONS:
-        part = report(section, 1 if arguments.quick else ROUNDS)
+    for section in parser.parse_args().sections or SECTIONS:
+        part = report(section)
         sys.stdout.write(part + "\n")
-        if not arguments.quick:
-            write_part(part)
+        write_part(part)
 
 
 if __name__ == "__main__":

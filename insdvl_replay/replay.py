@@ -142,6 +142,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     histories = run_filters(dive, start, config, cov_ns=judged_ns)
     dive = replace(dive, imu=dive.imu.times_only())
     return_freed_memory()
+    begin("judging the filters")
     errors, tables = _tables(dive, start, histories)
     judged = verdicts(tables, config.baseline, [history.filter for history in histories[1:]])
     notes = dive.notes + start.notes + update_notes(histories)

@@ -56,6 +56,7 @@ def save_replay(replay: Replay, folder: Path) -> None:
     )
     (folder / "config.toml").write_text(settings, "utf-8")
     (folder / "run.log").write_text(run_log(report), "utf-8")
+    begin("drawing the report")
     strips = replay_coverage(replay)  # before the figures, which hold much until they are drawn
     (folder / PAGE).write_bytes(dive_page(report, replay_figures(replay), strips, settings))
     (folder / "report.json").write_bytes(encode_report(report))

@@ -12,10 +12,16 @@ from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.stages import begin, told_to
 
-STAGES = ["reading the log", "running the filters", "writing the results"]
+STAGES = [
+    "reading the log",
+    "running the filters",
+    "judging the filters",
+    "writing the results",
+    "drawing the report",
+]
 
 
-def test_a_replay_tells_reading_filters_and_writing(tmp_path: Path) -> None:
+def test_a_replay_tells_each_of_its_stages(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=20.0, seed=1))
     [task] = plan_tasks([tmp_path / "dive.mcap"], tmp_path / "out", Order(load_config()))
     told: list[str] = []
