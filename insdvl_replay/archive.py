@@ -150,7 +150,9 @@ def known_reports(tasks: Sequence[Task], *, force: bool, rerun: bool = False) ->
         A folder is in the way.
     """
     known = {}
-    for task, report in zip(tasks, each(_known_report, tasks), strict=True):
+    # Where all is replaced anyway, no log needs to be digested.
+    found = [None] * len(tasks) if force and rerun else each(_known_report, tasks)
+    for task, report in zip(tasks, found, strict=True):
         if report is None:
             refuse_existing_folder(task.target, force=force)
         elif not rerun:
