@@ -8,6 +8,21 @@ from pathlib import Path
 from insdvl_replay.errors import ConfigError
 
 
+def dive_name(path: Path) -> str:
+    """Name a dive after its file without the ending, or after its folder, in whose name a dot may be of a date.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+    """
+    whole = path.absolute()
+    return whole.name if whole.is_dir() else whole.stem
+
+
 def unique_names(paths: Sequence[Path]) -> list[str]:
     """Name each dive after its file, and those that would share a name after as many folders as tell them apart.
 
@@ -26,7 +41,8 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     ConfigError
         Folders do not tell two dives apart either.
     """
-    whole = [Path(os.path.abspath(path)).with_suffix("").parts[1:] for path in paths]  # noqa: PTH100  # resolves `..`
+    plain = [Path(os.path.abspath(path)) for path in paths]  # noqa: PTH100  # resolves `..`
+    whole = [(*path.parts[1:-1], dive_name(path)) for path in plain]
     lengths = [1] * len(paths)
     while again := _repeated([parts[-length:] for parts, length in zip(whole, lengths, strict=True)]):
         if all(lengths[place] >= len(whole[place]) for place in again):

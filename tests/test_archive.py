@@ -156,6 +156,14 @@ def test_dives_that_would_share_a_name_are_told_apart_by_their_folders(paths: st
     assert unique_names([tmp_path / path for path in paths.split()]) == names.split()
 
 
+def test_a_folder_keeps_what_stands_behind_a_dot_in_its_name(tmp_path: Path) -> None:
+    bag = tmp_path / "dive_2026.11.21"
+    bag.mkdir()
+    assert unique_names([bag, tmp_path / "dive_2026.mcap"]) == ["dive_2026.11.21", "dive_2026"]
+    write_dive(bag / "part_0.mcap", simulate_dive("straight", seed=1, duration_s=20.0))
+    assert read_dive(bag, load_config()).name == "dive_2026.11.21"
+
+
 @pytest.mark.parametrize("paths", ["x.mcap x", "mon/x.mcap tue/x.mcap tue_x.mcap"])
 def test_dives_that_folders_do_not_tell_apart_are_refused(paths: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"x\.mcap and .*x(\.mcap)? would share the name .*x$"):

@@ -174,11 +174,13 @@ def observability(
     from insdvl_replay.cli.screen import compiling, patience
     from insdvl_replay.cli.study_results import print_study
     from insdvl_replay.config_file import load_config
+    from insdvl_replay.dive_names import dive_name
     from insdvl_replay.report.folder import refuse_existing_folder, result_folder
     from insdvl_replay.studies.observability import save_observability, study_observability
 
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
-    resolved, target = load_config(preset, config, [*settings, *spans]), output / f"observability-{Path(dive).stem}"
+    resolved = load_config(preset, config, [*settings, *spans])
+    target = output / f"observability-{dive_name(Path(dive))}"
     refuse_existing_folder(target, force=force)
     with patience(f"stacking the measurements{compiling()}"):
         report = study_observability(dive, resolved, earth_rate=not no_earth_rate)

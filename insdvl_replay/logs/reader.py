@@ -7,6 +7,7 @@ from pathlib import Path
 from insdvl_replay.channel import Channel
 from insdvl_replay.columns import Dive
 from insdvl_replay.config import Config
+from insdvl_replay.dive_names import dive_name
 from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.clocks import clock_notes
 from insdvl_replay.logs.decode import decode_imu, decode_truth
@@ -67,7 +68,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     notes += [*imu_notes, *dvl_notes, *reference_notes, *truth_notes]
     notes += plausibility_notes(place, imu, dvl, reference, config)
     return Dive(
-        name=log.path.absolute().stem,
+        name=dive_name(log.path),
         imu=imu,
         dvl=dvl,
         reference=reference,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from insdvl_replay import logs
 from insdvl_replay.columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.config import Acceleration, Config
+from insdvl_replay.dive_names import dive_name
 from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.evaluation.acceleration import (
     WINDOW_COLUMNS,
@@ -76,8 +77,8 @@ def study_window(paths: Sequence[Path], config: Config, longest: int = 10) -> St
     best = best_windows(windows)
     return StudyReport(
         study="window",
-        title=f"Window study: {', '.join(path.stem for path in paths)}",
-        arguments={"logs": [path.stem for path in paths], "longest": longest},
+        title=f"Window study: {', '.join(map(dive_name, paths))}",
+        arguments={"logs": list(map(dive_name, paths)), "longest": longest},
         sentences=window_sentences(best, spans_s),
         tables={"window": windows, "best": best},
         shown=shown_windows(windows, best),
@@ -169,9 +170,10 @@ def _studied(
 def _check_names(paths: Sequence[Path]) -> None:
     seen: dict[str, Path] = {}
     for path in paths:
-        if path.stem in seen:
-            raise ConfigError(f"{seen[path.stem]} and {path} have the same name", "rename one of them")
-        seen[path.stem] = path
+        name = dive_name(path)
+        if name in seen:
+            raise ConfigError(f"{seen[name]} and {path} have the same name", "rename one of them")
+        seen[name] = path
 
 
 def _reference(dive: Dive, config: Config) -> ReferenceColumns:
