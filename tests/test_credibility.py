@@ -6,10 +6,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from matched_sensors import SENSORS
 from scipy import signal, stats
 
 from insdvl_replay.columns import Dive, Floats
-from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Initial, Noise
+from insdvl_replay.config import Config
 from insdvl_replay.evaluation.consistency import mean_interval
 from insdvl_replay.evaluation.credibility import FAR_SMALLER, MANY_FAR_OFF, credibility_table, probability_of
 from insdvl_replay.evaluation.effective_samples import effective_samples
@@ -206,21 +207,6 @@ def test_whitened_errors_have_scipys_mahalanobis_distance() -> None:
 
 # --- Filters on simulated dives.
 
-MATCHED = Config(
-    noise=Noise(
-        accel_white_mps_rts=5e-3,
-        gyro_white_rad_rts=4.4e-5,
-        accel_bias_walk_mps2_rts=2e-5,
-        gyro_bias_walk_radps_rts=8e-8,
-    ),
-    initial=Initial(accel_bias_sd_mg=3.0),
-    dvl=Dvl(velocity_sd_mps=0.01),
-    filters={
-        "baseline": Filter(aiding=("velocity",)),
-        "published": Filter(aiding=("velocity", "acceleration"), acceleration=Acceleration(model="published")),
-    },
-)
-
 
 @pytest.fixture(scope="module")
 def exact() -> Dive:
@@ -233,7 +219,7 @@ def rows(replay: Replay) -> Any:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(exact: Dive, seed: int) -> None:
-    replay = replay_dive(add_errors(exact, *matched_errors(MATCHED), seed), MATCHED)
+    replay = replay_dive(add_errors(exact, *matched_errors(SENSORS), seed), SENSORS)
     table = rows(replay)
     baseline = table.loc[("baseline", "all")]
     assert baseline["verdict"] == "consistent"
@@ -249,7 +235,7 @@ def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(
 
 def test_straight_line_gives_no_false_words_on_what_its_heading_hides() -> None:
     """The heading starts exact and is never seen, so that the velocity across the track errs by less than P allows."""
-    alone = msgspec.structs.replace(MATCHED, filters={"baseline": MATCHED.filters["baseline"]})
+    alone = msgspec.structs.replace(SENSORS, filters={"baseline": SENSORS.filters["baseline"]})
     straight = exact_dive("straight", imu_rate_hz=50.0)
     for seed in (1, 2, 5):
         table = rows(replay_dive(add_errors(straight, *matched_errors(alone), seed), alone)).loc["baseline"]
@@ -263,8 +249,8 @@ def test_settings_of_the_paper_are_over_cautious_for_a_fibre_optic_imu() -> None
 
 
 def test_biases_are_judged_where_the_truth_is_known(exact: Dive) -> None:
-    dive = add_errors(exact, *matched_errors(MATCHED), 1)
-    with_truth, without_truth = (rows(replay_dive(d, MATCHED)) for d in (dive, replace(dive, truth=None)))
+    dive = add_errors(exact, *matched_errors(SENSORS), 1)
+    with_truth, without_truth = (rows(replay_dive(d, SENSORS)) for d in (dive, replace(dive, truth=None)))
     biases = [state.id for state in STATES[BA.start :]]
     assert [quantity for name, quantity in with_truth.index if name == "baseline"] == [*CREDIBILITY_QUANTITIES, "all"]
     assert not set(biases) & {quantity for _, quantity in without_truth.index}

@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from matched_sensors import SENSORS
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, multivariate_normal
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.columns import Floats, ReferenceColumns, TruthColumns
-from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Initial, Noise
+from insdvl_replay.config import Config, Dvl, Filter
 from insdvl_replay.config_file import load_config
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.evaluation.ensemble import Ensemble, RunErrors, Tally, run_errors
@@ -35,21 +36,6 @@ from insdvl_replay.studies.simulated_run import drawn_start, make_world, matched
 from insdvl_replay.studies.workers import each
 
 RUNS, DURATION_S = 100, 40.0
-SENSORS = Config(
-    noise=Noise(
-        accel_white_mps_rts=5e-3,
-        gyro_white_rad_rts=4.4e-5,
-        accel_bias_walk_mps2_rts=2e-5,
-        gyro_bias_walk_radps_rts=8e-8,
-    ),
-    initial=Initial(accel_bias_sd_mg=3.0),
-    dvl=Dvl(velocity_sd_mps=0.01),
-    filters={
-        "baseline": Filter(aiding=("velocity",)),
-        "published": Filter(aiding=("velocity", "acceleration"), acceleration=Acceleration(model="published")),
-    },
-)
-"""A tactical IMU and a good DVL, of which the filters are told the truth."""
 
 
 # --- Statistics.
