@@ -1,4 +1,7 @@
-"""Work is counted, not timed: a step that is done message by message in Python again fails here on any machine."""
+"""Work is counted, not timed: a step that is done message by message in Python again fails here on any machine.
+
+So does a compiled loop that makes something, counts a reference or takes one number at a time where it did not.
+"""
 
 import cProfile
 import pstats
@@ -8,13 +11,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
+from numba.core.runtime import _nrt_python, rtsys
+from plain_filter import Inputs, baseline_inputs
 
 from insdvl_replay import replay
 from insdvl_replay.columns import Dive
 from insdvl_replay.config import Config
 from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.nav.error_model import propagate_cov
+from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.strapdown import Motion
+from insdvl_replay.nav.timeline import Timeline, first_node, is_last, next_node
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.result_files import save_replay
 from insdvl_replay.sim.dive import simulate_dive
@@ -101,3 +111,51 @@ def test_a_replay_lets_the_readings_go_and_keeps_the_times(quantity: str) -> Non
     dive = dive_of(SHORT_S)
     kept, given = getattr(replay_dive(dive, Config()).dive.imu, quantity), getattr(dive.imu, quantity)
     np.testing.assert_array_equal(kept, given if quantity == "time_ns" else given[:0])
+
+
+# Compiled loops
+
+
+def inputs_at(imu_rate_hz: float) -> Inputs:
+    return baseline_inputs(simulate_dive("straight", seed=1, duration_s=60.0, imu_rate_hz=imu_rate_hz), Config())
+
+
+def arrays_made(inputs: Inputs) -> int:
+    """Arrays that the compiled filter makes on its way."""
+    timeline, start, noise_density, velocity = inputs
+    _nrt_python.memsys_enable_stats()
+    try:
+        before = rtsys.get_allocation_stats().alloc
+        run_filter("baseline", timeline, start, noise_density, (velocity,), np.zeros(3))
+        return int(rtsys.get_allocation_stats().alloc) - before
+    finally:
+        _nrt_python.memsys_disable_stats()
+
+
+def test_the_filter_makes_arrays_at_pings_alone() -> None:
+    slow, fast = arrays_made(inputs_at(50.0)), arrays_made(inputs_at(200.0))
+    assert 0 < slow == fast
+
+
+def llvm_of(function: Any, *arguments: Any) -> str:
+    """Compile a function anew, since what comes from the disk does not show itself, and give its code."""
+    compiled = numba.njit(error_model="numpy", nogil=True)(function)
+    compiled(*arguments)
+    return str(compiled.inspect_llvm(compiled.signatures[0]))
+
+
+def test_to_go_along_the_time_line_counts_no_references() -> None:
+    def go(timeline: Timeline) -> float:
+        node, forces = first_node(timeline), 0.0
+        while not is_last(timeline, node):
+            node = next_node(timeline, node)
+            forces += node.specific_force_b[0]
+        return forces
+
+    assert "call void @NRT_incref" not in llvm_of(go, inputs_at(50.0).timeline)
+
+
+def test_several_columns_of_the_covariance_grow_at_once() -> None:
+    still = (0.0, 0.0, 0.0)
+    motion = Motion(still, still, still, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    assert "fmul <" in llvm_of(propagate_cov.py_func, np.eye(12), motion, np.ones(12), 0.01)
