@@ -18,6 +18,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn, TypeVar
 
 from insdvl_replay.errors import ConfigError, LogError
+from insdvl_replay.memory import collect_rarely
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -225,6 +226,7 @@ def _begin() -> None:
     """Prepare a new process for its work, before numpy is imported."""
     for name in _THREADS_OF_LIBRARIES:
         os.environ.setdefault(name, "1")  # the other cores belong to the other processes
+    collect_rarely()
     _obey_the_parent_alone()
 
 

@@ -1,7 +1,19 @@
-"""Memory that is free goes back to the system."""
+"""Memory that is free goes back to the system; what stays is not looked through again and again."""
 
-import ctypes
+import gc
 import sys
+from typing import Final
+
+_MANY_OBJECTS: Final = 200_000
+
+
+def collect_rarely() -> None:
+    """Let Python look for objects that hold each other only after many new ones.
+
+    The packages make some hundred thousand objects as they load, and all of them stay: to look through them at each
+    thousandth would take a tenth of a short run.
+    """
+    gc.set_threshold(_MANY_OBJECTS)
 
 
 def return_freed_memory() -> None:
@@ -10,6 +22,8 @@ def return_freed_memory() -> None:
     glibc keeps freed blocks below others that are still in use; where there is no glibc, nothing is done.
     """
     if sys.platform == "linux":
+        import ctypes  # not when the program starts, which needs none of it
+
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:
             trim(0)
