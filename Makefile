@@ -26,7 +26,7 @@ lint: .venv/test.stamp
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# Makes logs of up to 3 GB in the temporary folder and removes them; takes some twenty minutes.
+# Makes logs of up to 3 GB in the temporary folder and removes them; takes some half an hour.
 bench: .venv/bench.stamp
 	$(BIN)/python benchmarks/reading.py
 	PYTHONPATH=tests $(BIN)/python benchmarks/filtering.py

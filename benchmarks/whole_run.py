@@ -17,12 +17,13 @@ from io import StringIO
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory, mkdtemp
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from results import machine, table, write_part
 
 ROUNDS = 5
 PROGRAM = (sys.executable, "-m", "insdvl_replay")
+PARTS = "import pandas, numba, scipy.special, mcap, rich, typer"
 GOALS = {
     "start": "`--help` in 0.2 s, and 3 times what Python and typer take.",
     "dive": "3 s for a dive of 424 s at 100 Hz.",
@@ -116,11 +117,14 @@ def start(_: Path) -> list[str]:
 
 
 def dive(folder: Path) -> list[str]:
-    """Measure the replay of a short dive."""
+    """Measure the replay of a short dive beside the start of what it is made of."""
     log = simulated(folder / "dive.mcap", "straight", 424.0)
-    command = (*PROGRAM, *run_of(log))
-    used_by(command)
-    return used_rows(in_turn({"`run`, 424 s": lambda: used_by(command)}, ROUNDS))
+    commands = {
+        f"`python -c '{PARTS}'`": (sys.executable, "-c", PARTS),
+        "`run`, 424 s": (*PROGRAM, *run_of(log)),
+    }
+    used_by(commands["`run`, 424 s"])
+    return used_rows(in_turn({name: lambda one=one: used_by(one) for name, one in commands.items()}, ROUNDS))
 
 
 def first(folder: Path) -> list[str]:
@@ -145,14 +149,19 @@ def used_rows(medians: dict[str, Used]) -> list[str]:
 
 def growth(folder: Path) -> list[str]:
     """Measure dives of more and more samples, each by its stages."""
-    return [grown_row(folder, length) for length in LENGTHS]
+    runs: dict[Length, list[dict[str, Any]]] = {length: [] for length in LENGTHS}
+    logs = {
+        length: simulated(folder / f"{length.name}.mcap", "lawnmower", length.duration_s, length.imu_rate_hz)
+        for length in LENGTHS
+    }
+    for number in range(ROUNDS):
+        for length in (length for length in LENGTHS if number < length.rounds):
+            runs[length].append(json.loads(subprocess.check_output(staged(logs[length]), stderr=subprocess.DEVNULL)))
+    return [grown_row(length, of_length) for length, of_length in runs.items()]
 
 
-def grown_row(folder: Path, length: Length) -> str:
-    """Run a dive, and lay its stages side by side."""
-    log = simulated(folder / "dive.mcap", "lawnmower", length.duration_s, length.imu_rate_hz)
-    runs = [json.loads(subprocess.check_output(staged(log), stderr=subprocess.DEVNULL)) for _ in range(length.rounds)]
-    log.unlink()
+def grown_row(length: Length, runs: list[dict[str, Any]]) -> str:
+    """Lay the stages of a dive side by side."""
     cells = [length.name, f"{length.columns_mb:.0f}"]
     cells += [f"{median(run['peak_mb'] for run in runs):.0f}", f"{median(run['wall_s'] for run in runs):.1f}"]
     cells += [f"{median(run['stages'].get(stage, 0.0) for run in runs):.2f}" for stage in ("start", *STAGES.values())]
