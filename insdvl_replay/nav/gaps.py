@@ -79,7 +79,7 @@ class Gaps:
         """Give the times at which a time line needs nodes: both ends of each gap and some between, shape (n,)."""
         steps = np.ceil(self.length_s / BRIDGE_STEP_S).astype(np.int64)
         nodes = [
-            np.linspace(start, end, int(count) + 1, dtype=np.int64)
+            start + np.linspace(0, end - start, int(count) + 1, dtype=np.int64)  # times since 1970 are no floats
             for start, end, count in zip(self.start_ns, self.end_ns, steps, strict=True)
         ]
         return np.concatenate([np.empty(0, np.int64), *nodes])
