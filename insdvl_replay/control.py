@@ -17,7 +17,7 @@ from insdvl_replay.columns import Dive, Floats
 from insdvl_replay.config import Config, Filter
 from insdvl_replay.errors import ConfigError, Note
 from insdvl_replay.evaluation.consistency import log_likelihood
-from insdvl_replay.preparation import prepare_dive
+from insdvl_replay.preparation import prepare_dive, with_reference_at_imu
 from insdvl_replay.replay import Replay, replay_dive, run_filters
 
 NAME = "tuned"
@@ -105,6 +105,7 @@ def _keys(config: Config, baseline: Filter) -> tuple[str, str, str]:
 
 
 def _fitted(dive: Dive, config: Config, baseline: Filter) -> Filter:
+    dive = with_reference_at_imu(dive, config)
     start = prepare_dive(dive, config)
     end_ns = min(start.end_ns, start.alignment.start_ns + int(FIT_S * 1e9))
     start = replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)

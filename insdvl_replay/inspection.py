@@ -42,10 +42,10 @@ def inspect_log(
             _check_start(inventory, config)
             return inventory
         # Not imported before it is needed: a look at the file alone takes less than the filters' import.
-        from insdvl_replay.preparation import prepare_dive
+        from insdvl_replay.preparation import prepare_dive, with_reference_at_imu
 
         dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
-        notes = prepare_dive(dive, config).notes
+        notes = prepare_dive(with_reference_at_imu(dive, config), config).notes
     except UserError as error:
         obstacle = Obstacle(error.message, error.hint)
         return replace(inventory, obstacles=(*inventory.obstacles, obstacle))

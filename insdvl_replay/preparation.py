@@ -1,6 +1,6 @@
 """Before the filters: solve the pings, find the span, bridge or split gaps, and align."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from insdvl_replay.errors import LogError, Note, about
 from insdvl_replay.nav.alignment import Alignment, align
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.gaps import Gaps, find_gaps, settle_gaps
+from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.rotation import mat_from_rpy
 from insdvl_replay.states import DEG
 
@@ -39,12 +40,33 @@ class Prepared:
     notes: tuple[Note, ...]
 
 
+def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
+    """Move the reference of a dive to the IMU, where the filters are.
+
+    Parameters
+    ----------
+    dive : Dive
+        As it was read.
+    config : Config
+
+    Returns
+    -------
+    Dive
+        As `prepare_dive` takes it.
+    """
+    if dive.reference is None:
+        return dive
+    lever_arm_b = np.array(config.reference.lever_arm_m)
+    return replace(dive, reference=reference_at_imu(dive.reference, dive.imu, lever_arm_b))
+
+
 def prepare_dive(dive: Dive, config: Config) -> Prepared:
     """Do everything that comes before the filters: solve the pings, find the span, and align.
 
     Parameters
     ----------
     dive : Dive
+        From `with_reference_at_imu`.
     config : Config
 
     Returns

@@ -25,9 +25,8 @@ from insdvl_replay.memory import return_freed_memory
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.nav.timeline import build_timeline
-from insdvl_replay.preparation import Prepared, prepare_dive
+from insdvl_replay.preparation import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.stages import begin
 
 WELL_COVERED = 0.9
@@ -133,9 +132,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     ConfigError
         The settings do not fit the dive.
     """
-    if dive.reference is not None:
-        lever_arm_b = np.array(config.reference.lever_arm_m)
-        dive = replace(dive, reference=reference_at_imu(dive.reference, dive.imu, lever_arm_b))
+    dive = with_reference_at_imu(dive, config)
     start = prepare_dive(dive, config)
     start_ns = start.alignment.start_ns
     judged_ns = _judged_ns(dive, start, config)

@@ -1,18 +1,21 @@
 """The control: what the noise is, the innovations tell."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from scipy import stats
 
 from insdvl_replay.columns import Dive
-from insdvl_replay.config import Config, Dvl, Filter, Noise
+from insdvl_replay.config import Config, Dvl, Filter, Noise, Reference, Span
 from insdvl_replay.config_file import load_config, render_toml
 from insdvl_replay.control import replay_with_control, with_control
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.history import Innovations
+from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.dvl_errors import DvlErrors
@@ -74,6 +77,16 @@ def test_fit_says_where_it_met_the_edge_of_its_range(dive: Dive, monkeypatch: py
     config, note = with_control(dive, WRONG)
     assert config.filters["tuned"].accel_white_mps_rts == pytest.approx(0.5 * 0.05, rel=0.01)
     assert note.text.endswith("the innovations tell no more: accel_white_mps_rts, gyro_white_rad_rts, beam_sd_mps")
+
+
+def test_fit_starts_where_the_filters_do_whatever_point_the_reference_is_of(dive: Dive) -> None:
+    """In a turn, in which the reference's point is faster than the IMU."""
+    assert dive.reference is not None
+    arm_m = (1.8, -0.4, 0.3)
+    elsewhere = replace(dive, reference=reference_at_imu(dive.reference, dive.imu, -np.array(arm_m)))
+    turning = msgspec.structs.replace(WRONG, span=Span(start_s=105.0, end_s=150.0))
+    known = msgspec.structs.replace(turning, reference=Reference(lever_arm_m=arm_m))
+    assert with_control(elsewhere, known)[1] == with_control(dive, turning)[1]
 
 
 def test_control_needs_its_name_and_a_baseline_aided_by_velocity(dive: Dive) -> None:

@@ -16,11 +16,12 @@ from unknown_logs import decided
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.config_file import load_config
-from insdvl_replay.errors import LogError
+from insdvl_replay.errors import ConfigError, LogError
 from insdvl_replay.inspection import inspect_log
 from insdvl_replay.inventory import Inventory
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.vectors import vector_paths
+from insdvl_replay.replay import replay_log
 from insdvl_replay.report.inspection import encode_inventory, terminal_inventory
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.states import DEG
@@ -373,6 +374,19 @@ def test_first_pings_without_a_bottom_are_a_warning_and_no_obstacle(dive: Dive, 
     assert "by the first messages alone a replay would stop: /dvl: no message of" in warnings(sample)
     assert obstacles(sample) == ""
     assert "/dvl: no message of" in obstacles(inspect_log(log, load_config(), deep=True))
+
+
+def test_reference_that_cannot_be_moved_to_the_imu_is_the_obstacle_that_it_is_to_a_replay(
+    dive: Dive, tmp_path: Path
+) -> None:
+    log, reference = tmp_path / "dive.mcap", dive.reference
+    assert reference is not None
+    unturned = replace(reference, mat_nb=np.full_like(reference.mat_nb, np.nan))
+    write_dive(log, replace(dive, reference=unturned))
+    config = load_config(overrides=["initial.heading_deg=30", "reference.lever_arm_m=[1.0, 0.0, 0.0]"])
+    with pytest.raises(ConfigError) as refused:
+        replay_log(log, config)
+    assert obstacles(inspect_log(log, config, deep=True)) == f"{refused.value.message} | {refused.value.hint}"
 
 
 def test_allowed_damage_is_told_and_is_no_obstacle(log: Path) -> None:

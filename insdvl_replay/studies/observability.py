@@ -1,6 +1,5 @@
 """The observability study: which errors at the start of a dive its measurements can tell apart, and which not."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -16,10 +15,9 @@ from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.error_directions import named_directions
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.gaps import find_gaps
-from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.nav.observability import TOLERANCE, analyse, nominal_pings, whitened_rows
 from insdvl_replay.nav.timeline import build_timeline
-from insdvl_replay.preparation import Prepared, prepare_dive
+from insdvl_replay.preparation import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.report.observability import observability_sentences, shown_observability
 from insdvl_replay.report.observability_picture import draw_singular_values
 from insdvl_replay.report.study import StudyReport, write_study
@@ -109,11 +107,7 @@ def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
     """Read the log, or make the scenario's exact dive, whose sensors have no scale and no biases to take out."""
     path = Path(dive_or_scenario)
     if path.exists():
-        dive = logs.read_dive(path, config)
-        if dive.reference is None:
-            return dive, config
-        arm_b = np.array(config.reference.lever_arm_m)
-        return replace(dive, reference=reference_at_imu(dive.reference, dive.imu, arm_b)), config
+        return with_reference_at_imu(logs.read_dive(path, config), config), config
     if dive_or_scenario not in SCENARIOS:
         raise ConfigError(f"{dive_or_scenario}: is neither a log nor a scenario", f"scenarios: {', '.join(SCENARIOS)}")
     dvl = msgspec.structs.replace(config.dvl, scale=1.0)
