@@ -14,7 +14,6 @@ from insdvl_replay.history import History
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.error_directions import named_directions
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.gaps import find_gaps
 from insdvl_replay.nav.observability import TOLERANCE, analyse, nominal_pings, whitened_rows
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation import Prepared, prepare_dive, with_reference_at_imu
@@ -124,7 +123,7 @@ def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
 
 def _stacks(dive: Dive, start: Prepared, config: Config, earth_rate: bool) -> tuple[History, dict[str, Floats]]:
     """Run the first filter for the nominal motion, and stack the rows of each measurement around it."""
-    gaps, arm_b, baseline = find_gaps(dive.imu.time_ns, config.imu), np.array(config.dvl.lever_arm_m), config.baseline
+    gaps, arm_b, baseline = start.gaps, np.array(config.dvl.lever_arm_m), config.baseline
     start_ns, end_ns, filter_ = start.alignment.start_ns, start.end_ns, config.filters[baseline]
     timeline = build_timeline(dive.imu, start.velocities.time_ns, NO_TIMES, start_ns, end_ns, gaps)
     noise, aided_by = (

@@ -24,7 +24,7 @@ from insdvl_replay.evaluation.acceleration import (
     vector_rmse,
 )
 from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
-from insdvl_replay.nav.gaps import find_gaps
+from insdvl_replay.nav.gaps import Gaps
 from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.preparation import prepare_dive
 from insdvl_replay.report.study import StudyReport, write_study
@@ -136,7 +136,7 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> tuple[pd.DataFrame
     time_s = seconds(velocities.time_ns, velocities.time_ns[:1])
     windows = {n: slope_windows(time_s, n, 1, max_gap_s) for n in range(2, longest + 1)}
     expected_b = _expected(windows, velocities, reference, max_gap_s)
-    judged = windows[longest].complete & ~_across_gaps(dive, config, velocities, longest)
+    judged = windows[longest].complete & ~_across_gaps(start.gaps, velocities, longest)
     judged &= np.all([np.isfinite(expected).all(axis=1) for expected in expected_b.values()], axis=0)
     if not judged.any():
         raise LogError(
@@ -205,10 +205,10 @@ def _expected(
     }
 
 
-def _across_gaps(dive: Dive, config: Config, velocities: DvlVelocities, longest: int) -> NDArray[np.bool_]:
+def _across_gaps(gaps: Gaps, velocities: DvlVelocities, longest: int) -> NDArray[np.bool_]:
     """Tell which pings end a window over a long gap of the IMU, in which nothing is known of the lever arm's swing."""
     first = np.maximum(np.arange(len(velocities.time_ns)) - longest + 1, 0)
-    return find_gaps(dive.imu.time_ns, config.imu).overlap(velocities.time_ns[first], velocities.time_ns)
+    return gaps.overlap(velocities.time_ns[first], velocities.time_ns)
 
 
 def _velocities_at_imu(dive: Dive, velocities: DvlVelocities, config: Config) -> dict[str, Floats]:
