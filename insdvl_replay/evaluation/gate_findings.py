@@ -5,29 +5,12 @@ import math
 from collections.abc import Iterator
 
 from insdvl_replay.evaluation.cell_change import ROUNDING, size, size_change_pct
+from insdvl_replay.evaluation.row_changes import rows_of
 from insdvl_replay.gates import ANY, Finding, Gate
 from insdvl_replay.result_tables import CANDIDATES, PERCENTAGE, TABLES, TableLayout
 from insdvl_replay.stored_result import Cell, Row, StoredReport
 
 LAYOUTS = (*TABLES, CANDIDATES)
-
-
-def rows_of(report: StoredReport, layout: TableLayout) -> list[Row]:
-    """Give the rows of a table, the candidates' block included.
-
-    Parameters
-    ----------
-    report : StoredReport
-    layout : TableLayout
-
-    Returns
-    -------
-    list of dict
-        Each with the columns ``filter`` and the layout's key.
-    """
-    if layout is CANDIDATES:
-        return [{"filter": name, **row} for name, row in report.filters.items()]
-    return report.tables.get(layout.name, [])
 
 
 def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> tuple[Finding, ...]:

@@ -53,6 +53,24 @@ def compare_tables(
     return changes
 
 
+def rows_of(report: StoredReport, layout: TableLayout) -> list[Row]:
+    """Give the rows of a table, the candidates' block included.
+
+    Parameters
+    ----------
+    report : StoredReport
+    layout : TableLayout
+
+    Returns
+    -------
+    list of dict
+        Those of a result that was stored whole have the columns ``filter`` and the layout's key.
+    """
+    if layout is CANDIDATES:
+        return [{"filter": name, **row} for name, row in report.filters.items()]
+    return report.tables.get(layout.name, [])
+
+
 def named_rows(result: StoredResult, layout: TableLayout) -> dict[_Key, Row]:
     """Give the rows of a table by filter, key and unit.
 
@@ -72,7 +90,7 @@ def named_rows(result: StoredResult, layout: TableLayout) -> dict[_Key, Row]:
         A row has no name, or two have the same.
     """
     rows: dict[_Key, Row] = {}
-    for number, row in enumerate(_rows(result.report, layout), 1):
+    for number, row in enumerate(rows_of(result.report, layout), 1):
         place = f"{result.folder}: table {layout.name}, row {number}"
         for column in ("filter", layout.key):
             if column not in row:
@@ -82,12 +100,6 @@ def named_rows(result: StoredResult, layout: TableLayout) -> dict[_Key, Row]:
             raise ResultError(f"{place}: is the second one of {key[0]}, {key[1]}", "replay the log again")
         rows[key] = row
     return rows
-
-
-def _rows(report: StoredReport, layout: TableLayout) -> list[Row]:
-    if layout is CANDIDATES:
-        return [{"filter": name, **row} for name, row in report.filters.items()]
-    return report.tables.get(layout.name, [])
 
 
 def _cells(
