@@ -23,7 +23,8 @@ from insdvl_replay.replay import Replay, replay_dive, run_filters
 NAME = "tuned"
 """Name of the control among the filters."""
 FIT_S = 1800.0
-"""The fit reads this much of a dive; noise does not change so much that more would say more."""
+"""The fit reads this much of a dive from its first ping on, which on the way down of a deep one may be long in coming;
+noise does not change so much that more would say more."""
 LOWEST, HIGHEST = 1e-3, 1e3
 """Factors of the baseline's noise between which the fit looks."""
 STARTS: Final = tuple(product((1.0, 0.1, 0.01), (1.0, 10.0, 100.0), (1.0, 0.3)))
@@ -107,7 +108,7 @@ def _keys(config: Config, baseline: Filter) -> tuple[str, str, str]:
 def _fitted(dive: Dive, config: Config, baseline: Filter) -> Filter:
     dive = with_reference_at_imu(dive, config)
     start = prepare_dive(dive, config)
-    end_ns = min(start.end_ns, start.alignment.start_ns + int(FIT_S * 1e9))
+    end_ns = min(start.end_ns, int(start.velocities.time_ns[0]) + int(FIT_S * 1e9))
     start = replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)
     keys = _keys(config, baseline)
     before = np.array([_value(baseline, config, key) for key in keys])

@@ -89,6 +89,16 @@ def test_fit_starts_where_the_filters_do_whatever_point_the_reference_is_of(dive
     assert with_control(elsewhere, known)[1] == with_control(dive, turning)[1]
 
 
+def test_fit_reads_the_dive_from_its_first_ping_on(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a deep dive, on whose way down the bottom is out of reach for longer than the fit reads."""
+    monkeypatch.setattr("insdvl_replay.control.FIT_S", 120.0)
+    assert dive.dvl.beam_velocity_mps is not None
+    late = slice(300, None)
+    reached = replace(dive.dvl, time_ns=dive.dvl.time_ns[late], beam_velocity_mps=dive.dvl.beam_velocity_mps[late])
+    config, _ = with_control(replace(dive, dvl=reached), WRONG)
+    assert config.filters["tuned"].beam_sd_mps == pytest.approx(TRUE["beam_sd_mps"], rel=0.1)
+
+
 def test_control_needs_its_name_and_a_baseline_aided_by_velocity(dive: Dive) -> None:
     for filters in (
         {"baseline": Filter(aiding=("velocity",)), "tuned": Filter(aiding=("velocity",))},
