@@ -194,12 +194,13 @@ def run_by_stages(arguments: list[str]) -> None:
     sys.exit(code)
 
 
+USED = "seconds of processor time of all threads, and the most memory."
 USED_COLUMNS = ("what", "s", "against the first", "MB")
 GROWTH_COLUMNS = ("dive", "MB of the IMU's columns", "MB at most", "s", "start", *STAGES.values())
 SECTIONS: dict[str, tuple[Callable[[Path], list[str]], tuple[str, ...], str]] = {
-    "start": (start, USED_COLUMNS, "seconds of processor time of all threads, and the most memory."),
-    "dive": (dive, USED_COLUMNS, "seconds of processor time of all threads, and the most memory."),
-    "first": (first, USED_COLUMNS, "seconds of processor time of all threads, and the most memory."),
+    "start": (start, USED_COLUMNS, USED),
+    "dive": (dive, USED_COLUMNS, USED),
+    "first": (first, USED_COLUMNS, USED),
     "growth": (
         growth,
         GROWTH_COLUMNS,
