@@ -251,6 +251,15 @@ def test_percentages_may_fall_by_percentage_points() -> None:
     assert passes(msgspec.structs.replace(narrow, max_worse_pct=6.0), report, stored())
 
 
+@pytest.mark.parametrize("lacking", ["report", "baseline"])
+def test_a_mean_nis_without_its_degrees_of_freedom_does_not_pass(lacking: str) -> None:
+    sides = {"report": stored(), "baseline": stored()}
+    for row in sides[lacking].tables["consistency"]:
+        del row["dof"]
+    nis = gate(table="consistency", column="mean_nis", baseline="b", max_worse_pct=5)
+    assert "has no dof" in why(nis, sides["report"], sides["baseline"])
+
+
 def test_a_row_that_the_baseline_lacks_does_not_pass() -> None:
     baseline = stored()
     baseline.tables["improvement"].clear()

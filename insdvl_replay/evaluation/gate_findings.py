@@ -103,12 +103,15 @@ def _of_baseline(gate: Gate, layout: TableLayout, row: Row, was: Row | None) -> 
     """Compare with the stored value; of two allowances the larger one counts."""
     if gate.baseline is None:
         return
-    old, new = was.get(gate.column) if was else None, row[gate.column]
+    was = was or {}
+    old, new, better, dofs = was.get(gate.column), row[gate.column], layout.better[gate.column], (_dof(was), _dof(row))
     if not isinstance(old, float | int) or not isinstance(new, float | int):
         yield "has no number in the baseline to compare with"
         return
-    better = layout.better[gate.column]
-    before, after = (size(v, better, _dof(of)) for v, of in ((old, was or {}), (new, row)))
+    if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
+        yield "has no dof beside it, or none in the baseline, to compare by"
+        return
+    before, after = (size(value, better, dof) for value, dof in zip((old, new), dofs, strict=True))
     sign = -1.0 if better == "higher" else 1.0
     change_pct = size_change_pct(before, after, gate.column)
     worse_pct = math.inf * sign * (after - before) if change_pct is None else sign * change_pct
