@@ -143,19 +143,6 @@ def test_every_interval_of_a_gap_knows_it_and_no_other(from_s: float, to_s: floa
     np.testing.assert_allclose(at.specific_force_b, 1.0)
 
 
-def test_a_gap_ends_at_its_last_nanosecond() -> None:
-    """Times since 1970 are no floats: what is rounded to multiples of 256 ns would end before the gap or after it."""
-    time_ns = 1_704_067_200_000_000_001 + np.concatenate([np.arange(100), 450 + np.arange(100)]) * 10_000_000
-    imu = ImuColumns(time_ns, np.ones((200, 3)), np.ones((200, 3)))
-    timeline = build_timeline(
-        imu, time_ns[:0], time_ns[:0], int(time_ns[0]), int(time_ns[-1]), find_gaps(time_ns, Imu())
-    )
-    at = instants(timeline)
-    assert at.time_ns[at.gap >= 0][-1] == time_ns[100]
-    assert at.time_ns[np.flatnonzero(at.gap >= 0)[0] - 1] == time_ns[99]
-    assert np.isin(time_ns, at.time_ns).all()
-
-
 # Growing
 
 
