@@ -8,6 +8,7 @@ import importlib
 import multiprocessing
 import os
 import signal
+import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
@@ -184,6 +185,8 @@ def _outcome(future: Future[Result], lost: tuple[type[BaseException], ...]) -> R
             "a machine that runs out of memory kills; try it alone, with --jobs 1",
         )
     except Exception as error:
+        # Else it would keep all that was read of its dive for as long as somebody keeps the error.
+        traceback.clear_frames(error.__traceback__)
         return error
 
 

@@ -1,11 +1,13 @@
 """Many dives: found, replayed on several workers, known again, and not lost when workers die."""
 
+import gc
 import json
 import shutil
 import signal
 import subprocess
 import sys
 import time
+import weakref
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import contextmanager
@@ -344,6 +346,27 @@ def test_each_item_is_done_once_and_an_exception_is_a_result(jobs: int) -> None:
     outcomes = dict(do_each(int, ["1", "x", "3"], local_workers(jobs)))
     assert (outcomes[0], outcomes[2]) == (1, 3)
     assert isinstance(outcomes[1], ValueError)
+
+
+class Columns:
+    """What is read of a dive."""
+
+
+def test_an_error_does_not_keep_what_was_read_of_its_dive() -> None:
+    read: list[weakref.ref[Columns]] = []
+
+    def fail(_: int) -> None:
+        columns = Columns()
+        read.append(weakref.ref(columns))
+        raise LogError("the IMU is dead", "another one")
+
+    gc.disable()
+    try:
+        [(_, outcome)] = do_each(fail, [0], local_workers(1))
+        assert isinstance(outcome, LogError)
+        assert [reference() for reference in read] == [None]
+    finally:
+        gc.enable()
 
 
 def test_processes_beside_each_other_take_one_core_each(monkeypatch: pytest.MonkeyPatch) -> None:
