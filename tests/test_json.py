@@ -143,3 +143,24 @@ def test_a_dive_of_json_messages_is_read_by_field_paths(tmp_path: Path) -> None:
     assert dive.dvl.beam_velocity_mps is not None
     np.testing.assert_array_equal(np.isnan(dive.dvl.beam_velocity_mps), np.eye(10, 4, dtype=bool))
     np.testing.assert_array_equal(dive.dvl.time_ns, START_NS + np.arange(10) * 2 * 10**8)
+
+
+@pytest.mark.parametrize("missing", [0, 100, 199])
+def test_a_message_without_its_stamp_is_left_out_wherever_it_stands(missing: int, tmp_path: Path) -> None:
+    path, time_ns = tmp_path / "dive.mcap", START_NS + np.arange(200) * 10**7
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        imu, dvl = (writer.register_channel(topic, "json", 0) for topic in ("imu", "dvl"))
+        for i, at_ns in enumerate(time_ns.tolist()):
+            stamp = dict(zip(("sec", "nanosec"), divmod(at_ns, 10**9), strict=True))
+            reading = {"t": None if i == missing else stamp, "f": [0.0, 0.0, -9.8], "w": [0.0, 0.0, i * 1e-3]}
+            writer.add_message(imu, at_ns, json.dumps(reading).encode(), at_ns)
+            writer.add_message(dvl, at_ns, json.dumps({"v": [1.0 + i * 1e-3, 0.0, 0.0]}).encode(), at_ns)
+        writer.finish()
+    config = Config(
+        imu=Imu(topic="imu", specific_force="f", angular_rate="w", stamp="t"), dvl=Dvl(topic="dvl", velocity="v")
+    )
+    dive = read_dive(path, config)
+    assert [note.count for note in dive.notes if note.code == "imu_wrong_stamps"] == [1]
+    np.testing.assert_allclose(dive.imu.time_ns, np.delete(time_ns, missing), rtol=0.0, atol=256.0)  # of a float64

@@ -136,7 +136,7 @@ def _files_of(channel_ids: NDArray[np.int64]) -> NDArray[np.int64] | None:
 
 
 def _nanoseconds(stamps: NDArray[Any]) -> NDArray[np.int64]:
-    """Make one number of seconds and nanoseconds, shape (k, 1)."""
+    """Make one number of seconds and nanoseconds, shape (k, 1); where they are missing 0, which is wrong in any log."""
     time_ns = stamps[:, :1] * NS_PER_S
     time_ns += stamps[:, 1:]
-    return time_ns.astype(np.int64, copy=False)
+    return time_ns if time_ns.dtype == np.int64 else np.where(np.abs(time_ns) < 2.0**63, time_ns, 0.0).astype(np.int64)
