@@ -5,7 +5,7 @@ from typing import Final
 
 from insdvl_replay.gates import CheckResult, Finding, Judgement, Status
 from insdvl_replay.report.markup import markdown_page
-from insdvl_replay.report.shown import MISSING, ShownTable
+from insdvl_replay.report.shown import MISSING, ShownTable, counted
 
 WORDS: Final[dict[Status, str]] = {
     "unusable": "NO RESULT",
@@ -27,7 +27,7 @@ def check_sentence(result: CheckResult) -> str:
     """Count what became of the gates, in one sentence."""
     dives = len({judgement.dive for judgement in result.judgements})
     counts = ", ".join(f"{count} {word}" for status, word in _COUNTED.items() if (count := result.count(status)) > 0)
-    return f"{_number(len(_gates(result)), 'gate')} on {_number(dives, 'dive')}: {counts}"
+    return f"{counted(len(_gates(result)), 'gate')} on {counted(dives, 'dive')}: {counts}"
 
 
 def check_text(result: CheckResult) -> str:
@@ -87,7 +87,7 @@ def baseline_text(changes: Sequence[tuple[str, Finding]]) -> str:
     lines = [f"{dive}: {_movement(finding)}" for dive, finding in moved]
     return "".join(
         f"{line}\n"
-        for line in (*lines, f"{_number(len(moved), 'value')} new or moved, {len(changes) - len(moved)} as before")
+        for line in (*lines, f"{counted(len(moved), 'value')} new or moved, {len(changes) - len(moved)} as before")
     )
 
 
@@ -95,10 +95,6 @@ def _movement(finding: Finding) -> str:
     cell = f"{finding.table} {finding.filter} {finding.row}: {finding.column}"
     now = MISSING if finding.value is None else finding.value
     return f"{cell} is new: {now}" if finding.was is None else f"{cell} goes from {finding.was} to {now}"
-
-
-def _number(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _gates(result: CheckResult) -> list[str]:
@@ -115,5 +111,5 @@ def _passed(result: CheckResult) -> list[tuple[str, str]]:
     for name in _gates(result):
         own = [judgement for judgement in result.judgements if judgement.gate == name]
         passed = sum(judgement.status == "passed" for judgement in own)
-        rows.append((name, "off" if own[0].status == "off" else f"passed by {passed} of {_number(len(own), 'dive')}"))
+        rows.append((name, "off" if own[0].status == "off" else f"passed by {passed} of {counted(len(own), 'dive')}"))
     return rows

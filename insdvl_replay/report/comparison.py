@@ -7,7 +7,7 @@ from typing import Final
 from insdvl_replay.changes import Breach, Comparison, Difference, DiveComparison, Limit, Tally, Word
 from insdvl_replay.report.comparison_cells import described, growth, place
 from insdvl_replay.report.comparison_rows import aggregate_tables, change_tables
-from insdvl_replay.report.shown import MISSING, ShownTable
+from insdvl_replay.report.shown import MISSING, ShownTable, counted
 
 WORDS: Final[tuple[Word, ...]] = ("better", "worse", "same", "changed", "new", "gone")
 _HASH_SHOWN: Final = 12
@@ -68,10 +68,10 @@ def breach_sentence(breach: Breach) -> str:
     reasons = []
     if breach.worst is not None:
         verb = "are" if breach.count > 1 else "is"
-        much = f"{_counted(breach.count, 'value')} {_too_far(breach.limit, verb)}"
+        much = f"{counted(breach.count, 'value')} {_too_far(breach.limit, verb)}"
         reasons.append(f"{much}; worst: {described(breach.worst)}")
     if breach.dives:
-        reasons.append(f"{_counted(len(breach.dives), 'dive')} without counterpart: {', '.join(breach.dives)}")
+        reasons.append(f"{counted(len(breach.dives), 'dive')} without counterpart: {', '.join(breach.dives)}")
     return "; ".join(reasons)
 
 
@@ -79,10 +79,6 @@ def _too_far(limit: Limit, verb: str) -> str:
     if limit.word == "changed":
         return "changed"
     return f"{verb} worse by more than {limit.above_pct:g} %" if limit.above_pct else f"{verb} worse"
-
-
-def _counted(number: int, name: str) -> str:
-    return f"{number} {name}{'' if number == 1 else 's'}"
 
 
 def _matched(comparison: Comparison) -> list[DiveComparison]:
@@ -127,7 +123,7 @@ def _dives(dives: Sequence[DiveComparison]) -> ShownTable:
     moved = [dive for dive in dives if dive.tally is None or _has_moved(dive.tally)]
     table = _tallies("Dives", "dive", [(dive.log, dive.tally, "gone" if dive.new is None else "new") for dive in moved])
     still = len(dives) - len(moved)
-    return replace(table, footnote=f"and {_counted(still, 'dive')} in which nothing moved") if still else table
+    return replace(table, footnote=f"and {counted(still, 'dive')} in which nothing moved") if still else table
 
 
 def _has_moved(tally: Tally) -> bool:

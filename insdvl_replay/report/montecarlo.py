@@ -1,14 +1,12 @@
 """A Monte Carlo study for people: what each filter believes of its errors, and what they are."""
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 import pandas as pd
 
-from insdvl_replay.report.shown import ShownTable, number, percent
+from insdvl_replay.report.shown import ShownTable, number, percent, row_label
 from insdvl_replay.states import NINE, STATES
-
-_LABELS: Final = {state.id: state.label for state in STATES}
 
 
 def montecarlo_sentences(tables: Mapping[str, pd.DataFrame]) -> tuple[str, ...]:
@@ -80,7 +78,7 @@ def _states(name: object, rows: pd.DataFrame, baseline: str) -> ShownTable:
         "llrrrr" + "rr" * bool(baseline),
         tuple(
             (
-                _LABELS[row["state"]],
+                row_label(row["state"]),
                 row["unit"],
                 *(number(row[column]) for column in columns),
                 *(percent(row[column]) for column in shares),
@@ -146,7 +144,7 @@ def shown_run(table: pd.DataFrame) -> tuple[ShownTable, ...]:
             ("state", "unit", "error", "sigma from P", "error / sigma"),
             "llrrr",
             tuple(
-                (_LABELS[row["state"]], row["unit"], *(number(row[column]) for column in ("error", "sd", "ratio")))
+                (row_label(row["state"]), row["unit"], *(number(row[column]) for column in ("error", "sd", "ratio")))
                 for row in rows.to_dict("records")
             ),
         )

@@ -6,10 +6,9 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from insdvl_replay.report.shown import MISSING, ShownTable, number, percent
+from insdvl_replay.report.shown import MISSING, ShownTable, number, percent, row_label
 from insdvl_replay.states import STATES
 
-_LABELS: Final = {state.id: state.label for state in STATES}
 _SHORT: Final = {
     "velocity + published": "velocity +\npublished",
     "velocity + windowed": "velocity +\nwindowed",
@@ -118,7 +117,7 @@ def _states(states: pd.DataFrame) -> ShownTable:
     return _by_aiding(
         "What is left of the prior standard deviation at the start, without process noise",
         "state",
-        {name: _LABELS[name] for name in states["state"].unique()},
+        {name: row_label(name) for name in states["state"].unique()},
         list(states["aiding"].unique()),
         cells,
     )

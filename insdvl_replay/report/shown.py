@@ -72,6 +72,11 @@ def number(value: float | None) -> str:
     return f"{value:.2e}"
 
 
+def counted(count: int, noun: str) -> str:
+    """Write how many there are of something."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 def decimal(value: float | None, digits: int) -> str:
     """Write a number with a fixed number of digits after the point."""
     return MISSING if value is None else f"{value:.{digits}f}"
