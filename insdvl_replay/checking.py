@@ -12,7 +12,7 @@ from insdvl_replay.evaluation.gate_findings import gate_findings
 from insdvl_replay.gate_file import Gates
 from insdvl_replay.gates import LOG, CheckResult, Finding, Gate, Judgement, Status
 from insdvl_replay.report.folder import result_file
-from insdvl_replay.report.json_report import Report
+from insdvl_replay.report.json_report import Report, as_json
 from insdvl_replay.report.stored_results import read_results
 from insdvl_replay.stored_result import StoredReport
 
@@ -193,4 +193,4 @@ def _with_baseline(gates: Gates, dives: Sequence[Checked]) -> Iterator[tuple[Gat
 
 def _encoded(report: StoredReport) -> bytes:
     tool: dict[str, Any] = {name: report.tool[name] for name in ("name", "version") if name in report.tool}
-    return msgspec.json.format(msgspec.json.encode(msgspec.structs.replace(report, tool=tool))) + b"\n"
+    return as_json(msgspec.structs.replace(report, tool=tool))

@@ -16,7 +16,7 @@ from insdvl_replay.executors import Workers, cluster_workers, local_workers
 from insdvl_replay.report.csv_tables import report_csv
 from insdvl_replay.report.folder import refuse_existing_file, result_file
 from insdvl_replay.report.index_page import index_page
-from insdvl_replay.report.json_report import Report, encode_report, encode_reports
+from insdvl_replay.report.json_report import Report, encode_report
 from insdvl_replay.report.markup import latex_report, markdown_report
 from insdvl_replay.report.page import is_page
 from insdvl_replay.report.summary import Failure, is_summary, summary_csv
@@ -104,7 +104,7 @@ def replay_dives(names: Sequence[str], output: Path, order: Order, manner: Manne
         reports.append(outcome.result)
         codes[name] = _tell_result(outcome, outcome.result, manner, quiet=together)
     if together:
-        emit(encode_reports([report for report in reports if isinstance(report, Report)]).decode())
+        emit(encode_report([report for report in reports if isinstance(report, Report)]).decode())
     if len(tasks) > 1:
         _summarise(reports, codes, output)
     return max(codes.values())

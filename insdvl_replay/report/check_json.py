@@ -2,11 +2,10 @@
 
 from typing import Annotated
 
-import msgspec
 from msgspec import Meta, Struct
 
 from insdvl_replay.gates import CheckResult, Judgement
-from insdvl_replay.report.json_report import Tool, this_tool
+from insdvl_replay.report.json_report import Tool, as_json, this_tool
 
 
 class CheckReport(Struct, frozen=True):
@@ -43,4 +42,4 @@ def check_json(result: CheckResult) -> str:
         result.count("passed"),
         result.judgements,
     )
-    return msgspec.json.format(msgspec.json.encode(report)).decode() + "\n"
+    return as_json(report).decode()

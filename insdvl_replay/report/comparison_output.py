@@ -2,7 +2,6 @@
 
 from dataclasses import astuple, fields, replace
 
-import msgspec
 from rich.console import Group, RenderableType
 from rich.text import Text
 
@@ -15,6 +14,7 @@ from insdvl_replay.report.comparison import (
     opening_lines,
 )
 from insdvl_replay.report.csv_tables import rows_csv
+from insdvl_replay.report.json_report import as_json
 from insdvl_replay.report.markup import latex_page, markdown_page
 from insdvl_replay.report.page import Lead, Part, page
 from insdvl_replay.report.terminal import dressed
@@ -22,7 +22,7 @@ from insdvl_replay.report.terminal import dressed
 
 def comparison_json(comparison: Comparison) -> bytes:
     """Write a comparison as JSON, null for what is missing."""
-    return msgspec.json.format(msgspec.json.encode(comparison)) + b"\n"
+    return as_json(comparison)
 
 
 def comparison_csv(comparison: Comparison) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 
-import msgspec
 from rich.console import Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
@@ -10,6 +9,7 @@ from rich.text import Text
 from insdvl_replay.inventory import Inventory
 from insdvl_replay.report.inspection_sentences import PROPOSAL, Finding, findings, open_points, opening_lines
 from insdvl_replay.report.inspection_tables import inventory_tables
+from insdvl_replay.report.json_report import as_json
 from insdvl_replay.report.markup import latex_page, markdown_page
 from insdvl_replay.report.terminal import dressed
 
@@ -25,7 +25,7 @@ def encode_inventory(inventory: Inventory | Sequence[Inventory]) -> bytes:
     -------
     bytes
     """
-    return msgspec.json.format(msgspec.json.encode(inventory)) + b"\n"
+    return as_json(inventory)
 
 
 def markdown_inventory(inventory: Inventory) -> str:

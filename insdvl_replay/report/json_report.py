@@ -221,14 +221,14 @@ def package_versions() -> dict[str, str]:
     return {"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES}
 
 
-def encode_report(report: Report) -> bytes:
-    """Write a report as JSON, indented, with a final newline. The same report gives the same bytes."""
-    return msgspec.json.format(msgspec.json.encode(report)) + b"\n"
+def encode_report(report: Report | Sequence[Report]) -> bytes:
+    """Write a report, or several as one array, as JSON. The same report gives the same bytes."""
+    return as_json(report)
 
 
-def encode_reports(reports: Sequence[Report]) -> bytes:
-    """Write several reports as one JSON array."""
-    return msgspec.json.format(msgspec.json.encode(reports)) + b"\n"
+def as_json(content: Any) -> bytes:
+    """Write JSON, indented, with a final newline."""
+    return msgspec.json.format(msgspec.json.encode(content)) + b"\n"
 
 
 def decode_report(data: bytes) -> Report:

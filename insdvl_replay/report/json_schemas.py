@@ -9,7 +9,7 @@ from insdvl_replay.changes import Comparison
 from insdvl_replay.config import Config
 from insdvl_replay.inventory import Inventory
 from insdvl_replay.report.check_json import CheckReport
-from insdvl_replay.report.json_report import Report
+from insdvl_replay.report.json_report import Report, as_json
 from insdvl_replay.report.study_json import StudyResult
 
 
@@ -60,4 +60,4 @@ def _schema(root: type, title: str) -> bytes:
         "title": title,
         **msgspec.json.schema(root),
     }
-    return msgspec.json.format(msgspec.json.encode(schema)) + b"\n"
+    return as_json(schema)

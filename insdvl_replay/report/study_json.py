@@ -6,7 +6,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from insdvl_replay.errors import Note
-from insdvl_replay.report.json_report import Tool, package_versions, records, this_tool
+from insdvl_replay.report.json_report import Tool, as_json, package_versions, records, this_tool
 
 if TYPE_CHECKING:
     # Only its type is needed, and whoever asks for the schema must not wait for pandas.
@@ -40,4 +40,4 @@ def study_json(report: "StudyReport") -> bytes:
         notes=list(report.notes),
         config=msgspec.to_builtins(report.config),
     )
-    return msgspec.json.format(msgspec.json.encode(result)) + b"\n"
+    return as_json(result)
