@@ -19,7 +19,7 @@ def dive_name(path: Path) -> str:
     -------
     str
     """
-    whole = path.absolute()
+    whole = _whole(path)
     return whole.name if whole.is_dir() else whole.stem
 
 
@@ -41,8 +41,7 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     ConfigError
         Folders do not tell two dives apart either.
     """
-    plain = [Path(os.path.abspath(path)) for path in paths]  # noqa: PTH100  # resolves `..`
-    whole = [(*path.parts[1:-1], dive_name(path)) for path in plain]
+    whole = [(*_whole(path).parts[1:-1], dive_name(path)) for path in paths]
     lengths = [1] * len(paths)
     while again := _repeated([parts[-length:] for parts, length in zip(whole, lengths, strict=True)]):
         if all(lengths[place] >= len(whole[place]) for place in again):
@@ -54,6 +53,10 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
         both = " and ".join(str(paths[place]) for place in again if names[place] == names[again[0]])
         raise ConfigError(f"{both} would share the name {names[again[0]]}", "rename one of them")
     return names
+
+
+def _whole(path: Path) -> Path:
+    return Path(os.path.abspath(path))  # noqa: PTH100  # resolves `..`, which is no name
 
 
 def _repeated(names: Sequence[Hashable]) -> list[int]:

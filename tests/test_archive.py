@@ -164,6 +164,8 @@ def test_a_folder_keeps_what_stands_behind_a_dot_in_its_name(tmp_path: Path) -> 
     assert unique_names([bag, tmp_path / "dive_2026.mcap"]) == ["dive_2026.11.21", "dive_2026"]
     write_dive(bag / "part_0.mcap", simulate_dive("straight", seed=1, duration_s=20.0))
     assert read_dive(bag, load_config()).name == "dive_2026.11.21"
+    (bag / "notes").mkdir()
+    assert read_dive(bag / "notes" / "..", load_config()).name == "dive_2026.11.21"
 
 
 @pytest.mark.parametrize("paths", ["x.mcap x", "mon/x.mcap tue/x.mcap tue_x.mcap"])
