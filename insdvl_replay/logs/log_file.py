@@ -34,8 +34,8 @@ from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
 from insdvl_replay.columns import TimeNs
+from insdvl_replay.logs.records import MAGIC
 
-MAGIC: Final = b"\x89MCAP0\r\n"
 _INDEX_ENTRY: Final = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
