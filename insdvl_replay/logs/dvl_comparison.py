@@ -103,7 +103,7 @@ def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config
         None where too few rows move, or lack velocity or attitude.
     """
     measured_b, true_b = _velocity_pairs(dvl, reference, config)
-    measured, true = _horizontal(measured_b), _horizontal(true_b)
+    measured, true = horizontal(measured_b), horizontal(true_b)
     moving = np.abs(true) > _LEAST_SPEED_MPS
     return fit(measured[moving], true[moving]) if np.count_nonzero(moving) >= ENOUGH else None
 
@@ -148,14 +148,14 @@ def track_by_positions(
         None where too few positions lie far enough apart.
     """
     ping_ns, measured_b = _pings(dvl, config)
-    measured = _horizontal(measured_b)
+    measured = horizontal(measured_b)
     fixes = np.flatnonzero(np.isfinite(reference.position[:, :2]).all(axis=1))
     if len(ping_ns) < ENOUGH or len(fixes) < ENOUGH:
         return None
     fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
-    fix_ns, north_east_m = reference.time_ns[fixes], _north_east_m(reference.position[fixes])
+    fix_ns, fixes_m = reference.time_ns[fixes], north_east_m(reference.position[fixes])
     first, last = _windows(fix_ns, ping_ns)
-    true = north_east_m[last] - north_east_m[first]
+    true = fixes_m[last] - fixes_m[first]
     if len(first) < ENOUGH or np.sqrt(np.mean(np.abs(true) ** 2)) < _LEAST_WINDOW_M:
         return None
     start_s = config.span.start_s or 0.0
@@ -190,7 +190,8 @@ def _velocity_pairs(dvl: DvlColumns, reference: ReferenceColumns, config: Config
     return np.stack([np.interp(at_s, ping_s, column) for column in measured_b.T], axis=1), true_b
 
 
-def _horizontal(vectors: Floats) -> Complex:
+def horizontal(vectors: Floats) -> Complex:
+    """Make complex numbers of the first two parts of vectors, shape (k, 3)."""
     return np.asarray(vectors[:, 0] + 1j * vectors[:, 1])
 
 
@@ -213,7 +214,7 @@ def _pause_s(time_ns: TimeNs, at_ns: TimeNs) -> Floats:
     return seconds(time_ns[after], time_ns[after - 1])
 
 
-def _north_east_m(position: Floats) -> Complex:
+def north_east_m(position: Floats) -> Complex:
     """Measure along a sphere that touches the ellipsoid at the first position."""
     latitude, longitude = position[:, 0], position[:, 1]
     north_m = (latitude - latitude[0]) * earth.meridian_radius_m(latitude[0])

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
-from insdvl_replay.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.errors import Note
+from insdvl_replay.logs.dvl_comparison import Complex, horizontal, north_east_m
 from insdvl_replay.logs.dvl_health import median_speed_mps
 from insdvl_replay.logs.gyro_comparison import LONGEST_STEP_S, turned_by
 from insdvl_replay.logs.imu_health import Check
@@ -69,10 +69,10 @@ def _motion_notes(reference: ReferenceColumns) -> list[Note]:
     given = np.isfinite(reference.position[:, :2]).all(axis=1) & np.isfinite(reference.velocity_n).all(axis=1)
     if not given.any():
         return []
-    gone_m, said_m = _legs(reference.time_ns[given], reference.position[given], reference.velocity_n[given, :2])
-    if len(gone_m) < _LEGS or min(np.linalg.norm(way_m, axis=1).sum() for way_m in (gone_m, said_m)) < _LEAST_M:
+    gone_m, said_m = _legs(reference.time_ns[given], reference.position[given], horizontal(reference.velocity_n[given]))
+    if len(gone_m) < _LEGS or min(np.abs(gone_m).sum(), np.abs(said_m).sum()) < _LEAST_M:
         return []
-    coherence = float(np.sum(gone_m * said_m) / np.sqrt(np.sum(gone_m**2) * np.sum(said_m**2)))
+    coherence = float(np.vdot(gone_m, said_m).real / (np.linalg.norm(gone_m) * np.linalg.norm(said_m)))
     if coherence >= _FOLLOWS:
         return []
     text = (
@@ -83,23 +83,15 @@ def _motion_notes(reference: ReferenceColumns) -> list[Note]:
     return [Note("reference_contradiction", text, int(np.count_nonzero(given)), "warning", hint)]
 
 
-def _legs(time_ns: TimeNs, position: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-    """Give the ways of legs without a pause north and east, in m: by the positions, and as the velocity adds up."""
+def _legs(time_ns: TimeNs, position: Floats, velocity: Complex) -> tuple[Complex, Complex]:
+    """Give the ways of legs without a pause, in m: by the positions, and as the horizontal velocity adds up."""
     time_s = seconds(time_ns, time_ns[0])
     step_s = np.diff(time_s)
-    summed_m = np.zeros((len(time_s), 2))
-    summed_m[1:] = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step_s[:, None], axis=0)
+    summed_m = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step_s))
     pauses = np.concatenate([[0], np.cumsum(step_s > LONGEST_STEP_S)])
     rows = np.unique(np.searchsorted(time_s, np.arange(0.0, time_s[-1], _LEG_S)))
     whole = np.diff(pauses[rows]) == 0
-    return np.diff(_north_east_m(position)[rows], axis=0)[whole], np.diff(summed_m[rows], axis=0)[whole]
-
-
-def _north_east_m(position: Floats) -> Floats:
-    """Give places on a plane, good enough for the ways of one dive."""
-    latitude, longitude = position[:, 0], np.unwrap(position[:, 1])
-    east_m = transverse_radius_m(latitude[0]) * np.cos(latitude[0]) * longitude
-    return np.stack([meridian_radius_m(latitude[0]) * latitude, east_m], axis=1)
+    return np.diff(north_east_m(position)[rows])[whole], np.diff(summed_m[rows])[whole]
 
 
 def _is_constant(rows: Floats) -> bool:
