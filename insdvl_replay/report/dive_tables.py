@@ -5,6 +5,7 @@ from typing import Protocol, TypeVar
 
 from insdvl_replay.report.dive_sentences import MEANS
 from insdvl_replay.report.json_report import (
+    Candidate,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
@@ -57,16 +58,23 @@ def glance_table(report: Report) -> ShownTable:
         tuple(
             (
                 name,
-                candidate.improvement,
-                percent(candidate.mean_improvement_pct),
-                percent(candidate.reference_improvement_pct),
-                percent(candidate.mean_convergence_improvement_pct),
+                *gain_cells(candidate),
                 candidate.consistency,
                 candidate.credibility or MISSING,
             )
             for name, candidate in report.filters.items()
         ),
         f"{MEANS}; innovations and errors: whether they are as large as the filter says",
+    )
+
+
+def gain_cells(candidate: Candidate) -> tuple[str, str, str, str]:
+    """Write what a candidate gains: the verdict on it, what is believed, what is so, and how much sooner."""
+    return (
+        candidate.improvement,
+        percent(candidate.mean_improvement_pct),
+        percent(candidate.reference_improvement_pct),
+        percent(candidate.mean_convergence_improvement_pct),
     )
 
 

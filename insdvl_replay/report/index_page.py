@@ -7,10 +7,11 @@ from typing import Final
 from urllib.parse import quote
 
 from insdvl_replay.report.dive_sentences import MEANS
+from insdvl_replay.report.dive_tables import gain_cells
 from insdvl_replay.report.folder import PAGE
 from insdvl_replay.report.json_report import Report
 from insdvl_replay.report.page import Lead, LinkedTable, page
-from insdvl_replay.report.shown import MISSING, ShownTable, number, percent
+from insdvl_replay.report.shown import MISSING, ShownTable, number
 from insdvl_replay.report.summary import Failure, position_rmse
 
 _HEADER: Final = (
@@ -68,10 +69,7 @@ def _rows(outcome: Report | Failure) -> Iterator[tuple[tuple[str, ...], str]]:
         cells = (
             outcome.log.name,
             name,
-            candidate.improvement,
-            percent(candidate.mean_improvement_pct),
-            percent(candidate.reference_improvement_pct),
-            percent(candidate.mean_convergence_improvement_pct),
+            *gain_cells(candidate),
             *map(number, position_m),
             candidate.consistency,
             str(warnings),
