@@ -26,12 +26,19 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 
-_SOURCES: Final = ("nav/*.py", "earth.py", "logs/record*.py")
-"""Where compiled functions, and what they are made of, stand."""
+_SOURCES: Final = ("nav/*.py", "earth.py", "logs/record*.py", "compiled.py")
+"""Where compiled functions, what they are made of, and how they are compiled, stand."""
 
 
-# Nobody calls the compiled functions from C; their entries for it would take a sixth of the time to compile.
-_OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+# Nobody calls the compiled functions from C; their entries for it would take a sixth of the time to compile. Functions
+# are put into those that call them: else many a call hands dozens of numbers over in memory and counts references, and
+# the filter takes a quarter longer.
+_OPTIONS: Final[dict[str, Any]] = {
+    "error_model": "numpy",
+    "nogil": True,
+    "no_cfunc_wrapper": True,
+    "forceinline": True,
+}
 
 
 def usual_folder() -> Path:

@@ -38,7 +38,7 @@ def instants(timeline: Timeline) -> Instants:
         np.array([node.angular_rate_b for node in nodes]),
         np.where(here, timeline.ping[event], -1),
         np.append(-1, timeline.gap[event[:-1]]),
-        here & timeline.record[event],
+        here & (timeline.record[event] >= 0),
     )
 
 

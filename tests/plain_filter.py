@@ -11,7 +11,6 @@ from insdvl_replay.config import Config
 from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.recording import Ins
 from insdvl_replay.nav.start import Start
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.preparation import prepare_dive
@@ -28,6 +27,17 @@ class Inputs(NamedTuple):
     velocity: Measurement
 
 
+class Belief(NamedTuple):
+    """What a filter believes."""
+
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+    P: Floats
+
+
 def baseline_inputs(dive: Dive, config: Config) -> Inputs:
     """Prepare the baseline; no innovation is too large for it."""
     prepared, baseline = prepare_dive(dive, config), config.filters[config.baseline]
@@ -37,10 +47,10 @@ def baseline_inputs(dive: Dive, config: Config) -> Inputs:
     return Inputs(timeline, prepared.alignment.start, filter_noise(baseline, config), velocity)
 
 
-def run_plain_filter(inputs: Inputs) -> Ins:
+def run_plain_filter(inputs: Inputs) -> Belief:
     """Run the filter over a time line; the DVL is at the IMU."""
     timeline, start, noise_density, velocity = inputs
-    belief = Ins(
+    belief = Belief(
         start.position, start.velocity_n, start.mat_nb, start.accel_bias_b, start.gyro_bias_b, np.diag(start.sd**2)
     )
     at = instants(timeline)
@@ -53,7 +63,7 @@ def run_plain_filter(inputs: Inputs) -> Ins:
     return belief
 
 
-def propagated(belief: Ins, force_b: Floats, rate_b: Floats, dt: float, noise_density: Floats) -> Ins:
+def propagated(belief: Belief, force_b: Floats, rate_b: Floats, dt: float, noise_density: Floats) -> Belief:
     (latitude, longitude, height_m), velocity = belief.position, belief.velocity_n
     r_n, r_e = meridian_radius_m(latitude) + height_m, transverse_radius_m(latitude) + height_m
     w_ie = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
@@ -76,14 +86,14 @@ def propagated(belief: Ins, force_b: Floats, rate_b: Floats, dt: float, noise_de
     return belief._replace(position=position, velocity_n=velocity_n, mat_nb=mat_nb, P=P)
 
 
-def updated(belief: Ins, velocity_b: Floats, R: Floats) -> Ins:
+def updated(belief: Belief, velocity_b: Floats, R: Floats) -> Belief:
     H = np.zeros((3, 12))
     H[:, DV], H[:, PHI] = belief.mat_nb.T, belief.mat_nb.T @ skew(belief.velocity_n)
     z = belief.mat_nb.T @ belief.velocity_n - velocity_b
     K = belief.P @ H.T @ np.linalg.inv(H @ belief.P @ H.T + R)
     dx, A, T = K @ z, np.eye(12) - K @ H, np.eye(12)
     T[DV, PHI] = skew(dx[DV])
-    return Ins(
+    return Belief(
         belief.position,
         belief.velocity_n - dx[DV],
         Rotation.from_rotvec(-dx[PHI]).as_matrix() @ belief.mat_nb,

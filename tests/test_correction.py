@@ -6,9 +6,10 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.nav.correction import correct, keep_invariant_error
-from insdvl_replay.nav.recording import Ins
+from insdvl_replay.nav.strapdown import NavState
+from insdvl_replay.nav.vector_algebra import matrix, vector
 from insdvl_replay.rotation import skew
-from insdvl_replay.states import DV, PHI
+from insdvl_replay.states import BA, BG, DV, PHI
 
 VELOCITY_N = np.array([1.2, -0.7, 0.3])
 CHANGE_N = np.array([0.2, 0.3, -0.1])  # taken off the velocity
@@ -48,20 +49,24 @@ def test_transformation_leaves_the_invariant_error_alone() -> None:
 def test_covariance_is_transformed_as_the_matrices_say() -> None:
     P, T = random_cov(3), transformation()
     expected = T @ P @ T.T
-    keep_invariant_error(P, CHANGE_N)
+    keep_invariant_error(P, vector(CHANGE_N))
     np.testing.assert_allclose(P, expected, rtol=1e-13)
     np.testing.assert_array_equal(P, P.T)
 
 
 def test_estimated_errors_are_taken_out_of_the_state() -> None:
     mat_nb = turned(np.array([0.3, -0.1, 2.0]))
-    ins = Ins(np.zeros(3), VELOCITY_N.copy(), mat_nb.copy(), np.zeros(3), np.zeros(3), random_cov(4))
+    bias_b, P, dx_room = (0.01, -0.02, 0.03), random_cov(4), np.empty(12)
+    state = NavState((0.57, 0.6, -20.0), vector(VELOCITY_N), matrix(mat_nb), bias_b, bias_b)
     K, z = 0.1 * np.random.default_rng(5).normal(size=(12, 3)), np.array([0.2, -0.1, 0.3])
     dx = K @ z
-    expected_cov = ins.P.copy()
-    keep_invariant_error(expected_cov, dx[DV])
-    correct(ins, K.T, z)
-    np.testing.assert_allclose(ins.velocity_n, VELOCITY_N - dx[DV], rtol=1e-14)
-    np.testing.assert_allclose(ins.mat_nb, turned(-dx[PHI]) @ mat_nb, rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(np.concatenate([ins.accel_bias_b, ins.gyro_bias_b]), dx[6:], rtol=1e-14)
-    np.testing.assert_array_equal(ins.P, expected_cov)
+    expected_cov = P.copy()
+    keep_invariant_error(expected_cov, vector(dx[DV]))
+    corrected = correct(state, P, np.ascontiguousarray(K.T), vector(z), dx_room)
+    np.testing.assert_allclose(dx_room, dx, rtol=1e-14)
+    assert corrected.position == state.position
+    np.testing.assert_allclose(corrected.velocity_n, VELOCITY_N - dx[DV], rtol=1e-14)
+    np.testing.assert_allclose(corrected.mat_nb, turned(-dx[PHI]) @ mat_nb, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(corrected.accel_bias_b, bias_b + dx[BA], rtol=1e-14)
+    np.testing.assert_allclose(corrected.gyro_bias_b, bias_b + dx[BG], rtol=1e-14)
+    np.testing.assert_allclose(P, expected_cov, rtol=1e-14)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
-from insdvl_replay.nav.error_model import noise_density, propagate_cov, write_system_matrix
+from insdvl_replay.nav.error_model import error_rate, noise_density, propagate_cov, propagate_errors
 from insdvl_replay.nav.strapdown import Motion
 from insdvl_replay.nav.vector_algebra import matrix, vector
 from insdvl_replay.rotation import skew
@@ -30,12 +30,12 @@ def motion() -> Motion:
 
 
 def system_matrix() -> Floats:
-    F = np.zeros((12, 12))
-    write_system_matrix(motion(), F)
-    return F
+    """Its columns are the rates of the single errors."""
+    rates = [error_rate(motion(), *map(vector, dx.reshape(4, 3))) for dx in np.eye(12)]
+    return np.vstack([np.reshape(rates, (12, 6)).T, np.zeros((6, 12))])
 
 
-def error_rate(dx: Floats) -> Floats:
+def nonlinear_error_rate(dx: Floats) -> Floats:
     """How an error grows: the equations at the estimate minus the equations at the truth, with the position known."""
     velocity, mat = VELOCITY_N + dx[:3], Rotation.from_rotvec(dx[3:6]).as_matrix() @ MAT_NB
     w_en = transport_rate(velocity)
@@ -50,14 +50,21 @@ def error_rate(dx: Floats) -> Floats:
 
 def test_system_matrix_is_the_jacobian_of_the_equations() -> None:
     # What F leaves out is the change of transport rate with velocity: 1/R = 1.6e-7.
-    assert_jacobian(system_matrix(), error_rate, np.zeros(12), atol=3e-7, step=1e-5)
+    assert_jacobian(system_matrix(), nonlinear_error_rate, np.zeros(12), atol=3e-7, step=1e-5)
 
 
 def test_the_gyro_output_in_place_of_earth_rate_would_be_found() -> None:
     printed = system_matrix()
     printed[3:6, 3:6] = skew(MAT_NB @ RATE_B)
     with pytest.raises(AssertionError):
-        assert_jacobian(printed, error_rate, np.zeros(12), atol=3e-7, step=1e-5)
+        assert_jacobian(printed, nonlinear_error_rate, np.zeros(12), atol=3e-7, step=1e-5)
+
+
+def test_errors_grow_as_the_matrices_say() -> None:
+    dx, dt = np.random.default_rng(4).normal(size=(12, 12)), 0.01
+    expected = (np.eye(12) + system_matrix() * dt) @ dx
+    propagate_errors(dx.ravel(), motion(), dt)
+    np.testing.assert_allclose(dx, expected, rtol=1e-13)
 
 
 def test_covariance_is_propagated_as_the_matrices_say() -> None:
@@ -67,7 +74,7 @@ def test_covariance_is_propagated_as_the_matrices_say() -> None:
     density = noise_density(0.2, 3.7e-5, 1e-6, 1e-10)
     Phi = np.eye(12) + F * dt
     expected = Phi @ P @ Phi.T + np.diag(density) * dt
-    propagate_cov(P, motion(), density, dt)
+    propagate_cov(P.ravel(), motion(), density, dt)
     np.testing.assert_allclose(P, expected, rtol=1e-13)
     np.testing.assert_array_equal(P, P.T)
 

@@ -6,24 +6,24 @@ from hypothesis import strategies as st
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, standardised, transposed_gain, update_cov
+from insdvl_replay.nav.vector_algebra import matrix, vector
 
 
-def random_case(seed: int, n: int = 12, m: int = 3) -> tuple[Floats, Floats, Floats, Floats]:
+def random_case(seed: int, n: int = 12) -> tuple[Floats, Floats, Floats, Floats]:
     rng = np.random.default_rng(seed)
     scales = 10.0 ** rng.uniform(-6, 2, n)
     root = rng.normal(size=(n, n)) * scales[:, None]
-    noise = rng.normal(size=(m, m))
-    return root @ root.T, rng.normal(size=(m, n)), noise @ noise.T + 1e-3 * np.eye(m), rng.normal(size=m)
+    noise = rng.normal(size=(3, 3))
+    return root @ root.T, rng.normal(size=(3, n)), noise @ noise.T + 1e-3 * np.eye(3), rng.normal(size=3)
 
 
 def updated(P: Floats, H: Floats, R: Floats, z: Floats) -> tuple[Floats, Floats, float, Floats]:
-    HP, S, L = np.empty((len(z), len(P))), np.empty((len(z), len(z))), np.zeros((len(z), len(z)))
-    innovation_cov(P, H, R, HP, S)
-    cholesky(S, L)
-    KT = transposed_gain(HP, L)
-    after = P.copy()
-    update_cov(after, H, R, HP, KT)
-    return after, KT.T, float(np.sum(standardised(L, z) ** 2)), S
+    after, (HP, KT, rest) = P.copy(), np.empty((3, 3, len(P)))
+    S = innovation_cov(P, H, matrix(R), HP)
+    L = cholesky(S)
+    transposed_gain(HP, L, KT)
+    update_cov(after, H, matrix(R), HP, KT, rest)
+    return after, KT.T, float(np.sum(np.square(standardised(L, vector(z))))), np.array(S)
 
 
 def test_update_is_the_textbooks() -> None:
@@ -46,6 +46,5 @@ def test_covariance_stays_symmetric_positive_and_does_not_grow(seed: int) -> Non
 
 
 def test_a_covariance_that_is_none_is_not_used() -> None:
-    L = np.zeros((2, 2))
-    cholesky(np.array([[1.0, 2.0], [2.0, 1.0]]), L)
-    assert np.isnan(standardised(L, np.ones(2))).any()
+    L = cholesky(((1.0, 2.0, 0.0), (2.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    assert np.isnan(standardised(L, (1.0, 1.0, 1.0))).any()

@@ -21,8 +21,8 @@ from insdvl_replay.nav.measurements import (
     velocity_measurement,
 )
 from insdvl_replay.nav.place import place_at
-from insdvl_replay.nav.strapdown import propagate
-from insdvl_replay.nav.vector_algebra import vector
+from insdvl_replay.nav.strapdown import NavState, propagate
+from insdvl_replay.nav.vector_algebra import matrix, rotate_back, vector
 from insdvl_replay.rotation import skew
 
 VELOCITY_N = np.array([0.9, -0.4, 0.1])
@@ -48,21 +48,21 @@ def measurement(kind: int, window: int = 1) -> Measurement:
 def at_ping(dx: Floats) -> InsAtPing:
     """An INS whose errors are dx: estimated minus true."""
     return InsAtPing(
-        VELOCITY_N + dx[:3],
-        np.ascontiguousarray(Rotation.from_rotvec(dx[3:6]).as_matrix() @ MAT_NB),
-        FORCE_B + dx[6:9],
+        vector(VELOCITY_N + dx[:3]),
+        matrix(Rotation.from_rotvec(dx[3:6]).as_matrix() @ MAT_NB),
+        vector(FORCE_B + dx[6:9]),
         (RATE_NB_B + dx[9:12])[None],
         (RATE_NB_B + dx[9:12])[None],
         np.zeros((1, 3)),
         GRAVITY,
-        ARM_B,
+        vector(ARM_B),
     )
 
 
 def linearised(kind: int, dx: Floats) -> tuple[Floats, Floats]:
-    z, H = np.zeros(3), np.zeros((3, 12))
-    linearise(measurement(kind), 0, at_ping(dx), z, H)
-    return z, H
+    H = np.full((3, 12), np.nan)
+    z = linearise(measurement(kind), 0, at_ping(dx), H)
+    return np.array(z), H
 
 
 @pytest.mark.parametrize("kind", [VELOCITY, PUBLISHED])
@@ -74,8 +74,9 @@ def test_jacobian_of_velocity_and_of_the_published_acceleration(kind: int) -> No
 def body_acceleration(dx: Floats) -> Floats:
     """The rate of the body velocity, f + C' g - w x C' v, whose errors the windowed slope has."""
     ins = at_ping(dx)
-    gravity_n = np.array([0.0, 0.0, GRAVITY])
-    return ins.specific_force_b + ins.mat_nb.T @ gravity_n - np.cross(ins.rate_nb_b[0], ins.mat_nb.T @ ins.velocity_n)
+    mat_bn, gravity_n = np.array(ins.mat_nb).T, np.array([0.0, 0.0, GRAVITY])
+    turning = np.cross(ins.rate_nb_b[0], mat_bn @ np.array(ins.velocity_n))
+    return np.array(ins.specific_force_b) + mat_bn @ gravity_n - turning
 
 
 def test_jacobian_of_the_windowed_acceleration() -> None:
@@ -97,16 +98,15 @@ class Ins:
     dx: Floats
 
     def body_velocities(self, times_s: Floats, rate_hz: float = 2000.0) -> Floats:
-        position = np.array([0.57, 0.6, -20.0])
-        velocity = VELOCITY_N + self.dx[:3]
-        mat = np.ascontiguousarray(Rotation.from_rotvec(self.dx[3:6]).as_matrix() @ MAT_NB)
-        place = place_at(position[0], position[2])
-        force_b, rate_b = vector(FORCE_B + self.dx[6:9]), vector(RATE_NB_B + self.dx[9:12])
-        found = [mat.T @ velocity]
+        mat_nb = matrix(Rotation.from_rotvec(self.dx[3:6]).as_matrix() @ MAT_NB)
+        too_much = vector(-self.dx[6:9]), vector(-self.dx[9:12])
+        state = NavState((0.57, 0.6, -20.0), vector(VELOCITY_N + self.dx[:3]), mat_nb, *too_much)
+        place = place_at(state.position[0], state.position[2])
+        found = [rotate_back(state.mat_nb, state.velocity_n)]
         for length_s in np.diff(times_s):
             for _ in range(round(length_s * rate_hz)):
-                propagate(position, velocity, mat, force_b, rate_b, 1 / rate_hz, place)
-            found.append(mat.T @ velocity)
+                state, _ = propagate(state, vector(FORCE_B), vector(RATE_NB_B), 1 / rate_hz, place)
+            found.append(rotate_back(state.mat_nb, state.velocity_n))
         return np.array(found)
 
 
@@ -127,8 +127,8 @@ def test_windowed_prediction_is_the_slope_of_what_the_ins_adds_and_its_jacobian_
         ins = at_ping(dx)._replace(
             velocity_change_b=change, rate_nb_b=np.tile(RATE_NB_B, (4, 1)), rate_eb_b=np.tile(RATE_NB_B, (4, 1))
         )
-        z, H = np.zeros(3), np.zeros((3, 12))
-        linearise(windowed, 3, ins, z, H)
+        H = np.full((3, 12), np.nan)
+        z = np.array(linearise(windowed, 3, ins, H))
         # A straight line through the body velocities themselves has the same slope.
         np.testing.assert_allclose(z, np.polyfit(times_s, body, 1)[0], atol=1e-9)
         slope.H = H  # type: ignore[attr-defined]

@@ -19,7 +19,8 @@ from insdvl_replay.history import History
 from insdvl_replay.logs.dive_log import write_dive
 from insdvl_replay.nav.error_directions import named_directions
 from insdvl_replay.nav.measurements import VELOCITY, Measurement
-from insdvl_replay.nav.observability import NominalPings, analyse, nominal_pings, whitened_rows
+from insdvl_replay.nav.nominal_motion import NominalPings, nominal_pings
+from insdvl_replay.nav.observability import analyse, whitened_rows
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.report.study import StudyReport
 from insdvl_replay.rotation import mat_from_rpy, skew

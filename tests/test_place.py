@@ -9,9 +9,9 @@ from insdvl_replay.nav.place import (
     REACH_RAD,
     curvatures,
     gravity_at,
+    place_about,
     place_at,
     transport_rate_n,
-    within_reach,
 )
 
 LATITUDES = np.deg2rad([-75.0, -1.0, 0.0, 32.8, 45.0, 75.0])
@@ -25,7 +25,7 @@ def test_at_the_edge_of_its_reach_a_place_is_off_by_no_more_than_it_says(
 ) -> None:
     there, height_m = latitude + 0.999 * to_north, -20.0 + 0.999 * up_m
     kept = place_at(latitude, -20.0)
-    assert within_reach(kept, there, height_m)
+    assert place_about((there, 0.0, height_m), kept) == kept
     assert gravity_at(kept, height_m) == pytest.approx(normal_gravity(there, height_m), abs=7e-9)
     earth_rate = EARTH_RATE * np.array([np.cos(there), 0.0, -np.sin(there)])
     np.testing.assert_allclose(kept.rate_ie_n, earth_rate, rtol=0.0, atol=8e-12)
@@ -44,7 +44,7 @@ def test_turn_of_the_frame_is_that_of_the_place(latitude: float) -> None:
     assert down == pytest.approx(0.7 * np.tan(latitude) / east_radius_m, rel=1e-13)
 
 
-def test_reach_ends_where_it_says() -> None:
-    place = place_at(0.57, -20.0)
-    assert not within_reach(place, 0.57 + 1.001 * REACH_RAD, -20.0)
-    assert not within_reach(place, 0.57, -20.0 - 1.001 * REACH_M)
+@pytest.mark.parametrize(("to_north", "up_m"), [(1.001 * REACH_RAD, 0.0), (0.0, -1.001 * REACH_M)])
+def test_reach_ends_where_it_says(to_north: float, up_m: float) -> None:
+    there, height_m = 0.57 + to_north, -20.0 + up_m
+    assert place_about((there, 0.0, height_m), place_at(0.57, -20.0)) == place_at(there, height_m)

@@ -9,11 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
-from insdvl_replay.nav.place import place_at, within_reach
-from insdvl_replay.nav.strapdown import propagate
-from insdvl_replay.nav.vector_algebra import vector
+from insdvl_replay.nav.place import place_about, place_at
+from insdvl_replay.nav.strapdown import NavState, propagate
+from insdvl_replay.nav.vector_algebra import add, matrix, vector
 
 START = np.array([0.57, 0.61, -20.0, 1.1, -0.4, 0.2])
+NOTHING = (0.0, 0.0, 0.0)
+FORCE_TOO_LARGE_BY, RATE_TOO_LARGE_BY = (0.02, -0.01, 0.03), (1e-3, -2e-3, 3e-3)
 
 
 @dataclass
@@ -41,16 +43,15 @@ def derivative(t: float, state: Floats, motion: Motion) -> Floats:
 
 
 def mechanised(motion: Motion, mat: Floats, rate_hz: float, duration_s: float) -> tuple[Floats, Floats, Floats]:
-    position, velocity, mat = START[:3].copy(), START[3:].copy(), mat.copy()
-    place = place_at(position[0], position[2])
+    state = NavState(vector(START[:3]), vector(START[3:]), matrix(mat), NOTHING, NOTHING)
+    place = place_at(state.position[0], state.position[2])
     time_s = np.arange(int(duration_s * rate_hz) + 1) / rate_hz
     for before, after in pairwise(time_s):
         force = 0.5 * (motion.force_b(before) + motion.force_b(after))
         rate = 0.5 * (motion.rate_b(before) + motion.rate_b(after))
-        if not within_reach(place, position[0], position[2]):
-            place = place_at(position[0], position[2])
-        propagate(position, velocity, mat, vector(force), vector(rate), after - before, place)
-    return position, velocity, mat
+        place = place_about(state.position, place)
+        state, _ = propagate(state, vector(force), vector(rate), after - before, place)
+    return np.array(state.position), np.array(state.velocity_n), np.array(state.mat_nb)
 
 
 def test_mechanisation_follows_the_differential_equations_with_second_order() -> None:
@@ -73,13 +74,15 @@ def test_attitude_stays_a_rotation() -> None:
     np.testing.assert_allclose(mat @ mat.T, np.eye(3), rtol=0.0, atol=1e-12)
 
 
-def test_a_resting_imu_stays_at_rest() -> None:
+def test_a_resting_imu_with_known_biases_stays_at_rest() -> None:
     latitude = 0.57
     gravity = normal_gravity(latitude, 0.0)
-    position, velocity, mat = np.array([latitude, 0.0, 0.0]), np.zeros(3), np.eye(3)
+    state = NavState((latitude, 0.0, 0.0), NOTHING, matrix(np.eye(3)), FORCE_TOO_LARGE_BY, RATE_TOO_LARGE_BY)
     rate = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
     place = place_at(latitude, 0.0)
     for _ in range(10_000):
-        propagate(position, velocity, mat, (0.0, 0.0, -gravity), vector(rate), 0.01, place)
-    np.testing.assert_allclose(velocity, 0.0, atol=1e-9)
-    np.testing.assert_allclose(mat, np.eye(3), atol=1e-10)
+        force_read, rate_read = add((0.0, 0.0, -gravity), state.accel_bias_b), add(vector(rate), state.gyro_bias_b)
+        state, _ = propagate(state, force_read, rate_read, 0.01, place)
+    np.testing.assert_allclose(state.velocity_n, 0.0, atol=1e-9)
+    np.testing.assert_allclose(state.mat_nb, np.eye(3), atol=1e-10)
+    assert (state.accel_bias_b, state.gyro_bias_b) == (FORCE_TOO_LARGE_BY, RATE_TOO_LARGE_BY)

@@ -18,12 +18,13 @@ from numba.core.runtime import _nrt_python, rtsys
 from plain_filter import Inputs, baseline_inputs
 
 from insdvl_replay import replay
-from insdvl_replay.columns import Dive
+from insdvl_replay.columns import Dive, Floats
 from insdvl_replay.config import Config
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.nav.error_model import propagate_cov
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.strapdown import Motion
+from insdvl_replay.nav.place import Place, place_at
+from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import Timeline, first_node, is_last, next_node
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.result_files import save_replay
@@ -144,18 +145,28 @@ def llvm_of(function: Any, *arguments: Any) -> str:
     return str(compiled.inspect_llvm(compiled.signatures[0]))
 
 
-def test_to_go_along_the_time_line_counts_no_references() -> None:
-    def go(timeline: Timeline) -> float:
-        node, forces = first_node(timeline), 0.0
-        while not is_last(timeline, node):
-            node = next_node(timeline, node)
-            forces += node.specific_force_b[0]
-        return forces
+STILL = (0.0, 0.0, 0.0)
+LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
-    assert "call void @NRT_incref" not in llvm_of(go, inputs_at(50.0).timeline)
+
+def test_an_epoch_counts_no_references() -> None:
+    """Each takes as long as twenty multiplications."""
+
+    def go(timeline: Timeline, state: NavState, P: Floats, noise_density: Floats, place: Place) -> NavState:
+        before = first_node(timeline)
+        while not is_last(timeline, before):
+            now = next_node(timeline, before)
+            dt = now.time_s - before.time_s
+            state, motion = propagate(state, now.specific_force_b, now.angular_rate_b, dt, place)
+            propagate_cov(P, motion, noise_density, dt)
+            before = now
+        return state
+
+    inputs, state = inputs_at(50.0), NavState(STILL, STILL, LEVEL, STILL, STILL)
+    code = llvm_of(go, inputs.timeline, state, np.eye(12).ravel(), inputs.noise_density, place_at(0.0, 0.0))
+    assert "call void @NRT_incref" not in code
 
 
 def test_several_columns_of_the_covariance_grow_at_once() -> None:
-    still = (0.0, 0.0, 0.0)
-    motion = Motion(still, still, still, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-    assert "fmul <" in llvm_of(propagate_cov.py_func, np.eye(12), motion, np.ones(12), 0.01)
+    motion = Motion(STILL, STILL, STILL, LEVEL)
+    assert "fmul <" in llvm_of(propagate_cov.py_func, np.eye(12).ravel(), motion, np.ones(12), 0.01)

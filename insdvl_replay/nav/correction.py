@@ -8,41 +8,56 @@ takes the difference between the old and the new v for a sight of the heading.
 Source: Barrau and Bonnabel, "The Invariant Extended Kalman Filter as a Stable Observer"; see EQUATIONS.md.
 """
 
-import numpy as np
-
 from insdvl_replay.columns import Floats
 from insdvl_replay.compiled import compiled
-from insdvl_replay.nav.recording import Ins
-from insdvl_replay.nav.vector_algebra import compose, matrix, rotation_from_vector, write_matrix
+from insdvl_replay.nav.strapdown import NavState
+from insdvl_replay.nav.vector_algebra import (
+    Vector,
+    add,
+    column_vector,
+    compose,
+    dot,
+    rotation_from_vector,
+    subtract,
+)
 
 
 @compiled
-def correct(ins: Ins, KT: Floats, z: Floats) -> None:
+def correct(state: NavState, P: Floats, KT: Floats, z: Vector, dx: Floats) -> NavState:
     """Take ``dx = K z`` out of the navigation state; the error state returns to zero.
 
     Parameters
     ----------
-    ins : Ins
-        Corrected; its P is that after the update.
+    state : NavState
+    P : ndarray, shape (12, 12)
+        Covariance after the update, carried along.
     KT : ndarray, shape (3, 12)
         K', of the gain.
-    z : ndarray, shape (3,)
+    z : tuple of 3 float
         Innovation.
+    dx : ndarray, shape (12,)
+        Written.
+
+    Returns
+    -------
+    NavState
+        Corrected.
     """
-    dx = np.empty(12)
     for i in range(12):
-        dx[i] = KT[0, i] * z[0] + KT[1, i] * z[1] + KT[2, i] * z[2]
-    for i in range(3):
-        ins.velocity_n[i] -= dx[i]
-        ins.accel_bias_b[i] += dx[6 + i]
-        ins.gyro_bias_b[i] += dx[9 + i]
-    turn = rotation_from_vector((-dx[3], -dx[4], -dx[5]))
-    write_matrix(compose(turn, matrix(ins.mat_nb)), ins.mat_nb)
-    keep_invariant_error(ins.P, dx[:3])
+        dx[i] = dot(column_vector(KT, i), z)
+    velocity_error = (dx[0], dx[1], dx[2])
+    keep_invariant_error(P, velocity_error)
+    return NavState(
+        state.position,
+        subtract(state.velocity_n, velocity_error),
+        compose(rotation_from_vector((-dx[3], -dx[4], -dx[5])), state.mat_nb),
+        add(state.accel_bias_b, (dx[6], dx[7], dx[8])),
+        add(state.gyro_bias_b, (dx[9], dx[10], dx[11])),
+    )
 
 
 @compiled
-def keep_invariant_error(P: Floats, velocity_change_n: Floats) -> None:
+def keep_invariant_error(P: Floats, velocity_change_n: Vector) -> None:
     """Express the covariance about the corrected velocity: ``P <- T P T'`` with ``dv <- dv + velocity_change x phi``.
 
     It leaves the covariance of ``dv + v x phi`` as it was, the velocity error that the update has told something of.
@@ -51,7 +66,7 @@ def keep_invariant_error(P: Floats, velocity_change_n: Floats) -> None:
     ----------
     P : ndarray, shape (12, 12)
         Covariance, changed in its rows and columns of dv.
-    velocity_change_n : ndarray, shape (3,)
+    velocity_change_n : tuple of 3 float
         What was taken off the velocity, m/s.
     """
     x, y, z = velocity_change_n

@@ -13,16 +13,7 @@ import numpy as np
 from insdvl_replay.columns import Floats
 from insdvl_replay.compiled import compiled
 from insdvl_replay.nav.strapdown import Motion
-from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate, scale, vector, write_vector
-
-
-@compiled
-def write_skew(matrix: Floats, row: int, column: int, sign: float, vector: Floats) -> None:
-    """Write ``sign [vector x]`` into the 3 x 3 block of a matrix that starts at a row and a column."""
-    x, y, z = sign * vector[0], sign * vector[1], sign * vector[2]
-    matrix[row, column], matrix[row, column + 1], matrix[row, column + 2] = 0.0, -z, y
-    matrix[row + 1, column], matrix[row + 1, column + 1], matrix[row + 1, column + 2] = z, 0.0, -x
-    matrix[row + 2, column], matrix[row + 2, column + 1], matrix[row + 2, column + 2] = -y, x, 0.0
+from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate, scale, scale_matrix
 
 
 @compiled
@@ -54,36 +45,37 @@ def error_rate(
 
 
 @compiled
-def write_system_matrix(motion: Motion, F: Floats) -> None:
-    """Write the system matrix F of the error state, whose columns are the rates of the single errors.
+def propagate_errors(dx: Floats, motion: Motion, dt: float) -> None:
+    """Let errors grow over an interval: ``dx <- Phi dx`` with ``Phi = I + F dt``, in place.
 
     Parameters
     ----------
+    dx : ndarray, shape (144,)
+        Twelve errors, each a column of twelve states, row by row. Of an array of one dimension the compiler knows where
+        each entry stands, and lets several columns grow at once.
     motion : Motion
-    F : ndarray, shape (12, 12)
-        Its first six rows are written; the others stay zero.
+    dt : float
+        Length of the interval, s.
     """
-    dx = np.zeros(12)
+    step = _over(motion, dt)
     for column in range(12):
-        dx[column] = 1.0
-        rates = error_rate(motion, vector(dx[0:3]), vector(dx[3:6]), vector(dx[6:9]), vector(dx[9:12]))
-        write_vector(rates[0], F[0:3, column])
-        write_vector(rates[1], F[3:6, column])
-        dx[column] = 0.0
+        velocity_error, misalignment = _grown(step, _entries(dx, column, 12))
+        dx[column], dx[12 + column], dx[24 + column] = velocity_error
+        dx[36 + column], dx[48 + column], dx[60 + column] = misalignment
 
 
 @compiled
 def propagate_cov(P: Floats, motion: Motion, noise_density: Floats, dt: float) -> None:
     """Advance the covariance: ``P <- Phi P Phi' + Q`` with ``Phi = I + F dt``, in place.
 
-    Since P is symmetric, Phi P Phi' = Phi (Phi P)', and both products let the columns of a matrix grow as errors do.
-    Biases do not grow, so that the first product changes the upper six rows, and the second, of what is turned over,
-    no more than the upper left block. P stays symmetric to the last bit.
+    In ``Phi P`` the columns of P have grown as errors do, and in ``(Phi P) Phi'`` its rows have grown so, too. Biases
+    do not grow: the second step changes no more than the upper left block, and symmetry gives the lower half of that. P
+    stays symmetric to the last bit.
 
     Parameters
     ----------
-    P : ndarray, shape (12, 12)
-        Covariance, advanced.
+    P : ndarray, shape (144,)
+        Covariance of the twelve states, row by row, advanced.
     motion : Motion
     noise_density : ndarray, shape (12,)
         Diagonal of the noise's spectral density; sensor noise is alike on all axes, so turning it with C changes
@@ -91,52 +83,50 @@ def propagate_cov(P: Floats, motion: Motion, noise_density: Floats, dt: float) -
     dt : float
         Length of the interval, s.
     """
-    entries = P.ravel()  # with the distance of the rows known, the compiler lets several columns grow at once
-    for column in range(12):
-        _write(entries, column, _grown(motion, _error(entries, column), dt))
-    _transpose_what_has_grown(P)
-    for column in range(6):
-        _write(entries, column, _grown(motion, _error(entries, column), dt))
+    propagate_errors(P, motion, dt)
+    step = _over(motion, dt)
+    for row in range(0, 36, 12):
+        velocity_error, misalignment = _grown(step, _entries(P, row, 1))
+        P[row], P[row + 1], P[row + 2] = velocity_error
+        P[row + 3], P[row + 4], P[row + 5] = misalignment
+    for row in range(36, 72, 12):
+        _, misalignment = _grown(step, _entries(P, row, 1))
+        P[row + 3], P[row + 4], P[row + 5] = misalignment
     for i in range(6):
         for j in range(i):
-            P[i, j] = P[j, i]
+            P[12 * i + j] = P[12 * j + i]
+        for j in range(6, 12):
+            P[12 * j + i] = P[12 * i + j]
     add_noise(P, noise_density, dt)
 
 
 @compiled
-def _grown(motion: Motion, dx: tuple[Vector, Vector, Vector, Vector], dt: float) -> tuple[Vector, Vector]:
-    """Give the errors of velocity and attitude after an interval, ``dx + F dx dt``."""
-    velocity_error_rate, misalignment_rate = error_rate(motion, dx[0], dx[1], dx[2], dx[3])
-    return add(dx[0], scale(dt, velocity_error_rate)), add(dx[1], scale(dt, misalignment_rate))
-
-
-@compiled
-def _error(entries: Floats, column: int) -> tuple[Vector, Vector, Vector, Vector]:
-    """Read a column of a matrix with twelve columns, whose entries stand row by row."""
-    return (
-        (entries[column], entries[12 + column], entries[24 + column]),
-        (entries[36 + column], entries[48 + column], entries[60 + column]),
-        (entries[72 + column], entries[84 + column], entries[96 + column]),
-        (entries[108 + column], entries[120 + column], entries[132 + column]),
+def _over(motion: Motion, dt: float) -> Motion:
+    """Give what a motion comes to in an interval; since F is linear in it, the F of that is ``F dt``."""
+    return Motion(
+        scale(dt, motion.rate_ie_n),
+        scale(dt, motion.rate_in_n),
+        scale(dt, motion.force_n),
+        scale_matrix(dt, motion.mat_nb),
     )
 
 
 @compiled
-def _write(entries: Floats, column: int, error: tuple[Vector, Vector]) -> None:
-    """Write the upper half of a column."""
-    entries[column], entries[12 + column], entries[24 + column] = error[0]
-    entries[36 + column], entries[48 + column], entries[60 + column] = error[1]
+def _entries(P: Floats, first: int, apart: int) -> tuple[Vector, Vector, Vector, Vector]:
+    """Read a column of P, whose entries stand twelve apart, or a row, whose entries stand side by side."""
+    return (
+        (P[first], P[first + apart], P[first + 2 * apart]),
+        (P[first + 3 * apart], P[first + 4 * apart], P[first + 5 * apart]),
+        (P[first + 6 * apart], P[first + 7 * apart], P[first + 8 * apart]),
+        (P[first + 9 * apart], P[first + 10 * apart], P[first + 11 * apart]),
+    )
 
 
 @compiled
-def _transpose_what_has_grown(P: Floats) -> None:
-    """Turn the upper left block over, and copy the upper right one to the lower left."""
-    for i in range(6):
-        for j in range(i):
-            P[i, j], P[j, i] = P[j, i], P[i, j]
-    for i in range(6, 12):
-        for j in range(6):
-            P[i, j] = P[j, i]
+def _grown(step: Motion, dx: tuple[Vector, Vector, Vector, Vector]) -> tuple[Vector, Vector]:
+    """Give the errors of velocity and attitude after an interval, ``dx + F dt dx``."""
+    velocity_error_growth, misalignment_growth = error_rate(step, dx[0], dx[1], dx[2], dx[3])
+    return add(dx[0], velocity_error_growth), add(dx[1], misalignment_growth)
 
 
 @compiled
@@ -145,15 +135,15 @@ def add_noise(P: Floats, noise_density: Floats, dt: float) -> None:
 
     Parameters
     ----------
-    P : ndarray, shape (12, 12)
-        Covariance.
+    P : ndarray, shape (144,)
+        Covariance, row by row.
     noise_density : ndarray, shape (12,)
         Diagonal of the spectral density.
     dt : float
         Length of the interval, s.
     """
     for i in range(12):
-        P[i, i] += noise_density[i] * dt
+        P[13 * i] += noise_density[i] * dt
 
 
 def noise_density(

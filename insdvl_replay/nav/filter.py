@@ -3,7 +3,6 @@
 One loop for every filter. What a filter is aided by is the tuple of its measurements.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,21 +16,49 @@ from insdvl_replay.nav.error_model import add_noise, propagate_cov
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, standardised, transposed_gain, update_cov
 from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.place import normal_gravity, place_at, within_reach
-from insdvl_replay.nav.recording import Ins, Records, Updates, history_of, new_records, new_updates, write_record
+from insdvl_replay.nav.place import normal_gravity, place_about, place_at
+from insdvl_replay.nav.recording import (
+    Records,
+    Updates,
+    history_of,
+    new_records,
+    new_updates,
+    write_record,
+    write_update,
+)
 from insdvl_replay.nav.start import Start
-from insdvl_replay.nav.strapdown import Motion, propagate
+from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import Timeline, first_node, is_event, is_last, mean, next_node
-from insdvl_replay.nav.vector_algebra import Vector, matrix, rotate_back, subtract, vector, write_vector
+from insdvl_replay.nav.vector_algebra import (
+    Vector,
+    dot,
+    matrix,
+    rotate_back,
+    row_matrix,
+    subtract,
+    vector,
+    write_row_vector,
+)
 
 
 class _Memory(NamedTuple):
-    """What windows need of past pings, see `measurements.InsAtPing`, and the body velocity after the last one."""
+    """What windows need of past pings, see `innovation.InsAtPing`."""
 
     rate_nb_b: Floats
     rate_eb_b: Floats
     velocity_change_b: Floats
-    velocity_after_b: Floats
+
+
+class _Matrices(NamedTuple):
+    """The covariance, the same memory row by row, and what an update is worked out in, see `kalman`."""
+
+    P: Floats
+    P_by_row: Floats
+    H: Floats
+    HP: Floats
+    KT: Floats
+    rest: Floats
+    dx: Floats
 
 
 class _Stack(NamedTuple):
@@ -80,66 +107,74 @@ def run_filter(
     -------
     History
     """
-    keep_cov = np.isin(timeline.event_ns[timeline.record], () if cov_ns is None else cov_ns)
+    keep_cov = np.isin(timeline.event_ns[timeline.record >= 0], () if cov_ns is None else cov_ns)
     records, updates = new_records(keep_cov), new_updates(len(measurements), int(timeline.ping.max()) + 1)
-    ins = Ins(
-        start.position.copy(),
-        start.velocity_n.copy(),
-        start.mat_nb.copy(order="C"),
-        start.accel_bias_b.copy(),
-        start.gyro_bias_b.copy(),
-        np.diag(start.sd**2),
-    )
-    _run(timeline, ins, noise_density, _stacked(measurements), lever_arm_b, records, updates)
+    state, matrices = _state_at(start), _new_matrices(start.sd)
+    memory = _Memory(*np.zeros((3, *updates.innovation_b.shape[1:])))
+    arm_b = vector(lever_arm_b)
+    _run(timeline, state, matrices, noise_density, _stacked(measurements), arm_b, memory, records, updates)
     return history_of(name, timeline, measurements, records, updates)
+
+
+def _state_at(start: Start) -> NavState:
+    return NavState(
+        vector(start.position),
+        vector(start.velocity_n),
+        matrix(start.mat_nb),
+        vector(start.accel_bias_b),
+        vector(start.gyro_bias_b),
+    )
+
+
+def _new_matrices(sd: Floats) -> _Matrices:
+    P, (H, HP, KT, rest) = np.diag(sd**2), np.empty((4, 3, 12))
+    return _Matrices(P, P.ravel(), H, HP, KT, rest, np.empty(12))
 
 
 @compiled
 def _run(
     timeline: Timeline,
-    ins: Ins,
+    state: NavState,
+    matrices: _Matrices,
     noise_density: Floats,
     measurements: _Stack,
-    lever_arm_b: Floats,
+    lever_arm_b: Vector,
+    memory: _Memory,
     records: Records,
     updates: Updates,
 ) -> None:
     """Walk the time line. This is the whole filter."""
-    pings = updates.nis.shape[1]
-    memory = _Memory(np.zeros((pings, 3)), np.zeros((pings, 3)), np.zeros((pings, 3)), np.zeros(3))
-    place = place_at(ins.position[0], ins.position[2])
-    z, H = np.zeros(3), np.zeros((3, 12))
-
-    row, before = 0, first_node(timeline)
-    write_record(ins, records, row)
+    P, P_by_row, velocity_after_b = matrices.P, matrices.P_by_row, (0.0, 0.0, 0.0)
+    place, before = place_at(state.position[0], state.position[2]), first_node(timeline)
+    write_record(state, P, records, timeline.record[before.event])
     while not is_last(timeline, before):
         now = next_node(timeline, before)
         dt = now.time_s - before.time_s
-        if not within_reach(place, ins.position[0], ins.position[2]):
-            place = place_at(ins.position[0], ins.position[2])
-        force_b = subtract(mean(before.specific_force_b, now.specific_force_b), vector(ins.accel_bias_b))
-        rate_b = subtract(mean(before.angular_rate_b, now.angular_rate_b), vector(ins.gyro_bias_b))
-        motion = propagate(ins.position, ins.velocity_n, ins.mat_nb, force_b, rate_b, dt, place)
-        propagate_cov(ins.P, motion, noise_density, dt)
+        place = place_about(state.position, place)
+        force_b = mean(before.specific_force_b, now.specific_force_b)
+        rate_b = mean(before.angular_rate_b, now.angular_rate_b)
+        state, motion = propagate(state, force_b, rate_b, dt, place)
+        propagate_cov(P_by_row, motion, noise_density, dt)
         gap = timeline.gap[before.event]
         if gap >= 0:
-            add_noise(ins.P, timeline.gap_noise_density[gap], dt)
+            add_noise(P_by_row, timeline.gap_noise_density[gap], dt)
         before = now
         if not is_event(timeline, now):
             continue
 
         ping = timeline.ping[now.event]
         if ping >= 0:
-            _note_motion(ins, memory, ping, now.angular_rate_b, motion)
+            _note_motion(state, memory, ping, now.angular_rate_b, motion, velocity_after_b)
             for m in range(len(measurements.kind)):
                 if measurements.available[m, ping]:
                     measurement = _unstacked(measurements, m)
-                    linearise(measurement, ping, _at_ping(ins, memory, now.specific_force_b, lever_arm_b), z, H)
-                    _update(ins, measurement, m, ping, z, H, updates)
-            write_vector(_velocity_b(ins), memory.velocity_after_b)
-        if timeline.record[now.event]:
-            row += 1
-            write_record(ins, records, row)
+                    at_ping = _at_ping(state, memory, now.specific_force_b, lever_arm_b)
+                    z = linearise(measurement, ping, at_ping, matrices.H)
+                    state = _update(state, measurement, m, ping, z, matrices, updates)
+            velocity_after_b = _velocity_b(state)
+        row = timeline.record[now.event]
+        if row >= 0:
+            write_record(state, P, records, row)
 
 
 def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
@@ -162,32 +197,31 @@ def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
 
 
 @compiled
-def _note_motion(ins: Ins, memory: _Memory, ping: int, reading_b: Vector, motion: Motion) -> None:
-    """Write down the angular rates at a ping, and what the mechanisation added to the body velocity since the last."""
-    rate_ib_b = subtract(reading_b, vector(ins.gyro_bias_b))
-    write_vector(subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_in_n)), memory.rate_nb_b[ping])
-    write_vector(subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_ie_n)), memory.rate_eb_b[ping])
-    change_b = subtract(_velocity_b(ins), vector(memory.velocity_after_b))
-    write_vector(change_b, memory.velocity_change_b[ping])
+def _note_motion(
+    state: NavState, memory: _Memory, ping: int, reading_b: Vector, motion: Motion, velocity_after_b: Vector
+) -> None:
+    """Write down the angular rates at a ping, and what the mechanisation added to the body velocity after the last."""
+    rate_ib_b = subtract(reading_b, state.gyro_bias_b)
+    write_row_vector(subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_in_n)), memory.rate_nb_b, ping)
+    write_row_vector(subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_ie_n)), memory.rate_eb_b, ping)
+    write_row_vector(subtract(_velocity_b(state), velocity_after_b), memory.velocity_change_b, ping)
 
 
 @compiled
-def _velocity_b(ins: Ins) -> Vector:
-    return rotate_back(matrix(ins.mat_nb), vector(ins.velocity_n))
+def _velocity_b(state: NavState) -> Vector:
+    return rotate_back(state.mat_nb, state.velocity_n)
 
 
 @compiled
-def _at_ping(ins: Ins, memory: _Memory, reading_b: Vector, lever_arm_b: Floats) -> InsAtPing:
-    specific_force_b = np.empty(3)
-    write_vector(subtract(reading_b, vector(ins.accel_bias_b)), specific_force_b)
+def _at_ping(state: NavState, memory: _Memory, reading_b: Vector, lever_arm_b: Vector) -> InsAtPing:
     return InsAtPing(
-        ins.velocity_n,
-        ins.mat_nb,
-        specific_force_b,
+        state.velocity_n,
+        state.mat_nb,
+        subtract(reading_b, state.accel_bias_b),
         memory.rate_nb_b,
         memory.rate_eb_b,
         memory.velocity_change_b,
-        normal_gravity(ins.position[0], ins.position[2]),
+        normal_gravity(state.position[0], state.position[2]),
         lever_arm_b,
     )
 
@@ -207,21 +241,26 @@ def _unstacked(stack: _Stack, m: int) -> Measurement:
 
 
 @compiled
-def _update(ins: Ins, measurement: Measurement, m: int, ping: int, z: Floats, H: Floats, updates: Updates) -> None:
+def _update(
+    state: NavState,
+    measurement: Measurement,
+    m: int,
+    ping: int,
+    z: Vector,
+    matrices: _Matrices,
+    updates: Updates,
+) -> NavState:
     """Judge an innovation by its gate, use it if it passes, and write down both."""
-    R, HP, S, L = measurement.cov_b[ping], np.empty((3, 12)), np.empty((3, 3)), np.empty((3, 3))
-    innovation_cov(ins.P, H, R, HP, S)
-    cholesky(S, L)
-    nis = 0.0
-    for whitened in standardised(L, z):
-        nis += whitened * whitened
-    updates.nis[m, ping] = nis
-    updates.used[m, ping] = nis <= measurement.gate
-    updates.log_det[m, ping] = 2.0 * (math.log(L[0, 0]) + math.log(L[1, 1]) + math.log(L[2, 2]))
-    for i in range(3):
-        updates.innovation_b[m, ping, i] = z[i]
-        updates.sd_b[m, ping, i] = math.sqrt(S[i, i])
-    if updates.used[m, ping]:
-        KT = transposed_gain(HP, L)
-        update_cov(ins.P, H, R, HP, KT)
-        correct(ins, KT, z)
+    P, _, H, HP, KT, rest, dx = matrices
+    R = row_matrix(measurement.cov_b, ping)
+    S = innovation_cov(P, H, R, HP)
+    L = cholesky(S)
+    whitened = standardised(L, z)
+    nis = dot(whitened, whitened)
+    used = nis <= measurement.gate
+    write_update(updates, m, ping, z, S, L, nis, used)
+    if not used:
+        return state
+    transposed_gain(HP, L, KT)
+    update_cov(P, H, R, HP, KT, rest)
+    return correct(state, P, KT, z, dx)

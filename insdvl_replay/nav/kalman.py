@@ -1,17 +1,16 @@
-"""The Kalman update in Joseph form. It knows neither time nor sensors.
+"""The Kalman update in Joseph form, for measurements of three components. It knows neither time nor sensors.
 
-The loops are written out: the matrices are small, and the compiler makes less of library calls. All matrices of a
-measurement have its few components as rows and the n states as columns, so that the inner loops run along memory.
+What has three components is a tuple; what has a column for each of the n states is an array, whose inner loops run
+along memory. The loops are written out: the matrices are small, and the compiler makes less of library calls.
 Source: Groves, chapter 3; for NIS, Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
 Navigation", chapter 5.
 """
 
 import math
 
-import numpy as np
-
 from insdvl_replay.columns import Floats
 from insdvl_replay.compiled import compiled
+from insdvl_replay.nav.vector_algebra import Matrix, Vector, column_vector, dot, rotate, subtract, write_column_vector
 
 
 @compiled
@@ -27,115 +26,96 @@ def multiply(A: Floats, B: Floats, product: Floats) -> None:
 
 
 @compiled
-def add_transposed_product(A: Floats, B: Floats, sign: float, total: Floats) -> None:
-    """Add ``sign A' B``."""
-    for i in range(A.shape[1]):
-        for k in range(A.shape[0]):
-            factor = sign * A[k, i]
-            for j in range(B.shape[1]):
-                total[i, j] += factor * B[k, j]
-
-
-@compiled
-def innovation_cov(P: Floats, H: Floats, R: Floats, HP: Floats, S: Floats) -> None:
-    """Write the covariance of the innovation, ``S = H P H' + R``.
+def innovation_cov(P: Floats, H: Floats, R: Matrix, HP: Floats) -> Matrix:
+    """Give the covariance of the innovation, ``S = H P H' + R``.
 
     Parameters
     ----------
     P : ndarray, shape (n, n)
-    H : ndarray, shape (m, n)
-    R : ndarray, shape (m, m)
-    HP : ndarray, shape (m, n)
+    H : ndarray, shape (3, n)
+    R : tuple of 3 rows
+    HP : ndarray, shape (3, n)
         Written: H P.
-    S : ndarray, shape (m, m)
-        Written, symmetric.
+
+    Returns
+    -------
+    tuple of 3 rows
+        Symmetric.
     """
     multiply(H, P, HP)
-    for i in range(S.shape[0]):
-        for j in range(i + 1):
-            twice = R[i, j] + R[j, i]
-            for k in range(H.shape[1]):
-                twice += HP[i, k] * H[j, k] + HP[j, k] * H[i, k]
-            S[i, j] = S[j, i] = 0.5 * twice
+    xx, yx, yy, zx, zy, zz = R[0][0], R[1][0], R[1][1], R[2][0], R[2][1], R[2][2]
+    for k in range(H.shape[1]):
+        h, hp = column_vector(H, k), column_vector(HP, k)
+        xx, yx, yy = xx + hp[0] * h[0], yx + hp[1] * h[0], yy + hp[1] * h[1]
+        zx, zy, zz = zx + hp[2] * h[0], zy + hp[2] * h[1], zz + hp[2] * h[2]
+    return (xx, yx, zx), (yx, yy, zy), (zx, zy, zz)
 
 
 @compiled
-def cholesky(S: Floats, L: Floats) -> None:
-    """Write the lower triangle L with ``L L' = S``; NaN where S is not positive definite.
+def cholesky(S: Matrix) -> Matrix:
+    """Give the lower triangle L with ``L L' = S``; NaN where S is not positive definite.
 
     Parameters
     ----------
-    S : ndarray, shape (m, m)
-    L : ndarray, shape (m, m)
-        Written; above the diagonal it is left alone.
+    S : tuple of 3 rows
+
+    Returns
+    -------
+    tuple of 3 rows
+        Zero above the diagonal.
     """
-    for i in range(S.shape[0]):
-        for j in range(i + 1):
-            total = S[i, j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            if i > j:
-                L[i, j] = total / L[j, j]
-            else:
-                L[i, i] = math.sqrt(total) if total > 0.0 else math.nan
+    xx = _root(S[0][0])
+    yx, zx = S[1][0] / xx, S[2][0] / xx
+    yy = _root(S[1][1] - yx * yx)
+    zy = (S[2][1] - zx * yx) / yy
+    return (xx, 0.0, 0.0), (yx, yy, 0.0), (zx, zy, _root(S[2][2] - zx * zx - zy * zy))
 
 
 @compiled
-def standardised(L: Floats, innovation: Floats) -> Floats:
+def _root(square: float) -> float:
+    return math.sqrt(square) if square > 0.0 else math.nan
+
+
+@compiled
+def standardised(L: Matrix, innovation: Vector) -> Vector:
     """Give ``L^-1 z``: innovations in standard deviations, uncorrelated. The sum of their squares is NIS.
 
     Parameters
     ----------
-    L : ndarray, shape (m, m)
+    L : tuple of 3 rows
         Cholesky factor of S.
-    innovation : ndarray, shape (m,)
+    innovation : tuple of 3 float
 
     Returns
     -------
-    ndarray, shape (m,)
+    tuple of 3 float
     """
-    whitened = np.empty(len(innovation))
-    for i in range(len(innovation)):
-        total = innovation[i]
-        for k in range(i):
-            total -= L[i, k] * whitened[k]
-        whitened[i] = total / L[i, i]
-    return whitened
+    x = innovation[0] / L[0][0]
+    y = (innovation[1] - L[1][0] * x) / L[1][1]
+    return x, y, (innovation[2] - L[2][0] * x - L[2][1] * y) / L[2][2]
 
 
 @compiled
-def transposed_gain(HP: Floats, L: Floats) -> Floats:
+def transposed_gain(HP: Floats, L: Matrix, KT: Floats) -> None:
     """Solve ``S K' = H P`` for the gain, with the Cholesky factor of S and without inverting it.
 
     Parameters
     ----------
-    HP : ndarray, shape (m, n)
-    L : ndarray, shape (m, m)
-
-    Returns
-    -------
-    ndarray, shape (m, n)
-        K'.
+    HP : ndarray, shape (3, n)
+    L : tuple of 3 rows
+    KT : ndarray, shape (3, n)
+        Written: K'.
     """
-    m, n = HP.shape
-    KT = HP.copy()
-    for i in range(m):
-        for k in range(i):
-            for j in range(n):
-                KT[i, j] -= L[i, k] * KT[k, j]
-        for j in range(n):
-            KT[i, j] /= L[i, i]
-    for i in range(m - 1, -1, -1):
-        for k in range(i + 1, m):
-            for j in range(n):
-                KT[i, j] -= L[k, i] * KT[k, j]
-        for j in range(n):
-            KT[i, j] /= L[i, i]
-    return KT
+    for j in range(HP.shape[1]):
+        halfway = standardised(L, column_vector(HP, j))
+        z = halfway[2] / L[2][2]
+        y = (halfway[1] - L[2][1] * z) / L[1][1]
+        x = (halfway[0] - L[1][0] * y - L[2][0] * z) / L[0][0]
+        write_column_vector((x, y, z), KT, j)
 
 
 @compiled
-def update_cov(P: Floats, H: Floats, R: Floats, HP: Floats, KT: Floats) -> None:
+def update_cov(P: Floats, H: Floats, R: Matrix, HP: Floats, KT: Floats, rest: Floats) -> None:
     """Update the covariance in place, ``P <- (I - K H) P (I - K H)' + K R K'``, and keep it symmetric.
 
     With ``B = P (I - K H)'`` it is ``B + K (R K' - H B)``; if K is the gain, the bracket vanishes but for rounding.
@@ -144,22 +124,29 @@ def update_cov(P: Floats, H: Floats, R: Floats, HP: Floats, KT: Floats) -> None:
     Parameters
     ----------
     P : ndarray, shape (n, n)
-    H : ndarray, shape (m, n)
-    R : ndarray, shape (m, m)
-    HP : ndarray, shape (m, n)
+    H : ndarray, shape (3, n)
+    R : tuple of 3 rows
+    HP : ndarray, shape (3, n)
         H P.
-    KT : ndarray, shape (m, n)
+    KT : ndarray, shape (3, n)
         K'.
+    rest : ndarray, shape (3, n)
+        Written: the bracket.
     """
-    m, n = H.shape
-    B, HB, rest = P.copy(), np.empty((m, n)), np.empty((m, n))
-    add_transposed_product(HP, KT, -1.0, B)
-    multiply(H, B, HB)
-    multiply(R, KT, rest)
-    for i in range(m):
-        for j in range(n):
-            rest[i, j] -= HB[i, j]
-    add_transposed_product(KT, rest, 1.0, B)
-    for i in range(n):
-        for j in range(n):
-            P[i, j] = 0.5 * (B[i, j] + B[j, i])
+    _subtract_transposed_product(HP, KT, P)
+    multiply(H, P, rest)
+    for j in range(H.shape[1]):
+        write_column_vector(subtract(column_vector(rest, j), rotate(R, column_vector(KT, j))), rest, j)
+    _subtract_transposed_product(KT, rest, P)
+    for i in range(P.shape[0]):
+        for j in range(i):
+            P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
+
+
+@compiled
+def _subtract_transposed_product(A: Floats, B: Floats, total: Floats) -> None:
+    """Subtract ``A' B``."""
+    for i in range(A.shape[1]):
+        a = column_vector(A, i)
+        for j in range(B.shape[1]):
+            total[i, j] -= dot(a, column_vector(B, j))

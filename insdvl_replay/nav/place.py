@@ -96,21 +96,24 @@ def place_at(latitude: float, height_m: float) -> Place:
 
 
 @compiled
-def within_reach(place: Place, latitude: float, height_m: float) -> bool:
-    """Say whether a place still stands for where the vehicle is.
+def place_about(position: Vector, place: Place) -> Place:
+    """Give the place where the vehicle is now: the last one, as long as that still stands for it.
 
     Parameters
     ----------
+    position : tuple of 3 float
+        Latitude rad, longitude rad, height m.
     place : Place
-    latitude : float
-        rad
-    height_m : float
+        The last one.
 
     Returns
     -------
-    bool
+    Place
     """
-    return abs(latitude - place.latitude) <= REACH_RAD and abs(height_m - place.height_m) <= REACH_M
+    latitude, height_m = position[0], position[2]
+    if abs(latitude - place.latitude) <= REACH_RAD and abs(height_m - place.height_m) <= REACH_M:
+        return place
+    return place_at(latitude, height_m)
 
 
 @compiled

@@ -10,19 +10,10 @@ from insdvl_replay.columns import Floats
 from insdvl_replay.compiled import compiled
 from insdvl_replay.history import History, Innovations
 from insdvl_replay.nav.measurements import VELOCITY, Measurement
+from insdvl_replay.nav.strapdown import NavState
 from insdvl_replay.nav.timeline import Timeline
+from insdvl_replay.nav.vector_algebra import Matrix, Vector, write_row_matrix, write_row_vector
 from insdvl_replay.rotation import wrap_angle
-
-
-class Ins(NamedTuple):
-    """The navigation state, changed in place."""
-
-    position: Floats
-    velocity_n: Floats
-    mat_nb: Floats
-    accel_bias_b: Floats
-    gyro_bias_b: Floats
-    P: Floats
 
 
 class Records(NamedTuple):
@@ -75,23 +66,31 @@ def new_updates(measurements: int, pings: int) -> Updates:
 
 
 @compiled
-def write_record(ins: Ins, records: Records, row: int) -> None:
-    """Write down the navigation state as a row."""
-    for i in range(3):
-        records.position[row, i] = ins.position[i]
-        records.velocity_n[row, i] = ins.velocity_n[i]
-        records.accel_bias_b[row, i] = ins.accel_bias_b[i]
-        records.gyro_bias_b[row, i] = ins.gyro_bias_b[i]
-        for j in range(3):
-            records.mat_nb[row, i, j] = ins.mat_nb[i, j]
+def write_record(state: NavState, P: Floats, records: Records, row: int) -> None:
+    """Write down the navigation state and what its covariance P says, as a row."""
+    write_row_vector(state.position, records.position, row)
+    write_row_vector(state.velocity_n, records.velocity_n, row)
+    write_row_matrix(state.mat_nb, records.mat_nb, row)
+    write_row_vector(state.accel_bias_b, records.accel_bias_b, row)
+    write_row_vector(state.gyro_bias_b, records.gyro_bias_b, row)
     for i in range(12):
-        records.sd[row, i] = math.sqrt(ins.P[i, i])
+        records.sd[row, i] = math.sqrt(P[i, i])
     cov_row = records.cov_row[row]
     if cov_row >= 0:
         # By elements: numba takes three seconds to compile the assignment of a whole array.
         for i in range(12):
             for j in range(12):
-                records.cov[cov_row, i, j] = ins.P[i, j]
+                records.cov[cov_row, i, j] = P[i, j]
+
+
+@compiled
+def write_update(updates: Updates, m: int, ping: int, z: Vector, S: Matrix, L: Matrix, nis: float, used: bool) -> None:
+    """Write down an innovation and what was thought of it; L is the Cholesky factor of its covariance S."""
+    updates.nis[m, ping], updates.used[m, ping] = nis, used
+    updates.log_det[m, ping] = 2.0 * (math.log(L[0][0]) + math.log(L[1][1]) + math.log(L[2][2]))
+    for i in range(3):
+        updates.innovation_b[m, ping, i] = z[i]
+        updates.sd_b[m, ping, i] = math.sqrt(S[i][i])
 
 
 def history_of(
@@ -132,11 +131,12 @@ def history_of(
             )
         )
     records.position[:, 1] = wrap_angle(records.position[:, 1])
-    time_ns = timeline.event_ns[timeline.record]
+    recorded = timeline.record >= 0
+    time_ns = timeline.event_ns[recorded]
     return History(
         filter=name,
         time_ns=time_ns,
-        updated=timeline.ping[timeline.record] >= 0,
+        updated=timeline.ping[recorded] >= 0,
         position=records.position,
         velocity_n=records.velocity_n,
         mat_nb=records.mat_nb,

@@ -5,7 +5,6 @@ Source: equations (24) and (25) of Levy and Klein; Groves, chapter 5.
 
 from typing import NamedTuple
 
-from insdvl_replay.columns import Floats
 from insdvl_replay.compiled import compiled
 from insdvl_replay.nav.place import Place, curvatures, gravity_at, transport_rate_n
 from insdvl_replay.nav.vector_algebra import (
@@ -14,15 +13,33 @@ from insdvl_replay.nav.vector_algebra import (
     add,
     compose,
     cross,
-    matrix,
     rotate,
     rotation_from_vector,
     scale,
     subtract,
-    vector,
-    write_matrix,
-    write_vector,
 )
+
+
+class NavState(NamedTuple):
+    """What the INS believes of the vehicle and of its own sensors.
+
+    Attributes
+    ----------
+    position : tuple of 3 float
+        Latitude rad, longitude rad, height m.
+    velocity_n : tuple of 3 float
+        m/s
+    mat_nb : tuple of 3 rows
+        Attitude.
+    accel_bias_b, gyro_bias_b : tuple of 3 float
+        What the readings are too large by, m/s^2 and rad/s.
+    """
+
+    position: Vector
+    velocity_n: Vector
+    mat_nb: Matrix
+    accel_bias_b: Vector
+    gyro_bias_b: Vector
 
 
 class Motion(NamedTuple):
@@ -46,29 +63,19 @@ class Motion(NamedTuple):
 
 @compiled
 def propagate(
-    position: Floats,
-    velocity_n: Floats,
-    mat_nb: Floats,
-    specific_force_b: Vector,
-    angular_rate_b: Vector,
-    dt: float,
-    place: Place,
-) -> Motion:
-    """Advance position, velocity and attitude over one interval, in place.
+    state: NavState, specific_force_b: Vector, angular_rate_b: Vector, dt: float, place: Place
+) -> tuple[NavState, Motion]:
+    """Advance position, velocity and attitude over one interval.
 
     The specific force is turned to n by the mean of the attitudes at both ends; the position moves with the mean of the
     velocities.
 
     Parameters
     ----------
-    position : ndarray, shape (3,)
-        Latitude rad, longitude rad, height m; advanced.
-    velocity_n : ndarray, shape (3,)
-        m/s; advanced.
-    mat_nb : ndarray, shape (3, 3)
-        Advanced.
+    state : NavState
+        At the start of the interval.
     specific_force_b, angular_rate_b : tuple of 3 float
-        Means over the interval, m/s^2 and rad/s.
+        Means of the readings over the interval, m/s^2 and rad/s; the biases are taken off them.
     dt : float
         Length of the interval, s.
     place : Place
@@ -76,19 +83,21 @@ def propagate(
 
     Returns
     -------
+    NavState
+        At the end.
     Motion
     """
-    height_m, velocity, attitude = position[2], vector(velocity_n), matrix(mat_nb)
-    rate_in_n = add(place.rate_ie_n, transport_rate_n(place, height_m, velocity))
-    attitude_after = _turned(attitude, angular_rate_b, rate_in_n, dt)
-    force_n = scale(0.5, add(rotate(attitude, specific_force_b), rotate(attitude_after, specific_force_b)))
-    coriolis_n = cross(add(place.rate_ie_n, rate_in_n), velocity)
+    height_m, velocity_n = state.position[2], state.velocity_n
+    force_b, rate_b = subtract(specific_force_b, state.accel_bias_b), subtract(angular_rate_b, state.gyro_bias_b)
+    rate_in_n = add(place.rate_ie_n, transport_rate_n(place, height_m, velocity_n))
+    mat_nb = _turned(state.mat_nb, rate_b, rate_in_n, dt)
+    force_n = scale(0.5, add(rotate(state.mat_nb, force_b), rotate(mat_nb, force_b)))
+    coriolis_n = cross(add(place.rate_ie_n, rate_in_n), velocity_n)
     acceleration_n = add(subtract(force_n, coriolis_n), (0.0, 0.0, gravity_at(place, height_m)))
-    velocity_after = add(velocity, scale(dt, acceleration_n))
-    _move(position, scale(0.5 * dt, add(velocity, velocity_after)), place)
-    write_vector(velocity_after, velocity_n)
-    write_matrix(attitude_after, mat_nb)
-    return Motion(place.rate_ie_n, rate_in_n, force_n, attitude_after)
+    velocity_after_n = add(velocity_n, scale(dt, acceleration_n))
+    position = _moved(state.position, scale(0.5 * dt, add(velocity_n, velocity_after_n)), place)
+    after = NavState(position, velocity_after_n, mat_nb, state.accel_bias_b, state.gyro_bias_b)
+    return after, Motion(place.rate_ie_n, rate_in_n, force_n, mat_nb)
 
 
 @compiled
@@ -100,9 +109,11 @@ def _turned(mat_nb: Matrix, angular_rate_b: Vector, rate_in_n: Vector, dt: float
 
 
 @compiled
-def _move(position: Floats, way_n: Vector, place: Place) -> None:
+def _moved(position: Vector, way_n: Vector, place: Place) -> Vector:
     """Move a position along a way in metres."""
     to_north, to_east = curvatures(place, position[2])
-    position[0] += way_n[0] * to_north
-    position[1] += way_n[1] * to_east / place.cos_latitude
-    position[2] -= way_n[2]
+    return (
+        position[0] + way_n[0] * to_north,
+        position[1] + way_n[1] * to_east / place.cos_latitude,
+        position[2] - way_n[2],
+    )

@@ -31,8 +31,8 @@ class Timeline(NamedTuple):
         Strictly increasing, from start to end; where a sample has the same time, both are one node.
     ping : ndarray of int, shape (e,)
         Row of the ping that is valid at each event, -1 for none.
-    record : ndarray of bool, shape (e,)
-        Whether the history keeps the event.
+    record : ndarray of int, shape (e,)
+        Row of the history that keeps each event, -1 for none; the first is kept.
     gap : ndarray of int, shape (e,)
         Row of the long gap that lies after each event, -1 for none.
     gap_noise_density : ndarray, shape (g, 12)
@@ -44,7 +44,7 @@ class Timeline(NamedTuple):
     angular_rate_b: Floats
     event_ns: TimeNs
     ping: NDArray[np.int64]
-    record: NDArray[np.bool_]
+    record: NDArray[np.int64]
     gap: NDArray[np.int64]
     gap_noise_density: Floats
 
@@ -104,20 +104,16 @@ def build_timeline(
         raise ValueError("a ping lies outside the span")
     gaps = gaps.within(start_ns, end_ns)
     ends_ns = np.array([start_ns, end_ns], dtype=np.int64)
-    recorded_ns = np.concatenate([ends_ns, ping_ns, _inside(reference_ns, ends_ns)])
+    recorded_ns = np.unique(np.concatenate([ends_ns, ping_ns, _inside(reference_ns, ends_ns)]))
     event_ns = np.union1d(recorded_ns, _inside(gaps.node_ns(), ends_ns))
-    ping = np.full(len(event_ns), -1)
-    ping[np.searchsorted(event_ns, ping_ns)] = np.arange(len(ping_ns))
-    record = np.zeros(len(event_ns), dtype=np.bool_)
-    record[np.searchsorted(event_ns, recorded_ns)] = True
     covering = slice(np.searchsorted(imu.time_ns, start_ns, side="right") - 1, np.searchsorted(imu.time_ns, end_ns) + 1)
     return Timeline(
         _for_the_loop(imu.time_ns[covering]),
         _for_the_loop(imu.specific_force_b[covering]),
         _for_the_loop(imu.angular_rate_b[covering]),
         event_ns,
-        ping,
-        record,
+        _row_at(event_ns, ping_ns),
+        _row_at(event_ns, recorded_ns),
         gaps.after(event_ns),
         gaps.noise_density,
     )
@@ -126,6 +122,13 @@ def build_timeline(
 def _inside(time_ns: TimeNs, ends_ns: TimeNs) -> TimeNs:
     inside: TimeNs = time_ns[(time_ns > ends_ns[0]) & (time_ns < ends_ns[1])]
     return inside
+
+
+def _row_at(event_ns: TimeNs, time_ns: TimeNs) -> NDArray[np.int64]:
+    """Give the row that each event has among other times, which are all events; -1 for none."""
+    row = np.full(len(event_ns), -1)
+    row[np.searchsorted(event_ns, time_ns)] = np.arange(len(time_ns))
+    return row
 
 
 def _for_the_loop(column: NDArray[Scalar]) -> NDArray[Scalar]:

@@ -14,10 +14,15 @@ Matrix = tuple[Vector, Vector, Vector]
 """Three rows."""
 
 
-@compiled
 def vector(array: Floats) -> Vector:
-    """Read an array of shape (3,)."""
-    return array[0], array[1], array[2]
+    """Read an array of shape (3,); not to be called by what is compiled."""
+    x, y, z = array.tolist()
+    return x, y, z
+
+
+def matrix(array: Floats) -> Matrix:
+    """Read an array of shape (3, 3); not to be called by what is compiled."""
+    return vector(array[0]), vector(array[1]), vector(array[2])
 
 
 @compiled
@@ -27,27 +32,47 @@ def row_vector(array: Floats, row: int) -> Vector:
 
 
 @compiled
-def matrix(array: Floats) -> Matrix:
-    """Read an array of shape (3, 3)."""
+def column_vector(array: Floats, column: int) -> Vector:
+    """Read a column of an array of shape (3, k)."""
+    return array[0, column], array[1, column], array[2, column]
+
+
+@compiled
+def row_matrix(array: Floats, row: int) -> Matrix:
+    """Read a row of an array of shape (k, 3, 3)."""
     return (
-        (array[0, 0], array[0, 1], array[0, 2]),
-        (array[1, 0], array[1, 1], array[1, 2]),
-        (array[2, 0], array[2, 1], array[2, 2]),
+        (array[row, 0, 0], array[row, 0, 1], array[row, 0, 2]),
+        (array[row, 1, 0], array[row, 1, 1], array[row, 1, 2]),
+        (array[row, 2, 0], array[row, 2, 1], array[row, 2, 2]),
     )
 
 
 @compiled
-def write_vector(a: Vector, array: Floats) -> None:
-    """Write into an array of shape (3,)."""
-    array[0], array[1], array[2] = a
+def write_row_vector(a: Vector, array: Floats, row: int) -> None:
+    """Write into a row of an array of shape (k, 3)."""
+    array[row, 0], array[row, 1], array[row, 2] = a
 
 
 @compiled
-def write_matrix(mat: Matrix, array: Floats) -> None:
-    """Write into an array of shape (3, 3)."""
-    array[0, 0], array[0, 1], array[0, 2] = mat[0]
-    array[1, 0], array[1, 1], array[1, 2] = mat[1]
-    array[2, 0], array[2, 1], array[2, 2] = mat[2]
+def write_column_vector(a: Vector, array: Floats, column: int) -> None:
+    """Write into a column of an array of shape (3, k)."""
+    array[0, column], array[1, column], array[2, column] = a
+
+
+@compiled
+def write_row_matrix(mat: Matrix, array: Floats, row: int) -> None:
+    """Write into a row of an array of shape (k, 3, 3)."""
+    array[row, 0, 0], array[row, 0, 1], array[row, 0, 2] = mat[0]
+    array[row, 1, 0], array[row, 1, 1], array[row, 1, 2] = mat[1]
+    array[row, 2, 0], array[row, 2, 1], array[row, 2, 2] = mat[2]
+
+
+@compiled
+def write_blocks(blocks: tuple[Matrix, ...], array: Floats) -> None:
+    """Write matrices of three side by side into an array of shape (3, 3 k)."""
+    for block, mat in enumerate(blocks):
+        for i, row in enumerate(mat):
+            array[i, 3 * block], array[i, 3 * block + 1], array[i, 3 * block + 2] = row
 
 
 @compiled
@@ -81,6 +106,12 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 @compiled
+def skew(a: Vector) -> Matrix:
+    """Give ``[a x]``, the matrix with which ``[a x] b`` is the cross product."""
+    return (0.0, -a[2], a[1]), (a[2], 0.0, -a[0]), (-a[1], a[0], 0.0)
+
+
+@compiled
 def transpose(mat: Matrix) -> Matrix:
     """Give the rows as columns; of a rotation, its inverse."""
     return (mat[0][0], mat[1][0], mat[2][0]), (mat[0][1], mat[1][1], mat[2][1]), (mat[0][2], mat[1][2], mat[2][2])
@@ -103,6 +134,18 @@ def compose(mat_ab: Matrix, mat_bc: Matrix) -> Matrix:
     """Give ``mat_ac = mat_ab @ mat_bc``."""
     columns = transpose(mat_bc)
     return rotate(columns, mat_ab[0]), rotate(columns, mat_ab[1]), rotate(columns, mat_ab[2])
+
+
+@compiled
+def add_matrices(one: Matrix, other: Matrix) -> Matrix:
+    """Give the sum."""
+    return add(one[0], other[0]), add(one[1], other[1]), add(one[2], other[2])
+
+
+@compiled
+def scale_matrix(factor: float, mat: Matrix) -> Matrix:
+    """Give ``factor mat``."""
+    return scale(factor, mat[0]), scale(factor, mat[1]), scale(factor, mat[2])
 
 
 @compiled

@@ -14,7 +14,8 @@ from insdvl_replay.history import History
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.error_directions import named_directions
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.observability import TOLERANCE, analyse, nominal_pings, whitened_rows
+from insdvl_replay.nav.nominal_motion import nominal_pings
+from insdvl_replay.nav.observability import TOLERANCE, analyse, whitened_rows
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.report.observability import observability_sentences, shown_observability

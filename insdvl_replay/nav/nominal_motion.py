@@ -1,0 +1,155 @@
+"""The motion around which errors are linearised, at the pings, and how those at the start have grown until then."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from insdvl_replay.columns import Floats
+from insdvl_replay.compiled import compiled
+from insdvl_replay.history import History
+from insdvl_replay.nav.error_model import propagate_errors
+from insdvl_replay.nav.place import normal_gravity, place_about, place_at
+from insdvl_replay.nav.strapdown import Motion, NavState, propagate
+from insdvl_replay.nav.timeline import Timeline, first_node, is_event, is_last, mean, next_node
+from insdvl_replay.nav.vector_algebra import (
+    Vector,
+    add,
+    cross,
+    rotate_back,
+    row_matrix,
+    row_vector,
+    subtract,
+    write_row_matrix,
+    write_row_vector,
+)
+
+
+class NominalPings(NamedTuple):
+    """The motion around which the errors are linearised, where it is measured.
+
+    Attributes
+    ----------
+    velocity_n : ndarray, shape (m, 3)
+        m/s
+    mat_nb : ndarray, shape (m, 3, 3)
+        Attitude.
+    rate_nb_b : ndarray, shape (m, 3)
+        Angular rate of the body against n, rad/s.
+    gravity : ndarray, shape (m,)
+        m/s^2
+    transition : ndarray, shape (m, 12, 12)
+        Phi(t, t0), from the errors at the start to those at the ping.
+    """
+
+    velocity_n: Floats
+    mat_nb: Floats
+    rate_nb_b: Floats
+    gravity: Floats
+    transition: Floats
+
+
+def nominal_pings(timeline: Timeline, nominal: History, *, earth_rate: bool = True) -> NominalPings:
+    """Carry the errors at the start to each ping along a nominal motion.
+
+    Equations (48) and (49) of Levy and Klein, as the product of ``I + F dt`` along the way; see EQUATIONS.md.
+
+    Parameters
+    ----------
+    timeline : Timeline
+        Nodes with readings and pings.
+    nominal : History
+        A row at each recorded event of the time line; from one to the next the motion is mechanised.
+    earth_rate : bool
+        False: let the Earth be flat and at rest, and take the Coriolis acceleration out of the readings.
+
+    Returns
+    -------
+    NominalPings
+
+    Raises
+    ------
+    ValueError
+        The history was recorded on another time line.
+    """
+    if not np.array_equal(nominal.time_ns, timeline.event_ns[timeline.record >= 0]):
+        raise ValueError("the nominal motion has other times than the time line records")
+    pings = int(timeline.ping.max()) + 1
+    found = NominalPings(
+        np.empty((pings, 3)),
+        np.empty((pings, 3, 3)),
+        np.empty((pings, 3)),
+        np.empty(pings),
+        np.empty((pings, 12, 12)),
+    )
+    states = _States(
+        nominal.position,
+        nominal.velocity_n,
+        np.ascontiguousarray(nominal.mat_nb),
+        nominal.accel_bias_b,
+        nominal.gyro_bias_b,
+    )
+    _walk(timeline, states, earth_rate, np.eye(12).ravel(), found)
+    return found
+
+
+class _States(NamedTuple):
+    """Columns of navigation states."""
+
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+
+
+@compiled
+def _row_state(states: _States, row: int) -> NavState:
+    return NavState(
+        row_vector(states.position, row),
+        row_vector(states.velocity_n, row),
+        row_matrix(states.mat_nb, row),
+        row_vector(states.accel_bias_b, row),
+        row_vector(states.gyro_bias_b, row),
+    )
+
+
+@compiled
+def _walk(timeline: Timeline, nominal: _States, earth_rate: bool, Phi: Floats, found: NominalPings) -> None:
+    """Mechanise from one recorded event to the next, and multiply up the transition Phi, which stands row by row."""
+    state = _row_state(nominal, timeline.record[0])
+    place = place_at(state.position[0], state.position[2])
+    before = first_node(timeline)
+    while not is_last(timeline, before):
+        now = next_node(timeline, before)
+        dt = now.time_s - before.time_s
+        before_n = state.velocity_n
+        place = place_about(state.position, place)
+        force_b = mean(before.specific_force_b, now.specific_force_b)
+        rate_b = mean(before.angular_rate_b, now.angular_rate_b)
+        state, motion = propagate(state, force_b, rate_b, dt, place)
+        propagate_errors(Phi, motion if earth_rate else _on_a_resting_earth(motion, before_n), dt)
+        before = now
+        if not is_event(timeline, now):
+            continue
+
+        ping, row = timeline.ping[now.event], timeline.record[now.event]
+        if row >= 0:
+            state = _row_state(nominal, row)
+        if ping >= 0:
+            write_row_vector(state.velocity_n, found.velocity_n, ping)
+            write_row_matrix(state.mat_nb, found.mat_nb, ping)
+            rate_ib_b = subtract(now.angular_rate_b, state.gyro_bias_b)
+            rate_in_b = rotate_back(motion.mat_nb, motion.rate_in_n)
+            write_row_vector(subtract(rate_ib_b, rate_in_b), found.rate_nb_b, ping)
+            found.gravity[ping] = normal_gravity(state.position[0], state.position[2])
+            for i in range(12):
+                for j in range(12):
+                    found.transition[ping, i, j] = Phi[12 * i + j]
+
+
+@compiled
+def _on_a_resting_earth(motion: Motion, velocity_n: Vector) -> Motion:
+    """Give the motion with the specific force that the same way would take on an Earth that is flat and at rest."""
+    coriolis_n = cross(add(motion.rate_ie_n, motion.rate_in_n), velocity_n)
+    still = (0.0, 0.0, 0.0)
+    return Motion(still, still, subtract(motion.force_n, coriolis_n), motion.mat_nb)
