@@ -30,15 +30,8 @@ _SOURCES: Final = ("nav/*.py", "earth.py", "logs/record*.py", "compiled.py")
 """Where compiled functions, what they are made of, and how they are compiled, stand."""
 
 
-# Nobody calls the compiled functions from C; their entries for it would take a sixth of the time to compile. Functions
-# are put into those that call them: else many a call hands dozens of numbers over in memory and counts references, and
-# the filter takes a quarter longer.
-_OPTIONS: Final[dict[str, Any]] = {
-    "error_model": "numpy",
-    "nogil": True,
-    "no_cfunc_wrapper": True,
-    "forceinline": True,
-}
+# Nobody calls the compiled functions from C; the compiler need not make entries for it.
+_OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 
 
 def usual_folder() -> Path:
@@ -91,7 +84,7 @@ _FOLDER: Final = _cache_folder()
 
 
 def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Compile a function on its first call and keep the machine code on disk."""
+    """Compile a function that Python calls, on its first call, and keep the machine code on disk."""
     import numba  # half a second, which whoever only asks whether the cache is warm must not wait
     from numba.core import config
 
@@ -104,9 +97,20 @@ def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
         settings.CACHE_DIR = before
 
 
+def inlined(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Let a function become a part of the compiled ones that call it; where Python calls it, it is plain Python.
+
+    As calls, many of them would hand dozens of numbers over in memory and count references, and the filter would take a
+    quarter longer; with entries for Python, twice as long to compile.
+    """
+    from numba.extending import register_jitable
+
+    return register_jitable(forceinline=True, **_OPTIONS)(function)
+
+
 def is_warm() -> bool:
     """Say whether the compiled filter waits on disk, so that a first run can explain what it waits for."""
-    return _FOLDER is not None and _holds_code(_FOLDER)
+    return _FOLDER is not None and any(_FOLDER.rglob("filter._run-*.nbc"))
 
 
 def cache_folder() -> Path | None:

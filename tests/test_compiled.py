@@ -1,11 +1,13 @@
 """Compiled code is made once, ahead if wanted, by any number of processes at once, and is found where it was left."""
 
+import math
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
 from insdvl_replay import compiled
@@ -18,6 +20,17 @@ def started(cache: Path, *arguments: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "insdvl_replay", *arguments]
     environment = os.environ | {"INSDVL_REPLAY_CACHE": str(cache)}
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_what_is_inlined_divides_as_numpy_does_and_is_python_where_python_calls_it() -> None:
+    @compiled.inlined
+    def ratio(one: float, other: float) -> float:
+        return one / other
+
+    through = numba.njit(error_model="numpy")(lambda one, other: ratio(one, other))
+    assert through(1.0, 0.0) == math.inf
+    with pytest.raises(ZeroDivisionError):
+        ratio(1.0, 0.0)
 
 
 @pytest.mark.slow
@@ -40,6 +53,14 @@ def test_compile_says_where_the_code_lies_and_how_long_it_took(tmp_path: Path) -
     assert found, errors
     assert Path(found[1]).parent == tmp_path
     assert any(Path(found[1]).rglob("filter._run-*.nbc"))
+
+
+def test_loops_over_records_alone_are_not_the_filter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_FOLDER", tmp_path)
+    (tmp_path / "record_loops.walk-13.py311.1.nbc").touch()
+    assert not compiled.is_warm()
+    (tmp_path / "filter._run-81.py311.1.nbc").touch()
+    assert compiled.is_warm()
 
 
 def test_compile_without_a_place_for_the_code_is_a_users_mistake(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from insdvl_replay.config import Config
 from insdvl_replay.history import History
-from insdvl_replay.nav.strapdown import propagate
+from insdvl_replay.nav import filter as nav_filter
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -23,7 +23,7 @@ def histories() -> tuple[History, ...]:
 
 
 def save(path: Path) -> None:
-    assert isfunction(propagate), "the filter was compiled all the same"
+    assert isfunction(nav_filter._run), "the filter was compiled all the same"
     columns = {f"{history.filter}.{name}": getattr(history, name) for history in histories() for name in COLUMNS}
     np.savez(path, **columns)
 

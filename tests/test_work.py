@@ -169,4 +169,4 @@ def test_an_epoch_counts_no_references() -> None:
 
 def test_several_columns_of_the_covariance_grow_at_once() -> None:
     motion = Motion(STILL, STILL, STILL, LEVEL)
-    assert "fmul <" in llvm_of(propagate_cov.py_func, np.eye(12).ravel(), motion, np.ones(12), 0.01)
+    assert "fmul <" in llvm_of(propagate_cov, np.eye(12).ravel(), motion, np.ones(12), 0.01)

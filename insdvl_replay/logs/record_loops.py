@@ -6,14 +6,14 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import compiled, inlined
 from insdvl_replay.logs.records import LAST_KNOWN, RECORD_HEADER_SIZE, can_be_record
 
 _DATA_END: Final = int(Opcode.DATA_END)
-_can_be_record = compiled(can_be_record)
+inlined(can_be_record)  # which must not load the compiler where it stands
 
 
-@compiled
+@inlined
 def _fitting(data: NDArray[np.uint8], start: int, end: int) -> tuple[int, int]:
     """Give kind and length of the record at a place, or kind 0 if no record can stand there."""
     room = end - start - RECORD_HEADER_SIZE
@@ -26,7 +26,7 @@ def _fitting(data: NDArray[np.uint8], start: int, end: int) -> tuple[int, int]:
         # Checked at each byte, so that no length can overflow.
         if length > room:
             return 0, 0
-    return (opcode, length) if _can_be_record(opcode, length) else (0, 0)
+    return (opcode, length) if can_be_record(opcode, length) else (0, 0)
 
 
 @compiled

@@ -9,7 +9,7 @@ Source: Barrau and Bonnabel, "The Invariant Extended Kalman Filter as a Stable O
 """
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import inlined
 from insdvl_replay.nav.strapdown import NavState
 from insdvl_replay.nav.vector_algebra import (
     Vector,
@@ -22,7 +22,7 @@ from insdvl_replay.nav.vector_algebra import (
 )
 
 
-@compiled
+@inlined
 def correct(state: NavState, P: Floats, KT: Floats, z: Vector, dx: Floats) -> NavState:
     """Take ``dx = K z`` out of the navigation state; the error state returns to zero.
 
@@ -56,7 +56,7 @@ def correct(state: NavState, P: Floats, KT: Floats, z: Vector, dx: Floats) -> Na
     )
 
 
-@compiled
+@inlined
 def keep_invariant_error(P: Floats, velocity_change_n: Vector) -> None:
     """Express the covariance about the corrected velocity: ``P <- T P T'`` with ``dv <- dv + velocity_change x phi``.
 

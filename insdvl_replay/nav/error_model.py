@@ -11,12 +11,12 @@ Equations (26) to (32) of Levy and Klein, with the rates of n where they print t
 import numpy as np
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import inlined
 from insdvl_replay.nav.strapdown import Motion
 from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate, scale, scale_matrix
 
 
-@compiled
+@inlined
 def error_rate(
     motion: Motion, velocity_error: Vector, misalignment: Vector, accel_bias: Vector, gyro_bias: Vector
 ) -> tuple[Vector, Vector]:
@@ -44,7 +44,7 @@ def error_rate(
     return velocity_error_rate, misalignment_rate
 
 
-@compiled
+@inlined
 def propagate_errors(dx: Floats, motion: Motion, dt: float) -> None:
     """Let errors grow over an interval: ``dx <- Phi dx`` with ``Phi = I + F dt``, in place.
 
@@ -64,7 +64,7 @@ def propagate_errors(dx: Floats, motion: Motion, dt: float) -> None:
         dx[36 + column], dx[48 + column], dx[60 + column] = misalignment
 
 
-@compiled
+@inlined
 def propagate_cov(P: Floats, motion: Motion, noise_density: Floats, dt: float) -> None:
     """Advance the covariance: ``P <- Phi P Phi' + Q`` with ``Phi = I + F dt``, in place.
 
@@ -100,7 +100,7 @@ def propagate_cov(P: Floats, motion: Motion, noise_density: Floats, dt: float) -
     add_noise(P, noise_density, dt)
 
 
-@compiled
+@inlined
 def _over(motion: Motion, dt: float) -> Motion:
     """Give what a motion comes to in an interval; since F is linear in it, the F of that is ``F dt``."""
     return Motion(
@@ -111,7 +111,7 @@ def _over(motion: Motion, dt: float) -> Motion:
     )
 
 
-@compiled
+@inlined
 def _entries(P: Floats, first: int, apart: int) -> tuple[Vector, Vector, Vector, Vector]:
     """Read a column of P, whose entries stand twelve apart, or a row, whose entries stand side by side."""
     return (
@@ -122,14 +122,14 @@ def _entries(P: Floats, first: int, apart: int) -> tuple[Vector, Vector, Vector,
     )
 
 
-@compiled
+@inlined
 def _grown(step: Motion, dx: tuple[Vector, Vector, Vector, Vector]) -> tuple[Vector, Vector]:
     """Give the errors of velocity and attitude after an interval, ``dx + F dt dx``."""
     velocity_error_growth, misalignment_growth = error_rate(step, dx[0], dx[1], dx[2], dx[3])
     return add(dx[0], velocity_error_growth), add(dx[1], misalignment_growth)
 
 
-@compiled
+@inlined
 def add_noise(P: Floats, noise_density: Floats, dt: float) -> None:
     """Add what white noise of a spectral density leaves behind after an interval, ``P <- P + Q``, in place.
 

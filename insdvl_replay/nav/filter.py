@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, TimeNs
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import compiled, inlined
 from insdvl_replay.history import History
 from insdvl_replay.nav.correction import correct
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
@@ -196,7 +196,7 @@ def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
     )
 
 
-@compiled
+@inlined
 def _note_motion(
     state: NavState, memory: _Memory, ping: int, reading_b: Vector, motion: Motion, velocity_after_b: Vector
 ) -> None:
@@ -207,12 +207,12 @@ def _note_motion(
     write_row_vector(subtract(_velocity_b(state), velocity_after_b), memory.velocity_change_b, ping)
 
 
-@compiled
+@inlined
 def _velocity_b(state: NavState) -> Vector:
     return rotate_back(state.mat_nb, state.velocity_n)
 
 
-@compiled
+@inlined
 def _at_ping(state: NavState, memory: _Memory, reading_b: Vector, lever_arm_b: Vector) -> InsAtPing:
     return InsAtPing(
         state.velocity_n,
@@ -226,7 +226,7 @@ def _at_ping(state: NavState, memory: _Memory, reading_b: Vector, lever_arm_b: V
     )
 
 
-@compiled
+@inlined
 def _unstacked(stack: _Stack, m: int) -> Measurement:
     return Measurement(
         stack.kind[m],
@@ -240,7 +240,7 @@ def _unstacked(stack: _Stack, m: int) -> Measurement:
     )
 
 
-@compiled
+@inlined
 def _update(
     state: NavState,
     measurement: Measurement,

@@ -15,7 +15,7 @@ F; see EQUATIONS.md.
 from typing import Final, NamedTuple
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import inlined
 from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, Measurement
 from insdvl_replay.nav.vector_algebra import (
     Matrix,
@@ -68,7 +68,7 @@ class InsAtPing(NamedTuple):
     lever_arm_b: Vector
 
 
-@compiled
+@inlined
 def linearise(measurement: Measurement, ping: int, ins: InsAtPing, H: Floats) -> Vector:
     """Give the innovation of a measurement, and write its Jacobian.
 
@@ -95,7 +95,7 @@ def linearise(measurement: Measurement, ping: int, ins: InsAtPing, H: Floats) ->
     return subtract(predicted_b, row_vector(measurement.measured_b, ping))
 
 
-@compiled
+@inlined
 def _predict_velocity(ins: InsAtPing, ping: int, H: Floats) -> Vector:
     """Give the velocity at the DVL, C' v + w_eb x l, and write its Jacobian, [ C' | C'[v x] | 0 | -[l x] ]."""
     mat_bn = transpose(ins.mat_nb)
@@ -104,7 +104,7 @@ def _predict_velocity(ins: InsAtPing, ping: int, H: Floats) -> Vector:
     return add(rotate(mat_bn, ins.velocity_n), cross(row_vector(ins.rate_eb_b, ping), ins.lever_arm_b))
 
 
-@compiled
+@inlined
 def _predict_specific_force(ins: InsAtPing, H: Floats) -> Vector:
     """Give the paper's prediction, f + C' g, and write its Jacobian, [ 0 | C'[g x] | I | 0 ]."""
     mat_bn, gravity_n = transpose(ins.mat_nb), (0.0, 0.0, ins.gravity)
@@ -112,7 +112,7 @@ def _predict_specific_force(ins: InsAtPing, H: Floats) -> Vector:
     return add(ins.specific_force_b, rotate(mat_bn, gravity_n))
 
 
-@compiled
+@inlined
 def _predict_slope(measurement: Measurement, ins: InsAtPing, ping: int, H: Floats) -> Vector:
     """Give the slope of the DVL's velocity that the mechanisation predicts over the window, and write its Jacobian."""
     n = measurement.velocity_weights.shape[1]
@@ -127,7 +127,7 @@ def _predict_slope(measurement: Measurement, ins: InsAtPing, ping: int, H: Float
     return slope_b
 
 
-@compiled
+@inlined
 def _write_slope_jacobian(ins: InsAtPing, rate_nb_b: Vector, H: Floats) -> None:
     """Write [ -[w x]C' | C'[g x] - [w x]C'[v x] | I | [v_b x] ]."""
     mat_bn, against_rate = transpose(ins.mat_nb), skew(scale(-1.0, rate_nb_b))

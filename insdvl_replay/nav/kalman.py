@@ -9,11 +9,11 @@ Navigation", chapter 5.
 import math
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import inlined
 from insdvl_replay.nav.vector_algebra import Matrix, Vector, column_vector, dot, rotate, subtract, write_column_vector
 
 
-@compiled
+@inlined
 def multiply(A: Floats, B: Floats, product: Floats) -> None:
     """Write ``A B``; ``product`` is neither of them."""
     for i in range(A.shape[0]):
@@ -25,7 +25,7 @@ def multiply(A: Floats, B: Floats, product: Floats) -> None:
                 product[i, j] += factor * B[k, j]
 
 
-@compiled
+@inlined
 def innovation_cov(P: Floats, H: Floats, R: Matrix, HP: Floats) -> Matrix:
     """Give the covariance of the innovation, ``S = H P H' + R``.
 
@@ -51,7 +51,7 @@ def innovation_cov(P: Floats, H: Floats, R: Matrix, HP: Floats) -> Matrix:
     return (xx, yx, zx), (yx, yy, zy), (zx, zy, zz)
 
 
-@compiled
+@inlined
 def cholesky(S: Matrix) -> Matrix:
     """Give the lower triangle L with ``L L' = S``; NaN where S is not positive definite.
 
@@ -71,12 +71,12 @@ def cholesky(S: Matrix) -> Matrix:
     return (xx, 0.0, 0.0), (yx, yy, 0.0), (zx, zy, _root(S[2][2] - zx * zx - zy * zy))
 
 
-@compiled
+@inlined
 def _root(square: float) -> float:
     return math.sqrt(square) if square > 0.0 else math.nan
 
 
-@compiled
+@inlined
 def standardised(L: Matrix, innovation: Vector) -> Vector:
     """Give ``L^-1 z``: innovations in standard deviations, uncorrelated. The sum of their squares is NIS.
 
@@ -95,7 +95,7 @@ def standardised(L: Matrix, innovation: Vector) -> Vector:
     return x, y, (innovation[2] - L[2][0] * x - L[2][1] * y) / L[2][2]
 
 
-@compiled
+@inlined
 def transposed_gain(HP: Floats, L: Matrix, KT: Floats) -> None:
     """Solve ``S K' = H P`` for the gain, with the Cholesky factor of S and without inverting it.
 
@@ -114,7 +114,7 @@ def transposed_gain(HP: Floats, L: Matrix, KT: Floats) -> None:
         write_column_vector((x, y, z), KT, j)
 
 
-@compiled
+@inlined
 def update_cov(P: Floats, H: Floats, R: Matrix, HP: Floats, KT: Floats, rest: Floats) -> None:
     """Update the covariance in place, ``P <- (I - K H) P (I - K H)' + K R K'``, and keep it symmetric.
 
@@ -143,7 +143,7 @@ def update_cov(P: Floats, H: Floats, R: Matrix, HP: Floats, KT: Floats, rest: Fl
             P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
 
 
-@compiled
+@inlined
 def _subtract_transposed_product(A: Floats, B: Floats, total: Floats) -> None:
     """Subtract ``A' B``."""
     for i in range(A.shape[1]):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import compiled, inlined
 from insdvl_replay.history import History
 from insdvl_replay.nav.error_model import propagate_errors
 from insdvl_replay.nav.place import normal_gravity, place_about, place_at
@@ -102,7 +102,7 @@ class _States(NamedTuple):
     gyro_bias_b: Floats
 
 
-@compiled
+@inlined
 def _row_state(states: _States, row: int) -> NavState:
     return NavState(
         row_vector(states.position, row),
@@ -147,7 +147,7 @@ def _walk(timeline: Timeline, nominal: _States, earth_rate: bool, Phi: Floats, f
                     found.transition[ping, i, j] = Phi[12 * i + j]
 
 
-@compiled
+@inlined
 def _on_a_resting_earth(motion: Motion, velocity_n: Vector) -> Motion:
     """Give the motion with the specific force that the same way would take on an Earth that is flat and at rest."""
     coriolis_n = cross(add(motion.rate_ie_n, motion.rate_in_n), velocity_n)

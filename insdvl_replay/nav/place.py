@@ -9,15 +9,15 @@ import math
 from typing import Final, NamedTuple
 
 from insdvl_replay import earth
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import inlined
 from insdvl_replay.nav.vector_algebra import Vector
 
 REACH_RAD: Final = 1e-7
 REACH_M: Final = 30.0
 
-normal_gravity = compiled(earth.normal_gravity)
-_meridian_radius_m = compiled(earth.meridian_radius_m)
-_transverse_radius_m = compiled(earth.transverse_radius_m)
+normal_gravity = inlined(earth.normal_gravity)
+_meridian_radius_m = inlined(earth.meridian_radius_m)
+_transverse_radius_m = inlined(earth.transverse_radius_m)
 
 
 class Place(NamedTuple):
@@ -51,7 +51,7 @@ class Place(NamedTuple):
     gravity_gradient: float
 
 
-@compiled
+@inlined
 def earth_rate_n(latitude: float) -> Vector:
     """Give the Earth's rotation rate w_ie in n.
 
@@ -67,7 +67,7 @@ def earth_rate_n(latitude: float) -> Vector:
     return earth.EARTH_RATE * math.cos(latitude), 0.0, -earth.EARTH_RATE * math.sin(latitude)
 
 
-@compiled
+@inlined
 def place_at(latitude: float, height_m: float) -> Place:
     """Compute what there is to know of a place.
 
@@ -95,7 +95,7 @@ def place_at(latitude: float, height_m: float) -> Place:
     )
 
 
-@compiled
+@inlined
 def place_about(position: Vector, place: Place) -> Place:
     """Give the place where the vehicle is now: the last one, as long as that still stands for it.
 
@@ -116,19 +116,19 @@ def place_about(position: Vector, place: Place) -> Place:
     return place_at(latitude, height_m)
 
 
-@compiled
+@inlined
 def gravity_at(place: Place, height_m: float) -> float:
     """Give normal gravity at a height near a place, m/s^2."""
     return place.gravity + (height_m - place.height_m) * place.gravity_gradient
 
 
-@compiled
+@inlined
 def curvatures(place: Place, height_m: float) -> tuple[float, float]:
     """Give the curvatures north-south and east-west, 1 / (R_N + h) and 1 / (R_E + h), 1/m."""
     return 1.0 / (place.meridian_radius_m + height_m), 1.0 / (place.transverse_radius_m + height_m)
 
 
-@compiled
+@inlined
 def transport_rate_n(place: Place, height_m: float, velocity_n: Vector) -> Vector:
     """Give the rate w_en at which n turns because the vehicle moves over the curved Earth.
 

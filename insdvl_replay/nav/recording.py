@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import inlined
 from insdvl_replay.history import History, Innovations
 from insdvl_replay.nav.measurements import VELOCITY, Measurement
 from insdvl_replay.nav.strapdown import NavState
@@ -65,7 +65,7 @@ def new_updates(measurements: int, pings: int) -> Updates:
     )
 
 
-@compiled
+@inlined
 def write_record(state: NavState, P: Floats, records: Records, row: int) -> None:
     """Write down the navigation state and what its covariance P says, as a row."""
     write_row_vector(state.position, records.position, row)
@@ -83,7 +83,7 @@ def write_record(state: NavState, P: Floats, records: Records, row: int) -> None
                 records.cov[cov_row, i, j] = P[i, j]
 
 
-@compiled
+@inlined
 def write_update(updates: Updates, m: int, ping: int, z: Vector, S: Matrix, L: Matrix, nis: float, used: bool) -> None:
     """Write down an innovation and what was thought of it; L is the Cholesky factor of its covariance S."""
     updates.nis[m, ping], updates.used[m, ping] = nis, used

@@ -5,7 +5,7 @@ Source: equations (24) and (25) of Levy and Klein; Groves, chapter 5.
 
 from typing import NamedTuple
 
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import inlined
 from insdvl_replay.nav.place import Place, curvatures, gravity_at, transport_rate_n
 from insdvl_replay.nav.vector_algebra import (
     Matrix,
@@ -61,7 +61,7 @@ class Motion(NamedTuple):
     mat_nb: Matrix
 
 
-@compiled
+@inlined
 def propagate(
     state: NavState, specific_force_b: Vector, angular_rate_b: Vector, dt: float, place: Place
 ) -> tuple[NavState, Motion]:
@@ -100,7 +100,7 @@ def propagate(
     return after, Motion(place.rate_ie_n, rate_in_n, force_n, mat_nb)
 
 
-@compiled
+@inlined
 def _turned(mat_nb: Matrix, angular_rate_b: Vector, rate_in_n: Vector, dt: float) -> Matrix:
     """Turn the attitude on both sides, each by its exact exponential."""
     body_turn = rotation_from_vector(scale(dt, angular_rate_b))
@@ -108,7 +108,7 @@ def _turned(mat_nb: Matrix, angular_rate_b: Vector, rate_in_n: Vector, dt: float
     return compose(frame_turn, compose(mat_nb, body_turn))
 
 
-@compiled
+@inlined
 def _moved(position: Vector, way_n: Vector, place: Place) -> Vector:
     """Move a position along a way in metres."""
     to_north, to_east = curvatures(place, position[2])

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import Floats, ImuColumns, TimeNs
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import inlined
 from insdvl_replay.nav.gaps import NO_GAPS, Gaps
 from insdvl_replay.nav.vector_algebra import Vector, add, row_vector, scale, subtract
 
@@ -136,7 +136,7 @@ def _for_the_loop(column: NDArray[Scalar]) -> NDArray[Scalar]:
     return np.require(column, requirements=["C", "W"])
 
 
-@compiled
+@inlined
 def first_node(timeline: Timeline) -> Node:
     """Give the node at the start.
 
@@ -151,7 +151,7 @@ def first_node(timeline: Timeline) -> Node:
     return _node(timeline, timeline.event_ns[0], 0, 0)
 
 
-@compiled
+@inlined
 def next_node(timeline: Timeline, before: Node) -> Node:
     """Go on to the next sample or event, whichever comes first.
 
@@ -170,20 +170,20 @@ def next_node(timeline: Timeline, before: Node) -> Node:
     return _node(timeline, min(sample_ns, event_ns), sample, event)
 
 
-@compiled
+@inlined
 def is_last(timeline: Timeline, node: Node) -> bool:
     """Tell whether a node is the end of the time line."""
     return node.event == len(timeline.event_ns) - 1
 
 
-@compiled
+@inlined
 def is_event(timeline: Timeline, node: Node) -> bool:
     """Tell whether a node is an event, and not a sample alone."""
     here: bool = node.time_ns == timeline.event_ns[node.event]
     return here
 
 
-@compiled
+@inlined
 def _node(timeline: Timeline, time_ns: int, sample: int, event: int) -> Node:
     time_s, before_s = _elapsed_s(timeline, time_ns), _elapsed_s(timeline, timeline.sample_ns[sample])
     force_b, rate_b = row_vector(timeline.specific_force_b, sample), row_vector(timeline.angular_rate_b, sample)
@@ -200,13 +200,13 @@ def _node(timeline: Timeline, time_ns: int, sample: int, event: int) -> Node:
     )
 
 
-@compiled
+@inlined
 def _elapsed_s(timeline: Timeline, time_ns: int) -> float:
     since_s: float = (time_ns - timeline.event_ns[0]) * 1e-9
     return since_s
 
 
-@compiled
+@inlined
 def _on_the_line(before: Vector, after: Vector, into_s: float, step_s: float) -> Vector:
     step = subtract(after, before)
     return (
@@ -216,7 +216,7 @@ def _on_the_line(before: Vector, after: Vector, into_s: float, step_s: float) ->
     )
 
 
-@compiled
+@inlined
 def mean(one: Vector, other: Vector) -> Vector:
     """Give the mean of a reading over an interval, from those at its ends."""
     return scale(0.5, add(one, other))

@@ -7,7 +7,7 @@ go through memory.
 import math
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import compiled
+from insdvl_replay.compiled import inlined
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
@@ -25,19 +25,19 @@ def matrix(array: Floats) -> Matrix:
     return vector(array[0]), vector(array[1]), vector(array[2])
 
 
-@compiled
+@inlined
 def row_vector(array: Floats, row: int) -> Vector:
     """Read a row of an array of shape (k, 3); a view of it would be counted as a reference, which takes longer."""
     return array[row, 0], array[row, 1], array[row, 2]
 
 
-@compiled
+@inlined
 def column_vector(array: Floats, column: int) -> Vector:
     """Read a column of an array of shape (3, k)."""
     return array[0, column], array[1, column], array[2, column]
 
 
-@compiled
+@inlined
 def row_matrix(array: Floats, row: int) -> Matrix:
     """Read a row of an array of shape (k, 3, 3)."""
     return (
@@ -47,19 +47,19 @@ def row_matrix(array: Floats, row: int) -> Matrix:
     )
 
 
-@compiled
+@inlined
 def write_row_vector(a: Vector, array: Floats, row: int) -> None:
     """Write into a row of an array of shape (k, 3)."""
     array[row, 0], array[row, 1], array[row, 2] = a
 
 
-@compiled
+@inlined
 def write_column_vector(a: Vector, array: Floats, column: int) -> None:
     """Write into a column of an array of shape (3, k)."""
     array[0, column], array[1, column], array[2, column] = a
 
 
-@compiled
+@inlined
 def write_row_matrix(mat: Matrix, array: Floats, row: int) -> None:
     """Write into a row of an array of shape (k, 3, 3)."""
     array[row, 0, 0], array[row, 0, 1], array[row, 0, 2] = mat[0]
@@ -67,7 +67,7 @@ def write_row_matrix(mat: Matrix, array: Floats, row: int) -> None:
     array[row, 2, 0], array[row, 2, 1], array[row, 2, 2] = mat[2]
 
 
-@compiled
+@inlined
 def write_blocks(blocks: tuple[Matrix, ...], array: Floats) -> None:
     """Write matrices of three side by side into an array of shape (3, 3 k)."""
     for block, mat in enumerate(blocks):
@@ -75,80 +75,80 @@ def write_blocks(blocks: tuple[Matrix, ...], array: Floats) -> None:
             array[i, 3 * block], array[i, 3 * block + 1], array[i, 3 * block + 2] = row
 
 
-@compiled
+@inlined
 def add(a: Vector, b: Vector) -> Vector:
     """Give ``a + b``."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@compiled
+@inlined
 def subtract(a: Vector, b: Vector) -> Vector:
     """Give ``a - b``."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@compiled
+@inlined
 def scale(factor: float, a: Vector) -> Vector:
     """Give ``factor a``."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
-@compiled
+@inlined
 def dot(a: Vector, b: Vector) -> float:
     """Give the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled
+@inlined
 def cross(a: Vector, b: Vector) -> Vector:
     """Give ``a x b``."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@compiled
+@inlined
 def skew(a: Vector) -> Matrix:
     """Give ``[a x]``, the matrix with which ``[a x] b`` is the cross product."""
     return (0.0, -a[2], a[1]), (a[2], 0.0, -a[0]), (-a[1], a[0], 0.0)
 
 
-@compiled
+@inlined
 def transpose(mat: Matrix) -> Matrix:
     """Give the rows as columns; of a rotation, its inverse."""
     return (mat[0][0], mat[1][0], mat[2][0]), (mat[0][1], mat[1][1], mat[2][1]), (mat[0][2], mat[1][2], mat[2][2])
 
 
-@compiled
+@inlined
 def rotate(mat: Matrix, a: Vector) -> Vector:
     """Give ``mat @ a``."""
     return dot(mat[0], a), dot(mat[1], a), dot(mat[2], a)
 
 
-@compiled
+@inlined
 def rotate_back(mat: Matrix, a: Vector) -> Vector:
     """Give ``mat.T @ a``."""
     return rotate(transpose(mat), a)
 
 
-@compiled
+@inlined
 def compose(mat_ab: Matrix, mat_bc: Matrix) -> Matrix:
     """Give ``mat_ac = mat_ab @ mat_bc``."""
     columns = transpose(mat_bc)
     return rotate(columns, mat_ab[0]), rotate(columns, mat_ab[1]), rotate(columns, mat_ab[2])
 
 
-@compiled
+@inlined
 def add_matrices(one: Matrix, other: Matrix) -> Matrix:
     """Give the sum."""
     return add(one[0], other[0]), add(one[1], other[1]), add(one[2], other[2])
 
 
-@compiled
+@inlined
 def scale_matrix(factor: float, mat: Matrix) -> Matrix:
     """Give ``factor mat``."""
     return scale(factor, mat[0]), scale(factor, mat[1]), scale(factor, mat[2])
 
 
-@compiled
+@inlined
 def rotation_from_vector(rotation: Vector) -> Matrix:
     """Give the rotation matrix exp([rotation x]) by Rodrigues' formula.
 
