@@ -26,7 +26,7 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 
-_SOURCES: Final = ("nav/*.py", "earth.py", "logs/record*.py", "compiled.py")
+_SOURCES: Final = ("nav/*.py", "earth.py", "logs/records.py", "logs/*_loops.py", "compiled.py")
 """Where compiled functions, what they are made of, and how they are compiled, stand."""
 
 

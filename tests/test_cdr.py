@@ -1,12 +1,18 @@
 """Columns from CDR bytes agree with what rosbags serialises, whatever the layout of the messages."""
 
+import struct
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.errors import LogError
+from insdvl_replay.logs import field_loops
 from insdvl_replay.logs.cdr import CdrReader
 from insdvl_replay.logs.chunks import Block
+from insdvl_replay.logs.numbers import bits_plainly
 from insdvl_replay.logs.ros2msg import parse_definitions
 
 TYPE = "test_msgs/msg/Ping"
@@ -134,3 +140,32 @@ def test_message_that_does_not_fit_its_schema_is_refused(change) -> None:  # typ
     messages = serialised(random_pings(2, ["dvl"], [4]))
     with pytest.raises(LogError, match=r"dive\.mcap: /ping"):
         reader("mode").columns(block_of([messages[0], change(messages[1])]))
+
+
+@given(
+    st.binary(min_size=8, max_size=60),
+    st.lists(st.integers(0, 52), max_size=5),
+    st.lists(st.tuples(st.sampled_from("bBhHiIqQ"), st.integers(0, 52)), max_size=5),
+)
+def test_numbers_are_read_plainly_as_by_the_compiled_loop(
+    data: bytes, starts: list[int], numbers: list[tuple[str, int]]
+) -> None:
+    """Starts and places are brought inside the data, as the readers promise."""
+    starts = [start % (len(data) - 7) for start in starts]
+    room = len(data) - 7 - max(starts, default=0)
+    formats, places = [f"<{letter}" for letter, _ in numbers], [place % room for _, place in numbers]
+    expected = [
+        [struct.unpack_from(one, data, start + place)[0] % 2**64 for one, place in zip(formats, places, strict=True)]
+        for start in starts
+    ]
+    sizes, signed = [struct.calcsize(one) for one in formats], [one.islower() for one in formats]
+    for read in (bits_plainly, field_loops.read_bits):
+        bits = read(
+            np.frombuffer(data, np.uint8),
+            np.array(starts, np.int64),
+            np.array(places, np.int64),
+            np.array(sizes, np.int64),
+            np.array(signed, np.bool_),
+        )
+        assert bits.shape == (len(starts), len(numbers))
+        assert bits.view(np.uint64).tolist() == expected

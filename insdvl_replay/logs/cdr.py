@@ -1,10 +1,9 @@
 """Columns of chosen fields, from the bytes of a block of messages.
 
-Messages whose strings and sequences have the same lengths share one `layout`, and are read as the rows of one
-structured array. In most logs all messages of a channel do.
+Messages whose strings and sequences have the same lengths share one `layout`, and are read together. In most logs all
+messages of a channel do.
 """
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -12,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.errors import LogError
-from insdvl_replay.logs.chunks import Block, gather
+from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.field_errors import check_path
 from insdvl_replay.logs.field_paths import Columns
 from insdvl_replay.logs.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
+from insdvl_replay.logs.numbers import Numbers, read_bits
 from insdvl_replay.logs.ros2msg import PRIMITIVES, Definition, full_name
 
 _ENCAPSULATIONS: Final = {
@@ -29,6 +29,8 @@ _ENCAPSULATIONS: Final = {
     0x0A: "a big-endian XCDR2 parameter list",
     0x0B: "an XCDR2 parameter list",
 }
+_ENCAPSULATION: Final = np.array([0]), np.array([2]), np.array([False])
+"""Place, size and sign of what says how a message is written."""
 _LONGEST_PADDING: Final = 3
 
 
@@ -58,7 +60,7 @@ class CdrReader:
         self._paths = tuple(paths)
         self._place = place
         self._layouts: dict[tuple[int, ...], Layout] = {}
-        self._leaves: dict[tuple[tuple[int, ...], str], list[tuple[str, int | None]]] = {}
+        self._numbers: dict[tuple[int, ...], Numbers] = {}
         self._latest: Layout | None = None
         self.known = dict(cdr_paths(definitions, self._type_name))
         for path in paths:
@@ -81,22 +83,23 @@ class CdrReader:
         LogError
             A message is not little-endian CDR, or does not fit its definition.
         """
-        self._check_encapsulation(block)
+        data = np.frombuffer(block.buffer, np.uint8)
+        self._check_encapsulation(block, data)
         parts: list[tuple[NDArray[np.int64], Columns]] = []
         left = np.arange(block.offsets.size)
         while left.size:
-            rows, messages, layout = self._next_group(block, left)
-            parts.append((rows, {path: self._values(messages, layout, path) for path in self._paths}))
+            rows, layout = self._next_group(block, data, left)
+            parts.append((rows, self._numbers_of(layout).read(data, block.offsets[rows])))
             left = left[:0] if rows.size == left.size else np.setdiff1d(left, rows, assume_unique=True)
         return {path: _joined([(rows, part[path]) for rows, part in parts]) for path in self._paths}
 
-    def _check_encapsulation(self, block: Block) -> None:
+    def _check_encapsulation(self, block: Block, data: NDArray[np.uint8]) -> None:
         if np.any(block.sizes < len(ENCAPSULATION)):
             raise LogError(f"{self._place}: a message of {block.sizes.min()} bytes is no CDR", "the log is damaged")
-        kinds = gather(block.buffer, block.offsets, np.dtype(">u2"))
-        wrong = kinds[kinds != int.from_bytes(ENCAPSULATION[:2])]
+        kinds = read_bits(data, block.offsets, *_ENCAPSULATION)
+        wrong = kinds[kinds != int.from_bytes(ENCAPSULATION[:2], "little")]
         if wrong.size:
-            first, second = divmod(int(wrong[0]), 256)
+            second, first = divmod(int(wrong[0]), 256)
             name = _ENCAPSULATIONS.get(second, "no CDR") if first == 0 else "no CDR"
             raise LogError(
                 f"{self._place}: {wrong.size} of {kinds.size} messages are {name} "
@@ -104,21 +107,23 @@ class CdrReader:
                 "record with the default middleware, or convert the log with `ros2 bag convert`",
             )
 
-    def _next_group(self, block: Block, left: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.void], Layout]:
-        """Read all messages that share a layout: the latest one if any has it, else that of the first message."""
+    def _next_group(
+        self, block: Block, data: NDArray[np.uint8], left: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], Layout]:
+        """Find all messages that share a layout: the latest one if any has it, else that of the first message."""
         if self._latest is not None:
-            rows, messages = _matching(block, left, self._latest)
+            rows = _matching(block, data, left, self._latest)
             if rows.size:
-                return rows, messages, self._latest
+                return rows, self._latest
         layout = self._latest = self._layout(block, int(left[0]))
-        rows, messages = _matching(block, left, layout)
+        rows = _matching(block, data, left, layout)
         if not rows.size:
             raise LogError(
                 f"{self._place}: a message of {block.sizes[left[0]]} bytes has {layout.size} by its schema "
                 f"({self._type_name})",
                 "the schema in the log is not that of the messages",
             )
-        return rows, messages, layout
+        return rows, layout
 
     def _layout(self, block: Block, row: int) -> Layout:
         start = int(block.offsets[row])
@@ -131,60 +136,20 @@ class CdrReader:
             raise LogError(f"{self._place}: {error.message}", error.hint) from error
         return self._layouts[lengths]
 
-    def _values(self, messages: NDArray[np.void], layout: Layout, path: str) -> NDArray[Any]:
-        key = (layout.lengths, path)
-        if key not in self._leaves:
-            self._leaves[key] = list(_leaves(layout.dtype, path))
-        leaves = self._leaves[key]
-        fields = [messages[name] if index is None else messages[name][:, index] for name, index in leaves]
-        values = [field.reshape(len(messages), -1) for field in fields]
-        whole = all(value.dtype.kind in "biu" for value in values)
-        columns = np.empty((len(messages), sum(value.shape[1] for value in values)), np.int64 if whole else np.float64)
-        return np.concatenate(values, axis=1, out=columns, casting="unsafe") if values else columns
+    def _numbers_of(self, layout: Layout) -> Numbers:
+        if layout.lengths not in self._numbers:
+            self._numbers[layout.lengths] = Numbers(layout, self._paths)
+        return self._numbers[layout.lengths]
 
 
-def _matching(block: Block, rows: NDArray[np.int64], layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.void]]:
-    """Read those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
+def _matching(block: Block, data: NDArray[np.uint8], rows: NDArray[np.int64], layout: Layout) -> NDArray[np.int64]:
+    """Find those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
     excess = block.sizes[rows] - layout.size
     rows = rows[(excess >= 0) & (excess <= _LONGEST_PADDING)]
-    messages = gather(block.buffer, block.offsets[rows], layout.dtype)
-    words: Any = {
-        "names": [f"f{i}" for i in range(len(layout.lengths))],
-        "formats": ["<u4"] * len(layout.lengths),
-        "offsets": layout.length_offsets,
-        "itemsize": layout.size,
-    }
-    found = messages.view(np.dtype(words))
-    fits = np.ones(rows.size, np.bool_)
-    for i, length in enumerate(layout.lengths):
-        fits &= found[f"f{i}"] == length
-    return (rows, messages) if fits.all() else (rows[fits], messages[fits])
-
-
-def _leaves(dtype: np.dtype[np.void], path: str) -> Iterator[tuple[str, int | None]]:
-    """Find the fields of a layout that a path means, each with the element of it that is meant, or None for all."""
-    base, index = _last_index(path)
-    whole, element = _pattern(path), _pattern(base)
-    for name in dtype.names or ():
-        if dtype[name].base.kind not in "biuf":
-            continue
-        if whole.match(name):
-            yield name, None
-        elif index is not None and dtype[name].shape and element.fullmatch(name):
-            if index == "*":
-                yield name, None
-            elif int(index) < dtype[name].shape[0]:
-                yield name, int(index)
-
-
-def _last_index(path: str) -> tuple[str, str | None]:
-    match = re.fullmatch(r"(.*)\[(\d+|\*)\]", path)
-    return (match[1], match[2]) if match else (path, None)
-
-
-def _pattern(path: str) -> re.Pattern[str]:
-    """Match the field that a path names, and every field below it."""
-    return re.compile(re.escape(path).replace(r"\[\*\]", r"\[\d+\]") + r"(?![^.\[])")
+    places = np.array(layout.length_offsets, np.int64)
+    lengths = read_bits(data, block.offsets[rows], places, np.full(places.size, 4), np.zeros(places.size, np.bool_))
+    fits = (lengths == layout.lengths).all(axis=1)
+    return rows if fits.all() else rows[fits]
 
 
 def cdr_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:

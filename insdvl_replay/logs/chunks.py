@@ -99,12 +99,12 @@ class Block:
     sequence: NDArray[np.int64]
 
 
-def gather(buffer: memoryview, offsets: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+def gather(buffer: memoryview | NDArray[np.uint8], offsets: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
     """Copy a structure from many places of a buffer.
 
     Parameters
     ----------
-    buffer : memoryview
+    buffer : memoryview or ndarray of uint8
     offsets : ndarray, shape (k,)
         Where each structure starts; each must end within the buffer.
     dtype : numpy.dtype
@@ -235,17 +235,17 @@ def blocks_of(content: Content, channel_ids: Collection[int]) -> Iterator[Block]
     Block
         One for each wanted channel that has messages in the chunk.
     """
-    headers = content.headers
-    found = headers["channel_id"]
-    for channel_id in np.unique(found).tolist():
-        if channel_id in channel_ids:
-            rows = np.flatnonzero(found == channel_id)
+    found = np.ascontiguousarray(content.headers["channel_id"])
+    for channel_id in sorted(channel_ids):
+        rows = np.flatnonzero(found == channel_id)
+        if rows.size:
+            headers = content.headers[rows]
             yield Block(
                 channel_id=channel_id,
                 buffer=content.buffer,
                 offsets=content.messages[rows] + _MESSAGE.itemsize,
-                sizes=headers["length"][rows] - MESSAGE_FIELDS_SIZE,
-                log_time=headers["log_time"][rows],
-                publish_time=headers["publish_time"][rows],
-                sequence=headers["sequence"][rows].astype(np.int64),
+                sizes=headers["length"] - MESSAGE_FIELDS_SIZE,
+                log_time=headers["log_time"],
+                publish_time=headers["publish_time"],
+                sequence=headers["sequence"].astype(np.int64),
             )

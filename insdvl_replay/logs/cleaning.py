@@ -127,6 +127,9 @@ class Cleaner:
         hint : str
             Where given, numbers are expected in each row, and it is a warning that more than single ones lack them.
         """
+        # The extremes of a column of which a number is missing are missing.
+        if all(np.isfinite([array.min(), array.max()]).all() for array in values if array.size):
+            return
         finite = np.ones(self.time_ns.size, np.bool_)
         for column in (column for array in values for column in array.T):
             finite &= np.isfinite(column)

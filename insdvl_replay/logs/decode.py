@@ -144,9 +144,14 @@ def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:
 
 def _is_possible(specific_force_b: Floats, angular_rate_b: Floats) -> Mask:
     """Tell which samples an IMU on a vehicle can have felt: within limits, and not free of gravity and Earth rate."""
-    possible, alive = np.ones(len(specific_force_b), np.bool_), np.zeros(len(specific_force_b), np.bool_)
-    for columns, limit in ((specific_force_b.T, LARGEST_FORCE_MPS2), (angular_rate_b.T, LARGEST_RATE_RADPS)):
-        for column in columns:
-            possible &= (column <= limit) & (column >= -limit)
-            alive |= column != 0.0
-    return possible & alive
+    possible = _is_within(specific_force_b, LARGEST_FORCE_MPS2) & _is_within(angular_rate_b, LARGEST_RATE_RADPS)
+    dead = np.flatnonzero(specific_force_b[:, 0] == 0.0)
+    possible[dead] &= specific_force_b[dead].any(axis=1) | angular_rate_b[dead].any(axis=1)
+    return possible
+
+
+def _is_within(vectors: Floats, limit: float) -> Mask:
+    """Tell which vectors have no component beyond a limit; the extremes mostly tell that none has."""
+    if vectors.min() >= -limit and vectors.max() <= limit:
+        return np.ones(len(vectors), np.bool_)
+    return np.asarray((np.abs(vectors) <= limit).all(axis=1))

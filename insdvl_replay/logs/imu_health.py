@@ -34,6 +34,7 @@ GRAVITY_WRONG: Final = 1.5
 """Factor of gravity at which it is another unit or scale, and every table is wrong."""
 
 _ENOUGH_STEPS: Final = 20
+_FEW: Final = 1000
 _BLOCKS: Final = 1000
 _SAMPLES: Final = 100_000
 _UNIT_BY_RATIO: Final = (
@@ -79,8 +80,9 @@ def imu_checks(place: str, imu: ImuColumns, reference: ReferenceColumns | None, 
 
 
 def samples_in(imu: ImuColumns, length_s: float) -> int:
-    """Give the number of samples, 1 at least, that an IMU takes in a time."""
-    steps_s = seconds(imu.time_ns[1:], imu.time_ns[:-1])
+    """Give the number of samples, 1 at least, that an IMU takes in a time, by the median of up to 100,000 steps."""
+    some = np.arange(0, len(imu.time_ns) - 1, 1 + len(imu.time_ns) // _SAMPLES)
+    steps_s = seconds(imu.time_ns[some + 1], imu.time_ns[some])
     return max(1, round(length_s / float(np.median(steps_s)))) if steps_s.size else 1
 
 
@@ -109,19 +111,25 @@ def _dead_notes(place: str, imu: ImuColumns) -> list[Note]:
         ("angular_rate", "rad/s", imu.angular_rate_b),
     ):
         words, hint = quantity.replace("_", " "), f'imu.{quantity} = "field.path" names another field'
-        if not readings.any():
+        if not readings[0].any() and not readings.any():
             raise LogError(f"{place}: the {words} is zero in all {len(readings)} samples of the IMU", hint)
-        for axis in [axis for axis, column in enumerate(readings.T) if np.all(column == column[0])]:
+        for axis in [axis for axis, column in enumerate(readings.T) if _is_constant(column)]:
             text = f"{words} {AXES[axis]} is {readings[0, axis]:g} {unit} in all {len(readings)} samples, from 0 s on"
             notes.append(Note("imu_constant", text, len(readings), "warning", hint))
     return notes
 
 
+def _is_constant(column: Floats) -> bool:
+    """Tell whether all numbers are the same; the first few mostly tell that they are not."""
+    return bool(np.all(column[:_FEW] == column[0]) and np.all(column == column[0]))
+
+
 def _stuck_notes(imu: ImuColumns) -> list[Note]:
     """Find runs in which all six readings repeat."""
-    same = np.ones(len(imu.time_ns) - 1, np.bool_)
-    for readings in (*imu.specific_force_b.T, *imu.angular_rate_b.T):
-        same &= readings[1:] == readings[:-1]
+    same = imu.specific_force_b[1:, 0] == imu.specific_force_b[:-1, 0]
+    rows = np.flatnonzero(same)
+    for readings in (imu.specific_force_b, imu.angular_rate_b):
+        same[rows] &= (readings[rows + 1] == readings[rows]).all(axis=1)
     starts, ends = find_runs(same)
     lengths_s = seconds(imu.time_ns[ends], imu.time_ns[starts])
     long = np.flatnonzero(lengths_s > STUCK_S)

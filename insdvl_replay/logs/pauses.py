@@ -54,7 +54,8 @@ def note_bursts(cleaner: Cleaner, remedy: str) -> None:
     """
     times = cleaner.times
     steps_s = seconds(times[1:], times[:-1])
-    if not steps_s.size:
+    # The usual step is none longer than the mean.
+    if not steps_s.size or steps_s.min() >= BURST_STEP * steps_s.mean():
         return
     # The median would be that within the bursts, where more than two samples come at once.
     usual_s = float(steps_s[steps_s <= np.quantile(steps_s, PAUSES)].mean())
