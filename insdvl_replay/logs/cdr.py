@@ -31,6 +31,7 @@ _ENCAPSULATIONS: Final = {
 }
 _ENCAPSULATION: Final = np.array([0]), np.array([2]), np.array([False])
 """Place, size and sign of what says how a message is written."""
+_LITTLE_ENDIAN: Final = int.from_bytes(ENCAPSULATION[:2], "little")
 _LONGEST_PADDING: Final = 3
 
 
@@ -84,7 +85,6 @@ class CdrReader:
             A message is not little-endian CDR, or does not fit its definition.
         """
         data = np.frombuffer(block.buffer, np.uint8)
-        self._check_encapsulation(block, data)
         parts: list[tuple[NDArray[np.int64], Columns]] = []
         left = np.arange(block.offsets.size)
         while left.size:
@@ -97,7 +97,7 @@ class CdrReader:
         if np.any(block.sizes < len(ENCAPSULATION)):
             raise LogError(f"{self._place}: a message of {block.sizes.min()} bytes is no CDR", "the log is damaged")
         kinds = read_bits(data, block.offsets, *_ENCAPSULATION)
-        wrong = kinds[kinds != int.from_bytes(ENCAPSULATION[:2], "little")]
+        wrong = kinds[kinds != _LITTLE_ENDIAN]
         if wrong.size:
             second, first = divmod(int(wrong[0]), 256)
             name = _ENCAPSULATIONS.get(second, "no CDR") if first == 0 else "no CDR"
@@ -115,6 +115,7 @@ class CdrReader:
             rows = _matching(block, data, left, self._latest)
             if rows.size:
                 return rows, self._latest
+        self._check_encapsulation(block, data)
         layout = self._latest = self._layout(block, int(left[0]))
         rows = _matching(block, data, left, layout)
         if not rows.size:
@@ -146,9 +147,9 @@ def _matching(block: Block, data: NDArray[np.uint8], rows: NDArray[np.int64], la
     """Find those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
     excess = block.sizes[rows] - layout.size
     rows = rows[(excess >= 0) & (excess <= _LONGEST_PADDING)]
-    places = np.array(layout.length_offsets, np.int64)
-    lengths = read_bits(data, block.offsets[rows], places, np.full(places.size, 4), np.zeros(places.size, np.bool_))
-    fits = (lengths == layout.lengths).all(axis=1)
+    places, sizes = np.array([0, *layout.length_offsets]), np.array([2] + [4] * len(layout.lengths))
+    words = read_bits(data, block.offsets[rows], places, sizes, np.zeros(places.size, np.bool_))
+    fits = (words == (_LITTLE_ENDIAN, *layout.lengths)).all(axis=1)
     return rows if fits.all() else rows[fits]
 
 

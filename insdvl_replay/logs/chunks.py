@@ -239,7 +239,7 @@ def blocks_of(content: Content, channel_ids: Collection[int]) -> Iterator[Block]
     for channel_id in sorted(channel_ids):
         rows = np.flatnonzero(found == channel_id)
         if rows.size:
-            headers = content.headers[rows]
+            headers = content.headers.take(rows)  # tenfold as fast as to index structures
             yield Block(
                 channel_id=channel_id,
                 buffer=content.buffer,
