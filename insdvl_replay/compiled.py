@@ -14,7 +14,9 @@ NUMBA_DISABLE_JIT=1 : run the same functions as plain Python, to step through th
 import atexit
 import os
 import shutil
+import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -83,25 +85,35 @@ def _holds_code(folder: Path) -> bool:
 _FOLDER: Final = _cache_folder()
 
 
+_NUMBA_SETTINGS: Final = threading.Lock()
+
+
+def is_loaded() -> bool:
+    """Say whether the compiler is loaded and not switched off; else a few numbers are dealt with sooner without it."""
+    settings = sys.modules.get("numba.core.config")
+    return settings is not None and not getattr(settings, "DISABLE_JIT", True)
+
+
 def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Compile a function that Python calls, on its first call, and keep the machine code on disk."""
     import numba  # half a second, which whoever only asks whether the cache is warm must not wait
     from numba.core import config
 
     settings: Any = config  # numba reads the folder while it decorates
-    before = settings.CACHE_DIR
-    settings.CACHE_DIR = str(_FOLDER or before)
-    try:
-        return cast(Callable[_P, _T], numba.njit(cache=_FOLDER is not None, **_OPTIONS)(function))
-    finally:
-        settings.CACHE_DIR = before
+    with _NUMBA_SETTINGS:
+        before = settings.CACHE_DIR
+        settings.CACHE_DIR = str(_FOLDER or before)
+        try:
+            return cast(Callable[_P, _T], numba.njit(cache=_FOLDER is not None, **_OPTIONS)(function))
+        finally:
+            settings.CACHE_DIR = before
 
 
 def inlined(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Let a function become a part of the compiled ones that call it; where Python calls it, it is plain Python.
 
-    As calls, many of them would hand dozens of numbers over in memory and count references, and the filter would take a
-    quarter longer; with entries for Python, twice as long to compile.
+    As calls, many of them would hand dozens of numbers over in memory, and the filter would take a quarter longer; with
+    entries for Python, it would take twice as long to compile.
     """
     from numba.extending import register_jitable
 

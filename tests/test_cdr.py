@@ -12,7 +12,7 @@ from insdvl_replay.errors import LogError
 from insdvl_replay.logs import field_loops
 from insdvl_replay.logs.cdr import CdrReader
 from insdvl_replay.logs.chunks import Block
-from insdvl_replay.logs.numbers import bits_plainly
+from insdvl_replay.logs.numbers import Places, bits_plainly
 from insdvl_replay.logs.ros2msg import parse_definitions
 
 TYPE = "test_msgs/msg/Ping"
@@ -159,13 +159,19 @@ def test_numbers_are_read_plainly_as_by_the_compiled_loop(
         for start in starts
     ]
     sizes, signed = [struct.calcsize(one) for one in formats], [one.islower() for one in formats]
+    where = Places(np.array(places, np.int64), np.array(sizes, np.int64), np.array(signed, np.bool_))
     for read in (bits_plainly, field_loops.read_bits):
-        bits = read(
-            np.frombuffer(data, np.uint8),
-            np.array(starts, np.int64),
-            np.array(places, np.int64),
-            np.array(sizes, np.int64),
-            np.array(signed, np.bool_),
-        )
+        bits = read(np.frombuffer(data, np.uint8), np.array(starts, np.int64), where)
         assert bits.shape == (len(starts), len(numbers))
         assert bits.view(np.uint64).tolist() == expected
+
+
+def test_a_bool_of_another_byte_is_one_and_an_empty_sequence_of_floats_is_none() -> None:
+    messages = serialised(random_pings(2, ["a"], [1]))
+    broken = [message[:-1] + b"\x04" for message in messages]
+    columns = reader("good", "free").columns(block_of(broken))
+    assert columns["good"].tolist() == [[1], [1]]
+    assert columns["good"].dtype == np.int64
+    empty = reader("free").columns(block_of(serialised([{**random_pings(1, ["a"], [1])[0], "free": []}])))
+    assert empty["free"].shape == (1, 0)
+    assert empty["free"].dtype == np.float64

@@ -149,7 +149,7 @@ STILL = (0.0, 0.0, 0.0)
 LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-def test_an_epoch_counts_no_references() -> None:
+def test_mechanisation_and_covariance_count_no_references() -> None:
     """Each takes as long as twenty multiplications."""
 
     def go(timeline: Timeline, state: NavState, P: Floats, noise_density: Floats, place: Place) -> NavState:

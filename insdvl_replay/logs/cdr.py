@@ -15,7 +15,7 @@ from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.field_errors import check_path
 from insdvl_replay.logs.field_paths import Columns
 from insdvl_replay.logs.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
-from insdvl_replay.logs.numbers import Numbers, read_bits
+from insdvl_replay.logs.numbers import Numbers, Places, read_bits
 from insdvl_replay.logs.ros2msg import PRIMITIVES, Definition, full_name
 
 _ENCAPSULATIONS: Final = {
@@ -29,8 +29,8 @@ _ENCAPSULATIONS: Final = {
     0x0A: "a big-endian XCDR2 parameter list",
     0x0B: "an XCDR2 parameter list",
 }
-_ENCAPSULATION: Final = np.array([0]), np.array([2]), np.array([False])
-"""Place, size and sign of what says how a message is written."""
+_ENCAPSULATION: Final = Places(np.array([0]), np.array([2]), np.array([False]))
+"""What says how a message is written."""
 _LITTLE_ENDIAN: Final = int.from_bytes(ENCAPSULATION[:2], "little")
 _LONGEST_PADDING: Final = 3
 
@@ -96,7 +96,7 @@ class CdrReader:
     def _check_encapsulation(self, block: Block, data: NDArray[np.uint8]) -> None:
         if np.any(block.sizes < len(ENCAPSULATION)):
             raise LogError(f"{self._place}: a message of {block.sizes.min()} bytes is no CDR", "the log is damaged")
-        kinds = read_bits(data, block.offsets, *_ENCAPSULATION)
+        kinds = read_bits(data, block.offsets, _ENCAPSULATION)
         wrong = kinds[kinds != _LITTLE_ENDIAN]
         if wrong.size:
             second, first = divmod(int(wrong[0]), 256)
@@ -147,8 +147,8 @@ def _matching(block: Block, data: NDArray[np.uint8], rows: NDArray[np.int64], la
     """Find those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
     excess = block.sizes[rows] - layout.size
     rows = rows[(excess >= 0) & (excess <= _LONGEST_PADDING)]
-    places, sizes = np.array([0, *layout.length_offsets]), np.array([2] + [4] * len(layout.lengths))
-    words = read_bits(data, block.offsets[rows], places, sizes, np.zeros(places.size, np.bool_))
+    starts, sizes = np.array([0, *layout.length_offsets]), np.array([2] + [4] * len(layout.lengths))
+    words = read_bits(data, block.offsets[rows], Places(starts, sizes, np.zeros(starts.size, np.bool_)))
     fits = (words == (_LITTLE_ENDIAN, *layout.lengths)).all(axis=1)
     return rows if fits.all() else rows[fits]
 

@@ -245,7 +245,7 @@ def blocks_of(content: Content, channel_ids: Collection[int]) -> Iterator[Block]
                 buffer=content.buffer,
                 offsets=content.messages[rows] + _MESSAGE.itemsize,
                 sizes=headers["length"] - MESSAGE_FIELDS_SIZE,
-                log_time=headers["log_time"],
-                publish_time=headers["publish_time"],
+                log_time=np.ascontiguousarray(headers["log_time"]),
+                publish_time=np.ascontiguousarray(headers["publish_time"]),
                 sequence=headers["sequence"].astype(np.int64),
             )

@@ -4,22 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.compiled import compiled, inlined
+from insdvl_replay.logs.numbers import Places
 
 
 @compiled
-def read_bits(
-    data: NDArray[np.uint8],
-    starts: NDArray[np.int64],
-    places: NDArray[np.int64],
-    sizes: NDArray[np.int64],
-    signed: NDArray[np.bool_],
-) -> NDArray[np.int64]:
+def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> NDArray[np.int64]:
     """Do what `numbers.read_bits` does, touching each byte that is wanted once, and no other."""
-    bits = np.empty((starts.size, places.size), np.int64)
+    bits = np.empty((starts.size, places.start.size), np.int64)
     for row in range(starts.size):
-        for i in range(places.size):
-            unsigned = _whole(data, np.uint64(starts[row] + places[i]), sizes[i])
-            beyond = 64 - 8 * sizes[i] if signed[i] else 0
+        for i in range(places.start.size):
+            unsigned = _whole(data, np.uint64(starts[row] + places.start[i]), places.size[i])
+            beyond = 64 - 8 * places.size[i] if places.signed[i] else 0
             bits[row, i] = (unsigned << beyond) >> beyond
     return bits
 

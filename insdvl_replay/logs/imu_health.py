@@ -80,9 +80,8 @@ def imu_checks(place: str, imu: ImuColumns, reference: ReferenceColumns | None, 
 
 
 def samples_in(imu: ImuColumns, length_s: float) -> int:
-    """Give the number of samples, 1 at least, that an IMU takes in a time, by the median of up to 100,000 steps."""
-    some = np.arange(0, len(imu.time_ns) - 1, 1 + len(imu.time_ns) // _SAMPLES)
-    steps_s = seconds(imu.time_ns[some + 1], imu.time_ns[some])
+    """Give the number of samples, 1 at least, that an IMU takes in a time."""
+    steps_s = seconds(imu.time_ns[1:], imu.time_ns[:-1])
     return max(1, round(length_s / float(np.median(steps_s)))) if steps_s.size else 1
 
 

@@ -2,16 +2,37 @@
 
 import math
 import re
-import sys
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.columns import Floats
+from insdvl_replay.compiled import is_loaded
 from insdvl_replay.logs.chunks import gather
 from insdvl_replay.logs.field_paths import Columns
 from insdvl_replay.logs.layout import Layout
+
+
+class Places(NamedTuple):
+    """Where numbers stand in a message, and how.
+
+    Attributes
+    ----------
+    start, size : ndarray, shape (n,)
+        Bytes in front of each number, and those of its own: 1, 2, 4 or 8.
+    signed : ndarray of bool, shape (n,)
+        Whether it is a signed whole number.
+    """
+
+    start: NDArray[np.int64]
+    size: NDArray[np.int64]
+    signed: NDArray[np.bool_]
+
+
+_Run = tuple[slice, np.dtype[Any]]
+"""Numbers of one kind that stand side by side."""
 
 
 class Numbers:
@@ -24,33 +45,27 @@ class Numbers:
     """
 
     def __init__(self, layout: Layout, paths: Sequence[str]) -> None:
-        self._columns: dict[str, slice] = {}
-        self._dtypes: list[np.dtype[Any]] = []
-        places: list[int] = []
-        for path in paths:
-            first = len(places)
-            for dtype, place in _leaves(layout.dtype, path):
-                count = math.prod(dtype.shape)
-                places += range(place, place + count * dtype.base.itemsize, dtype.base.itemsize)
-                self._dtypes += [dtype.base] * count
-            self._columns[path] = slice(first, len(places))
-        self._places = np.array(places, np.int64)
-        self._sizes = np.array([dtype.itemsize for dtype in self._dtypes], np.int64)
-        self._signed = np.array([dtype.kind == "i" for dtype in self._dtypes], np.bool_)
+        self._runs: dict[str, list[_Run]] = {path: [] for path in paths}
+        starts, sizes, signed = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty(0, np.bool_)]
+        end = 0
+        for path, runs in self._runs.items():
+            for dtype, start in _leaves(layout.dtype, path):
+                count, size = math.prod(dtype.shape), dtype.base.itemsize
+                starts.append(start + size * np.arange(count))
+                sizes.append(np.full(count, size))
+                signed.append(np.full(count, dtype.base.kind == "i"))
+                first = runs.pop()[0].start if runs and runs[-1][1] == dtype.base else end
+                end += count
+                runs.append((slice(first, end), dtype.base))
+        self._places = Places(np.concatenate(starts), np.concatenate(sizes), np.concatenate(signed))
 
     def read(self, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Columns:
         """Read the numbers of messages that have the layout, by path."""
-        bits = read_bits(data, starts, self._places, self._sizes, self._signed)
-        return {path: _meant(bits[:, part], self._dtypes[part]) for path, part in self._columns.items()}
+        bits = read_bits(data, starts, self._places)
+        return {path: _meant(bits, runs) for path, runs in self._runs.items()}
 
 
-def read_bits(
-    data: NDArray[np.uint8],
-    starts: NDArray[np.int64],
-    places: NDArray[np.int64],
-    sizes: NDArray[np.int64],
-    signed: NDArray[np.bool_],
-) -> NDArray[np.int64]:
+def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> NDArray[np.int64]:
     """Read little-endian numbers of messages.
 
     Parameters
@@ -58,47 +73,42 @@ def read_bits(
     data : ndarray of uint8
     starts : ndarray, shape (k,)
         Where in the data each message starts.
-    places, sizes : ndarray, shape (n,)
-        Where in a message each number starts, and how many bytes it has: 1, 2, 4 or 8. All of them lie in the data.
-    signed : ndarray of bool, shape (n,)
-        Whether it is a signed whole number.
+    places : Places
+        Of n numbers in each message; all of them lie in the data.
 
     Returns
     -------
     ndarray, shape (k, n)
         Their bits; those of a signed number are filled up so that it stays the same.
     """
-    if "numba" in sys.modules:
+    if is_loaded():
         from insdvl_replay.logs import field_loops
 
-        return field_loops.read_bits(data, starts, places, sizes, signed)
-    return bits_plainly(data, starts, places, sizes, signed)
+        return field_loops.read_bits(data, starts, places)
+    return bits_plainly(data, starts, places)
 
 
-def bits_plainly(
-    data: NDArray[np.uint8],
-    starts: NDArray[np.int64],
-    places: NDArray[np.int64],
-    sizes: NDArray[np.int64],
-    signed: NDArray[np.bool_],
-) -> NDArray[np.int64]:
+def bits_plainly(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> NDArray[np.int64]:
     """Do what `read_bits` does without the compiler, whose loading would take longer than to read a few messages."""
-    bits = np.empty((starts.size, places.size), np.int64)
-    for i, (place, size, sign) in enumerate(zip(places.tolist(), sizes.tolist(), signed.tolist(), strict=True)):
-        bits[:, i] = gather(data, starts + place, np.dtype(f"<{'i' if sign else 'u'}{size}"))
+    bits = np.empty((starts.size, places.start.size), np.int64)
+    for i, (start, size, signed) in enumerate(zip(*(column.tolist() for column in places), strict=True)):
+        bits[:, i] = gather(data, starts + start, np.dtype(f"<{'i' if signed else 'u'}{size}"))
     return bits
 
 
-def _meant(bits: NDArray[np.int64], dtypes: Sequence[np.dtype[Any]]) -> NDArray[Any]:
+def _meant(bits: NDArray[np.int64], runs: Sequence[_Run]) -> NDArray[Any]:
     """Give the numbers that bits mean, whole ones as integers if all are whole."""
-    if all(dtype.kind in "biu" for dtype in dtypes):
+    parts = [_numbers(bits[:, columns], dtype) for columns, dtype in runs]
+    return parts[0] if len(parts) == 1 else np.concatenate([np.empty((len(bits), 0), np.int64), *parts], axis=1)
+
+
+def _numbers(bits: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Give int64 or float64 for the bits of numbers of one kind."""
+    if dtype.kind in "iu":
         return bits
-    if all(dtype == np.float64 for dtype in dtypes):
-        return bits.view(np.float64)
-    columns = np.empty(bits.shape)
-    for i, dtype in enumerate(dtypes):
-        columns[:, i] = bits[:, i].astype(f"u{dtype.itemsize}").view(dtype)
-    return columns
+    if dtype.kind == "b":
+        return np.asarray(bits != 0, np.int64)
+    return np.asarray(bits.view(np.float64) if dtype.itemsize == 8 else bits.astype(np.uint32).view(np.float32), float)
 
 
 def _leaves(dtype: np.dtype[np.void], path: str) -> Iterator[tuple[np.dtype[Any], int]]:

@@ -6,7 +6,6 @@ Source: the MCAP specification, https://mcap.dev/spec.
 """
 
 import struct
-import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from insdvl_replay.compiled import is_loaded
 from insdvl_replay.logs.damage import DamageError
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -100,7 +100,7 @@ def find_records(data: memoryview, start: int, end: int) -> tuple[Records, int]:
     int
         Where the walk stopped: at the end, behind the last of the records, or at bytes that are no record.
     """
-    if _Plain.left > 0 and "numba" not in sys.modules:
+    if _Plain.left > 0 and not is_loaded():
         found, stop = find_plainly(data, start, end)
         _Plain.left -= len(found)
         return found, stop

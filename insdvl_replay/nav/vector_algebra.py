@@ -27,7 +27,7 @@ def matrix(array: Floats) -> Matrix:
 
 @inlined
 def row_vector(array: Floats, row: int) -> Vector:
-    """Read a row of an array of shape (k, 3); a view of it would be counted as a reference, which takes longer."""
+    """Read a row of an array of shape (k, 3)."""
     return array[row, 0], array[row, 1], array[row, 2]
 
 
