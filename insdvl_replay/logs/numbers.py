@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats
 from insdvl_replay.compiled import is_loaded
 from insdvl_replay.logs.chunks import gather
 from insdvl_replay.logs.field_paths import Columns
