@@ -26,6 +26,7 @@ from insdvl_replay.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.config import Config
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container import Log
+from insdvl_replay.memory import collect_rarely
 
 PER_IMU = 1.01
 """Messages for each one of the IMU."""
@@ -116,7 +117,8 @@ def peak_mb() -> float:
 
 
 def with_insdvl_replay(path: Path) -> dict[str, float]:
-    """Read and decode all of it, check it, and make clean columns."""
+    """Read and decode all of it, check it, and make clean columns, as the program does."""
+    collect_rarely()
     warm = path.with_name("warm.mcap")
     read_dive(warm, Config())
     before_mb, start_s = peak_mb(), time.perf_counter()

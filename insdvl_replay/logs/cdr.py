@@ -149,7 +149,9 @@ def _matching(block: Block, data: NDArray[np.uint8], rows: NDArray[np.int64], la
     rows = rows[(excess >= 0) & (excess <= _LONGEST_PADDING)]
     starts, sizes = np.array([0, *layout.length_offsets]), np.array([2] + [4] * len(layout.lengths))
     words = read_bits(data, block.offsets[rows], Places(starts, sizes, np.zeros(starts.size, np.bool_)))
-    fits = (words == (_LITTLE_ENDIAN, *layout.lengths)).all(axis=1)
+    fits = words[:, 0] == _LITTLE_ENDIAN
+    for i, length in enumerate(layout.lengths, 1):  # numpy takes long to look along rows of a few
+        fits &= words[:, i] == length
     return rows if fits.all() else rows[fits]
 
 
