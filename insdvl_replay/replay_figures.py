@@ -15,8 +15,8 @@ from insdvl_replay.report.figures.acceleration import acceleration_figure
 from insdvl_replay.report.figures.clock import Clock
 from insdvl_replay.report.figures.coverage import Source, coverage_strips
 from insdvl_replay.report.figures.errors import FilterErrors, error_figure
+from insdvl_replay.report.figures.innovations import nis_figure
 from insdvl_replay.report.figures.motion import Track, filter_track, motion_figure, reference_track
-from insdvl_replay.report.figures.nis import nis_figure
 from insdvl_replay.report.figures.sigma import sigma_figure
 from insdvl_replay.report.plots.panel import Figure
 from insdvl_replay.rotation import vector_from_mat

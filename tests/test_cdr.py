@@ -11,8 +11,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs import field_loops
 from insdvl_replay.logs.cdr import CdrReader
+from insdvl_replay.logs.cdr_numbers import Places, bits_plainly
 from insdvl_replay.logs.chunks import Block
-from insdvl_replay.logs.numbers import Places, bits_plainly
 from insdvl_replay.logs.ros2msg import parse_definitions
 
 TYPE = "test_msgs/msg/Ping"

@@ -20,3 +20,8 @@ def test_wheel_holds_types_presets_and_message_definitions(tmp_path: Path) -> No
     wanted |= {path.relative_to(PROJECT).as_posix() for path in definitions}
     assert wanted <= names
     assert not [name for name in names if name.startswith("tests/")]
+
+
+def test_no_module_is_named_like_one_of_the_standard_library() -> None:
+    names = {path.stem for path in (PROJECT / "insdvl_replay").rglob("*.py")}
+    assert not (names - {"__future__", "__main__"}) & sys.stdlib_module_names

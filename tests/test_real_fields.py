@@ -14,8 +14,8 @@ from mcap_ros2.decoder import DecoderFactory as RosDecoders
 from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.container import Log
-from insdvl_replay.logs.encodings import channel_paths, open_reader
 from insdvl_replay.logs.field_paths import NUMBER, Columns
+from insdvl_replay.logs.message_encodings import channel_paths, open_reader
 from insdvl_replay.logs.ros2msg import PRIMITIVES
 
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"

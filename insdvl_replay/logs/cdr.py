@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.errors import LogError
+from insdvl_replay.logs.cdr_numbers import Numbers, Places, read_bits
 from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.field_errors import check_path
 from insdvl_replay.logs.field_paths import Columns
 from insdvl_replay.logs.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
-from insdvl_replay.logs.numbers import Numbers, Places, read_bits
 from insdvl_replay.logs.ros2msg import PRIMITIVES, Definition, full_name
 
 _ENCAPSULATIONS: Final = {

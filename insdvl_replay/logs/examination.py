@@ -17,8 +17,8 @@ from insdvl_replay.inventory import Clock, Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.clocks import clock_notes
 from insdvl_replay.logs.decode import decode_imu
-from insdvl_replay.logs.encodings import channel_paths, check_encoding
 from insdvl_replay.logs.imu_health import Check
+from insdvl_replay.logs.message_encodings import channel_paths, check_encoding
 from insdvl_replay.logs.pings import decode_dvl
 from insdvl_replay.logs.plausibility import plausibility_checks
 from insdvl_replay.logs.recording import Recording

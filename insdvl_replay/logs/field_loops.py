@@ -4,12 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.compiled import compiled, inlined
-from insdvl_replay.logs.numbers import Places
+from insdvl_replay.logs.cdr_numbers import Places
 
 
 @compiled
 def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> NDArray[np.int64]:
-    """Do what `numbers.read_bits` does, touching each byte that is wanted once, and no other."""
+    """Do what `cdr_numbers.read_bits` does, touching each byte that is wanted once, and no other."""
     bits = np.empty((starts.size, places.start.size), np.int64)
     for row in range(starts.size):
         for i in range(places.start.size):

@@ -14,8 +14,8 @@ from insdvl_replay.errors import LogError
 from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.decode import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
-from insdvl_replay.logs.encodings import check_encoding, open_reader
 from insdvl_replay.logs.field_paths import Kinds, split_paths
+from insdvl_replay.logs.message_encodings import check_encoding, open_reader
 from insdvl_replay.logs.recording import Recording
 from insdvl_replay.logs.vectors import scalar_paths, vector_paths
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.chunks import Block
-from insdvl_replay.logs.encodings import open_reader
 from insdvl_replay.logs.field_paths import FieldReader, split_paths
 from insdvl_replay.logs.filling import Filling
 from insdvl_replay.logs.merging import merged
+from insdvl_replay.logs.message_encodings import open_reader
 from insdvl_replay.logs.parts import CHANNELS_OF_A_PART
 from insdvl_replay.logs.recording import Recording
 from insdvl_replay.logs.salvage import Salvage

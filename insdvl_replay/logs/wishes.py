@@ -10,9 +10,9 @@ from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs import known_types
 from insdvl_replay.logs.channel import LogChannel
-from insdvl_replay.logs.encodings import channel_paths, check_encoding
 from insdvl_replay.logs.field_paths import Kinds, find_path, split_paths
 from insdvl_replay.logs.known_types import LOG_TIME, Fields, KnownType, Types
+from insdvl_replay.logs.message_encodings import channel_paths, check_encoding
 
 BOW_DOWN: Final = "_bow_down"
 """Ends the name of a pitch with the opposite sign."""

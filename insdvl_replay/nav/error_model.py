@@ -57,11 +57,7 @@ def propagate_errors(dx: Floats, motion: Motion, dt: float) -> None:
     dt : float
         Length of the interval, s.
     """
-    step = _over(motion, dt)
-    for column in range(12):
-        velocity_error, misalignment = _grown(step, _entries(dx, column, 12))
-        dx[column], dx[12 + column], dx[24 + column] = velocity_error
-        dx[36 + column], dx[48 + column], dx[60 + column] = misalignment
+    _grow_columns(dx, _over(motion, dt))
 
 
 @inlined
@@ -83,8 +79,8 @@ def propagate_cov(P: Floats, motion: Motion, noise_density: Floats, dt: float) -
     dt : float
         Length of the interval, s.
     """
-    propagate_errors(P, motion, dt)
     step = _over(motion, dt)
+    _grow_columns(P, step)
     for row in range(0, 36, 12):
         velocity_error, misalignment = _grown(step, _entries(P, row, 1))
         P[row], P[row + 1], P[row + 2] = velocity_error
@@ -109,6 +105,14 @@ def _over(motion: Motion, dt: float) -> Motion:
         scale(dt, motion.force_n),
         scale_matrix(dt, motion.mat_nb),
     )
+
+
+@inlined
+def _grow_columns(dx: Floats, step: Motion) -> None:
+    for column in range(12):
+        velocity_error, misalignment = _grown(step, _entries(dx, column, 12))
+        dx[column], dx[12 + column], dx[24 + column] = velocity_error
+        dx[36 + column], dx[48 + column], dx[60 + column] = misalignment
 
 
 @inlined
