@@ -10,7 +10,7 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 from statistics import median
@@ -26,7 +26,7 @@ from insdvl_replay.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.config import Config
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container import Log
-from insdvl_replay.memory import collect_rarely
+from insdvl_replay.memory import collect_rarely, use_small_pages
 
 PER_IMU = 1.01
 """Messages for each one of the IMU."""
@@ -164,34 +164,27 @@ def with_rosbags(path: Path) -> dict[str, float]:
         return counted((reader.deserialize(data, one.msgtype) for one, _, data in messages), DECODED)
 
 
-def with_insdvl_replay_again(path: Path) -> dict[str, float]:
-    """Read it for the second time: the system need not find new memory, for which some virtual machines take long."""
-    read_dive(path, Config())
-    return with_insdvl_replay(path)
-
-
-AGAIN = "insdvl-replay, again"
 READERS: dict[str, Callable[[Path], dict[str, float]]] = {
     "insdvl-replay": with_insdvl_replay,
     "mcap": with_mcap,
     "mcap-ros2-support": with_mcap_ros2,
     "rosbags": with_rosbags,
 }
-ALL_READERS = {**READERS, AGAIN: with_insdvl_replay_again}
 
 
 def measured(path: Path, reader: str) -> dict[str, float] | None:
     """Run a reader in a process of its own; None if it cannot read the log."""
+    use_small_pages()  # as the program does, before it loads numpy
     command = [sys.executable, __file__, "--reader", reader, str(path)]
     result = subprocess.run(command, capture_output=True, text=True)
     return json.loads(result.stdout) if result.returncode == 0 else None
 
 
-def in_turn(path: Path, readers: Collection[str]) -> dict[str, dict[str, float] | None]:
-    """Let readers read a log, one after the other, several times; give the medians."""
-    rounds = [{reader: measured(path, reader) for reader in readers} for _ in range(ROUNDS)]
+def in_turn(path: Path) -> dict[str, dict[str, float] | None]:
+    """Let all readers read a log, one after the other, several times; give the medians."""
+    rounds = [{reader: measured(path, reader) for reader in READERS} for _ in range(ROUNDS)]
     found: dict[str, dict[str, float] | None] = {}
-    for reader in readers:
+    for reader in READERS:
         outcomes = [outcome for taken in rounds if (outcome := taken[reader])]
         found[reader] = {key: median(one[key] for one in outcomes) for key in outcomes[0]} if outcomes else None
     return found
@@ -199,7 +192,7 @@ def in_turn(path: Path, readers: Collection[str]) -> dict[str, dict[str, float] 
 
 def row(name: str, path: Path) -> str:
     """Measure all readers on one log."""
-    outcomes = in_turn(path, READERS)
+    outcomes = in_turn(path)
     ours = outcomes.pop("insdvl-replay")
     if ours is None:
         raise RuntimeError(f"insdvl-replay cannot read the log '{name}'")
@@ -254,42 +247,20 @@ def report(messages: int, camera_gb: float) -> str:
     return "\n".join([*title, *table(COLUMNS, rows)]) + "\n"
 
 
-def second_reading(messages: int) -> str:
-    """Measure our second reading of one log in a process beside the first, and the others, and make a page of it."""
-    with TemporaryDirectory() as folder:
-        _, path = next(logs(Path(folder), messages, 0.0))
-        speeds = {name: found["messages"] / found["s"] for name, found in in_turn(path, ALL_READERS).items() if found}
-    rows = [f"| {name} | {speed / 1e3:.0f} | {speeds[AGAIN] / speed:.1f} x |" for name, speed in speeds.items()]
-    title = [
-        "# Reading, a second time",
-        "",
-        "The zstd log, and once more in the same process, to which the system has given the memory before: on some "
-        "virtual machines memory that no process had for a while takes milliseconds a megabyte, and the columns are "
-        "new memory.",
-        "",
-        f"Medians of {ROUNDS}, measured in turn, of wall-clock time. {machine()}; shared cores, warm cache: read the "
-        "ratios. At least 15 times mcap and 60 times mcap-ros2-support.",
-        "",
-    ]
-    return "\n".join([*title, *table(("reader", "k messages/s", "our second reading against it"), rows)]) + "\n"
-
-
 def main() -> None:
     """Measure, print and write the page; or run one reader."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--messages", type=int, default=2_000_000)
     parser.add_argument("--camera-gb", type=float, default=3.0)
-    parser.add_argument("--reader", choices=ALL_READERS)
-    parser.add_argument("--again", action="store_true", help="measure a second reading of one log, and nothing else")
+    parser.add_argument("--reader", choices=READERS)
     parser.add_argument("log", nargs="?", type=Path)
     arguments = parser.parse_args()
     if arguments.reader:
-        sys.stdout.write(json.dumps(ALL_READERS[arguments.reader](arguments.log)))
+        sys.stdout.write(json.dumps(READERS[arguments.reader](arguments.log)))
         return
-    pages = [] if arguments.again else [report(arguments.messages, arguments.camera_gb)]
-    for page in [*pages, second_reading(arguments.messages)]:
-        sys.stdout.write(page)
-        write_part(page)
+    page = report(arguments.messages, arguments.camera_gb)
+    sys.stdout.write(page)
+    write_part(page)
 
 
 if __name__ == "__main__":

@@ -183,6 +183,10 @@ def run_by_stages(arguments: list[str]) -> None:
         spent[STAGES.get(stage, stage)] = now_s - since_s
         current[:] = [following, now_s]
 
+    from insdvl_replay.memory import collect_rarely, use_small_pages
+
+    collect_rarely()
+    use_small_pages()
     from insdvl_replay.cli import run_command_line
     from insdvl_replay.stages import told_to
 

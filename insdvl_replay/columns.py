@@ -4,6 +4,8 @@ The logs room makes them from files, the sim room from nothing; the filters cann
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from insdvl_replay.errors import Note
 
 Floats = NDArray[np.float64]
 TimeNs = NDArray[np.int64]
+NS_PER_S: Final = 1_000_000_000
 
 
 def seconds(time_ns: TimeNs, origin_ns: int | TimeNs) -> Floats:
@@ -48,6 +51,12 @@ class ImuColumns:
     time_ns: TimeNs
     specific_force_b: Floats
     angular_rate_b: Floats
+
+    @cached_property
+    def usual_step_s(self) -> float:
+        """The median time from one sample to the next, s; NaN of a single sample."""
+        steps_ns = np.diff(self.time_ns)
+        return float(np.median(steps_ns)) / NS_PER_S if steps_ns.size else np.nan
 
     def times_only(self) -> "ImuColumns":
         """Give the times with no rows of readings, which are the better part of a long dive's memory."""

@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+from blocks import block_of
 from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -12,7 +13,6 @@ from insdvl_replay.errors import LogError
 from insdvl_replay.logs import field_loops
 from insdvl_replay.logs.cdr import CdrReader
 from insdvl_replay.logs.cdr_numbers import Places, bits_plainly
-from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.ros2msg import parse_definitions
 
 TYPE = "test_msgs/msg/Ping"
@@ -42,13 +42,6 @@ def serialised(pings: list[dict]) -> list[bytes]:
         )
         for ping in pings
     ]
-
-
-def block_of(messages: list[bytes]) -> Block:
-    sizes = np.array([len(message) for message in messages])
-    offsets = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    zeros = np.zeros(len(messages), np.int64)
-    return Block(1, memoryview(b"".join(messages)), offsets, sizes, zeros, zeros, zeros)
 
 
 def reader(*paths: str) -> CdrReader:
@@ -162,8 +155,8 @@ def test_numbers_are_read_plainly_as_by_the_compiled_loop(
     where = Places(np.array(places, np.int64), np.array(sizes, np.int64), np.array(signed, np.bool_))
     for read in (bits_plainly, field_loops.read_bits):
         bits = read(np.frombuffer(data, np.uint8), np.array(starts, np.int64), where)
-        assert bits.shape == (len(starts), len(numbers))
-        assert bits.view(np.uint64).tolist() == expected
+        assert bits.shape == (len(numbers), len(starts))
+        assert bits.view(np.uint64).T.tolist() == expected
 
 
 def test_a_bool_of_another_byte_is_one_and_an_empty_sequence_of_floats_is_none() -> None:

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import block_of
 from mcap.writer import Writer
 
 from insdvl_replay.config import Config, Dvl, Imu
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.json_fields import JsonReader
 
 START_NS = 1_700_000_000_000_000_000
@@ -31,10 +31,7 @@ SCHEMA = json.dumps(
 
 def columns(messages: list[Any], *paths: str, schema: bytes = b"") -> dict[str, Any]:
     texts = [message if isinstance(message, bytes) else json.dumps(message).encode() for message in messages]
-    sizes = np.array([len(text) for text in texts])
-    zeros = np.zeros(len(texts), np.int64)
-    block = Block(1, memoryview(b"".join(texts)), np.cumsum(sizes) - sizes, sizes, zeros, zeros, zeros)
-    return JsonReader("Ping", schema, paths, "dive.mcap: /ping").columns(block)
+    return JsonReader("Ping", schema, paths, "dive.mcap: /ping").columns(block_of(texts))
 
 
 def random_messages(count: int) -> list[Any]:

@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocks import block_of
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
 from insdvl_replay.errors import LogError
-from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.protobuf_fields import ProtobufReader
 
 TYPE = "test.Ping"
@@ -49,12 +49,6 @@ DESCRIPTORS = FileDescriptorSet(file=[file()]).SerializeToString()
 POOL = DescriptorPool()
 POOL.Add(file())
 Ping: Any = GetMessageClass(POOL.FindMessageTypeByName(TYPE))
-
-
-def block_of(messages: list[bytes]) -> Block:
-    sizes = np.array([len(message) for message in messages])
-    zeros = np.zeros(len(messages), np.int64)
-    return Block(1, memoryview(b"".join(messages)), np.cumsum(sizes) - sizes, sizes, zeros, zeros, zeros)
 
 
 def columns(pings: list[Any], *paths: str) -> dict[str, Any]:

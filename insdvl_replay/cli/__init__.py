@@ -12,7 +12,7 @@ import warnings
 from types import FrameType
 from typing import NoReturn
 
-from insdvl_replay.memory import collect_rarely
+from insdvl_replay.memory import collect_rarely, use_small_pages
 
 INTERRUPTED = 130
 LONGEST_FAREWELL_S = 5.0
@@ -22,6 +22,7 @@ def main() -> NoReturn:
     """Run the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _interrupt)
     collect_rarely()
+    use_small_pages()
     # numpy's word on overflows would point to lines of ours; what is not finite is told by notes and status words.
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     code = run_command_line(sys.argv[1:])

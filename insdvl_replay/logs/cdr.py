@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.errors import LogError
-from insdvl_replay.logs.cdr_numbers import Numbers, Places, read_bits
+from insdvl_replay.logs.cdr_numbers import LITTLE_ENDIAN, Numbers, Places, read_bits
 from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.field_errors import check_path
 from insdvl_replay.logs.field_paths import Columns
@@ -31,8 +31,9 @@ _ENCAPSULATIONS: Final = {
 }
 _ENCAPSULATION: Final = Places(np.array([0]), np.array([2]), np.array([False]))
 """What says how a message is written."""
-_LITTLE_ENDIAN: Final = int.from_bytes(ENCAPSULATION[:2], "little")
 _LONGEST_PADDING: Final = 3
+
+Rows = NDArray[np.int64]
 
 
 class CdrReader:
@@ -85,19 +86,19 @@ class CdrReader:
             A message is not little-endian CDR, or does not fit its definition.
         """
         data = np.frombuffer(block.buffer, np.uint8)
-        parts: list[tuple[NDArray[np.int64], Columns]] = []
-        left = np.arange(block.offsets.size)
+        parts: list[tuple[Rows, Columns]] = []
+        left = np.arange(len(block))
         while left.size:
-            rows, layout = self._next_group(block, data, left)
-            parts.append((rows, self._numbers_of(layout).read(data, block.offsets[rows])))
+            rows, columns = self._next_group(block, data, left)
+            parts.append((rows, columns))
             left = left[:0] if rows.size == left.size else np.setdiff1d(left, rows, assume_unique=True)
-        return {path: _joined([(rows, part[path]) for rows, part in parts]) for path in self._paths}
+        return {path: _joined([(rows, columns[path]) for rows, columns in parts]) for path in self._paths}
 
     def _check_encapsulation(self, block: Block, data: NDArray[np.uint8]) -> None:
         if np.any(block.sizes < len(ENCAPSULATION)):
             raise LogError(f"{self._place}: a message of {block.sizes.min()} bytes is no CDR", "the log is damaged")
         kinds = read_bits(data, block.offsets, _ENCAPSULATION)
-        wrong = kinds[kinds != _LITTLE_ENDIAN]
+        wrong = kinds[kinds != LITTLE_ENDIAN]
         if wrong.size:
             second, first = divmod(int(wrong[0]), 256)
             name = _ENCAPSULATIONS.get(second, "no CDR") if first == 0 else "no CDR"
@@ -107,24 +108,33 @@ class CdrReader:
                 "record with the default middleware, or convert the log with `ros2 bag convert`",
             )
 
-    def _next_group(
-        self, block: Block, data: NDArray[np.uint8], left: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], Layout]:
-        """Find all messages that share a layout: the latest one if any has it, else that of the first message."""
+    def _next_group(self, block: Block, data: NDArray[np.uint8], left: Rows) -> tuple[Rows, Columns]:
+        """Read all messages that share a layout: the latest one if any has it, else that of the first message."""
         if self._latest is not None:
-            rows = _matching(block, data, left, self._latest)
+            rows, columns = self._with_layout(block, data, left, self._latest)
             if rows.size:
-                return rows, self._latest
+                return rows, columns
         self._check_encapsulation(block, data)
         layout = self._latest = self._layout(block, int(left[0]))
-        rows = _matching(block, data, left, layout)
+        rows, columns = self._with_layout(block, data, left, layout)
         if not rows.size:
             raise LogError(
                 f"{self._place}: a message of {block.sizes[left[0]]} bytes has {layout.size} by its schema "
                 f"({self._type_name})",
                 "the schema in the log is not that of the messages",
             )
-        return rows, layout
+        return rows, columns
+
+    def _with_layout(self, block: Block, data: NDArray[np.uint8], rows: Rows, layout: Layout) -> tuple[Rows, Columns]:
+        """Read those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
+        padding = block.sizes[rows] - layout.size
+        rows = _where((padding >= 0) & (padding <= _LONGEST_PADDING), rows)
+        numbers = self._numbers_of(layout)
+        bits = numbers.bits(data, block.offsets[rows])
+        fits = numbers.fits(bits)
+        if not fits.all():
+            rows, bits = rows[fits], bits[:, fits]
+        return rows, numbers.columns(bits)
 
     def _layout(self, block: Block, row: int) -> Layout:
         start = int(block.offsets[row])
@@ -143,16 +153,9 @@ class CdrReader:
         return self._numbers[layout.lengths]
 
 
-def _matching(block: Block, data: NDArray[np.uint8], rows: NDArray[np.int64], layout: Layout) -> NDArray[np.int64]:
-    """Find those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
-    excess = block.sizes[rows] - layout.size
-    rows = rows[(excess >= 0) & (excess <= _LONGEST_PADDING)]
-    starts, sizes = np.array([0, *layout.length_offsets]), np.array([2] + [4] * len(layout.lengths))
-    words = read_bits(data, block.offsets[rows], Places(starts, sizes, np.zeros(starts.size, np.bool_)))
-    fits = words[:, 0] == _LITTLE_ENDIAN
-    for i, length in enumerate(layout.lengths, 1):  # numpy takes long to look along rows of a few
-        fits &= words[:, i] == length
-    return rows if fits.all() else rows[fits]
+def _where(true: NDArray[np.bool_], rows: Rows) -> Rows:
+    """Give some of the rows; mostly it is all of them, which spares a copy."""
+    return rows if true.all() else rows[true]
 
 
 def cdr_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:
@@ -182,7 +185,7 @@ def cdr_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str
             yield from cdr_paths(definitions, field.type_name, f"{path}.")
 
 
-def _joined(parts: Sequence[tuple[NDArray[np.int64], NDArray[Any]]]) -> NDArray[Any]:
+def _joined(parts: Sequence[tuple[Rows, NDArray[Any]]]) -> NDArray[Any]:
     """Bring the rows of several layouts into the order of the messages."""
     if len(parts) == 1:
         return parts[0][1]

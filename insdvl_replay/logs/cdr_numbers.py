@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from insdvl_replay.compiled import is_loaded
 from insdvl_replay.logs.chunks import gather
 from insdvl_replay.logs.field_paths import Columns
-from insdvl_replay.logs.layout import Layout
+from insdvl_replay.logs.layout import ENCAPSULATION, Layout
+
+LITTLE_ENDIAN: Final = int.from_bytes(ENCAPSULATION[:2], "little")
+"""The first word of messages that can be read."""
+
+Bits = NDArray[np.int64]
+"""Of n numbers in k messages, shape (n, k)."""
 
 
 class Places(NamedTuple):
@@ -45,8 +51,10 @@ class Numbers:
 
     def __init__(self, layout: Layout, paths: Sequence[str]) -> None:
         self._runs: dict[str, list[_Run]] = {path: [] for path in paths}
-        starts, sizes, signed = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty(0, np.bool_)]
-        end = 0
+        self._words = np.array([LITTLE_ENDIAN, *layout.lengths])[:, None]
+        end = len(self._words)
+        starts, sizes = [np.array([0, *layout.length_offsets])], [np.array([2] + [4] * len(layout.lengths))]
+        signed = [np.zeros(end, np.bool_)]
         for path, runs in self._runs.items():
             for dtype, start in _leaves(layout.dtype, path):
                 count, size = math.prod(dtype.shape), dtype.base.itemsize
@@ -58,13 +66,20 @@ class Numbers:
                 runs.append((slice(first, end), dtype.base))
         self._places = Places(np.concatenate(starts), np.concatenate(sizes), np.concatenate(signed))
 
-    def read(self, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Columns:
-        """Read the numbers of messages that have the layout, by path."""
-        bits = read_bits(data, starts, self._places)
+    def bits(self, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Bits:
+        """Read messages that have the size of the layout: the words that tell whether they have it, and the numbers."""
+        return read_bits(data, starts, self._places)
+
+    def fits(self, bits: Bits) -> NDArray[np.bool_]:
+        """Tell which messages have the layout."""
+        return np.asarray((bits[: len(self._words)] == self._words).all(axis=0))
+
+    def columns(self, bits: Bits) -> Columns:
+        """Give the numbers of messages that have the layout, by path."""
         return {path: _meant(bits, runs) for path, runs in self._runs.items()}
 
 
-def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> NDArray[np.int64]:
+def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> Bits:
     """Read little-endian numbers of messages.
 
     Parameters
@@ -77,8 +92,8 @@ def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places
 
     Returns
     -------
-    ndarray, shape (k, n)
-        Their bits; those of a signed number are filled up so that it stays the same.
+    ndarray, shape (n, k)
+        Their bits, number by number; those of a signed one are filled up so that it stays the same.
     """
     if is_loaded():
         from insdvl_replay.logs import field_loops
@@ -87,21 +102,21 @@ def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places
     return bits_plainly(data, starts, places)
 
 
-def bits_plainly(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> NDArray[np.int64]:
+def bits_plainly(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> Bits:
     """Do what `read_bits` does without the compiler, whose loading would take longer than to read a few messages."""
-    bits = np.empty((starts.size, places.start.size), np.int64)
+    bits = np.empty((places.start.size, starts.size), np.int64)
     for i, (start, size, signed) in enumerate(zip(*(column.tolist() for column in places), strict=True)):
-        bits[:, i] = gather(data, starts + start, np.dtype(f"<{'i' if signed else 'u'}{size}"))
+        bits[i] = gather(data, starts + start, np.dtype(f"<{'i' if signed else 'u'}{size}"))
     return bits
 
 
-def _meant(bits: NDArray[np.int64], runs: Sequence[_Run]) -> NDArray[Any]:
+def _meant(bits: Bits, runs: Sequence[_Run]) -> NDArray[Any]:
     """Give the numbers that bits mean, whole ones as integers if all are whole."""
-    parts = [_numbers(bits[:, columns], dtype) for columns, dtype in runs]
-    return parts[0] if len(parts) == 1 else np.concatenate([np.empty((len(bits), 0), np.int64), *parts], axis=1)
+    parts = [_numbers(bits[numbers], dtype) for numbers, dtype in runs]
+    return (parts[0] if len(parts) == 1 else np.concatenate([bits[:0], *parts])).T
 
 
-def _numbers(bits: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+def _numbers(bits: Bits, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Give int64 or float64 for the bits of numbers of one kind."""
     if dtype.kind in "iu":
         return bits

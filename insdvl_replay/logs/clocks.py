@@ -44,8 +44,9 @@ def measure_clock(role: str, topic: str, stamp: str, time_ns: TimeNs, log_time_n
     """
     first_ns, behind_ns = int(log_time_ns[0] - time_ns[0]), log_time_ns - time_ns
     behind_ns -= first_ns
-    low, median, high = (float(ns) for ns in np.percentile(behind_ns, (5, 50, 95), overwrite_input=True))
-    steps_ns = np.diff(time_ns)
+    low, median, high = (_percentile(behind_ns, percent) for percent in (5, 50, 95))
+    # Each such array of a long log is much new memory; this one has done its duty.
+    steps_ns = np.subtract(time_ns[1:], time_ns[:-1], out=behind_ns[1:])
     back_steps, repeats = int(np.count_nonzero(steps_ns < 0)), int(np.count_nonzero(steps_ns == 0))
     # numpy's unique takes seconds for millions of numbers, even where they are in order.
     changes = int(np.count_nonzero(np.diff(np.sort(time_ns)))) if back_steps else steps_ns.size - repeats
@@ -61,6 +62,15 @@ def measure_clock(role: str, topic: str, stamp: str, time_ns: TimeNs, log_time_n
         repeats=repeats,
         rate_hz=changes / (span_ns * _NS) if changes else None,
     )
+
+
+def _percentile(values: TimeNs, percent: float) -> float:
+    """Do what `numpy.percentile` does, which takes ten times as long for millions of whole numbers; reorder them."""
+    place = percent / 100.0 * (values.size - 1)
+    below = int(place)
+    values.partition(below)
+    low, high = int(values[below]), int(values[below + 1 :].min(initial=np.iinfo(np.int64).max))
+    return low + (place - below) * (high - low) if place > below else float(low)
 
 
 def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) -> tuple[Note, ...]:

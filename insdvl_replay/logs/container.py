@@ -7,7 +7,7 @@ Source: the MCAP specification, https://mcap.dev/spec.
 
 import mmap
 from collections import deque
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -20,12 +20,12 @@ from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.anatomy import anatomy_of
 from insdvl_replay.logs.attachments import Attachment, attachment_at, attachment_damages, checked_digest
 from insdvl_replay.logs.channel import described
-from insdvl_replay.logs.chunks import Block, Content, blocks_of, read_chunk
+from insdvl_replay.logs.chunks import Block, Content, content_of
 from insdvl_replay.logs.damage import DamageError, Span
 from insdvl_replay.logs.loss import chunk_span, damage_note
 from insdvl_replay.logs.message_index import index_entries
 from insdvl_replay.logs.opening import mapped
-from insdvl_replay.logs.packed import Chunk, chunk_header
+from insdvl_replay.logs.packed import Chunk, chunk_header, open_chunk
 from insdvl_replay.logs.records import parsed
 from insdvl_replay.logs.refusal import refused
 
@@ -182,7 +182,7 @@ class Log:
         wanted = [chunk for chunk in self._anatomy.chunks if not chunk.counts.keys().isdisjoint(channel_ids)]
         for content in self._contents(wanted):
             self._judge()
-            yield from blocks_of(content, channel_ids)
+            yield from content.of(channel_ids)
         self._judge()
 
     def check_unopened(self) -> None:
@@ -220,25 +220,26 @@ class Log:
                 channel_id, entries = index_entries(self._data, *place)
                 parts.setdefault(channel_id, []).append(entries["log_time"])
         for content in self._contents([chunk for chunk in self._anatomy.chunks if not chunk.indexes]):
-            for block in blocks_of(content, parts.keys()):
+            for block in content.of(parts):
                 parts[block.channel_id].append(block.log_time)
         self._judge()
         return {channel_id: np.concatenate(times) for channel_id, times in parts.items()}
 
-    def _contents(self, chunks: list[Chunk]) -> Iterator[Content]:
-        """Open chunks one after the other, the next ones in another thread; lost ones are marked."""
-        ahead: deque[tuple[Chunk, Future[Content]]] = deque()
+    def _contents(self, chunks: Sequence[Chunk]) -> Iterator[Content]:
+        """Go through chunks, of which the next ones are opened in another thread; lost ones are marked."""
+        ahead: deque[tuple[Chunk, Future[memoryview]]] = deque()
         with ThreadPoolExecutor(1) as opener:
-            for chunk in [*chunks, *[None] * _AHEAD]:
-                if chunk is not None:
-                    ahead.append((chunk, opener.submit(read_chunk, self._data, chunk)))
-                if ahead and (chunk is None or len(ahead) > _AHEAD):
+            for chunk in chunks:
+                ahead.append((chunk, opener.submit(open_chunk, self._data, chunk)))
+                if len(ahead) > _AHEAD:
                     yield from self._content(*ahead.popleft())
+            while ahead:
+                yield from self._content(*ahead.popleft())
 
-    def _content(self, chunk: Chunk, opened: Future[Content]) -> Iterator[Content]:
+    def _content(self, chunk: Chunk, opened: Future[memoryview]) -> Iterator[Content]:
         self._opened.add(chunk.offset)
         try:
-            content = opened.result()
+            content = content_of(self._data, chunk, opened.result())
         except DamageError as damage:
             self._anatomy.lose(chunk, damage)
             return
@@ -257,7 +258,7 @@ class Log:
         """Read all that can be read and give the log times, a block of messages at a time; ns."""
         ids = self._anatomy.channels.keys()
         for content in self._contents(list(self._anatomy.chunks)):
-            yield from (block.log_time for block in blocks_of(content, ids))
+            yield from (block.log_time for block in content.of(ids))
 
     def refusal(self) -> LogError | None:
         """Give the error with which the file would be refused, by the damage found so far."""

@@ -101,16 +101,16 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     specific_force_b = in_frd(_measured(table, "specific_force"), force_axes, force_key, force_unit)
     angular_rate_b = in_frd(_measured(table, "angular_rate"), axes, "imu.axes", rate_unit)
     cleaner = Cleaner(table)
-    cleaner.keep_finite(specific_force_b, angular_rate_b, hint=_LOST_HINT)
-    cleaner.keep_possible(
-        _is_possible(specific_force_b, angular_rate_b),
-        "samples are above 50 g or 2000 deg/s, or zero in all six readings",
-        _LOST_HINT,
-    )
+    possible = _is_possible(specific_force_b, angular_rate_b)
+    if not possible.all():
+        cleaner.keep_finite(specific_force_b, angular_rate_b, hint=_LOST_HINT)
+        reason = "samples are above 50 g or 2000 deg/s, or zero in all six readings"
+        cleaner.keep_possible(possible, reason, _LOST_HINT)
     cleaner.drop_repeated_times(specific_force_b, angular_rate_b)
     cleaner.require_rows()
-    note_gaps(cleaner, settings.max_gap_s)
-    note_bursts(cleaner, "noise.accel_white_mps_rts and noise.gyro_white_rad_rts")
+    steps_ns = np.diff(cleaner.times)
+    note_gaps(cleaner, steps_ns, settings.max_gap_s)
+    note_bursts(cleaner, steps_ns, "noise.accel_white_mps_rts and noise.gyro_white_rad_rts")
     imu = ImuColumns(cleaner.times, cleaner.kept(specific_force_b), cleaner.kept(angular_rate_b))
     return imu, cleaner.notes
 

@@ -10,12 +10,12 @@ from insdvl_replay.logs.cdr_numbers import Places
 @compiled
 def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> NDArray[np.int64]:
     """Do what `cdr_numbers.read_bits` does, touching each byte that is wanted once, and no other."""
-    bits = np.empty((starts.size, places.start.size), np.int64)
-    for row in range(starts.size):
-        for i in range(places.start.size):
-            unsigned = _whole(data, np.uint64(starts[row] + places.start[i]), places.size[i])
-            beyond = 64 - 8 * places.size[i] if places.signed[i] else 0
-            bits[row, i] = (unsigned << beyond) >> beyond
+    bits = np.empty((places.start.size, starts.size), np.int64)
+    for i in range(places.start.size):
+        start, size = places.start[i], places.size[i]
+        beyond = 64 - 8 * size if places.signed[i] else 0
+        for row in range(starts.size):
+            bits[i, row] = (_whole(data, np.uint64(starts[row] + start), size) << beyond) >> beyond
     return bits
 
 

@@ -100,8 +100,9 @@ def gyro_by_gravity(imu: ImuColumns) -> float | None:
     blocks = len(imu.time_ns) // length
     if blocks <= 2 * ENOUGH:
         return None
+    starts = np.arange(0, blocks * length, length)
     force_b, rate_b = (
-        readings[: blocks * length].reshape(blocks, length, 3).mean(axis=1)
+        np.add.reduceat(readings[: blocks * length], starts, axis=0) / length
         for readings in (imu.specific_force_b, imu.angular_rate_b)
     )
     size = np.linalg.norm(force_b, axis=1, keepdims=True)

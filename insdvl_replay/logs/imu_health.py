@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay import earth
-from insdvl_replay.columns import Floats, ImuColumns, ReferenceColumns, seconds
+from insdvl_replay.columns import NS_PER_S, Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.config import Imu
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.runs import find_runs
@@ -81,16 +81,16 @@ def imu_checks(place: str, imu: ImuColumns, reference: ReferenceColumns | None, 
 
 def samples_in(imu: ImuColumns, length_s: float) -> int:
     """Give the number of samples, 1 at least, that an IMU takes in a time."""
-    steps_s = seconds(imu.time_ns[1:], imu.time_ns[:-1])
-    return max(1, round(length_s / float(np.median(steps_s)))) if steps_s.size else 1
+    return max(1, round(length_s / imu.usual_step_s)) if len(imu.time_ns) > 1 else 1
 
 
 def _rate_notes(place: str, imu: ImuColumns, settings: Imu) -> list[Note]:
-    steps_s = seconds(imu.time_ns[1:], imu.time_ns[:-1])
-    short_s = steps_s[steps_s <= settings.max_gap_s]
-    if len(short_s) < _ENOUGH_STEPS:
+    steps_ns = np.diff(imu.time_ns)
+    is_short = steps_ns <= round(settings.max_gap_s * NS_PER_S)
+    short_ns = steps_ns if is_short.all() else steps_ns[is_short]
+    if len(short_ns) < _ENOUGH_STEPS:
         return []
-    rate_hz = 1.0 / float(short_s.mean())
+    rate_hz = NS_PER_S / float(short_ns.mean())
     text = f"the IMU has {rate_hz:.1f} samples a second, too few for an INS to follow a vehicle's motion, from 0 s on"
     hint = f"imu.topic names a faster one; imu.min_rate_hz = {np.floor(rate_hz):g} tries with this one"
     if rate_hz < NOMINAL * settings.min_rate_hz:

@@ -9,8 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
-import numpy as np
-
 from insdvl_replay.errors import Note
 from insdvl_replay.logs.chunks import read_chunk
 from insdvl_replay.logs.damage import DamageError, Loss, Span, plausible_span
@@ -170,9 +168,10 @@ def chunk_span(data: memoryview, chunk: Chunk) -> Span | None:
     if chunk.kind == "whole":
         return _stated_span(data, chunk)
     try:
-        times = read_chunk(data, chunk).headers["log_time"]
+        content = read_chunk(data, chunk)
     except DamageError:
         return None
+    times = content.log_times(content.blocks)
     return (int(times.min()), int(times.max())) if times.size else None
 
 
@@ -212,8 +211,7 @@ def _of_unknown_channels(data: memoryview, anatomy: Anatomy) -> Iterator[Loss]:
     for chunk in anatomy.chunks:
         unknown = [channel_id for channel_id in chunk.counts if channel_id not in anatomy.channels]
         if unknown:
-            headers = read_chunk(data, chunk).headers
-            times = headers["log_time"][np.isin(headers["channel_id"], unknown)]
+            times = read_chunk(data, chunk).log_times(unknown)
             yield Loss(times.size, plausible_span(int(times.min()), int(times.max())))
 
 

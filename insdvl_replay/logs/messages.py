@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats, TimeNs
+from insdvl_replay.columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.rotation import rpy_from_mat
 
 NED: Final = "ned"
@@ -51,8 +51,6 @@ class InUnit:
 
 Column = NDArray[Any] | InUnit | str | float | tuple[float, ...]
 """Values of one field: an array with one row per message, or what all messages share."""
-
-_NS_PER_S: Final = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,7 @@ def stamp(path: str, time_ns: TimeNs) -> dict[str, Column]:
     -------
     dict of str to Column
     """
-    seconds, nanoseconds = np.divmod(time_ns, _NS_PER_S)
+    seconds, nanoseconds = np.divmod(time_ns, NS_PER_S)
     return {f"{path}.sec": seconds.astype(np.int32), f"{path}.nanosec": nanoseconds.astype(np.uint32)}
 
 

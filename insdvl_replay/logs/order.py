@@ -68,7 +68,7 @@ def find_order(time_ns: TimeNs, log_time_ns: TimeNs) -> Order:
     -------
     Order
     """
-    if np.all(time_ns[1:] >= time_ns[:-1]) and not _leaps(time_ns, log_time_ns).any():
+    if np.all(time_ns[1:] >= time_ns[:-1]) and not _can_leap(time_ns, log_time_ns):
         nothing = np.empty(0, np.int64)
         return Order(np.arange(time_ns.size), nothing, nothing, 0.0, 0.0)
     recorded = np.lexsort((time_ns, log_time_ns))
@@ -113,6 +113,11 @@ def _is_far(other_ns: TimeNs, rising_ns: TimeNs, places: Rows) -> Mask:
 def _leaps(stamp_ns: TimeNs, log_time_ns: TimeNs) -> Mask:
     """Tell which messages but the first are stamped long after the one before, though recorded soon after it."""
     return np.asarray(np.diff(stamp_ns - log_time_ns) > round(LEAP_S * 1e9))
+
+
+def _can_leap(stamp_ns: TimeNs, log_time_ns: TimeNs) -> bool:
+    """Tell whether there is a leap; the extremes mostly tell that there is none."""
+    return bool(np.ptp(stamp_ns - log_time_ns) > round(LEAP_S * 1e9) and _leaps(stamp_ns, log_time_ns).any())
 
 
 def _is_before_or_after_a_leap(stamp_ns: TimeNs, log_time_ns: TimeNs) -> Mask:

@@ -176,7 +176,7 @@ def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
     _note_stuck(cleaner, values)
     cleaner.drop_repeated_values(values)
     cleaner.require_rows()
-    note_bursts(cleaner, "dvl.velocity_sd_mps")
+    note_bursts(cleaner, np.diff(cleaner.times), "dvl.velocity_sd_mps")
 
 
 def _note_stuck(cleaner: Cleaner, values: Floats) -> None:

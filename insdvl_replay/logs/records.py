@@ -7,7 +7,7 @@ Source: the MCAP specification, https://mcap.dev/spec.
 
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any, Final
@@ -75,6 +75,11 @@ class Records:
     def where(self, chosen: Any) -> "Records":
         """Give some of them, chosen as an array of shape (k,) is indexed."""
         return Records(self.opcodes[chosen], self.starts[chosen], self.lengths[chosen])
+
+
+def joined(batches: Sequence[Records]) -> Records:
+    """Put batches one behind the other."""
+    return Records(*map(np.concatenate, zip(*((one.opcodes, one.starts, one.lengths) for one in batches), strict=True)))
 
 
 def can_be_record(opcode: int, length: int) -> bool:

@@ -5,7 +5,7 @@ Each of them stands for one that was written over or pushed aside, as far as the
 
 import numpy as np
 
-from insdvl_replay.logs.chunks import Content, read_chunk
+from insdvl_replay.logs.chunks import MESSAGE, Content, gather, read_chunk
 from insdvl_replay.logs.damage import DamageError
 from insdvl_replay.logs.packed import Chunk
 from insdvl_replay.logs.walk import Anatomy
@@ -28,7 +28,9 @@ def repeated_messages(data: memoryview, anatomy: Anatomy) -> int:
     """
     if not anatomy.passed or all(chunk.kind != "loose" for chunk in anatomy.chunks):
         return 0
-    headers = np.concatenate([content.headers for chunk in anatomy.chunks for content in _contents(data, chunk)])
+    contents = [content for chunk in anatomy.chunks for content in _contents(data, chunk)]
+    blocks = [block for content in contents for block in content.blocks.values()]
+    headers = np.concatenate([gather(block.buffer, block.starts, MESSAGE) for block in blocks])
     _, first, count = np.unique(headers["log_time"], return_inverse=True, return_counts=True)
     # Few messages share their log time, and only these are compared as a whole, which takes longer.
     suspected = headers[count[first] > 1]

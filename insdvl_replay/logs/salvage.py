@@ -1,7 +1,7 @@
 """The messages of a topic that can be read, where others do not fit their schema."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 from insdvl_replay.errors import LogError
@@ -55,21 +55,16 @@ class Salvage:
         except LogError as error:
             yield from self._halves(reader, block, error)
             return
-        self.readable += block.offsets.size
+        self.readable += len(block)
         yield block, columns
 
     def _halves(self, reader: FieldReader, block: Block, error: LogError) -> Iterator[tuple[Block, Columns]]:
-        count = block.offsets.size
+        count = len(block)
         if count > 1:
-            yield from self.read(reader, _part(block, slice(None, count // 2)))
-            yield from self.read(reader, _part(block, slice(count // 2, None)))
+            yield from self.read(reader, block.part(slice(None, count // 2)))
+            yield from self.read(reader, block.part(slice(count // 2, None)))
             return
         self.error = self.error or error
         self.unreadable_ns.append(int(block.log_time[0]))
         if len(self.unreadable_ns) > max(_HOPELESS, self.readable):
             raise self.error
-
-
-def _part(block: Block, rows: slice) -> Block:
-    names = ("offsets", "sizes", "log_time", "publish_time", "sequence")
-    return replace(block, **{name: getattr(block, name)[rows] for name in names})

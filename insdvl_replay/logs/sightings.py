@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from typing import Final
 
@@ -172,15 +172,8 @@ def _see(log: Recording, channel: LogChannel) -> SeenTopic:
 
 def _first_of(block: Block) -> Block:
     """Give a block's first messages; of images and sonar records one or two."""
-    few = slice(max(1, min(_MESSAGES, int(np.searchsorted(np.cumsum(block.sizes), _LARGEST_BYTES)))))
-    return replace(
-        block,
-        offsets=block.offsets[few],
-        sizes=block.sizes[few],
-        log_time=block.log_time[few],
-        publish_time=block.publish_time[few],
-        sequence=block.sequence[few],
-    )
+    within = int(np.searchsorted(np.cumsum(block.sizes), _LARGEST_BYTES))
+    return block.part(slice(max(1, min(_MESSAGES, within))))
 
 
 def _values(channel: LogChannel, path: str, blocks: Sequence[Block], place: str) -> Floats:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.columns import NS_PER_S
 from insdvl_replay.errors import LogError
 from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.chunks import Block
@@ -17,7 +18,7 @@ from insdvl_replay.logs.message_encodings import open_reader
 from insdvl_replay.logs.parts import CHANNELS_OF_A_PART
 from insdvl_replay.logs.recording import Recording
 from insdvl_replay.logs.salvage import Salvage
-from insdvl_replay.logs.tables import NS_PER_S, RECORDER_STAMPS, Table, stamp_path
+from insdvl_replay.logs.tables import RECORDER_STAMPS, Table, stamp_path
 from insdvl_replay.logs.wishes import Source
 
 
@@ -68,7 +69,7 @@ def read_sample(log: Recording, source: Source, enough: int) -> Table:
     builder, messages = _Builder(log, source), 0
     for block in log.blocks({channel.id for channel in source.channels}):
         builder.add(block)
-        messages += block.offsets.size
+        messages += len(block)
         if messages >= enough:
             break
     return builder.table()
@@ -103,10 +104,11 @@ class _Builder:
         if reader is None:
             return
         for part, fields in self.salvage.read(reader, block):
-            recorder = {"log_time": part.log_time[:, None], "publish_time": part.publish_time[:, None]}
             for path, column in self.filling.items():
-                column.add(self._narrowed(path, (recorder | fields)[path]))
-            self.stretches.append((part.channel_id, part.log_time.size))
+                is_recorders = path in RECORDER_STAMPS
+                values = getattr(part, path)[:, None] if is_recorders else self._narrowed(path, fields[path])
+                column.add(values)
+            self.stretches.append((part.channel_id, len(part)))
 
     def _narrowed(self, path: str, values: NDArray[Any]) -> NDArray[Any]:
         """Make one number of a stamp's seconds and nanoseconds."""

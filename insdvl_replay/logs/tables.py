@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats, TimeNs
+from insdvl_replay.columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.errors import LogError
 from insdvl_replay.inventory import Clock
 from insdvl_replay.logs.clocks import measure_clock, stamp_unit
@@ -15,7 +15,6 @@ from insdvl_replay.logs.field_paths import Columns, Kinds, split_paths
 from insdvl_replay.logs.refusal import refused
 from insdvl_replay.logs.wishes import Source
 
-NS_PER_S: Final = 1_000_000_000
 RECORDER_STAMPS: Final = ("log_time", "publish_time")
 """Stamps that stand in no message."""
 

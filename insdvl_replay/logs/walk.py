@@ -14,7 +14,7 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from insdvl_replay.logs.attachments import attachment_at
-from insdvl_replay.logs.chunks import Content, gather
+from insdvl_replay.logs.chunks import Content, message_field
 from insdvl_replay.logs.damage import Damage, DamageError, Loss
 from insdvl_replay.logs.packed import COMPRESSED, Chunk, chunk_header
 from insdvl_replay.logs.records import (
@@ -30,7 +30,6 @@ from insdvl_replay.logs.records import (
 )
 from insdvl_replay.logs.summary import Summary
 
-_CHANNEL_ID: Final = np.dtype([("header", f"V{RECORD_HEADER_SIZE}"), ("channel_id", "<u2")])
 _SUMMARY_ONLY: Final = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
 
 
@@ -206,7 +205,7 @@ class Walk:
     def _stretch(self, batch: Records, rows: Any) -> None:
         start = int(batch.starts[rows[0]])
         stop = int(batch.starts[rows[-1]] + batch.lengths[rows[-1]]) + RECORD_HEADER_SIZE
-        ids, counts = np.unique(gather(self.data, batch.starts[rows], _CHANNEL_ID)["channel_id"], return_counts=True)
+        ids, counts = np.unique(message_field(self.data, batch.starts[rows], "channel_id"), return_counts=True)
         counted = Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
         self.anatomy.chunks.append(Chunk(start, stop - start, "loose", counts=counted))
         self.latest = Opcode.MESSAGE

@@ -8,10 +8,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from insdvl_replay.columns import Floats, TimeNs
+from insdvl_replay.columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.east_north_up import east_north_up_m, quat_enu_flu
-
-_NS_PER_S = 1_000_000_000
 
 
 def tum_trajectory(time_ns: TimeNs, position: Floats, mat_nb: Floats, origin: Floats) -> bytes:
@@ -40,5 +38,5 @@ def tum_trajectory(time_ns: TimeNs, position: Floats, mat_nb: Floats, origin: Fl
 
 def _lines(times_ns: Iterable[int], rows: Iterable[Iterable[float]]) -> Iterable[str]:
     for time_ns, row in zip(times_ns, rows, strict=True):
-        second, nanosecond = divmod(time_ns, _NS_PER_S)
+        second, nanosecond = divmod(time_ns, NS_PER_S)
         yield f"{second}.{nanosecond:09d} {' '.join(f'{number:.9g}' for number in row)}\n"
