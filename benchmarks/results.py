@@ -2,16 +2,15 @@
 
 import platform
 import re
+from importlib.metadata import version
 from pathlib import Path
-
-import numpy as np
 
 RESULTS = Path(__file__).with_name("RESULTS.md")
 
 
 def machine() -> str:
     """Describe the machine in a sentence's beginning."""
-    return f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}, numpy {np.__version__}"
+    return f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}, numpy {version('numpy')}"
 
 
 def table(columns: tuple[str, ...], rows: list[str]) -> list[str]:

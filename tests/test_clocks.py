@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap_ros2.writer import Writer
 
 from insdvl_replay.columns import Floats, TimeNs
@@ -48,6 +50,18 @@ def test_rate_of_messages_that_come_in_pairs_is_that_of_all() -> None:
     stamps_s[1::2] += 0.0002
     found = measure_clock("", "/leak", "header", ns(stamps_s), ns(stamps_s))
     assert found.rate_hz == pytest.approx(21 / 1.0002, rel=1e-6)
+
+
+@given(st.lists(st.integers(-(10**12), 10**12), min_size=1, max_size=60))
+def test_offset_and_spread_are_the_percentiles_of_numpy(behind: list[int]) -> None:
+    time_ns = START_NS + 10_000_000 * np.arange(len(behind))
+    log_time_ns = time_ns + np.array(behind)
+    unchanged = time_ns.copy(), log_time_ns.copy()
+    found = measure_clock("imu", "/imu", "header", time_ns, log_time_ns)
+    low, median, high = np.percentile(np.array(behind), (5, 50, 95)) * 1e-9
+    assert found.log_minus_stamp_s == pytest.approx(median, abs=1e-9)
+    assert found.spread_s == pytest.approx(high - low, abs=1e-9)
+    np.testing.assert_array_equal((time_ns, log_time_ns), unchanged)
 
 
 def test_offset_of_decades_keeps_its_nanoseconds() -> None:

@@ -75,6 +75,7 @@ class LogFile:
 
     def __init__(self, stream: BinaryIO, profile: str, library: str) -> None:
         self._stream = stream
+        self._compressor = zstandard.ZstdCompressor()
         self._registered = b""
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
@@ -132,7 +133,7 @@ class LogFile:
 
     def add_chunk(self, chunk: IndexedChunk) -> None:
         """Write a chunk with at least one message, compressed, and the index of its messages."""
-        compressed = zstandard.compress(chunk.data)
+        compressed = self._compressor.compress(chunk.data)
         first_ns, last_ns = int(chunk.time_ns[0]), int(chunk.time_ns[-1])
         record = Chunk(
             compression="zstd",

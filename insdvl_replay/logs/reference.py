@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs
+from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs, distinct
 from insdvl_replay.config import Reference
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.cleaning import Cleaner, is_few
@@ -139,7 +139,7 @@ def _velocity_n(table: Table, settings: Reference, mat_nb: Floats | None) -> Flo
 
 
 def _union(parts: list[_Part]) -> ReferenceColumns:
-    time_ns = np.unique(np.concatenate([part.time_ns for part in parts]))
+    time_ns = distinct(np.concatenate([part.time_ns for part in parts]))
     position, velocity_n = np.full((time_ns.size, 3), np.nan), np.full((time_ns.size, 3), np.nan)
     mat_nb = np.full((time_ns.size, 3, 3), np.nan)
     for part in parts:

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats, ImuColumns, TimeNs
+from insdvl_replay.columns import Floats, ImuColumns, TimeNs, distinct
 from insdvl_replay.compiled import inlined
 from insdvl_replay.nav.gaps import NO_GAPS, Gaps
 from insdvl_replay.nav.vector_algebra import Vector, add, row_vector, scale, subtract
@@ -104,8 +104,8 @@ def build_timeline(
         raise ValueError("a ping lies outside the span")
     gaps = gaps.within(start_ns, end_ns)
     ends_ns = np.array([start_ns, end_ns], dtype=np.int64)
-    recorded_ns = np.unique(np.concatenate([ends_ns, ping_ns, _inside(reference_ns, ends_ns)]))
-    event_ns = np.union1d(recorded_ns, _inside(gaps.node_ns(), ends_ns))
+    recorded_ns = distinct(np.concatenate([ends_ns, ping_ns, _inside(reference_ns, ends_ns)]))
+    event_ns = distinct(np.concatenate([recorded_ns, _inside(gaps.node_ns(), ends_ns)]))
     covering = slice(np.searchsorted(imu.time_ns, start_ns, side="right") - 1, np.searchsorted(imu.time_ns, end_ns) + 1)
     return Timeline(
         _for_the_loop(imu.time_ns[covering]),
