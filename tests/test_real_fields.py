@@ -11,8 +11,8 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as RosDecoders
 
+from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.channel import LogChannel
-from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.container import Log
 from insdvl_replay.logs.field_paths import NUMBER, Columns
 from insdvl_replay.logs.message_encodings import channel_paths, open_reader

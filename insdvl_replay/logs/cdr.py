@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.errors import LogError
+from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.cdr_numbers import LITTLE_ENDIAN, Numbers, Places, read_bits
-from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.field_errors import check_path
 from insdvl_replay.logs.field_paths import Columns
 from insdvl_replay.logs.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of

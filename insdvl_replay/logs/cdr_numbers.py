@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.compiled import is_loaded
-from insdvl_replay.logs.chunks import gather
+from insdvl_replay.logs.blocks import gather
 from insdvl_replay.logs.field_paths import Columns
 from insdvl_replay.logs.layout import ENCAPSULATION, Layout
 

@@ -19,8 +19,9 @@ from insdvl_replay.columns import TimeNs
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.anatomy import anatomy_of
 from insdvl_replay.logs.attachments import Attachment, attachment_at, attachment_damages, checked_digest
+from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.channel import described
-from insdvl_replay.logs.chunks import Block, Content, content_of
+from insdvl_replay.logs.chunks import Content, content_of
 from insdvl_replay.logs.damage import DamageError, Span
 from insdvl_replay.logs.loss import chunk_span, damage_note
 from insdvl_replay.logs.message_index import index_entries

@@ -14,7 +14,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.logs.chunks import Block
+from insdvl_replay.logs.blocks import Block
 
 Columns = dict[str, NDArray[Any]]
 """By field path, one row per message and one column per number; int64 where all numbers are whole, else float64."""

@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 
 from insdvl_replay.errors import LogError
-from insdvl_replay.logs.chunks import Block
+from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.field_errors import check_path
 from insdvl_replay.logs.field_paths import (
     NUMBER,

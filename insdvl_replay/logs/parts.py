@@ -9,7 +9,7 @@ from typing import Final
 
 from insdvl_replay.columns import TimeNs
 from insdvl_replay.errors import LogError, Note
-from insdvl_replay.logs.chunks import Block
+from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.container import Log
 from insdvl_replay.logs.opening import UnusableFileError
 from insdvl_replay.logs.refusal import refused

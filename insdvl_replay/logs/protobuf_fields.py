@@ -12,7 +12,7 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
 
 from insdvl_replay.errors import LogError
-from insdvl_replay.logs.chunks import Block
+from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.field_errors import check_path
 from insdvl_replay.logs.field_paths import (
     NUMBER,

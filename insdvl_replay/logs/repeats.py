@@ -5,7 +5,8 @@ Each of them stands for one that was written over or pushed aside, as far as the
 
 import numpy as np
 
-from insdvl_replay.logs.chunks import MESSAGE, Content, gather, read_chunk
+from insdvl_replay.logs.blocks import MESSAGE, gather
+from insdvl_replay.logs.chunks import Content, read_chunk
 from insdvl_replay.logs.damage import DamageError
 from insdvl_replay.logs.packed import Chunk
 from insdvl_replay.logs.walk import Anatomy

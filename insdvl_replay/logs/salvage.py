@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from insdvl_replay.errors import LogError
-from insdvl_replay.logs.chunks import Block
+from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.field_paths import Columns, FieldReader
 
 _HOPELESS: Final = 1000

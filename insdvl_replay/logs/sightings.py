@@ -11,8 +11,8 @@ import numpy as np
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.errors import LogError
+from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.channel import LogChannel
-from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.decode import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.logs.field_paths import Kinds, split_paths
 from insdvl_replay.logs.message_encodings import check_encoding, open_reader

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from insdvl_replay.columns import NS_PER_S
 from insdvl_replay.errors import LogError
+from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.channel import LogChannel
-from insdvl_replay.logs.chunks import Block
 from insdvl_replay.logs.field_paths import FieldReader, split_paths
 from insdvl_replay.logs.filling import Filling
 from insdvl_replay.logs.merging import merged

@@ -14,7 +14,8 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from insdvl_replay.logs.attachments import attachment_at
-from insdvl_replay.logs.chunks import Content, message_field
+from insdvl_replay.logs.blocks import message_field
+from insdvl_replay.logs.chunks import Content
 from insdvl_replay.logs.damage import Damage, DamageError, Loss
 from insdvl_replay.logs.packed import COMPRESSED, Chunk, chunk_header
 from insdvl_replay.logs.records import (
