@@ -4,6 +4,7 @@ The logs room makes them from files, the sim room from nothing; the filters cann
 """
 
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cached_property
 from typing import Final
 
@@ -32,6 +33,11 @@ def seconds(time_ns: TimeNs, origin_ns: int | TimeNs) -> Floats:
     """
     elapsed_s: Floats = np.multiply(time_ns - origin_ns, 1e-9)
     return elapsed_s
+
+
+def nanoseconds(time_s: float) -> int:
+    """Give the nearest number of nanoseconds, for any finite number of seconds."""
+    return round(Fraction(time_s) * NS_PER_S)
 
 
 def distinct(time_ns: TimeNs) -> TimeNs:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from insdvl_replay.columns import Dive
+from insdvl_replay.columns import Dive, nanoseconds
 from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError, Note, about
 from insdvl_replay.nav.alignment import Alignment, align
@@ -126,8 +126,8 @@ def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, i
     """Give the span that the IMU covers, the DVL reaches and the configuration wants."""
     first_ns, last_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
     start_s, end_s = config.span.start_s, config.span.end_s
-    start_ns = first_ns if start_s is None else max(first_ns, first_ns + round(start_s * 1e9))
-    end_ns = last_ns if end_s is None else min(last_ns, first_ns + round(end_s * 1e9))
+    start_ns = first_ns if start_s is None else max(first_ns, first_ns + nanoseconds(start_s))
+    end_ns = last_ns if end_s is None else min(last_ns, first_ns + nanoseconds(end_s))
     if start_ns >= end_ns:
         duration_s = (last_ns - first_ns) * 1e-9
         wanted_end_s = duration_s if end_s is None else end_s

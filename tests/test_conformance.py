@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from insdvl_replay.logs.blocks import message_field
 from insdvl_replay.logs.container import Log
 
 SUITE = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "mcap_conformance"
@@ -57,13 +58,12 @@ def assert_definitions(log: Log, expected: dict[str, list[dict[str, Any]]]) -> N
 def assert_messages(log: Log, expected: dict[str, list[dict[str, Any]]]) -> None:
     fields = ("channel_id", "sequence", "log_time", "publish_time")
     messages = expected.get("Message", [])
-    found = [
-        (block.channel_id, *values, bytes(block.buffer[offset : offset + size]))
-        for block in log.blocks({channel.id for channel in log.channels})
-        for offset, size, *values in zip(
-            block.offsets, block.sizes, block.sequence, block.log_time, block.publish_time, strict=True
-        )
-    ]
+    found = []
+    for block in log.blocks({channel.id for channel in log.channels}):
+        heads = zip(*(message_field(block.buffer, block.starts, name) for name in fields), strict=True)
+        places = zip(block.offsets, block.sizes, strict=True)
+        payloads = (bytes(block.buffer[offset : offset + size]) for offset, size in places)
+        found += [(*head, payload) for head, payload in zip(heads, payloads, strict=True)]
     assert found == [(*(int(message[name]) for name in fields), numbers(message["data"])) for message in messages]
     assert sum(channel.messages for channel in log.channels) == len(messages)
 

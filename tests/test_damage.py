@@ -206,7 +206,7 @@ MATRIX = {
     "chunk twice, no summary": Case("no summary", chunk_twice, "copy of the one", 0),
     "definitions lost and summary moved": Case("zstd", definitions_lost_and_summary_moved, "summary", CHUNKFUL, 20),
     "chunk taken out": Case("zstd", chunk_taken_out, "summary", CHUNKFUL, 20),
-    "message of an unknown channel": Case("bare", foreign_channel, "the 1 messages of channel 999", 1),
+    "message of an unknown channel": Case("bare", foreign_channel, r"names 1 of its messages \(channel 999\)", 1),
     "message too long in a chunk": Case("bare", partial(wrong_length_in_chunk, 400), "in the chunk", 2, 1),
     "message absurdly long in a chunk": Case("bare", partial(wrong_length_in_chunk, 1 << 60), "in the chunk", 2, 1),
     "message too short": Case(
@@ -312,6 +312,29 @@ def test_bytes_written_twice_do_not_hide_a_loss(kind: str, harm: Harm, tmp_path:
     [note] = log.notes
     assert "no messages are lost" not in note.text
     assert_loss_is_told(note.text, sorted(time_ns for _, time_ns, _ in gone))
+
+
+def test_a_log_that_is_wrong_in_two_ways_is_always_refused_in_the_same_words(tmp_path: Path) -> None:
+    """The checksum of a chunk and that of all messages are wrong, which are found at the same time."""
+    path, said = tmp_path / "dive.mcap", set()
+    path.write_bytes(flip_payload(small_log("all checksums")))
+    for _ in range(30):
+        with pytest.raises(LogError) as refused:
+            read_dive(path, Config())
+        said.add(str(refused.value))
+    assert len(said) == 1
+
+
+def test_a_chunk_is_told_once_however_many_channels_its_indexes_leave_out(tmp_path: Path) -> None:
+    path, data = tmp_path / "dive.mcap", small_log("zstd")
+    for which in (3, 2):  # the last ones behind the first chunk become records of somebody else
+        data = in_record(INDEX, which, 0, b"\x90", data)
+    path.write_bytes(data)
+    log, found = everything(path, allow_damaged=True)
+    assert len(found) == MESSAGES
+    [note] = [note for note in log.notes if note.code == "log_damaged"]
+    assert "no index of a chunk names 16 of its messages (channel 3, 4)" in note.text
+    assert "is damaged in 2 places, no messages are lost" in note.text
 
 
 def test_loss_is_told_in_messages_and_seconds(tmp_path: Path) -> None:

@@ -92,6 +92,12 @@ def test_pauses_up_to_the_limit_are_no_gaps() -> None:
     np.testing.assert_allclose(gaps.length_s, [0.500000001, 1.499999999], atol=1e-12)
 
 
+@pytest.mark.parametrize("max_gap_s", [0.1, 0.3, 0.57, 0.6, 0.7])
+def test_a_pause_of_the_very_limit_is_no_gap(max_gap_s: float) -> None:
+    gaps = find_gaps(times(0.0, max_gap_s, 2.0 * max_gap_s + 1e-9), Imu(max_gap_s=max_gap_s))
+    np.testing.assert_array_equal(gaps.start_ns, times(max_gap_s))
+
+
 def test_density_gives_the_configured_deviation_over_the_whole_gap() -> None:
     settings = Imu(gap_accel_mps2=0.3, gap_rate_degps=2.0)
     gaps = find_gaps(times(0.0, 4.0), settings)

@@ -292,7 +292,11 @@ def test_span_is_replayed_from_the_references_next_row(
     assert [note.count for note in replay.notes if note.code == "dvl_outside_span"] == [outside] * bool(outside)
 
 
-@pytest.mark.parametrize("span", [Span(start_s=61.0), Span(end_s=0.0), Span(start_s=20.0, end_s=10.0)], ids=str)
+@pytest.mark.parametrize(
+    "span",
+    [Span(start_s=61.0), Span(start_s=1e300), Span(end_s=0.0), Span(end_s=-1e300), Span(start_s=20.0, end_s=10.0)],
+    ids=str,
+)
 def test_empty_span_is_refused_with_what_there_is(straight: Dive, span: Span) -> None:
     with pytest.raises(LogError, match="straight: nothing lies between") as caught:
         replay_dive(straight, config(span=span))

@@ -5,7 +5,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from zlib_ng import zlib_ng
 
@@ -99,7 +99,22 @@ def attachment_damages(data: memoryview, places: Sequence[tuple[int, int]]) -> l
     return damages
 
 
-def checked_digest(path: Path, section_end: int, section_crc: int) -> tuple[str, list[Damage]]:
+class Digest(NamedTuple):
+    """What a pass over all bytes of a file gives.
+
+    Attributes
+    ----------
+    sha256 : str
+        Hexadecimal digits.
+    damages : list of Damage
+        Checksums that are not those of their bytes.
+    """
+
+    sha256: str
+    damages: list[Damage]
+
+
+def checked_digest(path: Path, section_end: int, section_crc: int) -> Digest:
     """Digest a log, and check the checksum of all its messages on the way.
 
     Parameters
@@ -110,14 +125,13 @@ def checked_digest(path: Path, section_end: int, section_crc: int) -> tuple[str,
 
     Returns
     -------
-    str
-        SHA-256 in hexadecimal digits.
-    list of Damage
+    Digest
     """
-    digest, crc = _digest(path, section_end if section_crc else 0)
+    sha256, crc = _digest(path, section_end if section_crc else 0)
     if crc == section_crc:
-        return digest, []
-    return digest, [Damage(section_end, "the checksum of all messages is not that of their bytes; some may be wrong")]
+        return Digest(sha256, [])
+    damage = Damage(section_end, "the checksum of all messages is not that of their bytes; some may be wrong")
+    return Digest(sha256, [damage])
 
 
 def _digest(path: Path, section_end: int) -> tuple[str, int]:

@@ -41,7 +41,7 @@ class Block:
     buffer : memoryview
         Bytes of the open chunk.
     starts, lengths : ndarray, shape (k,)
-        Where in the buffer their records start, and how many bytes stand behind the kind and the length of each.
+        Where in the buffer their records start, and how long the contents of these are.
     """
 
     channel_id: int
@@ -72,11 +72,6 @@ class Block:
     def publish_time(self) -> TimeNs:
         """When each message was published, shape (k,), ns."""
         return message_field(self.buffer, self.starts, "publish_time")
-
-    @property
-    def sequence(self) -> NDArray[np.uint32]:
-        """As the recorder counted, shape (k,)."""
-        return message_field(self.buffer, self.starts, "sequence")
 
     def part(self, rows: slice) -> "Block":
         """Give some of the messages."""

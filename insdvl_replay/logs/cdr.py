@@ -127,8 +127,9 @@ class CdrReader:
 
     def _with_layout(self, block: Block, data: NDArray[np.uint8], rows: Rows, layout: Layout) -> tuple[Rows, Columns]:
         """Read those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
+        # All that is read of a message lies inside its record, since none is shorter than the layout.
         padding = block.sizes[rows] - layout.size
-        rows = _where((padding >= 0) & (padding <= _LONGEST_PADDING), rows)
+        rows = _chosen(rows, (padding >= 0) & (padding <= _LONGEST_PADDING))
         numbers = self._numbers_of(layout)
         bits = numbers.bits(data, block.offsets[rows])
         fits = numbers.fits(bits)
@@ -153,9 +154,9 @@ class CdrReader:
         return self._numbers[layout.lengths]
 
 
-def _where(true: NDArray[np.bool_], rows: Rows) -> Rows:
+def _chosen(rows: Rows, mask: NDArray[np.bool_]) -> Rows:
     """Give some of the rows; mostly it is all of them, which spares a copy."""
-    return rows if true.all() else rows[true]
+    return rows if mask.all() else rows[mask]
 
 
 def cdr_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:

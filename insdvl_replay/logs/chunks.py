@@ -15,6 +15,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import TimeNs
+from insdvl_replay.errors import listed
 from insdvl_replay.logs.blocks import Block, by_channel, message_field
 from insdvl_replay.logs.damage import Damage, DamageError, Span, plausible_span
 from insdvl_replay.logs.message_index import index_entries
@@ -97,22 +98,22 @@ def content_of(data: memoryview, chunk: Chunk, buffer: memoryview) -> Content:
     Content
         As `read_chunk` gives it.
     """
-    records, passed = find_all(buffer)
+    records, passed = _find_all(buffer)
     damages = [Damage(chunk.offset, f"in the chunk, {stop} bytes on, {reason}") for stop, _, reason in passed]
     holes = [(start, stop) for start, stop, _ in passed] + [(len(buffer),) * 2] * (chunk.kind == "cut")
     span_ns = _lost_span(data, chunk, buffer, records, holes) if holes else None
-    content = Content(buffer, by_channel(buffer, records), other_records(records), damages, span_ns)
+    content = Content(buffer, by_channel(buffer, records), _other_records(records), damages, span_ns)
     if chunk.indexes and chunk.kind == "whole":
         damages += _index_damages(data, chunk, content.blocks)
     return content
 
 
-def other_records(records: Records) -> list[tuple[int, int, int]]:
+def _other_records(records: Records) -> list[tuple[int, int, int]]:
     """Give kind, start and size of the content of every record that is no message."""
     return list(records.where(records.opcodes != Opcode.MESSAGE).rows())
 
 
-def find_all(buffer: memoryview) -> tuple[Records, list[tuple[int, int, str]]]:
+def _find_all(buffer: memoryview) -> tuple[Records, list[tuple[int, int, str]]]:
     """Find all records of a chunk.
 
     Parameters
@@ -174,10 +175,10 @@ def _index_damages(data: memoryview, chunk: Chunk, blocks: dict[int, Block]) -> 
             text = f"an index does not name the {count} messages of channel {channel_id} in its chunk"
             return [Damage(offset, text)]
         unnamed.pop(channel_id, None)
-    return [
-        Damage(chunk.offset, f"no index of a chunk names the {len(block)} messages of channel {block.channel_id} in it")
-        for block in unnamed.values()
-    ]
+    if not unnamed:
+        return []
+    count, channels = sum(map(len, unnamed.values())), listed(map(str, unnamed))
+    return [Damage(chunk.offset, f"no index of a chunk names {count} of its messages (channel {channels})")]
 
 
 def _names_all(entries: NDArray[Any], block: Block | None) -> bool:

@@ -18,7 +18,7 @@ from mcap import records
 from insdvl_replay.columns import TimeNs
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.anatomy import anatomy_of
-from insdvl_replay.logs.attachments import Attachment, attachment_at, attachment_damages, checked_digest
+from insdvl_replay.logs.attachments import Attachment, Digest, attachment_at, attachment_damages, checked_digest
 from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.channel import described
 from insdvl_replay.logs.chunks import Content, content_of
@@ -144,8 +144,25 @@ class Log:
             notes.append(Note("unknown_records", f"{private} records are of kinds that are not MCAP's own", private))
         return tuple(notes)
 
-    def sha256(self) -> str:
-        """Give the digest of the file's bytes, and check the checksums that only a whole pass can check.
+    def digests(self) -> list[Digest]:
+        """Go over all bytes of the file. It changes nothing here, so that another thread can do it meanwhile.
+
+        Returns
+        -------
+        list of Digest
+            One.
+        """
+        section_end, section_crc = self._anatomy.data_end or (0, 0)
+        sha256, damages = checked_digest(self.path, section_end, section_crc)
+        return [Digest(sha256, damages + attachment_damages(self._data, self._anatomy.attachments))]
+
+    def sha256(self, digests: Sequence[Digest] | None = None) -> str:
+        """Give the digest of the file's bytes, and note which checksums are wrong that only a whole pass can check.
+
+        Parameters
+        ----------
+        digests : sequence of Digest, optional
+            What `digests` gave, where that is done already.
 
         Returns
         -------
@@ -156,13 +173,11 @@ class Log:
         LogError
             The checksum of the data section or of an attachment is not that of its bytes.
         """
-        section_end, section_crc = self._anatomy.data_end or (0, 0)
-        digest, damages = checked_digest(self.path, section_end, section_crc)
-        damages += attachment_damages(self._data, self._anatomy.attachments)
-        for damage in damages:
+        (digest,) = digests or self.digests()
+        for damage in digest.damages:
             self._anatomy.mark(damage)
         self._judge()
-        return digest
+        return digest.sha256
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the messages of some channels, a chunk at a time; chunks without them stay closed.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay import earth
-from insdvl_replay.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, nanoseconds, seconds
 from insdvl_replay.config import Config
 from insdvl_replay.logs.gyro_comparison import ENOUGH, LONGEST_STEP_S, lies_within, turned_by
 from insdvl_replay.rotation import mat_from_rpy, wrap_angle
@@ -224,12 +224,12 @@ def north_east_m(position: Floats) -> Complex:
 
 def _windows(fix_ns: TimeNs, ping_ns: TimeNs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pair fixes that lie a window apart, without a long pause of the pings between them."""
-    last = np.searchsorted(fix_ns, fix_ns + round(_TRACK_WINDOW_S * 1e9))
+    last = np.searchsorted(fix_ns, fix_ns + nanoseconds(_TRACK_WINDOW_S))
     first = np.flatnonzero(last < len(fix_ns))
     last = last[first]
-    pauses_ns = ping_ns[1:][seconds(ping_ns[1:], ping_ns[:-1]) > LONGEST_STEP_S]
+    pauses_ns = ping_ns[1:][np.diff(ping_ns) > nanoseconds(LONGEST_STEP_S)]
     heard = np.searchsorted(pauses_ns, fix_ns[first]) == np.searchsorted(pauses_ns, fix_ns[last])
-    close = fix_ns[last] - fix_ns[first] < round(2.0 * _TRACK_WINDOW_S * 1e9)
+    close = fix_ns[last] - fix_ns[first] < nanoseconds(2.0 * _TRACK_WINDOW_S)
     return first[heard & close], last[heard & close]
 
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay import earth
-from insdvl_replay.columns import NS_PER_S, Floats, ImuColumns, ReferenceColumns, seconds
+from insdvl_replay.columns import NS_PER_S, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.config import Imu
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.runs import find_runs
@@ -86,7 +86,7 @@ def samples_in(imu: ImuColumns, length_s: float) -> int:
 
 def _rate_notes(place: str, imu: ImuColumns, settings: Imu) -> list[Note]:
     steps_ns = np.diff(imu.time_ns)
-    is_short = steps_ns <= round(settings.max_gap_s * NS_PER_S)
+    is_short = steps_ns <= nanoseconds(settings.max_gap_s)
     short_ns = steps_ns if is_short.all() else steps_ns[is_short]
     if len(short_ns) < _ENOUGH_STEPS:
         return []

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import TimeNs, seconds
+from insdvl_replay.columns import TimeNs, nanoseconds, seconds
 from insdvl_replay.logs.clocks import SAME_CLOCK_S
 from insdvl_replay.logs.runs import find_runs
 
@@ -68,7 +68,7 @@ def find_order(time_ns: TimeNs, log_time_ns: TimeNs) -> Order:
     -------
     Order
     """
-    if np.all(time_ns[1:] >= time_ns[:-1]) and not _can_leap(time_ns, log_time_ns):
+    if np.all(time_ns[1:] >= time_ns[:-1]) and not _is_there_a_leap(time_ns, log_time_ns):
         nothing = np.empty(0, np.int64)
         return Order(np.arange(time_ns.size), nothing, nothing, 0.0, 0.0)
     recorded = np.lexsort((time_ns, log_time_ns))
@@ -112,12 +112,14 @@ def _is_far(other_ns: TimeNs, rising_ns: TimeNs, places: Rows) -> Mask:
 
 def _leaps(stamp_ns: TimeNs, log_time_ns: TimeNs) -> Mask:
     """Tell which messages but the first are stamped long after the one before, though recorded soon after it."""
-    return np.asarray(np.diff(stamp_ns - log_time_ns) > round(LEAP_S * 1e9))
+    return np.asarray(np.diff(stamp_ns - log_time_ns) > nanoseconds(LEAP_S))
 
 
-def _can_leap(stamp_ns: TimeNs, log_time_ns: TimeNs) -> bool:
+def _is_there_a_leap(stamp_ns: TimeNs, log_time_ns: TimeNs) -> bool:
     """Tell whether there is a leap; the extremes mostly tell that there is none."""
-    return bool(np.ptp(stamp_ns - log_time_ns) > round(LEAP_S * 1e9) and _leaps(stamp_ns, log_time_ns).any())
+    ahead_ns = stamp_ns - log_time_ns
+    can = bool(ahead_ns.size) and int(ahead_ns.max()) - int(ahead_ns.min()) > nanoseconds(LEAP_S)
+    return can and bool(_leaps(stamp_ns, log_time_ns).any())
 
 
 def _is_before_or_after_a_leap(stamp_ns: TimeNs, log_time_ns: TimeNs) -> Mask:

@@ -1,7 +1,7 @@
 """Several files read as one log: the parts of a bag, or what recorders wrote of one dive."""
 
 import hashlib
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import Final
 
 from insdvl_replay.columns import TimeNs
 from insdvl_replay.errors import LogError, Note
+from insdvl_replay.logs.attachments import Digest
 from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.container import Log
 from insdvl_replay.logs.opening import UnusableFileError
@@ -107,12 +108,23 @@ class Parts:
         self._judge()
         return times
 
-    def sha256(self) -> str:
-        """Give the digest of the parts' digests, in their order; files that cannot be used come last."""
-        digests = [part.sha256() for part in self.parts]
-        digests += [hashlib.sha256(file.read_bytes()).hexdigest() for file in self._unusable]
+    def digests(self) -> list[Digest]:
+        """Go over all bytes of the parts, in their order, and then of the files that cannot be used, as `Log.digests`.
+
+        Returns
+        -------
+        list of Digest
+        """
+        of_parts = [digest for part in self.parts for digest in part.digests()]
+        return of_parts + [Digest(hashlib.sha256(file.read_bytes()).hexdigest(), []) for file in self._unusable]
+
+    def sha256(self, digests: Sequence[Digest] | None = None) -> str:
+        """Give the digest of all digests, and note wrong checksums, as `Log.sha256`."""
+        digests = digests or self.digests()
+        for part, digest in zip(self.parts, digests, strict=False):
+            part.sha256([digest])
         self._judge()
-        return hashlib.sha256("".join(digests).encode()).hexdigest()
+        return hashlib.sha256("".join(digest.sha256 for digest in digests).encode()).hexdigest()
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the messages of some channels, part by part.

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import NS_PER_S, TimeNs
+from insdvl_replay.columns import NS_PER_S, TimeNs, nanoseconds
 from insdvl_replay.logs.cleaning import Cleaner
 
 GAP_STEPS: Final = 5.0
@@ -28,10 +28,10 @@ def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
     max_gap_s : float
         Pauses up to this count as harmless.
     """
-    max_gap_ns = round(max_gap_s * NS_PER_S)
+    max_gap_ns = nanoseconds(max_gap_s)
     is_short = pauses_ns <= max_gap_ns
     short_ns = pauses_ns if is_short.all() else pauses_ns[is_short]
-    least_ns = min(round(GAP_STEPS * float(short_ns.mean())), max_gap_ns) if short_ns.size else max_gap_ns
+    least_ns = min(GAP_STEPS * float(short_ns.mean()), max_gap_ns) if short_ns.size else max_gap_ns
     gaps = np.flatnonzero(pauses_ns > least_ns)
     if not gaps.size:
         return

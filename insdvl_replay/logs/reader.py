@@ -53,10 +53,10 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     place = str(log.path)
     roles = assign_roles(place, log.channels, config)
     with ThreadPoolExecutor(1) as checker:
-        digest = checker.submit(log.sha256)
+        digests = checker.submit(log.digests)
         tables = read_tables(log, roles.sources)
         log.check_unopened()
-        sha256 = digest.result()
+        sha256 = log.sha256(digests.result())
     notes = [*log.notes, *schema_notes(roles.sources), *count_notes(tables)]
     notes += [*left_out_notes(tables), *stamp_notes(tables)]
     notes += clock_notes(place, [table.clock() for table in tables], config.clocks.max_disagreement_s)

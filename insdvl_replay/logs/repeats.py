@@ -31,7 +31,7 @@ def repeated_messages(data: memoryview, anatomy: Anatomy) -> int:
         return 0
     contents = [content for chunk in anatomy.chunks for content in _contents(data, chunk)]
     blocks = [block for content in contents for block in content.blocks.values()]
-    headers = np.concatenate([gather(block.buffer, block.starts, MESSAGE) for block in blocks])
+    headers = np.concatenate([np.empty(0, MESSAGE), *(gather(block.buffer, block.starts, MESSAGE) for block in blocks)])
     _, first, count = np.unique(headers["log_time"], return_inverse=True, return_counts=True)
     # Few messages share their log time, and only these are compared as a whole, which takes longer.
     suspected = headers[count[first] > 1]

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.columns import NS_PER_S, Floats, TimeNs, nanoseconds
 from insdvl_replay.errors import LogError
 from insdvl_replay.inventory import Clock
 from insdvl_replay.logs.clocks import measure_clock, stamp_unit
@@ -129,7 +129,7 @@ class Table:
                 f"{self.place}: stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages",
                 f'{self.source.role}.stamp = "log_time"',
             )
-        latency_ns = round(self.source.latency_s * NS_PER_S)
+        latency_ns = nanoseconds(self.source.latency_s)
         return time_ns - latency_ns if latency_ns else time_ns
 
     @property

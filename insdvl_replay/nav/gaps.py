@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats, TimeNs, seconds
+from insdvl_replay.columns import Floats, TimeNs, nanoseconds, seconds
 from insdvl_replay.config import Imu
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.rotation import skew
@@ -117,7 +117,7 @@ def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
     -------
     Gaps
     """
-    rows = np.flatnonzero(seconds(time_ns[1:], time_ns[:-1]) > imu.max_gap_s)
+    rows = np.flatnonzero(np.diff(time_ns) > nanoseconds(imu.max_gap_s))
     start_ns, end_ns = time_ns[rows], time_ns[rows + 1]
     length_s = seconds(end_ns, start_ns)[:, None]
     density = np.zeros((len(rows), len(STATES)))
