@@ -265,6 +265,29 @@ def test_wrong_uses_end_with_a_code_a_reason_and_a_hint(
     assert sorted(tmp_path.rglob("*")) == before
 
 
+INTERRUPTED_AS_AN_OBJECT_GOES = """
+import signal, sys, time
+from insdvl_replay.cli import app, main
+
+class Going:
+    def __del__(self):
+        signal.raise_signal(signal.SIGTERM)
+
+def work(*_, **__):
+    Going()
+    time.sleep(30.0)
+
+app.app = work
+main()
+"""
+
+
+def test_an_interruption_is_not_lost_where_python_cannot_be_interrupted() -> None:
+    command = [sys.executable, "-c", INTERRUPTED_AS_AN_OBJECT_GOES]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=20.0)
+    assert (result.returncode, result.stderr) == (130, "error: interrupted\n")
+
+
 @pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_leaves_nothing_half_written(signal_: signal.Signals, dive: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", WITH_STAND_IN, "run", str(dive), "-o", "out"]

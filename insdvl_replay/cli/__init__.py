@@ -16,11 +16,13 @@ from insdvl_replay.memory import collect_rarely, use_small_pages
 
 INTERRUPTED = 130
 LONGEST_FAREWELL_S = 5.0
+AGAIN_S = 0.02
 
 
 def main() -> NoReturn:
     """Run the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _interrupt)
+    sys.unraisablehook = _not_interrupted
     collect_rarely()
     use_small_pages()
     # numpy's word on overflows would point to lines of ours; what is not finite is told by notes and status words.
@@ -69,3 +71,13 @@ def run_command_line(arguments: list[str]) -> int:
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
+
+
+def _not_interrupted(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Interrupt again where Python could not be interrupted: while it lets an object go, it only tells an exception."""
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        again = threading.Timer(AGAIN_S, os.kill, (os.getpid(), signal.SIGTERM))
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(unraisable)
