@@ -6,7 +6,7 @@ The logs room makes them from files, the sim room from nothing; the filters cann
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,13 @@ def nanoseconds(time_s: float) -> int:
     return round(Fraction(time_s) * NS_PER_S)
 
 
+def is_new(values: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
+    """Tell which values, the first among them, are not the same as the one before; shape (k,)."""
+    new = np.ones(values.size, np.bool_)
+    new[1:] = values[1:] != values[:-1]
+    return new
+
+
 def distinct(time_ns: TimeNs) -> TimeNs:
     """Give each time once, in order.
 
@@ -54,9 +61,7 @@ def distinct(time_ns: TimeNs) -> TimeNs:
     ndarray of int64, shape (at most k,)
     """
     ordered = np.sort(time_ns)
-    is_first = np.ones(ordered.size, np.bool_)
-    is_first[1:] = ordered[1:] != ordered[:-1]
-    return ordered[is_first]
+    return ordered[is_new(ordered)]
 
 
 @dataclass(frozen=True)

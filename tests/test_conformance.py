@@ -60,10 +60,12 @@ def assert_messages(log: Log, expected: dict[str, list[dict[str, Any]]]) -> None
     messages = expected.get("Message", [])
     found = []
     for block in log.blocks({channel.id for channel in log.channels}):
-        heads = zip(*(message_field(block.buffer, block.starts, name) for name in fields), strict=True)
-        places = zip(block.offsets, block.sizes, strict=True)
-        payloads = (bytes(block.buffer[offset : offset + size]) for offset, size in places)
-        found += [(*head, payload) for head, payload in zip(heads, payloads, strict=True)]
+        sequence = message_field(block.buffer, block.starts, "sequence")
+        columns = block.offsets, block.sizes, sequence, block.log_time, block.publish_time
+        found += [
+            (block.channel_id, *values, bytes(block.buffer[offset : offset + size]))
+            for offset, size, *values in zip(*columns, strict=True)
+        ]
     assert found == [(*(int(message[name]) for name in fields), numbers(message["data"])) for message in messages]
     assert sum(channel.messages for channel in log.channels) == len(messages)
 

@@ -22,7 +22,7 @@ AGAIN_S = 0.02
 def main() -> NoReturn:
     """Run the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _interrupt)
-    sys.unraisablehook = _not_interrupted
+    sys.unraisablehook = _interrupt_again
     collect_rarely()
     use_small_pages()
     # numpy's word on overflows would point to lines of ours; what is not finite is told by notes and status words.
@@ -73,7 +73,7 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def _not_interrupted(unraisable: "sys.UnraisableHookArgs") -> None:
+def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:
     """Interrupt again where Python could not be interrupted: while it lets an object go, it only tells an exception."""
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         again = threading.Timer(AGAIN_S, os.kill, (os.getpid(), signal.SIGTERM))

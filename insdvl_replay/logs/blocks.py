@@ -13,7 +13,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import TimeNs
+from insdvl_replay.columns import TimeNs, is_new
 from insdvl_replay.logs.records import MESSAGE_FIELDS_SIZE, Records
 
 MESSAGE: Final = np.dtype(
@@ -96,9 +96,7 @@ def by_channel(buffer: memoryview, records: Records) -> dict[int, Block]:
     ids = message_field(buffer, messages.starts, "channel_id")
     order = np.argsort(ids, kind="stable")
     ids, starts, lengths = ids[order], messages.starts[order], messages.lengths[order]
-    is_first = np.ones(ids.size, np.bool_)
-    is_first[1:] = ids[1:] != ids[:-1]
-    edges = [*np.flatnonzero(is_first).tolist(), ids.size]
+    edges = [*np.flatnonzero(is_new(ids)).tolist(), ids.size]
     blocks = [Block(int(ids[first]), buffer, starts[first:end], lengths[first:end]) for first, end in pairwise(edges)]
     return {block.channel_id: block for block in blocks}
 

@@ -130,12 +130,8 @@ class CdrReader:
         # All that is read of a message lies inside its record, since none is shorter than the layout.
         padding = block.sizes[rows] - layout.size
         rows = _chosen(rows, (padding >= 0) & (padding <= _LONGEST_PADDING))
-        numbers = self._numbers_of(layout)
-        bits = numbers.bits(data, block.offsets[rows])
-        fits = numbers.fits(bits)
-        if not fits.all():
-            rows, bits = rows[fits], bits[:, fits]
-        return rows, numbers.columns(bits)
+        fits, columns = self._numbers_of(layout).read(data, block.offsets[rows])
+        return _chosen(rows, fits), columns
 
     def _layout(self, block: Block, row: int) -> Layout:
         start = int(block.offsets[row])

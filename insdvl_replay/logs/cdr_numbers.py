@@ -66,17 +66,12 @@ class Numbers:
                 runs.append((slice(first, end), dtype.base))
         self._places = Places(np.concatenate(starts), np.concatenate(sizes), np.concatenate(signed))
 
-    def bits(self, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Bits:
-        """Read messages that have the size of the layout: the words that tell whether they have it, and the numbers."""
-        return read_bits(data, starts, self._places)
-
-    def fits(self, bits: Bits) -> NDArray[np.bool_]:
-        """Tell which messages have the layout."""
-        return np.asarray((bits[: len(self._words)] == self._words).all(axis=0))
-
-    def columns(self, bits: Bits) -> Columns:
-        """Give the numbers of messages that have the layout, by path."""
-        return {path: _meant(bits, runs) for path, runs in self._runs.items()}
+    def read(self, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> tuple[NDArray[np.bool_], Columns]:
+        """Read messages that have the size of the layout: which of them have it, and the numbers of these by path."""
+        bits = read_bits(data, starts, self._places)
+        fits = np.asarray((bits[: len(self._words)] == self._words).all(axis=0))
+        bits = bits if fits.all() else bits[:, fits]
+        return fits, {path: _meant(bits, runs) for path, runs in self._runs.items()}
 
 
 def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> Bits:

@@ -6,7 +6,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats, TimeNs, seconds
+from insdvl_replay.columns import Floats, TimeNs, is_new, seconds
 from insdvl_replay.errors import LogError, Note, Severity
 from insdvl_replay.logs.clocks import SAME_CLOCK_S
 from insdvl_replay.logs.mixture import refuse_mixture
@@ -189,9 +189,7 @@ class Cleaner:
             good[again[differ]] = False
             self._drop_stamped_together(good, several)
             times = self.times
-        first = np.ones(times.size, np.bool_)
-        first[1:] = times[1:] != times[:-1]
-        self._keep_rows(first, "repeats", "messages repeat the time of the one before")
+        self._keep_rows(is_new(times), "repeats", "messages repeat the time of the one before")
 
     def drop_repeated_values(self, values: Floats) -> None:
         """Keep the first of consecutive rows with identical values, as a recorder writes that publishes faster.

@@ -102,7 +102,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     angular_rate_b = in_frd(_measured(table, "angular_rate"), axes, "imu.axes", rate_unit)
     cleaner = Cleaner(table)
     possible = _is_possible(specific_force_b, angular_rate_b)
-    if not possible.all():  # which no number is that is not finite
+    if not possible.all():  # what is not finite is not possible either
         cleaner.keep_finite(specific_force_b, angular_rate_b, hint=_LOST_HINT)
         reason = "samples are above 50 g or 2000 deg/s, or zero in all six readings"
         cleaner.keep_possible(possible, reason, _LOST_HINT)
