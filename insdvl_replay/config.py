@@ -168,6 +168,10 @@ class Filter(_Section, frozen=True):
     gate_probability: Annotated[
         Annotated[float, Meta(gt=0, le=1)], Says("an innovation outside this share of chi-square is rejected; 1: none")
     ] = 1.0
+    gate_reopen_after: Annotated[
+        Annotated[int, Meta(ge=0, le=10_000)],
+        Says("velocities rejected in a row after which the INS is taken to be off, and set to the DVL; 0: never"),
+    ] = 5
     accel_white_mps_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
     gyro_white_rad_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
     accel_bias_walk_mps2_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None

@@ -34,6 +34,9 @@ class Innovations:
         False where the gate rejected it.
     log_det : ndarray, shape (m,)
         Logarithm of the determinant of S, for the likelihood.
+    reopened : ndarray of bool, shape (m,)
+        Used in spite of the gate, after so many rejections in a row that the velocity's uncertainty was opened; NIS and
+        standard deviations are those before.
     """
 
     measurement: str
@@ -46,6 +49,7 @@ class Innovations:
     nis: Floats
     used: NDArray[np.bool_]
     log_det: Floats
+    reopened: NDArray[np.bool_]
 
     @property
     def dof(self) -> int:

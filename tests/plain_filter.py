@@ -81,6 +81,7 @@ def propagated(belief: Belief, force_b: Floats, rate_b: Floats, dt: float, noise
     Phi[DV, DV] -= skew(w_ie + w_in) * dt
     Phi[DV, PHI] -= skew(force_n) * dt
     Phi[PHI, PHI] -= skew(w_in) * dt
+    Phi[PHI, DV] -= np.array([[0.0, 1.0 / r_e, 0.0], [-1.0 / r_n, 0.0, 0.0], [0.0, -np.tan(latitude) / r_e, 0.0]]) * dt
     Phi[DV, BA] = Phi[PHI, BG] = mat_nb * dt
     P = Phi @ belief.P @ Phi.T + np.diag(noise_density) * dt
     return belief._replace(position=position, velocity_n=velocity_n, mat_nb=mat_nb, P=P)
@@ -92,11 +93,13 @@ def updated(belief: Belief, velocity_b: Floats, R: Floats) -> Belief:
     z = belief.mat_nb.T @ belief.velocity_n - velocity_b
     K = belief.P @ H.T @ np.linalg.inv(H @ belief.P @ H.T + R)
     dx, A, T = K @ z, np.eye(12) - K @ H, np.eye(12)
-    T[DV, PHI] = skew(dx[DV])
+    turn_back, invariant_error = Rotation.from_rotvec(-dx[PHI]), dx[DV] + np.cross(belief.velocity_n, dx[PHI])
+    velocity_n = turn_back.apply(belief.velocity_n - invariant_error)
+    T[DV, PHI] = skew(belief.velocity_n - velocity_n)
     return Belief(
         belief.position,
-        belief.velocity_n - dx[DV],
-        Rotation.from_rotvec(-dx[PHI]).as_matrix() @ belief.mat_nb,
+        velocity_n,
+        turn_back.as_matrix() @ belief.mat_nb,
         belief.accel_bias_b + dx[BA],
         belief.gyro_bias_b + dx[BG],
         T @ (A @ belief.P @ A.T + K @ R @ K.T) @ T.T,

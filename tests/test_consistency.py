@@ -46,6 +46,7 @@ def history(
         nis,
         kept,
         np.zeros(m),
+        np.zeros(m, dtype=bool),
     )
     one = np.zeros((1, 3))
     return History(

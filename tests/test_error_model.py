@@ -26,7 +26,9 @@ def transport_rate(velocity_n: Floats) -> Floats:
 
 def motion() -> Motion:
     rate_in_n = W_IE + transport_rate(VELOCITY_N)
-    return Motion(vector(W_IE), vector(rate_in_n), vector(MAT_NB @ FORCE_B), matrix(MAT_NB))
+    r_n, r_e = meridian_radius_m(LATITUDE) + HEIGHT_M, transverse_radius_m(LATITUDE) + HEIGHT_M
+    curvature = (1.0 / r_e, 1.0 / r_n, np.tan(LATITUDE) / r_e)
+    return Motion(vector(W_IE), vector(rate_in_n), vector(MAT_NB @ FORCE_B), matrix(MAT_NB), curvature)
 
 
 def system_matrix() -> Floats:
@@ -49,8 +51,29 @@ def nonlinear_error_rate(dx: Floats) -> Floats:
 
 
 def test_system_matrix_is_the_jacobian_of_the_equations() -> None:
-    # What F leaves out is the change of transport rate with velocity: 1/R = 1.6e-7.
+    # What F leaves out is the Coriolis acceleration by the error of the transport rate: v / R = 2e-7.
     assert_jacobian(system_matrix(), nonlinear_error_rate, np.zeros(12), atol=3e-7, step=1e-5)
+
+
+def test_misalignment_grows_with_the_velocity_error_by_the_curvature_of_the_earth() -> None:
+    """1/R = 1.6e-7 is all there is to Schuler's period of 84 min, and far above what differences leave."""
+
+    def misalignment_rate(dv: Floats) -> Floats:
+        return nonlinear_error_rate(np.concatenate([dv, np.zeros(9)]))[3:6]
+
+    assert_jacobian(system_matrix()[3:6, :3], misalignment_rate, np.zeros(3), atol=1e-13, step=1.0)
+
+
+def test_errors_swing_with_schulers_period() -> None:
+    """At rest and level, without the Earth's rotation: ``dv'' = -(g/R) dv``, 84.4 min."""
+    gravity, radius_m = normal_gravity(LATITUDE, HEIGHT_M), meridian_radius_m(LATITUDE) + HEIGHT_M
+    still = (0.0, 0.0, 0.0)
+    level = Motion(still, still, (0.0, 0.0, -gravity), matrix(np.eye(3)), (0.0, 1.0 / radius_m, 0.0))
+    rates = [error_rate(level, *map(vector, dx.reshape(4, 3))) for dx in np.eye(12)[[0, 4]]]
+    F = np.array([[rate[0][0], rate[1][1]] for rate in rates]).T
+    period_s = 2.0 * np.pi / np.abs(np.linalg.eigvals(F).imag).max()
+    assert period_s == pytest.approx(2.0 * np.pi * np.sqrt(radius_m / gravity), rel=1e-12)
+    assert period_s / 60.0 == pytest.approx(84.4, abs=0.3)
 
 
 def test_the_gyro_output_in_place_of_earth_rate_would_be_found() -> None:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import partial
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -10,6 +11,7 @@ from scipy.stats import chi2
 
 from insdvl_replay.columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Initial, Noise
+from insdvl_replay.config_file import load_config
 from insdvl_replay.history import History
 from insdvl_replay.nav.alignment import initial_sd
 from insdvl_replay.replay import replay_dive
@@ -131,6 +133,42 @@ def test_windowed_acceleration_believes_too_much_for_using_velocities_twice(cons
     _, high = mean_interval(12, RUNS)
     assert (consistency.nees["windowed"] > high).all()
     assert (consistency.nees["windowed"] < 3.0 * high).all()
+
+
+@pytest.mark.parametrize(
+    ("preset", "start_s", "end_s", "end_of_dive_s", "highest"),
+    [
+        ("mems", 300.0, 300.0, 600.0, 18.0),
+        ("mems", 300.0, 420.0, 600.0, 18.0),
+        ("mems", 300.0, 480.0, 600.0, 18.0),
+        ("mems", 300.0, 600.0, 720.0, 18.0),
+        ("tactical", 300.0, 1500.0, 1800.0, 25.0),
+    ],
+)
+def test_filter_comes_back_from_an_outage_as_sure_as_it_says(
+    preset: str, start_s: float, end_s: float, end_of_dive_s: float, highest: float
+) -> None:
+    """Misalignments of some degrees meet velocities that have drifted by tens of m/s: the retraction must be exact."""
+    config = load_config(preset)
+    config = replace_filters(config, {"baseline": config.filters["baseline"]})
+    exact = exact_dive(
+        "lawnmower",
+        duration_s=end_of_dive_s,
+        imu_rate_hz=50.0,
+        reference_at_pings=True,
+        outages=[(start_s, end_s)] if end_s > start_s else [],
+    )
+    world = replace(make_world("lawnmower", config, "matched", 10.0), exact=exact)
+    runs = [simulated_run(world, run_seed(SEED, run))[0] for run in range(40)]
+    nees = np.array([run.nees for run in runs])
+    assert np.isfinite(nees).all()
+    later = np.searchsorted(runs[0].time_s, [end_s + 1.5, end_s + 60.0, end_of_dive_s]) - 1
+    assert (nees.mean(axis=0)[later] < highest).all()
+    assert (nees.mean(axis=0)[later] > 8.0).all()
+
+
+def replace_filters(config: Config, filters: dict[str, Filter]) -> Config:
+    return msgspec.structs.replace(config, filters=filters)
 
 
 def test_heading_is_as_sure_as_it_says_where_corrections_are_as_large_as_the_velocity() -> None:

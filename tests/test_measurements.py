@@ -12,6 +12,7 @@ from insdvl_replay.janus import beam_vectors
 from insdvl_replay.nav.dvl import DvlVelocities, solve_beams
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.measurements import (
+    NEVER_REOPENED,
     PUBLISHED,
     VELOCITY,
     WINDOWED,
@@ -42,6 +43,7 @@ def measurement(kind: int, window: int = 1) -> Measurement:
         np.zeros((window, window)),
         np.zeros((window, window - 1)),
         np.inf,
+        NEVER_REOPENED,
     )
 
 
@@ -105,7 +107,7 @@ class Ins:
         found = [rotate_back(state.mat_nb, state.velocity_n)]
         for length_s in np.diff(times_s):
             for _ in range(round(length_s * rate_hz)):
-                state, _ = propagate(state, vector(FORCE_B), vector(RATE_NB_B), 1 / rate_hz, place)
+                state, _ = propagate(state, vector(FORCE_B), vector(RATE_NB_B), 1 / rate_hz, place, GRAVITY)
             found.append(rotate_back(state.mat_nb, state.velocity_n))
         return np.array(found)
 
@@ -167,4 +169,4 @@ def test_acceleration_noise_comes_from_the_dvl_and_the_accelerometer() -> None:
     # n = 3 at 1 Hz: c = (-1/2, 0, 1/2), W = (1/2, 1/2).
     np.testing.assert_allclose(made.cov_b[4], (s**2 / 2 + white**2 / 2) * np.eye(3))
     assert made.available.tolist() == [False, False, True, True, True, True]
-    assert velocity_measurement(velocities, made.cov_b, 1.0).available.all()
+    assert velocity_measurement(velocities, made.cov_b, 1.0, 5).available.all()

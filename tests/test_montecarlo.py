@@ -23,8 +23,8 @@ from insdvl_replay.config import Config, Dvl, Filter
 from insdvl_replay.config_file import load_config
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.evaluation.ensemble import Ensemble, RunErrors, Tally, run_errors
-from insdvl_replay.evaluation.ensemble_tables import montecarlo_table, verdict_table
-from insdvl_replay.evaluation.state_errors import nees
+from insdvl_replay.evaluation.ensemble_tables import montecarlo_table, outage_table, verdict_table
+from insdvl_replay.evaluation.state_errors import motion_error, nees
 from insdvl_replay.history import History
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.report.pictures import draw_ensemble, picture_bytes
@@ -100,10 +100,22 @@ def test_errors_have_the_signs_of_the_error_state() -> None:
     )
     biases = TruthColumns(truth.time_ns, np.full((1, 3), 3.0 * MG), np.full((1, 3), 1e-6))
     error = run_errors(history, truth, biases).error[0]
-    np.testing.assert_allclose(error[DV], 0.5)
+    np.testing.assert_allclose(error[DV], 0.5, atol=0.5 * 1.1 * DEG)  # to first order
     np.testing.assert_allclose(error[PHI], [0.0, 0.0, 1.0 * DEG], atol=1e-12)
     np.testing.assert_allclose(error[BA], 2.0 * MG)
     np.testing.assert_allclose(error[BG], -2e-6)
+
+
+def test_velocity_error_is_the_one_of_which_p_speaks() -> None:
+    """For a turned dive, seen by neither DVL nor IMU, ``dv + v x phi = 0`` holds exactly, however far it is turned."""
+    turn, true_n = Rotation.from_rotvec([0.05, -0.02, 0.6]).as_matrix(), np.array([[1.2, -0.7, 0.3]])
+    velocity_error_n, misalignment_n = motion_error(true_n @ turn.T, turn[None], true_n, np.eye(3)[None])
+    np.testing.assert_allclose(misalignment_n, [[0.05, -0.02, 0.6]], rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(velocity_error_n, -np.cross(true_n @ turn.T, misalignment_n), rtol=0.0, atol=1e-15)
+    unknown = np.full((1, 3, 3), np.nan)
+    velocity_error_n, misalignment_n = motion_error(true_n + 0.1, turn[None], true_n, unknown)
+    np.testing.assert_allclose(velocity_error_n, 0.1, rtol=0.0, atol=1e-15)
+    assert np.isnan(misalignment_n).all()
 
 
 def at_one_time(*, velocity: float, heading_deg: float) -> ReferenceColumns:
@@ -219,10 +231,33 @@ def test_any_number_of_jobs_gives_the_same_bytes(tmp_path: Path) -> None:
     assert contents[0] == contents[1]
     assert set(contents[0]) == {
         "montecarlo.csv", "verdicts.csv", "nees.csv", "ensemble.csv", "runs.csv", "config.toml",
-        "report.json", "report.html",
+        "report.json", "report.html", "nees.svg", "nees.png",
         *(f"{name}_{states}.{format_}" for name in SENSORS.filters for states in ("navigation", "biases")
           for format_ in ("svg", "png")),
     }  # fmt: skip
+
+
+def test_nees_is_followed_through_outages() -> None:
+    time_s = np.concatenate([[0.0], np.arange(0.4, 100.0)])
+    zero = np.zeros((len(time_s), 12))
+    ensemble = Ensemble("one", 20, time_s, zero, zero, zero, nees=time_s)
+    table = outage_table([ensemble], [(10.0, 20.0), (60.0, 90.0)])
+    np.testing.assert_allclose(
+        table.drop(columns="filter"),
+        [[10.0, 20.0, 9.4, 19.4, 21.4, 79.4, 99.4], [60.0, 90.0, 59.4, 89.4, 91.4, np.nan, 99.4]],
+    )
+
+
+def test_study_has_outages_where_they_are_asked_for() -> None:
+    report, _ = study_montecarlo("straight", SENSORS, runs=2, duration_s=20.0, outages=[(5.0, 10.0)])
+    assert report.tables["outages"]["filter"].tolist() == list(SENSORS.filters)
+    assert report.arguments["outages"] == [[5.0, 10.0]]
+    assert "no bottom from 5 to 10 s" in report.title
+    sd = report.series["ensemble"].query("filter == 'baseline' and state == 'dv_n'").set_index("time_s")["sd"]
+    before, last, after = (float(sd[near_s:].iloc[0]) for near_s in (4.0, 9.0, 10.0))
+    assert sd[5.0:10.0].is_monotonic_increasing
+    assert last > 3.0 * before
+    assert after < last
 
 
 def test_any_run_can_be_repeated_alone() -> None:
@@ -304,7 +339,14 @@ def test_command_writes_a_folder_once_and_prints_verdicts(tmp_path: Path, capsys
     assert said.err.endswith(f"wrote {tmp_path / 'montecarlo-straight'}\n")
     report = json.loads((tmp_path / "montecarlo-straight" / "report.json").read_text())
     assert [row["filter"] for row in report["tables"]["verdicts"]] == ["baseline", "aided"]
-    assert report["arguments"] == {"scenario": "straight", "duration_s": 5.0, "imu": "matched", "seed": 1, "runs": 2}
+    assert report["arguments"] == {
+        "scenario": "straight",
+        "duration_s": 5.0,
+        "imu": "matched",
+        "seed": 1,
+        "runs": 2,
+        "outages": [],
+    }
     assert run_command_line(arguments) == 2
     assert "exists" in capsys.readouterr().err
     assert run_command_line([*arguments, "--force"]) == 0

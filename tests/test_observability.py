@@ -18,7 +18,7 @@ from insdvl_replay.errors import ConfigError
 from insdvl_replay.history import History
 from insdvl_replay.logs.dive_log import write_dive
 from insdvl_replay.nav.error_directions import named_directions
-from insdvl_replay.nav.measurements import VELOCITY, Measurement
+from insdvl_replay.nav.measurements import NEVER_REOPENED, VELOCITY, Measurement
 from insdvl_replay.nav.nominal_motion import NominalPings, nominal_pings
 from insdvl_replay.nav.observability import analyse, whitened_rows
 from insdvl_replay.nav.timeline import Timeline, build_timeline
@@ -136,6 +136,7 @@ def test_rows_are_in_units_of_the_measurements_noise() -> None:
         velocity_weights=np.zeros((2, 1)),
         interval_weights=np.zeros((2, 0)),
         gate=np.inf,
+        reopen_after=NEVER_REOPENED,
     )
     rows = whitened_rows(pings, measurement, np.array([1.0, 0.0, 0.0]))
     H = np.hstack([np.eye(3), np.zeros((3, 6)), -skew(np.array([1.0, 0.0, 0.0]))])
@@ -181,9 +182,9 @@ VELOCITY_ERRORS = {"dv_n", "dv_e", "dv_d"}
         ("straight", False, 8, 5, 5),
         ("straight", True, 9, 6, 6),
         ("turn", False, 10, 7, 9),
-        ("turn", True, 12, 9, 11),
+        ("turn", True, 12, 10, 11),
         ("figure-eight", False, 11, 8, 11),
-        ("figure-eight", True, 12, 9, 12),
+        ("figure-eight", True, 12, 10, 12),
         ("static", False, 8, 5, 5),
     ],
 )

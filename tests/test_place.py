@@ -11,6 +11,7 @@ from insdvl_replay.nav.place import (
     gravity_at,
     place_about,
     place_at,
+    transport_curvature,
     transport_rate_n,
 )
 
@@ -37,7 +38,7 @@ def test_at_the_edge_of_its_reach_a_place_is_off_by_no_more_than_it_says(
 
 @pytest.mark.parametrize("latitude", LATITUDES)
 def test_turn_of_the_frame_is_that_of_the_place(latitude: float) -> None:
-    north, east, down = transport_rate_n(place_at(latitude, -20.0), -20.0, (1.2, -0.7, 0.3))
+    north, east, down = transport_rate_n(transport_curvature(place_at(latitude, -20.0), -20.0), (1.2, -0.7, 0.3))
     east_radius_m = transverse_radius_m(latitude) - 20.0
     assert north == pytest.approx(-0.7 / east_radius_m, rel=1e-14)
     assert east == pytest.approx(-1.2 / (meridian_radius_m(latitude) - 20.0), rel=1e-14)

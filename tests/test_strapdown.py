@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
-from insdvl_replay.nav.place import place_about, place_at
+from insdvl_replay.nav.place import gravity_at, place_about, place_at
 from insdvl_replay.nav.strapdown import NavState, propagate
 from insdvl_replay.nav.vector_algebra import add, matrix, vector
 
@@ -50,7 +50,9 @@ def mechanised(motion: Motion, mat: Floats, rate_hz: float, duration_s: float) -
         force = 0.5 * (motion.force_b(before) + motion.force_b(after))
         rate = 0.5 * (motion.rate_b(before) + motion.rate_b(after))
         place = place_about(state.position, place)
-        state, _ = propagate(state, vector(force), vector(rate), after - before, place)
+        state, _ = propagate(
+            state, vector(force), vector(rate), after - before, place, gravity_at(place, state.position[2])
+        )
     return np.array(state.position), np.array(state.velocity_n), np.array(state.mat_nb)
 
 
@@ -82,7 +84,7 @@ def test_a_resting_imu_with_known_biases_stays_at_rest() -> None:
     place = place_at(latitude, 0.0)
     for _ in range(10_000):
         force_read, rate_read = add((0.0, 0.0, -gravity), state.accel_bias_b), add(vector(rate), state.gyro_bias_b)
-        state, _ = propagate(state, force_read, rate_read, 0.01, place)
+        state, _ = propagate(state, force_read, rate_read, 0.01, place, gravity_at(place, 0.0))
     np.testing.assert_allclose(state.velocity_n, 0.0, atol=1e-9)
     np.testing.assert_allclose(state.mat_nb, np.eye(3), atol=1e-10)
     assert (state.accel_bias_b, state.gyro_bias_b) == (FORCE_TOO_LARGE_BY, RATE_TOO_LARGE_BY)

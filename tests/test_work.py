@@ -157,7 +157,7 @@ def test_mechanisation_and_covariance_count_no_references() -> None:
         while not is_last(timeline, before):
             now = next_node(timeline, before)
             dt = now.time_s - before.time_s
-            state, motion = propagate(state, now.specific_force_b, now.angular_rate_b, dt, place)
+            state, motion = propagate(state, now.specific_force_b, now.angular_rate_b, dt, place, 9.8)
             propagate_cov(P, motion, noise_density, dt)
             before = now
         return state
@@ -168,5 +168,5 @@ def test_mechanisation_and_covariance_count_no_references() -> None:
 
 
 def test_several_columns_of_the_covariance_grow_at_once() -> None:
-    motion = Motion(STILL, STILL, STILL, LEVEL)
+    motion = Motion(STILL, STILL, STILL, LEVEL, STILL)
     assert "fmul <" in llvm_of(propagate_cov, np.eye(12).ravel(), motion, np.ones(12), 0.01)

@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from insdvl_replay.cli.completion import preset_names, scenario_names
+from insdvl_replay.errors import ConfigError
 
 Preset = Annotated[
     str | None,
@@ -30,6 +31,12 @@ Settings = Annotated[
     list[str],
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting, such as dvl.scale=1.01. May be repeated."),
 ]
+Outages = Annotated[
+    list[str],
+    typer.Option(
+        "--outage", metavar="START:END", help="Seconds during which no beam finds the bottom. May be repeated."
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace what an earlier run wrote.")]
 Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Dives at the same time, each in a process.")]
 Scheduler = Annotated[
@@ -47,3 +54,30 @@ Verbose = Annotated[
         help="Say more; twice, also where in the code an error arose.",
     ),
 ]
+
+
+def outage_spans(texts: list[str]) -> list[tuple[float, float]]:
+    """Read what ``--outage`` was given.
+
+    Parameters
+    ----------
+    texts : list of str
+
+    Returns
+    -------
+    list of (start_s, end_s)
+
+    Raises
+    ------
+    ConfigError
+        One is not of the form START:END.
+    """
+    return [_outage_span(text) for text in texts]
+
+
+def _outage_span(text: str) -> tuple[float, float]:
+    try:
+        start_s, end_s = (float(part) for part in text.split(":"))
+    except ValueError as error:
+        raise ConfigError(f"--outage {text}: is not of the form START:END", "for example --outage 60:90") from error
+    return start_s, end_s

@@ -7,7 +7,7 @@ import typer
 
 from insdvl_replay.cli.completion import grade_names
 from insdvl_replay.cli.messages import tell
-from insdvl_replay.cli.options import Force, Scenario, Verbose
+from insdvl_replay.cli.options import Force, Outages, Scenario, Verbose, outage_spans
 from insdvl_replay.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -27,10 +27,7 @@ def simulate(
         str,
         typer.Option(metavar="GRADE", help="How good the IMU is: fog, tactical or mems.", autocompletion=grade_names),
     ] = "fog",
-    outage: Annotated[
-        list[str],
-        typer.Option(metavar="START:END", help="Seconds during which no beam finds the bottom. May be repeated."),
-    ] = [],  # noqa: B006
+    outage: Outages = [],  # noqa: B006
     lost_beam: Annotated[
         list[str],
         typer.Option(metavar="BEAM:START:END", help="The same for one beam, counted from 0. May be repeated."),
@@ -57,19 +54,11 @@ def simulate(
             seed=seed,
             duration_s=duration,
             grade=imu,
-            outages=[_outage(text) for text in outage],
+            outages=outage_spans(outage),
             lost_beams=[_lost_beam(text) for text in lost_beam],
         )
         write_dive(path, dive)
     tell(f"wrote {output}")
-
-
-def _outage(text: str) -> tuple[float, float]:
-    try:
-        start_s, end_s = (float(part) for part in text.split(":"))
-    except ValueError as error:
-        raise ConfigError(f"--outage {text}: is not of the form START:END", "for example --outage 60:90") from error
-    return start_s, end_s
 
 
 def _lost_beam(text: str) -> "LostBeam":

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.options import Force, Preset, Scenario, Settings, Verbose
+from insdvl_replay.cli.options import Force, Outages, Preset, Scenario, Settings, Verbose, outage_spans
 from insdvl_replay.cli.run import Format
 
 study = typer.Typer(rich_markup_mode=None, no_args_is_help=True)
@@ -42,6 +42,7 @@ def montecarlo(
             help="How the sensors err: matched (exactly as the first filter believes), fog, tactical or mems.",
         ),
     ] = "matched",
+    outage: Outages = [],  # noqa: B006
     jobs: Annotated[
         int | None, typer.Option(metavar="N", min=1, help="Runs at the same time; left out, one for each core.")
     ] = None,
@@ -58,10 +59,12 @@ def montecarlo(
 
     Every run draws its own sensor errors and its own error of the start. Per filter and state: the sigma from P beside
     the sigma and mean over the runs, NEES with its interval, and believed beside true improvement.
+    With outages of the DVL also NEES before, in and after each.
 
     \b
     Example:
       insdvl-replay study montecarlo lawnmower
+      insdvl-replay study montecarlo lawnmower --preset mems --outage 300:480
       insdvl-replay study montecarlo straight --imu fog --preset fog --runs 200
       insdvl-replay study montecarlo straight --run 17
     """
@@ -73,8 +76,11 @@ def montecarlo(
     from insdvl_replay.studies.montecarlo import repeat_run, save_montecarlo, study_montecarlo
 
     resolved, target = load_config(preset, config, settings), output / f"montecarlo-{scenario}"
+    outages = outage_spans(outage)
     if run is not None:
-        print_study(repeat_run(scenario, resolved, run, seed=seed, duration_s=duration, imu=imu), format_)
+        print_study(
+            repeat_run(scenario, resolved, run, seed=seed, duration_s=duration, imu=imu, outages=outages), format_
+        )
         return
     refuse_existing_folder(target, force=force)
     with progress(f"simulating {scenario}", runs, note=compiling().lstrip("; ")) as after_run:
@@ -85,6 +91,7 @@ def montecarlo(
             seed=seed,
             duration_s=duration,
             imu=imu,
+            outages=outages,
             jobs=jobs,
             after_run=after_run,
         )

@@ -1,6 +1,6 @@
 """Tables of a Monte Carlo study: what each filter believes beside what is so."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -13,6 +13,10 @@ from insdvl_replay.states import STATES
 
 DOF: Final = len(STATES)
 """Degrees of freedom of one NEES."""
+SOON_S: Final = 1.5
+"""After an outage: with pings each second, after the second of them."""
+LATER_S: Final = 60.0
+"""After an outage: what a correction of large errors leaves behind has had time to show."""
 
 
 def montecarlo_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
@@ -81,6 +85,39 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
         rows.append((ensemble.filter, ensemble.runs, DOF, mean, low, high, inside_pct, float(at_pings[-1]), word))
     names = ["filter", "runs", "dof", "mean_nees", "low", "high", "inside_pct", "final_nees", "verdict"]
     return pd.DataFrame(rows, columns=names)
+
+
+def outage_table(ensembles: Sequence[Ensemble], outages: Sequence[tuple[float, float]]) -> pd.DataFrame:
+    """Follow the mean NEES through outages of the DVL: what an INS alone did, and how a filter comes back from it.
+
+    Parameters
+    ----------
+    ensembles : sequence of Ensemble
+    outages : sequence of (start_s, end_s)
+        Seconds from the start.
+
+    Returns
+    -------
+    DataFrame
+        Columns filter, start_s, end_s, and the mean NEES over the runs nees_before, nees_last (at the last time of the
+        outage), nees_soon (`SOON_S` after it), nees_later (`LATER_S` after it), nees_final (at the end of the dive);
+        NaN where the dive does not reach so far.
+    """
+    rows = [
+        (ensemble.filter, start_s, end_s, *_through(ensemble, start_s, end_s))
+        for ensemble in ensembles
+        for start_s, end_s in outages
+    ]
+    names = ["filter", "start_s", "end_s", "nees_before", "nees_last", "nees_soon", "nees_later", "nees_final"]
+    return pd.DataFrame(rows, columns=names)
+
+
+def _through(ensemble: Ensemble, start_s: float, end_s: float) -> Iterator[float]:
+    for time_s in (start_s, end_s, end_s + SOON_S, end_s + LATER_S):
+        row = int(np.searchsorted(ensemble.time_s, time_s)) - 1
+        reached = row >= 0 and time_s <= ensemble.time_s[-1] + SOON_S
+        yield float(ensemble.nees[row]) if reached else float("nan")
+    yield float(ensemble.nees[-1])
 
 
 def runs_table(seeds: Sequence[int], tallies: Sequence[Tally]) -> pd.DataFrame:

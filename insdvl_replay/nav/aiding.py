@@ -62,7 +62,7 @@ def filter_measurements(
     measurements = []
     for aiding in filter_.aiding:
         if aiding == "velocity":
-            measurements.append(velocity_measurement(velocities, cov_b, gate))
+            measurements.append(velocity_measurement(velocities, cov_b, gate, filter_.gate_reopen_after))
         else:
             measurement = _acceleration(filter_, velocities, cov_b, config, gate)
             measurements.append(_seen(measurement, velocities.time_ns, gaps))

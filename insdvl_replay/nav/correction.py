@@ -1,5 +1,10 @@
 """Take the estimated errors out of the navigation state, and carry the covariance along to the corrected state.
 
+What a velocity in b measures is exactly the velocity error that is left when the true dive is turned by the
+misalignment, ``xi = v_hat - C_hat C' v``, for misalignments of any size; its first order is ``dv + v x phi``. What
+``K z`` estimates is therefore taken out as ``v <- exp(-[phi x]) (v - xi)``. To take ``dv`` off instead leaves
+``1/2 phi x (phi x v)`` behind, which after an outage is more than the filter allows for.
+
 The errors are counted from the estimate, so that a correction moves the point from which they are counted. Which
 heading error looks like which velocity error depends on the velocity: turned as a whole about down, a dive looks the
 same to DVL and IMU, and ``dv = -v x phi`` goes with the turn ``phi``. A filter that corrects v and leaves P as it was
@@ -16,8 +21,11 @@ from insdvl_replay.nav.vector_algebra import (
     add,
     column_vector,
     compose,
+    cross,
     dot,
+    rotate,
     rotation_from_vector,
+    scale,
     subtract,
 )
 
@@ -45,12 +53,15 @@ def correct(state: NavState, P: Floats, KT: Floats, z: Vector, dx: Floats) -> Na
     """
     for i in range(12):
         dx[i] = dot(column_vector(KT, i), z)
-    velocity_error = (dx[0], dx[1], dx[2])
-    keep_invariant_error(P, velocity_error)
+    misalignment, before_n = (dx[3], dx[4], dx[5]), state.velocity_n
+    invariant_error = add((dx[0], dx[1], dx[2]), cross(before_n, misalignment))
+    turn_back = rotation_from_vector(scale(-1.0, misalignment))
+    velocity_n = rotate(turn_back, subtract(before_n, invariant_error))
+    keep_invariant_error(P, subtract(before_n, velocity_n))
     return NavState(
         state.position,
-        subtract(state.velocity_n, velocity_error),
-        compose(rotation_from_vector((-dx[3], -dx[4], -dx[5])), state.mat_nb),
+        velocity_n,
+        compose(turn_back, state.mat_nb),
         add(state.accel_bias_b, (dx[6], dx[7], dx[8])),
         add(state.gyro_bias_b, (dx[9], dx[10], dx[11])),
     )

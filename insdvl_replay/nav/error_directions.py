@@ -12,7 +12,8 @@ import numpy as np
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.nav.observability import Observability
-from insdvl_replay.nav.place import normal_gravity, place_at, transport_rate_n
+from insdvl_replay.nav.place import normal_gravity, place_at, transport_curvature, transport_rate_n
+from insdvl_replay.nav.vector_algebra import vector
 from insdvl_replay.states import BA, BG, DV, PHI
 
 _AXES: Final = ("north", "east", "down")
@@ -65,7 +66,9 @@ def named_directions(
     tuple of ErrorDirection
         In an order in which each is simpler than those after it.
     """
-    rate_ie_n, rate_in_n = _rates_n(position, velocity_n) if earth_rate else (np.zeros(3), np.zeros(3))
+    still = np.zeros(3)
+    rate_ie_n, rate_en_n = _rates_n(position, velocity_n) if earth_rate else (still, still)
+    rate_in_n = rate_ie_n + rate_en_n
     gravity_n = np.array([0.0, 0.0, normal_gravity(position[0], position[2])])
     coriolis_n = rate_ie_n + rate_in_n
     force_n = np.cross(coriolis_n, velocity_n) - gravity_n
@@ -78,7 +81,8 @@ def named_directions(
     for axis, phi in zip(_AXES, axes_n, strict=True):
         dv = -np.cross(velocity_n, phi)
         ba = mat_nb.T @ (np.cross(force_n, phi) + np.cross(coriolis_n, dv))
-        bg = mat_nb.T @ np.cross(rate_in_n, phi)
+        transport_error_n = _rates_n(position, dv)[1] if earth_rate else still
+        bg = mat_nb.T @ (np.cross(rate_in_n, phi) + transport_error_n)
         tilts.append(
             ErrorDirection(f"phi_{axis[0]} held", _tilt_label(axis, earth_rate), _error(dv=dv, phi=phi, ba=ba, bg=bg))
         )
@@ -139,7 +143,8 @@ def _error(**parts: Floats) -> Floats:
 
 
 def _rates_n(position: Floats, velocity_n: Floats) -> tuple[Floats, Floats]:
+    """Give the rates of the Earth, and of n against the Earth at a velocity."""
     latitude, height_m = float(position[0]), float(position[2])
-    place, (north, east, down) = place_at(latitude, height_m), velocity_n.tolist()
-    rate_ie_n = np.array(place.rate_ie_n)
-    return rate_ie_n, rate_ie_n + np.array(transport_rate_n(place, height_m, (north, east, down)))
+    place = place_at(latitude, height_m)
+    rate_en_n = transport_rate_n(transport_curvature(place, height_m), vector(velocity_n))
+    return np.array(place.rate_ie_n), np.array(rate_en_n)

@@ -1,19 +1,21 @@
 """The 12-state error model: how errors of the mechanisation grow.
 
-F = [ -[(2 w_ie + w_en) x]   -[f_n x]     C   0 ]
-    [          0            -[w_in x]     0   C ]
+F = [ -[(2 w_ie + w_en) x]   -[f_n x]     C   0 ]        D dv = w_en of the velocity dv
+    [         -D            -[w_in x]     0   C ]
     [          0                0         0   0 ]
     [          0                0         0   0 ]
 
-Equations (26) to (32) of Levy and Klein, with the rates of n where they print the gyro's output; see EQUATIONS.md.
+Equations (26) to (32) of Levy and Klein, with the rates of n where they print the gyro's output, and with D, which lets
+velocity and misalignment swing with Schuler's period; see EQUATIONS.md.
 """
 
 import numpy as np
 
 from insdvl_replay.columns import Floats
 from insdvl_replay.compiled import inlined
+from insdvl_replay.nav.place import transport_rate_n
 from insdvl_replay.nav.strapdown import Motion
-from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate, scale, scale_matrix
+from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate, scale, scale_matrix, subtract
 
 
 @inlined
@@ -40,8 +42,8 @@ def error_rate(
     coriolis = cross(velocity_error, add(motion.rate_ie_n, motion.rate_in_n))
     tilted = cross(misalignment, motion.force_n)
     velocity_error_rate = add(add(coriolis, tilted), rotate(motion.mat_nb, accel_bias))
-    misalignment_rate = add(cross(misalignment, motion.rate_in_n), rotate(motion.mat_nb, gyro_bias))
-    return velocity_error_rate, misalignment_rate
+    turned = subtract(cross(misalignment, motion.rate_in_n), transport_rate_n(motion.curvature, velocity_error))
+    return velocity_error_rate, add(turned, rotate(motion.mat_nb, gyro_bias))
 
 
 @inlined
@@ -104,6 +106,7 @@ def _over(motion: Motion, dt: float) -> Motion:
         scale(dt, motion.rate_in_n),
         scale(dt, motion.force_n),
         scale_matrix(dt, motion.mat_nb),
+        scale(dt, motion.curvature),
     )
 
 

@@ -13,10 +13,19 @@ from insdvl_replay.compiled import compiled, inlined
 from insdvl_replay.history import History
 from insdvl_replay.nav.correction import correct
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
+from insdvl_replay.nav.gate import locks_out, open_velocity
+from insdvl_replay.nav.gravity_height import GravityHeight, followed
 from insdvl_replay.nav.innovation import InsAtPing, linearise
-from insdvl_replay.nav.kalman import cholesky, innovation_cov, standardised, transposed_gain, update_cov
-from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.place import normal_gravity, place_about, place_at
+from insdvl_replay.nav.kalman import (
+    cholesky,
+    innovation_cov,
+    multiply,
+    standardised,
+    transposed_gain,
+    update_cov,
+)
+from insdvl_replay.nav.measurements import VELOCITY, Measurement
+from insdvl_replay.nav.place import gravity_at, normal_gravity, place_about, place_at
 from insdvl_replay.nav.recording import (
     Records,
     Updates,
@@ -72,6 +81,7 @@ class _Stack(NamedTuple):
     velocity_weights: Floats
     interval_weights: Floats
     gate: Floats
+    reopen_after: NDArray[np.int64]
 
 
 def run_filter(
@@ -146,6 +156,7 @@ def _run(
     """Walk the time line. This is the whole filter."""
     P, P_by_row, velocity_after_b = matrices.P, matrices.P_by_row, (0.0, 0.0, 0.0)
     place, before = place_at(state.position[0], state.position[2]), first_node(timeline)
+    gravity = GravityHeight(state.position[2], 0.0, before.time_s)
     write_record(state, P, records, timeline.record[before.event])
     while not is_last(timeline, before):
         now = next_node(timeline, before)
@@ -153,7 +164,8 @@ def _run(
         place = place_about(state.position, place)
         force_b = mean(before.specific_force_b, now.specific_force_b)
         rate_b = mean(before.angular_rate_b, now.angular_rate_b)
-        state, motion = propagate(state, force_b, rate_b, dt, place)
+        gravity = followed(gravity, state.position[2], before.time_s)
+        state, motion = propagate(state, force_b, rate_b, dt, place, gravity_at(place, gravity.height_m))
         propagate_cov(P_by_row, motion, noise_density, dt)
         gap = timeline.gap[before.event]
         if gap >= 0:
@@ -171,6 +183,8 @@ def _run(
                     at_ping = _at_ping(state, memory, now.specific_force_b, lever_arm_b)
                     z = linearise(measurement, ping, at_ping, matrices.H)
                     state = _update(state, measurement, m, ping, z, matrices, updates)
+                    if updates.used[m, ping] and measurement.kind == VELOCITY:
+                        gravity = GravityHeight(gravity.height_m, gravity.drift_m, now.time_s)
             velocity_after_b = _velocity_b(state)
         row = timeline.record[now.event]
         if row >= 0:
@@ -193,6 +207,7 @@ def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
         np.stack([padded(measurement.velocity_weights, longest) for measurement in measurements]),
         np.stack([padded(measurement.interval_weights, longest - 1) for measurement in measurements]),
         np.array([measurement.gate for measurement in measurements]),
+        np.array([measurement.reopen_after for measurement in measurements]),
     )
 
 
@@ -237,6 +252,7 @@ def _unstacked(stack: _Stack, m: int) -> Measurement:
         stack.velocity_weights[m],
         stack.interval_weights[m],
         stack.gate[m],
+        stack.reopen_after[m],
     )
 
 
@@ -258,8 +274,14 @@ def _update(
     whitened = standardised(L, z)
     nis = dot(whitened, whitened)
     used = nis <= measurement.gate
-    write_update(updates, m, ping, z, S, L, nis, used)
-    if not used:
+    refused_in_a_row = 0 if used else updates.refused_in_a_row[m] + 1
+    reopened = locks_out(nis, refused_in_a_row, measurement.reopen_after)
+    write_update(updates, m, ping, z, S, L, nis, used or reopened, reopened)
+    updates.refused_in_a_row[m] = 0 if reopened else refused_in_a_row
+    if reopened:
+        L = cholesky(open_velocity(P, S, z))
+        multiply(H, P, HP)
+    elif not used:
         return state
     transposed_gain(HP, L, KT)
     update_cov(P, H, R, HP, KT, rest)

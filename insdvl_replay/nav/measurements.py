@@ -14,6 +14,8 @@ from insdvl_replay.nav.dvl import DvlVelocities, slope_windows, windowed_sum
 VELOCITY: Final = 0
 PUBLISHED: Final = 1
 WINDOWED: Final = 2
+NEVER_REOPENED: Final = 0
+"""An acceleration that is rejected locks nothing out: the velocity brings the INS back."""
 
 
 class Measurement(NamedTuple):
@@ -37,6 +39,8 @@ class Measurement(NamedTuple):
         Weights W of the window's intervals.
     gate : float
         Largest NIS that is used.
+    reopen_after : int
+        Rejections in a row after which the velocity's uncertainty is opened; 0: never.
     """
 
     kind: int
@@ -47,6 +51,7 @@ class Measurement(NamedTuple):
     velocity_weights: Floats
     interval_weights: Floats
     gate: float
+    reopen_after: int
 
 
 def velocity_cov(velocities: DvlVelocities, velocity_sd_mps: float, beam_sd_mps: float | None) -> Floats:
@@ -76,7 +81,7 @@ def velocity_cov(velocities: DvlVelocities, velocity_sd_mps: float, beam_sd_mps:
     return cov
 
 
-def velocity_measurement(velocities: DvlVelocities, cov_b: Floats, gate: float) -> Measurement:
+def velocity_measurement(velocities: DvlVelocities, cov_b: Floats, gate: float, reopen_after: int) -> Measurement:
     """Aid by the DVL's velocity at every ping.
 
     Parameters
@@ -87,6 +92,8 @@ def velocity_measurement(velocities: DvlVelocities, cov_b: Floats, gate: float) 
         From `velocity_cov`.
     gate : float
         Largest NIS that is used.
+    reopen_after : int
+        Rejections in a row after which the velocity's uncertainty is opened; 0: never.
 
     Returns
     -------
@@ -102,6 +109,7 @@ def velocity_measurement(velocities: DvlVelocities, cov_b: Floats, gate: float) 
         np.zeros((m, 1)),
         np.zeros((m, 0)),
         gate,
+        reopen_after,
     )
 
 
@@ -158,4 +166,5 @@ def acceleration_measurement(
         windows.velocity_weights,
         np.ascontiguousarray(windows.interval_weights),
         gate,
+        NEVER_REOPENED,
     )

@@ -8,7 +8,7 @@ from insdvl_replay.columns import Floats
 from insdvl_replay.compiled import compiled, inlined
 from insdvl_replay.history import History
 from insdvl_replay.nav.error_model import propagate_errors
-from insdvl_replay.nav.place import normal_gravity, place_about, place_at
+from insdvl_replay.nav.place import gravity_at, normal_gravity, place_about, place_at
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import Timeline, first_node, is_event, is_last, mean, next_node
 from insdvl_replay.nav.vector_algebra import (
@@ -126,7 +126,7 @@ def _walk(timeline: Timeline, nominal: _States, earth_rate: bool, Phi: Floats, f
         place = place_about(state.position, place)
         force_b = mean(before.specific_force_b, now.specific_force_b)
         rate_b = mean(before.angular_rate_b, now.angular_rate_b)
-        state, motion = propagate(state, force_b, rate_b, dt, place)
+        state, motion = propagate(state, force_b, rate_b, dt, place, gravity_at(place, state.position[2]))
         propagate_errors(Phi, motion if earth_rate else _on_a_resting_earth(motion, before_n), dt)
         before = now
         if not is_event(timeline, now):
@@ -152,4 +152,4 @@ def _on_a_resting_earth(motion: Motion, velocity_n: Vector) -> Motion:
     """Give the motion with the specific force that the same way would take on an Earth that is flat and at rest."""
     coriolis_n = cross(add(motion.rate_ie_n, motion.rate_in_n), velocity_n)
     still = (0.0, 0.0, 0.0)
-    return Motion(still, still, subtract(motion.force_n, coriolis_n), motion.mat_nb)
+    return Motion(still, still, subtract(motion.force_n, coriolis_n), motion.mat_nb, still)

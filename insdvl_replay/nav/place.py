@@ -129,13 +129,32 @@ def curvatures(place: Place, height_m: float) -> tuple[float, float]:
 
 
 @inlined
-def transport_rate_n(place: Place, height_m: float, velocity_n: Vector) -> Vector:
-    """Give the rate w_en at which n turns because the vehicle moves over the curved Earth.
+def transport_curvature(place: Place, height_m: float) -> Vector:
+    """Give what a velocity of 1 m/s turns n by as it moves over the curved Earth, see `transport_rate_n`.
 
     Parameters
     ----------
     place : Place
     height_m : float
+
+    Returns
+    -------
+    tuple of 3 float, 1/m
+        About north and about down for a velocity east, about east for one north: 1 / (R_E + h), 1 / (R_N + h) and
+        tan L / (R_E + h).
+    """
+    to_north, to_east = curvatures(place, height_m)
+    return to_east, to_north, to_east * place.tan_latitude
+
+
+@inlined
+def transport_rate_n(curvature: Vector, velocity_n: Vector) -> Vector:
+    """Give the rate w_en at which n turns because the vehicle moves over the curved Earth.
+
+    Parameters
+    ----------
+    curvature : tuple of 3 float
+        From `transport_curvature`, 1/m.
     velocity_n : tuple of 3 float
         m/s
 
@@ -143,6 +162,4 @@ def transport_rate_n(place: Place, height_m: float, velocity_n: Vector) -> Vecto
     -------
     tuple of 3 float, rad/s
     """
-    to_north, to_east = curvatures(place, height_m)
-    east_rate = velocity_n[1] * to_east
-    return east_rate, -velocity_n[0] * to_north, -east_rate * place.tan_latitude
+    return velocity_n[1] * curvature[0], -velocity_n[0] * curvature[1], -velocity_n[1] * curvature[2]

@@ -30,13 +30,15 @@ class Records(NamedTuple):
 
 
 class Updates(NamedTuple):
-    """Innovations, first axis measurement, second axis ping."""
+    """Innovations, first axis measurement, second axis ping; and how many of each were rejected in a row so far."""
 
     innovation_b: Floats
     sd_b: Floats
     nis: Floats
     used: NDArray[np.bool_]
+    reopened: NDArray[np.bool_]
     log_det: Floats
+    refused_in_a_row: NDArray[np.int64]
 
 
 def new_records(keep_cov: NDArray[np.bool_]) -> Records:
@@ -61,7 +63,9 @@ def new_updates(measurements: int, pings: int) -> Updates:
         sd_b=np.full((measurements, pings, 3), np.nan),
         nis=np.full((measurements, pings), np.nan),
         used=np.zeros((measurements, pings), dtype=np.bool_),
+        reopened=np.zeros((measurements, pings), dtype=np.bool_),
         log_det=np.full((measurements, pings), np.nan),
+        refused_in_a_row=np.zeros(measurements, dtype=np.int64),
     )
 
 
@@ -84,9 +88,11 @@ def write_record(state: NavState, P: Floats, records: Records, row: int) -> None
 
 
 @inlined
-def write_update(updates: Updates, m: int, ping: int, z: Vector, S: Matrix, L: Matrix, nis: float, used: bool) -> None:
+def write_update(
+    updates: Updates, m: int, ping: int, z: Vector, S: Matrix, L: Matrix, nis: float, used: bool, reopened: bool
+) -> None:
     """Write down an innovation and what was thought of it; L is the Cholesky factor of its covariance S."""
-    updates.nis[m, ping], updates.used[m, ping] = nis, used
+    updates.nis[m, ping], updates.used[m, ping], updates.reopened[m, ping] = nis, used, reopened
     updates.log_det[m, ping] = 2.0 * (math.log(L[0][0]) + math.log(L[1][1]) + math.log(L[2][2]))
     for i in range(3):
         updates.innovation_b[m, ping, i] = z[i]
@@ -127,6 +133,7 @@ def history_of(
                 sd_b=updates.sd_b[m, rows],
                 nis=updates.nis[m, rows],
                 used=updates.used[m, rows],
+                reopened=updates.reopened[m, rows],
                 log_det=updates.log_det[m, rows],
             )
         )

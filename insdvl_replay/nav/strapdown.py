@@ -6,7 +6,7 @@ Source: equations (24) and (25) of Levy and Klein; Groves, chapter 5.
 from typing import NamedTuple
 
 from insdvl_replay.compiled import inlined
-from insdvl_replay.nav.place import Place, curvatures, gravity_at, transport_rate_n
+from insdvl_replay.nav.place import Place, curvatures, transport_curvature, transport_rate_n
 from insdvl_replay.nav.vector_algebra import (
     Matrix,
     Vector,
@@ -53,17 +53,20 @@ class Motion(NamedTuple):
         Specific force in n, m/s^2.
     mat_nb : tuple of 3 rows
         Attitude at the end.
+    curvature : tuple of 3 float
+        Of the Earth under the vehicle, see `place.transport_curvature`, 1/m.
     """
 
     rate_ie_n: Vector
     rate_in_n: Vector
     force_n: Vector
     mat_nb: Matrix
+    curvature: Vector
 
 
 @inlined
 def propagate(
-    state: NavState, specific_force_b: Vector, angular_rate_b: Vector, dt: float, place: Place
+    state: NavState, specific_force_b: Vector, angular_rate_b: Vector, dt: float, place: Place, gravity: float
 ) -> tuple[NavState, Motion]:
     """Advance position, velocity and attitude over one interval.
 
@@ -80,6 +83,8 @@ def propagate(
         Length of the interval, s.
     place : Place
         Where the vehicle is, within its reach.
+    gravity : float
+        There, m/s^2.
 
     Returns
     -------
@@ -89,15 +94,16 @@ def propagate(
     """
     height_m, velocity_n = state.position[2], state.velocity_n
     force_b, rate_b = subtract(specific_force_b, state.accel_bias_b), subtract(angular_rate_b, state.gyro_bias_b)
-    rate_in_n = add(place.rate_ie_n, transport_rate_n(place, height_m, velocity_n))
+    curvature = transport_curvature(place, height_m)
+    rate_in_n = add(place.rate_ie_n, transport_rate_n(curvature, velocity_n))
     mat_nb = _turned(state.mat_nb, rate_b, rate_in_n, dt)
     force_n = scale(0.5, add(rotate(state.mat_nb, force_b), rotate(mat_nb, force_b)))
     coriolis_n = cross(add(place.rate_ie_n, rate_in_n), velocity_n)
-    acceleration_n = add(subtract(force_n, coriolis_n), (0.0, 0.0, gravity_at(place, height_m)))
+    acceleration_n = add(subtract(force_n, coriolis_n), (0.0, 0.0, gravity))
     velocity_after_n = add(velocity_n, scale(dt, acceleration_n))
     position = _moved(state.position, scale(0.5 * dt, add(velocity_n, velocity_after_n)), place)
     after = NavState(position, velocity_after_n, mat_nb, state.accel_bias_b, state.gyro_bias_b)
-    return after, Motion(place.rate_ie_n, rate_in_n, force_n, mat_nb)
+    return after, Motion(place.rate_ie_n, rate_in_n, force_n, mat_nb, curvature)
 
 
 @inlined

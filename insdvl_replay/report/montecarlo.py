@@ -53,7 +53,7 @@ def shown_montecarlo(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable, ..
     Parameters
     ----------
     tables : mapping of str to DataFrame
-        ``montecarlo`` and ``verdicts``.
+        ``montecarlo`` and ``verdicts``; ``outages`` where there were any.
 
     Returns
     -------
@@ -64,7 +64,8 @@ def shown_montecarlo(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable, ..
         _states(name, rows, "" if name == baseline else baseline)
         for name, rows in tables["montecarlo"].groupby("filter", sort=False)
     ]
-    return (*states, _verdicts(tables["verdicts"]))
+    through = (_outages(tables["outages"]),) if "outages" in tables else ()
+    return (*states, _verdicts(tables["verdicts"]), *through)
 
 
 def _states(name: object, rows: pd.DataFrame, baseline: str) -> ShownTable:
@@ -102,6 +103,19 @@ def _verdicts(table: pd.DataFrame) -> ShownTable:
                 number(row["final_nees"]),
                 row["verdict"],
             )
+            for row in table.to_dict("records")
+        ),
+    )
+
+
+def _outages(table: pd.DataFrame) -> ShownTable:
+    columns = ["nees_before", "nees_last", "nees_soon", "nees_later", "nees_final"]
+    return ShownTable(
+        f"NEES through outages of the DVL, mean over the runs; {len(STATES)} expected",
+        ("filter", "from\n[s]", "to\n[s]", "before", "last in\nit", "after\n1.5 s", "after\n60 s", "at the\nend"),
+        "lrrrrrrr",
+        tuple(
+            (row["filter"], f"{row['start_s']:g}", f"{row['end_s']:g}", *(number(row[column]) for column in columns))
             for row in table.to_dict("records")
         ),
     )

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Final
 
+import pandas as pd
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -25,6 +26,9 @@ _METADATA: Final[dict[str, dict[str, Any]]] = {"svg": {"Date": None, "Creator": 
 PIXELS_PER_INCH: Final = 150
 SETTLED: Final = 0.02
 """Share of the dive after which a panel shows everything; before, a sigma may fall from fifty times as high."""
+
+FAR_ABOVE: Final = 10.0
+"""A NEES this many times above the interval is drawn on a logarithmic scale, which shows the others, too."""
 
 
 def own_style() -> AbstractContextManager[None]:
@@ -50,6 +54,35 @@ def picture_bytes(figure: Figure, format_: str) -> bytes:
     with own_style():
         figure.savefig(stream, format=format_, dpi=PIXELS_PER_INCH, metadata=_METADATA[format_])
     return stream.getvalue()
+
+
+def draw_nees(title: str, nees: pd.DataFrame) -> Figure:
+    """Draw the mean NEES of each filter over time, with the interval of consistent ones.
+
+    Parameters
+    ----------
+    title : str
+    nees : DataFrame
+        From `ensemble_tables.nees_table`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    with own_style():
+        figure = Figure(figsize=(10.0, 3.2), layout="constrained")
+        panel = figure.subplots()
+        panel.axhspan(
+            nees["low"][0], nees["high"][0], color="tab:green", alpha=0.25, label="95 % of consistent filters"
+        )
+        for name, rows in nees.groupby("filter", sort=False):
+            panel.plot(rows["time_s"], rows["mean_nees"], linewidth=1.2, label=name)
+        scale = "log" if nees["mean_nees"].max() > FAR_ABOVE * nees["high"][0] else "linear"
+        panel.set(xlabel="time [s]", ylabel="mean NEES", yscale=scale)
+        panel.margins(x=0.0)
+        panel.legend(frameon=False)
+        figure.suptitle(title)
+    return figure
 
 
 def draw_ensemble(

@@ -62,10 +62,10 @@ def number(value: float | None) -> str:
     -------
     str
     """
-    if value is None:
+    if value is None or math.isnan(value):
         return MISSING
-    if value == 0.0:
-        return "0"
+    if value == 0.0 or math.isinf(value):
+        return f"{value:g}"
     exponent = math.floor(math.log10(abs(value)))
     if -4 <= exponent < 7:
         return f"{value:.{max(3 - exponent, 0)}f}"
@@ -79,9 +79,9 @@ def counted(count: int, noun: str) -> str:
 
 def decimal(value: float | None, digits: int) -> str:
     """Write a number with a fixed number of digits after the point."""
-    return MISSING if value is None else f"{value:.{digits}f}"
+    return MISSING if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 
 def percent(value: float | None) -> str:
     """Write a percentage with one digit."""
-    return MISSING if value is None else f"{value:.1f} %"
+    return MISSING if value is None or math.isnan(value) else f"{value:.1f} %"

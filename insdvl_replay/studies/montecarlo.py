@@ -1,6 +1,6 @@
 """The Monte Carlo study: many simulated dives, and whether the filters' uncertainty is as large as their errors."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -11,12 +11,13 @@ from insdvl_replay.evaluation.ensemble_tables import (
     ensemble_table,
     montecarlo_table,
     nees_table,
+    outage_table,
     run_table,
     runs_table,
     verdict_table,
 )
 from insdvl_replay.report.montecarlo import montecarlo_sentences, run_sentences, shown_montecarlo, shown_run
-from insdvl_replay.report.pictures import draw_ensemble
+from insdvl_replay.report.pictures import draw_ensemble, draw_nees
 from insdvl_replay.report.study import StudyReport, write_study
 from insdvl_replay.states import STATES
 from insdvl_replay.studies.simulated_run import MATCHED, World, make_world, run_seed, simulated_run
@@ -34,6 +35,7 @@ def study_montecarlo(
     seed: int = 1,
     duration_s: float | None = None,
     imu: str = MATCHED,
+    outages: Sequence[tuple[float, float]] = (),
     jobs: int | None = None,
     after_run: Callable[[], object] = lambda: None,
 ) -> tuple[StudyReport, tuple[Ensemble, ...]]:
@@ -52,6 +54,8 @@ def study_montecarlo(
         Left out: the scenario's own.
     imu : str
         `MATCHED`, or a name in `imu_errors.GRADES`.
+    outages : sequence of (start_s, end_s)
+        Spans in which no beam finds the bottom; with any, there is a table ``outages`` of the NEES through them.
     jobs : int, optional
         Runs at the same time; left out, one for each core. The result does not depend on it.
     after_run : callable
@@ -68,7 +72,7 @@ def study_montecarlo(
     ConfigError
         Unknown scenario or grade, or a duration that cannot be.
     """
-    world = make_world(scenario, config, imu, duration_s)
+    world = make_world(scenario, config, imu, duration_s, outages)
     seeds = [run_seed(seed, run) for run in range(1, runs + 1)]
     tallies: dict[str, Tally] = {}
     for errors in each(partial(simulated_run, world), seeds, jobs):
@@ -77,10 +81,12 @@ def study_montecarlo(
         after_run()
     ensembles = tuple(tally.ensemble() for tally in tallies.values())
     tables = {"montecarlo": montecarlo_table(ensembles), "verdicts": verdict_table(ensembles)}
+    if outages:
+        tables["outages"] = outage_table(ensembles, outages)
     report = StudyReport(
         study="montecarlo",
-        title=f"Monte Carlo study: {scenario}, {_length(world)}, {runs} runs, IMU {imu}, seed {seed}",
-        arguments=_arguments(world, imu, seed) | {"runs": runs},
+        title=f"Monte Carlo study: {scenario}, {_length(world)}, {runs} runs, {_drawn(imu, seed, outages)}",
+        arguments=_arguments(world, imu, seed, outages) | {"runs": runs},
         sentences=montecarlo_sentences(tables),
         tables=tables,
         shown=shown_montecarlo(tables),
@@ -115,17 +121,24 @@ def save_montecarlo(report: StudyReport, ensembles: tuple[Ensemble, ...], folder
         for ensemble in ensembles
         for name, states in PICTURES.items()
     }
-    write_study(report, folder, pictures, png=png)
+    write_study(report, folder, {"nees": draw_nees(report.title, report.series["nees"]), **pictures}, png=png)
 
 
 def repeat_run(
-    scenario: str, config: Config, run: int, *, seed: int = 1, duration_s: float | None = None, imu: str = MATCHED
+    scenario: str,
+    config: Config,
+    run: int,
+    *,
+    seed: int = 1,
+    duration_s: float | None = None,
+    imu: str = MATCHED,
+    outages: Sequence[tuple[float, float]] = (),
 ) -> StudyReport:
     """Repeat one run of a study.
 
     Parameters
     ----------
-    scenario, config, seed, duration_s, imu
+    scenario, config, seed, duration_s, imu, outages
         As of `study_montecarlo`.
     run : int
         Its number, from 1.
@@ -139,12 +152,12 @@ def repeat_run(
     ConfigError
         As of `study_montecarlo`.
     """
-    world, own_seed = make_world(scenario, config, imu, duration_s), run_seed(seed, run)
+    world, own_seed = make_world(scenario, config, imu, duration_s, outages), run_seed(seed, run)
     table = run_table(simulated_run(world, own_seed))
     return StudyReport(
         study="montecarlo",
-        title=f"Run {run} of the Monte Carlo study: {scenario}, {_length(world)}, IMU {imu}, seed {seed}",
-        arguments=_arguments(world, imu, seed) | {"run": run, "run_seed": own_seed},
+        title=f"Run {run} of the Monte Carlo study: {scenario}, {_length(world)}, {_drawn(imu, seed, outages)}",
+        arguments=_arguments(world, imu, seed, outages) | {"run": run, "run_seed": own_seed},
         sentences=run_sentences(table),
         tables={"run": table},
         shown=shown_run(table),
@@ -161,5 +174,11 @@ def _duration_s(world: World) -> float:
     return float(time_ns[-1] - time_ns[0]) * 1e-9
 
 
-def _arguments(world: World, imu: str, seed: int) -> dict[str, Any]:
-    return {"scenario": world.exact.name, "duration_s": _duration_s(world), "imu": imu, "seed": seed}
+def _drawn(imu: str, seed: int, outages: Sequence[tuple[float, float]]) -> str:
+    spans = ", ".join(f"{start_s:g} to {end_s:g} s" for start_s, end_s in outages)
+    return f"IMU {imu}, seed {seed}{f', no bottom from {spans}' if spans else ''}"
+
+
+def _arguments(world: World, imu: str, seed: int, outages: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    asked = {"scenario": world.exact.name, "duration_s": _duration_s(world), "imu": imu, "seed": seed}
+    return asked | {"outages": [list(outage) for outage in outages]}

@@ -1,5 +1,6 @@
 """One run of a Monte Carlo study: draw errors of the sensors and of the start, and see how far each filter is off."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -47,7 +48,13 @@ class World:
     config: Config
 
 
-def make_world(scenario: str, config: Config, imu: str, duration_s: float | None = None) -> World:
+def make_world(
+    scenario: str,
+    config: Config,
+    imu: str,
+    duration_s: float | None = None,
+    outages: Sequence[tuple[float, float]] = (),
+) -> World:
     """Simulate the exact dive and say how its sensors are going to err.
 
     Parameters
@@ -59,6 +66,8 @@ def make_world(scenario: str, config: Config, imu: str, duration_s: float | None
         `MATCHED`, or a name in `imu_errors.GRADES`.
     duration_s : float, optional
         Left out: the scenario's own.
+    outages : sequence of (start_s, end_s)
+        Spans in which no beam finds the bottom.
 
     Returns
     -------
@@ -75,6 +84,7 @@ def make_world(scenario: str, config: Config, imu: str, duration_s: float | None
         scenario,
         duration_s=duration_s,
         reference_at_pings=True,
+        outages=outages,
         lever_arm_m=config.dvl.lever_arm_m,
         mounting_rpy_deg=config.dvl.mounting_rpy_deg,
     )
