@@ -34,6 +34,8 @@ class Innovations:
         False where the gate rejected it.
     log_det : ndarray, shape (m,)
         Logarithm of the determinant of S, for the likelihood.
+    gate : float
+        Largest NIS that was used; infinite where none was rejected.
     reopened : ndarray of bool, shape (m,)
         Used in spite of the gate, after so many rejections in a row that the velocity's uncertainty was opened; NIS and
         standard deviations are those before.
@@ -49,12 +51,23 @@ class Innovations:
     nis: Floats
     used: NDArray[np.bool_]
     log_det: Floats
+    gate: float
     reopened: NDArray[np.bool_]
 
     @property
     def dof(self) -> int:
         """Degrees of freedom of one innovation."""
         return int(self.innovation_b.shape[1])
+
+    @property
+    def weight(self) -> Floats:
+        """The share of each NIS that counts in a mean, shape (m,): of one beyond the gate, as much as the gate is.
+
+        Left out, the rejected ones would let a filter that has lost its way seem in order; in full, a single outlier
+        of the DVL, which a gate is there for, would decide over all others.
+        """
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.minimum(1.0, self.gate / self.nis) if np.isfinite(self.gate) else np.ones_like(self.nis)
 
     @property
     def standardised_b(self) -> Floats:

@@ -16,6 +16,7 @@ from insdvl_replay.errors import Note
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table
 from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table, update_notes
 from insdvl_replay.evaluation.credibility import credibility_table
+from insdvl_replay.evaluation.dead_filters import dead_filters
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
 from insdvl_replay.evaluation.reference_rate import reference_rate_notes
 from insdvl_replay.evaluation.state_errors import state_errors
@@ -25,6 +26,7 @@ from insdvl_replay.memory import return_freed_memory
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.outages import outage_notes
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.stages import begin
@@ -141,8 +143,10 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     return_freed_memory()
     begin("judging the filters")
     errors, tables = _tables(dive, start, histories)
-    judged = verdicts(tables, config.baseline, [history.filter for history in histories[1:]])
-    notes = dive.notes + start.notes + update_notes(histories)
+    candidates = [history.filter for history in histories[1:]]
+    judged = verdicts(tables, config.baseline, candidates, dead_filters(histories))
+    notes = dive.notes + start.notes + outage_notes(start.velocities.time_ns, start_ns, start.end_ns)
+    notes += update_notes(histories)
     notes += _reference_notes(dive, config, start, histories[0], judged_ns)
     if not keep_cov:
         histories = tuple(history.without_cov() for history in histories)

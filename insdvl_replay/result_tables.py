@@ -145,6 +145,8 @@ TABLES: Final[tuple[TableLayout, ...]] = (
     ),
 )
 
+NOT_JUDGED: Final = "not judged"
+"""The word on a candidate where it, or the baseline, is dead: its numbers say nothing of gain or loss."""
 CANDIDATES: Final = TableLayout(
     "filters",
     "filter",
@@ -155,7 +157,7 @@ CANDIDATES: Final = TableLayout(
     },
     "reference_improvement_pct",
     {
-        "improvement": ("borne out", "none believed", "not borne out", "worse"),
+        "improvement": ("borne out", "none believed", "not borne out", "worse", NOT_JUDGED),
         "consistency": VERDICTS_BEST_FIRST,
     },
 )

@@ -18,6 +18,7 @@ from insdvl_replay.evaluation.consistency import (
     update_notes,
     verdict,
 )
+from insdvl_replay.evaluation.dead_filters import dead_filters
 from insdvl_replay.history import History, Innovations
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
@@ -25,6 +26,8 @@ from insdvl_replay.sim.dvl_errors import DvlErrors
 from insdvl_replay.sim.imu_errors import ImuErrors
 
 BEAM_SD_MPS = 0.005
+GATE = 25.9
+"""NIS that one in 100,000 exceeds."""
 WHITE = ImuErrors(accel_white_mps_rts=2e-3, gyro_white_rad_rts=1e-5)
 NOISE = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=1e-5)
 
@@ -34,7 +37,7 @@ def history(
 ) -> History:
     m = len(nis)
     nothing = np.zeros((m, 3))
-    kept = np.ones(m, dtype=bool) if used is None else used.astype(bool)
+    kept, gate = (np.ones(m, dtype=bool), np.inf) if used is None else (used.astype(bool), GATE)
     innovations = Innovations(
         measurement,
         "m/s",
@@ -46,6 +49,7 @@ def history(
         nis,
         kept,
         np.zeros(m),
+        gate,
         np.zeros(m, dtype=bool),
     )
     one = np.zeros((1, 3))
@@ -185,22 +189,49 @@ def test_rejected_innovations_do_not_spoil_the_axes() -> None:
     assert (table["whiteness"] == "white").all()
 
 
-def test_rejected_innovations_are_counted_and_not_averaged() -> None:
+def test_rejected_innovations_count_as_much_as_the_gate_is() -> None:
     nis, used = np.full(100, 3.0), np.ones(100)
     nis[[7, 50]], used[[7, 50]] = 1e4, 0.0
     row = judged(nis, used)
     assert (row["used"], row["rejected"]) == (98, 2)
-    assert row["mean_nis"] == pytest.approx(3.0)
-    assert (row["low"], row["high"]) == pytest.approx(mean_interval(3, 98))
+    assert row["mean_nis"] == pytest.approx((98 * 3.0 + 2 * GATE) / 100)
+    assert (row["low"], row["high"]) == pytest.approx(mean_interval(3, 100))
+    assert row["verdict"] == "consistent"
 
 
-@pytest.mark.parametrize("used", [0, FEWEST_UPDATES - 1])
-def test_too_few_updates_are_not_judged(used: int) -> None:
-    row = judged(np.full(20, 3.0), np.arange(20) < used)
-    assert (row["used"], row["rejected"], row["verdict"]) == (used, 20 - used, "too few")
+@pytest.mark.parametrize("used", [0, 5, 70])
+def test_filter_that_rejects_what_it_meets_is_over_confident(used: int) -> None:
+    nis = np.where(np.arange(100) < used, 1.0, 1e5)
+    row = judged(nis, nis < GATE)
+    assert (row["used"], row["rejected"], row["verdict"]) == (used, 100 - used, "over-confident")
+
+
+def test_too_few_updates_are_not_judged() -> None:
+    row = judged(np.full(FEWEST_UPDATES - 1, 3.0), np.zeros(FEWEST_UPDATES - 1))
+    assert (row["used"], row["rejected"], row["verdict"]) == (0, FEWEST_UPDATES - 1, "too few")
     assert row[["mean_nis", "low", "high", "autocorrelation", "autocorrelation_limit"]].isna().all()
     assert row["whiteness"] == "too few"
     assert judged(np.full(FEWEST_UPDATES, 3.0))["verdict"] == "consistent"
+
+
+def test_innovations_that_are_not_finite_make_a_mean_that_is_not() -> None:
+    nis = np.full(100, 3.0)
+    nis[60:] = np.nan
+    assert judged(nis, np.isfinite(nis))["verdict"] == "not finite"
+
+
+def test_dead_filters_are_found() -> None:
+    few, many = (history(name, np.full(100, 3.0), np.arange(100) >= n) for name, n in (("few", 10), ("many", 11)))
+    broken = replace(history("broken", np.full(100, 3.0)), velocity_n=np.array([[0.0, np.nan, 0.0]]))
+    blind = replace(history("blind", np.full(100, 3.0)), sd=np.full((1, 12), np.nan))
+    only = history("only", np.full(100, 3.0), np.arange(100) >= 11, measurement="acceleration")
+    gated = replace(few, filter="gated", innovations=few.innovations + only.innovations)
+    assert dead_filters((few, many, broken, blind, only, gated)) == {
+        "many": "many rejected 11 of 100 velocity innovations",
+        "broken": "the state of broken is not finite from 0.0 s on",
+        "blind": "the state of blind is not finite from 0.0 s on",
+        "only": "only rejected 11 of 100 acceleration innovations",
+    }
 
 
 def test_gate_that_rejects_more_than_outliers_is_a_warning() -> None:

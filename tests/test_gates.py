@@ -189,6 +189,24 @@ def test_limits_hold_for_every_cell_that_is_meant(keys: dict[str, Any], passed: 
     assert passes(gate(**keys), stored()) is passed
 
 
+@pytest.mark.parametrize(
+    ("keys", "passed"),
+    [
+        ({"max": 1.0}, False),
+        ({"table": "convergence", "column": "reached_s", "max": 1e9}, False),
+        ({"table": "reference_error", "row": "roll", "column": "rmse", "max": 1e9}, False),
+        ({"table": "filters", "column": "mean_improvement_pct", "min": -100}, False),
+        ({"table": "filters", "column": "improvement", "equals": "not judged"}, True),
+        ({"table": "consistency", "column": "mean_nis", "max": 1e9}, True),
+    ],
+)
+def test_no_number_of_a_filter_that_is_not_judged_passes(keys: dict[str, Any], passed: bool) -> None:
+    report = stored(improvement="not judged")
+    assert passes(gate(**keys), report) is passed
+    if not passed:
+        assert why(gate(**keys), report).endswith("and the filter is not judged")
+
+
 def test_a_star_means_every_row() -> None:
     findings = gate_findings(gate(max=1.0), stored(bg_z_sd=1.5), None)
     assert [(finding.row, finding.passed) for finding in findings] == [("ba_x", True), ("bg_z", False)]

@@ -82,6 +82,7 @@ def make_history(name: str, seed: int) -> History:
             rng.chisquare(3, size=m),
             rng.uniform(size=m) < 0.9,
             rng.normal(size=m),
+            np.inf,
             np.zeros(m, dtype=bool),
         )
         for measurement, unit in (("velocity", "m/s"), ("acceleration", "m/s^2"))

@@ -1,5 +1,8 @@
 """Verdicts: decided by what the tables say, never by a filter's name."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,6 +19,7 @@ def judged(
     of_baseline: str = "consistent",
     errors_of_aided: str = "consistent",
     errors_of_baseline: str = "consistent",
+    dead: Mapping[str, str] = MappingProxyType({}),
 ) -> Verdict:
     """Judge a candidate whose states all improved alike, and whose errors all did."""
     improvement = pd.DataFrame(
@@ -49,7 +53,7 @@ def judged(
         "consistency": consistency,
         "credibility": credibility,
     }
-    (verdict,) = verdicts(tables, "baseline", ["aided"])
+    (verdict,) = verdicts(tables, "baseline", ["aided"], dead)
     return verdict
 
 
@@ -70,6 +74,25 @@ def judged(
 )
 def test_improvement_is_judged_by_the_reference(believed_pct: float, actual_pct: float | None, word: str) -> None:
     assert judged(believed_pct, actual_pct).improvement == word
+
+
+@pytest.mark.parametrize("dead", ["aided", "baseline"])
+@pytest.mark.parametrize("actual_pct", [80.0, -80.0, None])
+def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(dead: str, actual_pct: float | None) -> None:
+    verdict = judged(
+        40.0,
+        actual_pct,
+        "consistent",
+        "over-confident",
+        "too few",
+        "too few",
+        dead={dead: f"{dead} rejected 209 of 300"},
+    )
+    assert verdict.improvement == "not judged"
+    assert verdict.sentence == (
+        f"aided is NOT JUDGED against baseline: {dead} rejected 209 of 300; settle that first. "
+        "aided is consistent, baseline over-confident."
+    )
 
 
 def test_sentence_holds_the_numbers_that_it_was_judged_by() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import chdtri
 
-from insdvl_replay.columns import Floats
+from insdvl_replay.columns import NS_PER_S, Floats
 from insdvl_replay.errors import Note
 from insdvl_replay.evaluation.whiteness import autocorrelation, whiteness
 from insdvl_replay.history import History, Innovations
@@ -94,9 +94,10 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
     DataFrame
         Columns log, filter, measurement, dof, used, rejected, mean_nis, low, high, verdict (``consistent``,
         ``over-confident``, ``over-cautious``, ``too few``, ``not finite``), autocorrelation (with the innovation
-        before), autocorrelation_limit, whiteness (``white``, ``correlated``, ``too few``, ``not finite``). All over the
-        innovations that the gate let pass. After the row of a whole measurement, such as ``velocity``, stand those of
-        its axes in b, ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``.
+        before), autocorrelation_limit, whiteness (``white``, ``correlated``, ``too few``, ``not finite``). NIS is that
+        of all innovations; what the gate rejected counts as much as the gate is, see `history.Innovations.weight`.
+        Whiteness is that of the innovations that were used. After the row of a whole measurement, such as ``velocity``,
+        stand those of its axes in b, ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``.
     """
     rows = [
         (log, history.filter, *row)
@@ -113,7 +114,7 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
 
 def _rows(innovations: Innovations) -> Iterator[tuple[str | int | float, ...]]:
     """Give the row of a whole measurement, then those of its axes, without log and filter."""
-    standardised, rejected = innovations.standardised_b, _rejected(innovations)
+    standardised, rejected = innovations.standardised_b, rejections(innovations)
     whole = (innovations.measurement, innovations.dof, innovations.nis, standardised)
     axes = (
         (axis_of(innovations.measurement, axis), 1, standardised[:, i] ** 2, standardised[:, i : i + 1])
@@ -121,17 +122,17 @@ def _rows(innovations: Innovations) -> Iterator[tuple[str | int | float, ...]]:
     )
     for name, dof, nis, components in (whole, *axes):
         correlation = autocorrelation(components, innovations.used)
-        yield name, dof, *_judged(nis[innovations.used], dof, rejected), *correlation, whiteness(*correlation)
+        counts = int(innovations.used.sum()), rejected
+        yield name, dof, *counts, *_judged(nis * innovations.weight, dof), *correlation, whiteness(*correlation)
 
 
-def _judged(nis: Floats, dof: int, rejected: int) -> tuple[int, int, float, float, float, str]:
-    used = len(nis)
-    if used < FEWEST_UPDATES:
+def _judged(nis: Floats, dof: int) -> tuple[float, float, float, str]:
+    if len(nis) < FEWEST_UPDATES:
         nan = float("nan")
-        return used, rejected, nan, nan, nan, "too few"
+        return nan, nan, nan, "too few"
     mean_nis = float(nis.mean())
-    low, high = mean_interval(dof, used)
-    return used, rejected, mean_nis, low, high, verdict(mean_nis, low, high, dof)
+    low, high = mean_interval(dof, len(nis))
+    return mean_nis, low, high, verdict(mean_nis, low, high, dof)
 
 
 def log_likelihood(innovations: Innovations) -> float:
@@ -187,13 +188,30 @@ def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
         )
         hint = 'check the units and sizes of [noise] and [initial]; after long IMU gaps, imu.long_gaps = "split"'
         return [Note("filter_not_finite", text, lost, "warning", hint)]
-    rejected = _rejected(innovations)
-    if rejected > MANY_REJECTED * total:
-        text = f"filter {name} rejected {rejected} of {total} {kind} innovations"
-        hint = f"check lever arm and mounting, raise [noise], or --set filters.{name}.gate_probability=1.0"
-        return [Note("gate_rejects_many", text, rejected, "warning", hint)]
-    return []
+    hint = f"check lever arm and mounting, raise [noise], or --set filters.{name}.gate_probability=1.0"
+    return [*_rejection_notes(name, innovations, hint), *_reopening_notes(name, innovations, hint)]
 
 
-def _rejected(innovations: Innovations) -> int:
+def _rejection_notes(name: str, innovations: Innovations, hint: str) -> list[Note]:
+    rejected, total = rejections(innovations), len(innovations.used)
+    if rejected <= MANY_REJECTED * total:
+        return []
+    text = f"filter {name} rejected {rejected} of {total} {innovations.measurement} innovations"
+    return [Note("gate_rejects_many", text, rejected, "warning", hint)]
+
+
+def _reopening_notes(name: str, innovations: Innovations, hint: str) -> list[Note]:
+    reopened = np.flatnonzero(innovations.reopened)
+    if not len(reopened):
+        return []
+    first_s = (innovations.time_ns[reopened[0]] - innovations.time_ns[0]) / NS_PER_S
+    text = (
+        f"filter {name} was set to the DVL again after runs of rejected velocities ({len(reopened)} in all, the first "
+        f"{first_s:.1f} s after the first ping)"
+    )
+    return [Note("gate_reopened", text, len(reopened), "warning", hint)]
+
+
+def rejections(innovations: Innovations) -> int:
+    """Count the innovations that the gate rejected."""
     return int(np.sum(~innovations.used & np.isfinite(innovations.nis)))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from insdvl_replay.evaluation.cell_change import ROUNDING, size, size_change_pct
 from insdvl_replay.evaluation.row_changes import rows_of
 from insdvl_replay.gates import ANY, Finding, Gate
-from insdvl_replay.result_tables import CANDIDATES, PERCENTAGE, TABLES, TableLayout
+from insdvl_replay.result_tables import CANDIDATES, NOT_JUDGED, PERCENTAGE, TABLES, TableLayout
 from insdvl_replay.stored_result import Cell, Row, StoredReport
 
 LAYOUTS = (*TABLES, CANDIDATES)
@@ -44,7 +44,7 @@ def _findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -
             if not _is_meant(gate, layout, row):
                 continue
             was = before.get((row["filter"], row[layout.key]))
-            complaint = _complaint(gate, layout, row, was)
+            complaint = _complaint(gate, layout, row, was, _is_unjudged(layout, row, gate, report))
             yield Finding(
                 layout.name,
                 str(row["filter"]),
@@ -65,9 +65,18 @@ def _is_meant(gate: Gate, layout: TableLayout, row: Row) -> bool:
     )
 
 
-def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None) -> str:
+def _is_unjudged(layout: TableLayout, row: Row, gate: Gate, report: StoredReport) -> bool:
+    """Tell whether a cell speaks of what a filter gains where nothing can be said of that; the verdict itself can."""
+    candidate = report.filters.get(str(row["filter"]), {})
+    of_gain = not layout.baseline_too and gate.column in layout.better and gate.column != "improvement"
+    return of_gain and candidate.get("improvement") == NOT_JUDGED
+
+
+def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None, unjudged: bool) -> str:
     """Say why a cell does not pass; nothing if it does."""
     value = row.get(gate.column)
+    if unjudged:
+        return f"is {shown(value)}, and the filter is {NOT_JUDGED}"
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         word = row.get("status") or row.get("verdict")
         return f"is empty{f' ({word})' if word else ''}"

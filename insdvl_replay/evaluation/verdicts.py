@@ -2,10 +2,11 @@
 
 An improvement is borne out when the error against the reference falls by at least half of what the filter believes. A
 filter is called over-confident or over-cautious when its innovations, or its errors against the reference, say so with
-significance and by a size that matters. Where the two disagree, the sentence names both.
+significance and by a size that matters. Where the two disagree, the sentence names both. Of a filter that is dead, or
+is held against one that is, nothing is said of gain or loss.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.result_tables import JOINT, VERDICTS_BEST_FIRST, is_whole
+from insdvl_replay.result_tables import JOINT, NOT_JUDGED, VERDICTS_BEST_FIRST, is_whole
 
 NOTABLE_PCT: Final = 5.0
 """A smaller change, believed or real, is not spoken of as an improvement."""
@@ -41,7 +42,8 @@ class Verdict:
     actual_pct : float
         Median improvement of the error against the reference; NaN without one.
     improvement : str
-        ``borne out``, ``not borne out``, ``worse`` (against the reference), ``none believed`` or ``no reference``.
+        ``borne out``, ``not borne out``, ``worse`` (against the reference), ``none believed``, ``no reference``, or
+        ``not judged`` where one of the two filters is dead.
     sentence : str
         All of it for people.
     """
@@ -55,7 +57,9 @@ class Verdict:
     sentence: str
 
 
-def verdicts(tables: dict[str, pd.DataFrame], baseline: str, candidates: Sequence[str]) -> tuple[Verdict, ...]:
+def verdicts(
+    tables: dict[str, pd.DataFrame], baseline: str, candidates: Sequence[str], dead: Mapping[str, str]
+) -> tuple[Verdict, ...]:
     """Judge each candidate.
 
     Parameters
@@ -66,12 +70,14 @@ def verdicts(tables: dict[str, pd.DataFrame], baseline: str, candidates: Sequenc
         Name of the first filter.
     candidates : sequence of str
         Names of the others.
+    dead : mapping of str to str
+        What is wrong with filters that cannot be judged, from `dead_filters.dead_filters`.
 
     Returns
     -------
     tuple of Verdict
     """
-    return tuple(_verdict(tables, baseline, candidate) for candidate in candidates)
+    return tuple(_verdict(tables, baseline, candidate, dead) for candidate in candidates)
 
 
 def consistency_of(table: pd.DataFrame, filter_name: str) -> str:
@@ -115,22 +121,26 @@ def _gravest(found: "pd.Series[str]") -> str | None:
     return next((word for word in GRAVEST_FIRST if word in set(found)), None)
 
 
-def _verdict(tables: dict[str, pd.DataFrame], baseline: str, candidate: str) -> Verdict:
+def _verdict(tables: dict[str, pd.DataFrame], baseline: str, candidate: str, dead: Mapping[str, str]) -> Verdict:
     believed_pct = mean_over_nine(tables["improvement"], candidate)
     rows = tables["reference_error"]
     rows = rows[(rows["filter"] == candidate) & (rows["status"] == "compared")].set_index("quantity")
     compared = rows.loc[rows.index.isin(COMPARED), "improvement_pct"].dropna()
     actual_pct = float(compared.median()) if len(compared) else float("nan")
-    improvement = _borne_out(believed_pct, actual_pct)
+    wrong = list(dict.fromkeys(dead[name] for name in (baseline, candidate) if name in dead))
+    improvement = NOT_JUDGED if wrong else _borne_out(believed_pct, actual_pct)
     (consistency, credibility), of_baseline = (
         (consistency_of(tables["consistency"], name), credibility_of(tables["credibility"], name))
         for name in (candidate, baseline)
     )
-    sentence = (
-        f"{candidate} {_believes(believed_pct, baseline)}; {_against_reference(rows, actual_pct)}: "
-        f"{_CONCLUSION[improvement]}. "
-        f"{_on_trust(_trust(consistency, credibility), _trust(*of_baseline), candidate, baseline)}"
+    gain = (
+        f"{candidate} is NOT JUDGED against {baseline}: {' and '.join(wrong)}; settle that first"
+        if wrong
+        else f"{candidate} {_believes(believed_pct, baseline)}; {_against_reference(rows, actual_pct)}: "
+        f"{_CONCLUSION[improvement]}"
     )
+    trust = _on_trust(_trust(consistency, credibility), _trust(*of_baseline), candidate, baseline)
+    sentence = f"{gain}. {trust}"
     return Verdict(candidate, consistency, credibility, believed_pct, actual_pct, improvement, sentence)
 
 

@@ -11,6 +11,7 @@ from insdvl_replay.errors import ConfigError, Note
 from insdvl_replay.logs.cleaning import Cleaner
 from insdvl_replay.logs.order import Mask
 from insdvl_replay.logs.pauses import note_bursts, note_gaps
+from insdvl_replay.logs.spikes import drop_spikes
 from insdvl_replay.logs.tables import Table
 from insdvl_replay.states import DEG, MG
 
@@ -108,6 +109,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
         cleaner.keep_possible(possible, reason, _LOST_HINT)
     cleaner.drop_repeated_times(specific_force_b, angular_rate_b)
     cleaner.require_rows()
+    drop_spikes(cleaner, specific_force_b, angular_rate_b, settings.max_gap_s)
     steps_ns = np.diff(cleaner.times)
     note_gaps(cleaner, steps_ns, settings.max_gap_s)
     note_bursts(cleaner, steps_ns, "noise.accel_white_mps_rts and noise.gyro_white_rad_rts")

@@ -133,6 +133,7 @@ def history_of(
                 sd_b=updates.sd_b[m, rows],
                 nis=updates.nis[m, rows],
                 used=updates.used[m, rows],
+                gate=measurement.gate,
                 reopened=updates.reopened[m, rows],
                 log_det=updates.log_det[m, rows],
             )

@@ -11,8 +11,9 @@ from insdvl_replay.report.page import Heading, Html, Lead, LinkedTable, Part, pa
 from insdvl_replay.report.page_parts import facts, losses, settings_details
 from insdvl_replay.report.plots.panel import Figure
 from insdvl_replay.report.shown import ShownTable
+from insdvl_replay.result_tables import NOT_JUDGED
 
-_TONES: Final = {"borne out": "good", "not borne out": "bad", "worse": "bad"}
+_TONES: Final = {"borne out": "good", "not borne out": "bad", "worse": "bad", NOT_JUDGED: "bad"}
 
 
 def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: str) -> bytes:

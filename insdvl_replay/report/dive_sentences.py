@@ -4,6 +4,7 @@ from typing import Final
 
 from insdvl_replay.report.json_report import Candidate, Report
 from insdvl_replay.report.shown import percent
+from insdvl_replay.result_tables import NOT_JUDGED
 
 _IN_SHORT: Final = {"not borne out": "NOT borne out", "worse": "WORSE", "none believed": "no improvement"}
 MEANS: Final = (
@@ -25,6 +26,8 @@ def heading(report: Report) -> str:
 
 
 def _in_short(candidate: Candidate) -> str:
+    if candidate.improvement == NOT_JUDGED:
+        return "NOT JUDGED"
     word = _IN_SHORT.get(candidate.improvement, candidate.improvement)
     return f"{percent(candidate.mean_improvement_pct)} believed, {word}"
 

@@ -118,7 +118,9 @@ class Candidate(Struct, frozen=True):
     """What there is to say of one candidate."""
 
     verdict: Annotated[str, Meta(description="one paragraph for people: believed, actual, consistent")]
-    improvement: Annotated[str, Meta(description="borne out, not borne out, worse, none believed or no reference")]
+    improvement: Annotated[
+        str, Meta(description="borne out, not borne out, worse, none believed, no reference or not judged")
+    ]
     consistency: Annotated[str, Meta(description="the gravest verdict of its measurements")]
     mean_improvement_pct: Annotated[
         float | None, Meta(description="believed; nine states, without the velocity errors")

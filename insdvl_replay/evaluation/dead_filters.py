@@ -1,0 +1,51 @@
+"""Filters that have lost their way: of what they are better or worse at, nothing can be said."""
+
+import numpy as np
+
+from insdvl_replay.columns import NS_PER_S
+from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejections
+from insdvl_replay.history import History, Innovations
+
+
+def dead_filters(histories: tuple[History, ...]) -> dict[str, str]:
+    """Find the filters that are not to be judged.
+
+    Parameters
+    ----------
+    histories : tuple of History
+
+    Returns
+    -------
+    dict of str to str
+        By name of the filter what is wrong with it; those that are sound are left out. A filter is dead where its state
+        is not finite, or where its gate rejected more than `MANY_REJECTED` of what locks it out: the velocities, or the
+        accelerations of a filter that has no others.
+    """
+    found = {history.filter: _not_finite(history) or _locked_out(history) for history in histories}
+    return {name: wrong for name, wrong in found.items() if wrong}
+
+
+def _not_finite(history: History) -> str:
+    columns = (history.position, history.velocity_n, history.mat_nb, history.accel_bias_b, history.gyro_bias_b)
+    finite = np.isfinite(history.sd).all(axis=1)
+    for column in columns:
+        finite &= np.isfinite(column.reshape(len(column), -1)).all(axis=1)
+    if finite.all():
+        return ""
+    first_s = (history.time_ns[np.argmin(finite)] - history.time_ns[0]) / NS_PER_S
+    return f"the state of {history.filter} is not finite from {first_s:.1f} s on"
+
+
+def _locked_out(history: History) -> str:
+    innovations = _leading(history)
+    if innovations is None:
+        return ""
+    rejected, total = rejections(innovations), len(innovations.used)
+    if rejected <= MANY_REJECTED * total:
+        return ""
+    return f"{history.filter} rejected {rejected} of {total} {innovations.measurement} innovations"
+
+
+def _leading(history: History) -> Innovations | None:
+    velocities = [innovations for innovations in history.innovations if innovations.measurement == "velocity"]
+    return next(iter((*velocities, *history.innovations)), None)

@@ -1,0 +1,122 @@
+"""Single samples of an IMU that jump away and back: found, told, bridged, and of no consequence."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from insdvl_replay.columns import Dive, Floats
+from insdvl_replay.config_file import load_config
+from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.logs.spikes import find_spikes
+from insdvl_replay.replay import Replay, replay_log
+from insdvl_replay.sim.dive import simulate_dive
+
+TIME_NS = np.arange(7) * 10_000_000
+LEVEL = np.tile([0.0, 0.0, -9.8], (7, 1))
+
+
+def spoiled(rows: list[int], values: Floats | list[float], axis: int = 0) -> Floats:
+    readings = LEVEL.copy()
+    readings[rows, axis] += values
+    return readings
+
+
+@pytest.mark.parametrize(
+    ("readings", "found"),
+    [
+        (spoiled([3], [300.0]), [3]),
+        (spoiled([3], [-21.0], axis=2), [3]),
+        (spoiled([2, 4], [50.0, -50.0]), [2, 4]),
+        (spoiled([3], [19.0]), []),  # a vehicle may feel that
+        (spoiled([3, 4], [300.0, 280.0]), []),  # two samples are no spike
+        (spoiled([3, 4, 5, 6], [30.0] * 4), []),  # a step does not come back
+        (spoiled([2, 3, 4], [-30.0, 60.0, -20.0]), []),  # nor does what swings
+        (spoiled([0, 6], [300.0, 300.0]), []),  # nothing tells whether the ends come back
+    ],
+)
+def test_a_spike_is_one_sample_far_from_both_of_its_neighbours(readings: Floats, found: list[int]) -> None:
+    assert np.flatnonzero(find_spikes(TIME_NS, readings, 20.0, 0.5)).tolist() == found
+
+
+def test_nothing_jumps_across_a_pause() -> None:
+    paused = TIME_NS + np.where(np.arange(7) > 3, 1_000_000_000, 0)
+    assert not find_spikes(paused, spoiled([3], [300.0]), 20.0, 0.5).any()
+
+
+@pytest.fixture(scope="module")
+def clean() -> Dive:
+    return simulate_dive("straight", seed=3, duration_s=300.0, grade="tactical", reference_rate_hz=1.0)
+
+
+def replayed(dive: Dive, folder: Path) -> Replay:
+    write_dive(folder / "dive.mcap", dive)
+    return replay_log(folder / "dive.mcap", load_config("tactical"))
+
+
+def with_force(dive: Dive, rows: list[int], change_mps2: float) -> Dive:
+    force_b = dive.imu.specific_force_b.copy()
+    force_b[rows, 0] += change_mps2
+    return replace(dive, imu=replace(dive.imu, specific_force_b=force_b))
+
+
+def test_a_spike_of_300_mps2_changes_next_to_nothing(clean: Dive, tmp_path: Path) -> None:
+    before, after = replayed(clean, tmp_path), replayed(with_force(clean, [9000], 300.0), tmp_path)
+    (note,) = [note for note in after.notes if note not in before.notes]
+    assert (note.code, note.count, note.severity) == ("imu_spikes", 1, "warning")
+    assert "the first 90.000 s after the first message" in note.text
+    for filter_, rows in after.tables["consistency"].groupby("filter"):
+        assert rows["rejected"].max() <= 0.01 * rows["used"].max(), filter_
+    position = [
+        replay.tables["reference_error"].set_index("quantity").loc["position_h", ["baseline_rmse", "rmse"]]
+        for replay in (before, after)
+    ]
+    np.testing.assert_allclose(position[1].astype(float), position[0].astype(float), rtol=0.05)
+
+
+def test_an_imu_that_jumps_all_the_time_is_left_as_it_is(clean: Dive, tmp_path: Path) -> None:
+    shaken = with_force(clean, list(range(0, len(clean.imu.time_ns), 8)), 30.0)
+    write_dive(tmp_path / "dive.mcap", shaken)
+    dive = read_dive(tmp_path / "dive.mcap", load_config("tactical"))
+    assert len(dive.imu.time_ns) == len(clean.imu.time_ns)
+
+
+@pytest.mark.parametrize("reopen_after", [5, 0])
+def test_a_filter_that_is_thrown_off_comes_back(clean: Dive, tmp_path: Path, reopen_after: int) -> None:
+    """What lasts for three samples is no spike: the gate locks the DVL out, and the filter opens it again."""
+    write_dive(tmp_path / "dive.mcap", with_force(clean, [9000, 9001, 9002], 300.0))
+    config = load_config("tactical", None, [f"filters.baseline.gate_reopen_after={reopen_after}"])
+    replay = replay_log(tmp_path / "dive.mcap", config)
+    (velocity,) = replay.histories[0].innovations
+    rejected = np.flatnonzero(~velocity.used)
+    assert len(rejected) == 5 - 1 if reopen_after else len(rejected) > 200
+    notes = {note.code: note for note in replay.notes if "baseline" in note.text}
+    if not reopen_after:
+        assert "gate_rejects_many" in notes
+        assert replay.verdicts[0].improvement == "not judged"
+        return
+    np.testing.assert_array_equal(np.diff(rejected), 1)
+    assert np.flatnonzero(velocity.reopened).tolist() == [rejected[-1] + 1]
+    assert velocity.used[velocity.reopened].all()
+    assert (notes["gate_reopened"].count, notes["gate_reopened"].severity) == (1, "warning")
+    assert replay.verdicts[0].improvement != "not judged"
+    assert dive_speed_error(replay) < 0.1
+
+
+def dive_speed_error(replay: Replay) -> float:
+    """Give the error of the baseline's velocity at the end, which only the DVL can have put right."""
+    assert replay.dive.reference is not None
+    return float(np.linalg.norm(replay.histories[0].velocity_n[-1] - replay.dive.reference.velocity_n[-1]))
+
+
+def test_opening_leaves_what_is_known_of_other_states(clean: Dive, tmp_path: Path) -> None:
+    """The biases of a filter that was thrown off and came back stay where they were."""
+    before, after = replayed(clean, tmp_path), replayed(with_force(clean, [9000, 9001, 9002], 300.0), tmp_path)
+    for column, within_sd in (("accel_bias_b", 1.0), ("gyro_bias_b", 1.0)):
+        ours, theirs = (getattr(replay.histories[0], column)[-1] for replay in (after, before))
+        sd = before.histories[0].sd[-1, 6:9] if column == "accel_bias_b" else before.histories[0].sd[-1, 9:12]
+        assert (np.abs(ours - theirs) < within_sd * sd).all()
+    turned = before.histories[0].mat_nb[-1].T @ after.histories[0].mat_nb[-1]
+    assert Rotation.from_matrix(turned).magnitude() < 3.0 * before.histories[0].sd[-1, 3:6].max()
