@@ -3,7 +3,7 @@
 The fit takes the noise under which the baseline's own innovations are most likely. It knows nothing of the reference.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -17,6 +17,7 @@ from insdvl_replay.columns import Dive, Floats
 from insdvl_replay.config import Config, Filter
 from insdvl_replay.errors import ConfigError, Note
 from insdvl_replay.evaluation.consistency import log_likelihood
+from insdvl_replay.nav.aiding import dvl_noise, inertial_noise
 from insdvl_replay.preparation import prepare_dive, with_reference_at_imu
 from insdvl_replay.replay import Replay, replay_dive, run_filters
 
@@ -29,7 +30,7 @@ LOWEST, HIGHEST = 1e-3, 1e3
 """Factors of the baseline's noise between which the fit looks."""
 STARTS: Final = tuple(product((1.0, 0.1, 0.01), (1.0, 10.0, 100.0), (1.0, 0.3)))
 """Factors of which the likeliest is the start: innovations can have several likely causes, a quiet DVL on a restless
-IMU among them, and a search from one place finds the nearest. Order as of `_keys`."""
+IMU among them, and a search from one place finds the nearest. Order as of `_noise`."""
 
 
 def replay_with_control(
@@ -89,33 +90,37 @@ def with_control(dive: Dive, config: Config) -> tuple[Config, Note]:
             f"--control tunes a baseline aided by velocity alone, found {list(baseline.aiding)}",
             "name such a filter first in the configuration",
         )
-    tuned = _fitted(dive, config, baseline)
-    values = {key: getattr(tuned, key) for key in _keys(config, baseline)}
+    before = _noise(config, baseline, from_beams=dive.dvl.beam_vectors_d is not None)
+    tuned = _fitted(dive, config, baseline, before)
+    values = {key: getattr(tuned, key) for key in before}
     pasted = ", ".join(f"{key} = {value:.4g}" for key, value in values.items())
     text = f"noise of the control, fitted to the baseline's innovations: [filters.{NAME}] {pasted}"
-    if edges := [key for key, value in values.items() if _at_the_edge(value / _value(baseline, config, key))]:
+    if edges := [key for key, value in values.items() if _at_the_edge(value, before[key])]:
         text += f"; at the edge of what is looked at, where the innovations tell no more: {', '.join(edges)}"
     note = Note("control_fitted", text, len(values))
     return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), note
 
 
-def _keys(config: Config, baseline: Filter) -> tuple[str, str, str]:
-    """Name what is fitted: the DVL's noise stands in one of two keys."""
-    beams = baseline.beam_sd_mps or config.dvl.beam_sd_mps
-    return "accel_white_mps_rts", "gyro_white_rad_rts", "beam_sd_mps" if beams else "velocity_sd_mps"
+def _noise(config: Config, baseline: Filter, *, from_beams: bool) -> dict[str, float]:
+    """Give what is fitted, by key, as the baseline has it. The DVL's noise stands in one of two keys."""
+    inertial, dvl = inertial_noise(baseline, config), dvl_noise(baseline, config, from_beams=from_beams)
+    return {
+        "accel_white_mps_rts": inertial.accel_white_mps_rts,
+        "gyro_white_rad_rts": inertial.gyro_white_rad_rts,
+        dvl.key: dvl.sd_mps,
+    }
 
 
-def _fitted(dive: Dive, config: Config, baseline: Filter) -> Filter:
+def _fitted(dive: Dive, config: Config, baseline: Filter, before: Mapping[str, float]) -> Filter:
     dive = with_reference_at_imu(dive, config)
     start = prepare_dive(dive, config)
     end_ns = min(start.end_ns, int(start.velocities.time_ns[0]) + int(FIT_S * 1e9))
     start = replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)
-    keys = _keys(config, baseline)
-    before = np.array([_value(baseline, config, key) for key in keys])
 
     def filter_with(logarithms: Floats) -> Filter:
-        values = before * np.exp(np.clip(logarithms, np.log(LOWEST), np.log(HIGHEST)))
-        return msgspec.structs.replace(baseline, **{key: float(value) for key, value in zip(keys, values, strict=True)})
+        factors = np.exp(np.clip(logarithms, np.log(LOWEST), np.log(HIGHEST)))
+        values = {key: float(value * factor) for (key, value), factor in zip(before.items(), factors, strict=True)}
+        return msgspec.structs.replace(baseline, **values)
 
     from scipy.optimize import minimize  # a third of a second, which a replay without the control must not wait
 
@@ -137,11 +142,5 @@ def _fitted(dive: Dive, config: Config, baseline: Filter) -> Filter:
     return filter_with(best)
 
 
-def _at_the_edge(factor: float) -> bool:
-    return not 1.01 * LOWEST < factor < HIGHEST / 1.01
-
-
-def _value(baseline: Filter, config: Config, key: str) -> float:
-    own = getattr(baseline, key)
-    common = getattr(config.noise, key) if hasattr(config.noise, key) else getattr(config.dvl, key)
-    return float(common if own is None else own)
+def _at_the_edge(value: float, before: float) -> bool:
+    return not 1.01 * LOWEST * before < value < HIGHEST / 1.01 * before
