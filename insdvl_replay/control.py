@@ -19,7 +19,7 @@ from insdvl_replay.errors import ConfigError, Note
 from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.nav.aiding import dvl_noise, inertial_noise
-from insdvl_replay.preparation import prepare_dive, with_reference_at_imu
+from insdvl_replay.preparation import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.replay import Replay, replay_dive, run_filters
 
 NAME = "tuned"
@@ -98,11 +98,14 @@ def with_control(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:
             f"--control tunes a baseline aided by velocity alone, found {list(baseline.aiding)}",
             "name such a filter first in the configuration",
         )
-    before = _noise(config, baseline, from_beams=dive.dvl.beam_vectors_d is not None)
-    tuned = _fitted(dive, config, baseline, before)
+    dive = with_reference_at_imu(dive, config)
+    start = _first_part(prepare_dive(dive, config))
+    before = _noise(config, baseline, from_beams=start.velocities.from_beams)
+    tuned = _fitted(dive, start, config, baseline, before)
     values = {key: getattr(tuned, key) for key in before}
     edges = [key for key, value in values.items() if _at_the_edge(value, before[key])]
-    notes = (_fitted_note(values, edges), *_beyond_their_sensors(values, dive.imu))
+    read = dive.imu.within(start.alignment.start_ns, start.end_ns)
+    notes = (_fitted_note(values, edges), *_beyond_their_sensors(values, read))
     return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), notes
 
 
@@ -133,12 +136,13 @@ def _noise(config: Config, baseline: Filter, *, from_beams: bool) -> dict[str, f
     return {key: getattr(inertial, key) for key in INERTIAL} | {dvl.key: dvl.sd_mps}
 
 
-def _fitted(dive: Dive, config: Config, baseline: Filter, before: Mapping[str, float]) -> Filter:
-    dive = with_reference_at_imu(dive, config)
-    start = prepare_dive(dive, config)
+def _first_part(start: Prepared) -> Prepared:
+    """Cut off what the fit does not read."""
     end_ns = min(start.end_ns, int(start.velocities.time_ns[0]) + int(FIT_S * 1e9))
-    start = replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)
+    return replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)
 
+
+def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, before: Mapping[str, float]) -> Filter:
     def filter_with(logarithms: Floats) -> Filter:
         factors = np.exp(np.clip(logarithms, np.log(LOWEST), np.log(HIGHEST)))
         values = {key: float(value * factor) for (key, value), factor in zip(before.items(), factors, strict=True)}

@@ -70,9 +70,10 @@ def readings_scatter(readings: Floats, step_s: float) -> float:
     bends = np.diff(readings, n=2, axis=0) / np.sqrt(6.0)  # of white noise: 1, -2 and 1 times it, squared and added
     if not len(bends):
         return np.nan
-    blocks = max(len(bends) // BLOCK, 1)
-    power = np.array([np.mean(block**2, axis=0) for block in np.array_split(bends, blocks)])
-    return float(np.sqrt(np.median(power, axis=0).max() * step_s))
+    length = min(BLOCK, len(bends))
+    blocks = bends[: len(bends) // length * length].reshape(-1, length, 3)
+    power = np.median(np.mean(blocks**2, axis=1), axis=0)
+    return float(np.sqrt(power.max() * step_s))
 
 
 def sensor_class(key: str, noise: float) -> str:

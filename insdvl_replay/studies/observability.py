@@ -69,22 +69,15 @@ def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bo
     dive, config = _dive(dive_or_scenario, config)
     start = prepare_dive(dive, config)
     nominal, pings = _nominal(dive, start, config, earth_rate)
-    measurements, arm_b, prior_sd = (
-        _measurements(start, config),
-        np.array(config.dvl.lever_arm_m),
-        start.alignment.start.sd,
-    )
-    stacks = {name: whitened_rows(pings, single, arm_b) for name, single in measurements.items()}
-    found = {
-        name: analyse(np.vstack([stacks[single] for single in aiding]), prior_sd) for name, aiding in AIDING.items()
-    }
-    left = {
-        name: remaining_cov(pings, [measurements[single] for single in aiding], arm_b, prior_sd)
-        for name, aiding in AIDING.items()
-    }
+    measurements, arm_b = _measurements(start, config), np.array(config.dvl.lever_arm_m)
+    prior_sd = start.alignment.start.sd
+    found, left_sd = {}, {}
+    for name, aiding in AIDING.items():
+        stack = [measurements[single] for single in aiding]
+        found[name] = analyse(np.vstack([whitened_rows(pings, single, arm_b) for single in stack]), prior_sd)
+        left_sd[name] = np.sqrt(np.diag(remaining_cov(pings, stack, arm_b, prior_sd)))
     start_of = (nominal.position[0], nominal.velocity_n[0], nominal.mat_nb[0])
     directions = named_directions(*start_of, earth_rate=earth_rate)
-    left_sd = {name: np.sqrt(np.diag(cov)) for name, cov in left.items()}
     tables = observability_tables(found, directions, prior_sd, left_sd)
     seconds_s = (start.end_ns - start.alignment.start_ns) * 1e-9
     earth = "" if earth_rate else ", Earth rate left out"
