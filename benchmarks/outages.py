@@ -5,6 +5,7 @@ NEES of a filter that is right is 12 throughout.
 """
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -65,13 +66,14 @@ def main() -> None:
             broken = sum(not np.isfinite(run.nees).all() for run in runs)
             cells = [preset, f"{length_s:g}" if length_s else "none", *(f"{mean:.1f}" for mean in means), str(broken)]
             rows.append(f"| {' | '.join(cells)} |")
-            print(rows[-1], flush=True)
     about = (
         f"Mean NEES of the baseline, 12 expected, over {RUNS} runs of `{SCENARIO}` with one outage of the DVL from "
-        f"{BEFORE_S:g} s on, and {AFTER_S:g} s after it; IMU at {IMU_RATE_HZ:g} Hz that errs exactly as the preset says. "
-        f"{machine()}."
+        f"{BEFORE_S:g} s on, and {AFTER_S:g} s after it. The sensors, of which the IMU has {IMU_RATE_HZ:g} Hz, err exactly "
+        f"as the preset says. {machine()}."
     )
-    write_part("\n".join(["# After an outage", "", about, "", *table(COLUMNS, rows)]))
+    part = "\n".join(["# After an outage", "", about, "", *table(COLUMNS, rows)])
+    write_part(part)
+    sys.stdout.write(f"{part}\n")
 
 
 if __name__ == "__main__":

@@ -88,6 +88,11 @@ class ImuColumns:
         steps_ns = np.diff(self.time_ns)
         return float(np.median(steps_ns)) / NS_PER_S if steps_ns.size else np.nan
 
+    def within(self, start_ns: int, end_ns: int) -> "ImuColumns":
+        """Keep the samples from the start to the end, without copying them."""
+        rows = slice(np.searchsorted(self.time_ns, start_ns), np.searchsorted(self.time_ns, end_ns, side="right"))
+        return ImuColumns(self.time_ns[rows], self.specific_force_b[rows], self.angular_rate_b[rows])
+
     def times_only(self) -> "ImuColumns":
         """Give the times with no rows of readings, which are the better part of a long dive's memory."""
         return ImuColumns(self.time_ns, self.specific_force_b[:0].copy(), self.angular_rate_b[:0].copy())

@@ -83,9 +83,9 @@ class Dvl(_Section, frozen=True):
     mounting_rpy_deg: Annotated[Vector, Says("DVL to body, roll, pitch, heading")] = (0.0, 0.0, 0.0)
     scale: Annotated[Positive, Says("measured over true velocity; readings are divided by it")] = 1.0
     velocity_sd_mps: Annotated[Positive, Says("noise of a velocity from all beams, each axis")] = 0.02
-    beam_sd_mps: Annotated[Positive | None, Says("noise of one beam; set, it replaces velocity_sd_mps for beams")] = (
-        None
-    )
+    beam_sd_mps: Annotated[
+        Positive | None, Says("noise of one beam; set, it goes before velocity_sd_mps where there are beams")
+    ] = None
     max_beam_residual_mps: Annotated[
         Positive | None, Says("pings whose beams disagree by more are dropped; left out: none")
     ] = None
@@ -176,8 +176,10 @@ class Filter(_Section, frozen=True):
     gyro_white_rad_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
     accel_bias_walk_mps2_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
     gyro_bias_walk_radps_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
-    velocity_sd_mps: Annotated[Positive | None, Says("left out: from [dvl]")] = None
-    beam_sd_mps: Annotated[Positive | None, Says("left out: from [dvl]")] = None
+    velocity_sd_mps: Annotated[
+        Positive | None, Says("goes before both keys of [dvl]; this and beam_sd_mps left out: from [dvl]")
+    ] = None
+    beam_sd_mps: Annotated[Positive | None, Says("where there are beams, goes before all others")] = None
     acceleration: Acceleration | None = None
 
 

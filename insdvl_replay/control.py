@@ -3,7 +3,7 @@
 The fit takes the noise under which the baseline's own innovations are most likely. It knows nothing of the reference.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -13,15 +13,24 @@ import msgspec
 import numpy as np
 
 from insdvl_replay import logs
-from insdvl_replay.columns import Dive, Floats
+from insdvl_replay.columns import Dive, Floats, ImuColumns
 from insdvl_replay.config import Config, Filter
 from insdvl_replay.errors import ConfigError, Note
 from insdvl_replay.evaluation.consistency import log_likelihood
-from insdvl_replay.preparation import prepare_dive, with_reference_at_imu
+from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.nav.aiding import dvl_noise, inertial_noise
+from insdvl_replay.preparation import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.replay import Replay, replay_dive, run_filters
 
 NAME = "tuned"
 """Name of the control among the filters."""
+INERTIAL: Final = ("accel_white_mps_rts", "gyro_white_rad_rts")
+"""What is fitted of the inertial sensors."""
+GEOMETRY_FIRST: Final = (
+    "what is wrong in geometry and time ends in the noise: check dvl.lever_arm_m, dvl.mounting_rpy_deg, dvl.scale and "
+    "dvl.latency_s before you compare with the control"
+)
+"""The hint to fitted noise that cannot be a sensor's."""
 FIT_S = 1800.0
 """The fit reads this much of a dive from its first ping on, which on the way down of a deep one may be long in coming;
 noise does not change so much that more would say more."""
@@ -29,7 +38,7 @@ LOWEST, HIGHEST = 1e-3, 1e3
 """Factors of the baseline's noise between which the fit looks."""
 STARTS: Final = tuple(product((1.0, 0.1, 0.01), (1.0, 10.0, 100.0), (1.0, 0.3)))
 """Factors of which the likeliest is the start: innovations can have several likely causes, a quiet DVL on a restless
-IMU among them, and a search from one place finds the nearest. Order as of `_keys`."""
+IMU among them, and a search from one place finds the nearest. Order as of `_noise`."""
 
 
 def replay_with_control(
@@ -55,11 +64,11 @@ def replay_with_control(
         As of `replay.replay_log` and `with_control`.
     """
     dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
-    config, note = with_control(dive, config)
-    return replay_dive(replace(dive, name=name or dive.name, notes=(*dive.notes, note)), config)
+    config, notes = with_control(dive, config)
+    return replay_dive(replace(dive, name=name or dive.name, notes=(*dive.notes, *notes)), config)
 
 
-def with_control(dive: Dive, config: Config) -> tuple[Config, Note]:
+def with_control(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:
     """Add the control to the filters.
 
     Parameters
@@ -71,8 +80,8 @@ def with_control(dive: Dive, config: Config) -> tuple[Config, Note]:
     -------
     Config
         With the filter ``tuned`` at the end, which repeats the result without another fit.
-    Note
-        The fitted values, ready to be pasted.
+    tuple of Note
+        The fitted values, ready to be pasted, and a warning if one of them cannot be its sensor's.
 
     Raises
     ------
@@ -89,33 +98,55 @@ def with_control(dive: Dive, config: Config) -> tuple[Config, Note]:
             f"--control tunes a baseline aided by velocity alone, found {list(baseline.aiding)}",
             "name such a filter first in the configuration",
         )
-    tuned = _fitted(dive, config, baseline)
-    values = {key: getattr(tuned, key) for key in _keys(config, baseline)}
+    dive = with_reference_at_imu(dive, config)
+    start = _first_part(prepare_dive(dive, config))
+    before = _noise(config, baseline, from_beams=start.velocities.from_beams)
+    tuned = _fitted(dive, start, config, baseline, before)
+    values = {key: getattr(tuned, key) for key in before}
+    edges = [key for key, value in values.items() if _at_the_edge(value, before[key])]
+    read = dive.imu.within(start.alignment.start_ns, start.end_ns)
+    notes = (_fitted_note(values, edges), *_beyond_their_sensors(values, read))
+    return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), notes
+
+
+def _fitted_note(values: Mapping[str, float], edges: Sequence[str]) -> Note:
     pasted = ", ".join(f"{key} = {value:.4g}" for key, value in values.items())
     text = f"noise of the control, fitted to the baseline's innovations: [filters.{NAME}] {pasted}"
-    if edges := [key for key, value in values.items() if _at_the_edge(value / _value(baseline, config, key))]:
+    classes = {SENSORS[key].name: sensor_class(key, values[key]) for key in INERTIAL if key not in edges}
+    if named := [f"{sensors} of class {best}" for sensors, best in classes.items() if best]:
+        text += f" ({', '.join(named)})"
+    if edges:
         text += f"; at the edge of what is looked at, where the innovations tell no more: {', '.join(edges)}"
-    note = Note("control_fitted", text, len(values))
-    return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), note
+    return Note("control_fitted", text, len(values))
 
 
-def _keys(config: Config, baseline: Filter) -> tuple[str, str, str]:
-    """Name what is fitted: the DVL's noise stands in one of two keys."""
-    beams = baseline.beam_sd_mps or config.dvl.beam_sd_mps
-    return "accel_white_mps_rts", "gyro_white_rad_rts", "beam_sd_mps" if beams else "velocity_sd_mps"
+def _beyond_their_sensors(values: Mapping[str, float], imu: ImuColumns) -> Iterator[Note]:
+    """Warn of fitted noise that stands for something else than the noise of a sensor."""
+    readings = (imu.specific_force_b, imu.angular_rate_b)
+    scatter = {key: readings_scatter(of_one, imu.usual_step_s) for key, of_one in zip(INERTIAL, readings, strict=True)}
+    judged = {key: beyond_the_sensor(key, value, scatter.get(key, 0.0)) for key, value in values.items()}
+    if found := [f"{key} = {values[key]:.4g} is {reason}" for key, reason in judged.items() if reason]:
+        text = f"the control has fitted noise that cannot be the sensors': {'; '.join(found)}"
+        yield Note("control_out_of_class", text, len(found), "warning", GEOMETRY_FIRST)
 
 
-def _fitted(dive: Dive, config: Config, baseline: Filter) -> Filter:
-    dive = with_reference_at_imu(dive, config)
-    start = prepare_dive(dive, config)
+def _noise(config: Config, baseline: Filter, *, from_beams: bool) -> dict[str, float]:
+    """Give what is fitted, by key, as the baseline has it. The DVL's noise stands in one of two keys."""
+    inertial, dvl = inertial_noise(baseline, config), dvl_noise(baseline, config, from_beams=from_beams)
+    return {key: getattr(inertial, key) for key in INERTIAL} | {dvl.key: dvl.sd_mps}
+
+
+def _first_part(start: Prepared) -> Prepared:
+    """Cut off what the fit does not read."""
     end_ns = min(start.end_ns, int(start.velocities.time_ns[0]) + int(FIT_S * 1e9))
-    start = replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)
-    keys = _keys(config, baseline)
-    before = np.array([_value(baseline, config, key) for key in keys])
+    return replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)
 
+
+def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, before: Mapping[str, float]) -> Filter:
     def filter_with(logarithms: Floats) -> Filter:
-        values = before * np.exp(np.clip(logarithms, np.log(LOWEST), np.log(HIGHEST)))
-        return msgspec.structs.replace(baseline, **{key: float(value) for key, value in zip(keys, values, strict=True)})
+        factors = np.exp(np.clip(logarithms, np.log(LOWEST), np.log(HIGHEST)))
+        values = {key: float(value * factor) for (key, value), factor in zip(before.items(), factors, strict=True)}
+        return msgspec.structs.replace(baseline, **values)
 
     from scipy.optimize import minimize  # a third of a second, which a replay without the control must not wait
 
@@ -137,11 +168,5 @@ def _fitted(dive: Dive, config: Config, baseline: Filter) -> Filter:
     return filter_with(best)
 
 
-def _at_the_edge(factor: float) -> bool:
-    return not 1.01 * LOWEST < factor < HIGHEST / 1.01
-
-
-def _value(baseline: Filter, config: Config, key: str) -> float:
-    own = getattr(baseline, key)
-    common = getattr(config.noise, key) if hasattr(config.noise, key) else getattr(config.dvl, key)
-    return float(common if own is None else own)
+def _at_the_edge(value: float, before: float) -> bool:
+    return not 1.01 * LOWEST * before < value < HIGHEST / 1.01 * before

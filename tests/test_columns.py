@@ -22,3 +22,13 @@ def test_usual_step_is_the_median_and_unknown_of_a_single_sample() -> None:
 
     assert step_s(0, 10_000_000, 20_000_000, 3_000_000_000) == 0.01
     assert np.isnan(step_s(5))
+
+
+def test_samples_within_a_span_are_kept_to_its_ends_and_not_copied() -> None:
+    readings = np.arange(15.0).reshape(5, 3)
+    imu = ImuColumns(np.array([10, 20, 30, 40, 50]), readings, -readings)
+    part = imu.within(15, 40)
+    assert part.time_ns.tolist() == [20, 30, 40]
+    np.testing.assert_array_equal(part.specific_force_b, readings[1:4])
+    np.testing.assert_array_equal(part.angular_rate_b, -readings[1:4])
+    assert np.shares_memory(part.specific_force_b, readings)

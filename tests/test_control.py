@@ -12,14 +12,16 @@ from insdvl_replay.columns import Dive
 from insdvl_replay.config import Config, Dvl, Filter, Noise, Reference, Span
 from insdvl_replay.config_file import load_config, render_toml
 from insdvl_replay.control import replay_with_control, with_control
-from insdvl_replay.errors import ConfigError
+from insdvl_replay.errors import ConfigError, Note
 from insdvl_replay.evaluation.consistency import log_likelihood
+from insdvl_replay.evaluation.sensor_classes import SENSORS
 from insdvl_replay.history import Innovations
+from insdvl_replay.logs import read_dive
 from insdvl_replay.nav.lever_arm import reference_at_imu
 from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.dvl_errors import DvlErrors
-from insdvl_replay.sim.imu_errors import ImuErrors
+from insdvl_replay.sim.imu_errors import GRADES, ImuErrors
 
 TRUE = {"accel_white_mps_rts": 3e-3, "gyro_white_rad_rts": 2e-5, "beam_sd_mps": 0.006}
 WRONG = Config(
@@ -62,7 +64,7 @@ def test_likelihood_is_that_of_normal_innovations() -> None:
 
 @pytest.mark.slow
 def test_fit_finds_the_noise_that_the_dive_was_made_with(dive: Dive) -> None:
-    config, note = with_control(dive, WRONG)
+    config, (note,) = with_control(dive, WRONG)
     tuned = config.filters["tuned"]
     assert tuned.accel_white_mps_rts == pytest.approx(TRUE["accel_white_mps_rts"], rel=0.15)
     assert tuned.beam_sd_mps == pytest.approx(TRUE["beam_sd_mps"], rel=0.05)
@@ -75,7 +77,7 @@ def test_fit_finds_the_noise_that_the_dive_was_made_with(dive: Dive) -> None:
 
 def test_fit_says_where_it_met_the_edge_of_its_range(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("insdvl_replay.control.LOWEST", 0.5)
-    config, note = with_control(dive, WRONG)
+    config, (note, *_) = with_control(dive, WRONG)
     assert config.filters["tuned"].accel_white_mps_rts == pytest.approx(0.5 * 0.05, rel=0.01)
     assert note.text.endswith("the innovations tell no more: accel_white_mps_rts, gyro_white_rad_rts, beam_sd_mps")
 
@@ -109,6 +111,34 @@ def test_control_needs_its_name_and_a_baseline_aided_by_velocity(dive: Dive) -> 
             with_control(dive, Config(filters=filters))
 
 
+def warnings(notes: tuple[Note, ...]) -> list[Note]:
+    return [note for note in notes if note.severity == "warning"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["levy-klein", "own"])
+@pytest.mark.parametrize("grade", GRADES)
+def test_simulated_imus_are_fitted_within_their_class(grade: str, preset: str) -> None:
+    dive = simulate_dive("figure-eight", grade=grade, duration_s=300.0)
+    config, notes = with_control(dive, load_config(grade if preset == "own" else preset))
+    assert not warnings(notes)
+    tuned = config.filters["tuned"]
+    for key in ("accel_white_mps_rts", "gyro_white_rad_rts"):
+        assert getattr(tuned, key) < SENSORS[key].worst[grade]
+    assert f"gyros of class {grade}" in notes[0].text
+
+
+def test_what_a_wrong_lever_arm_does_is_not_called_noise_of_a_sensor(dive: Dive) -> None:
+    """The DVL is at the IMU; in a turn at 3 deg/s an arm of 3 m is 16 cm/s off."""
+    turning = msgspec.structs.replace(WRONG, span=Span(start_s=100.0, end_s=250.0))
+    wrong = msgspec.structs.replace(turning, dvl=msgspec.structs.replace(WRONG.dvl, lever_arm_m=(3.0, 0.0, 0.0)))
+    assert not warnings(with_control(dive, turning)[1])
+    (note,) = warnings(with_control(dive, wrong)[1])
+    assert note.code == "control_out_of_class"
+    assert "times what the readings scatter by" in note.text
+    assert "dvl.lever_arm_m" in note.hint
+
+
 @pytest.mark.slow
 def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(snapir: Path, tmp_path: Path) -> None:
     config = load_config(file=Path(__file__).parents[1] / "examples" / "snapir.toml")
@@ -121,3 +151,30 @@ def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(snapir: 
     (tmp_path / "again.toml").write_text(render_toml(replay.config))
     again = replay_log(snapir / "snapir_12.mcap", load_config(file=tmp_path / "again.toml"))
     assert again.tables["consistency"].equals(replay.tables["consistency"])
+
+
+RIGHT = (
+    "dvl.lever_arm_m=[-0.071, -0.015, 0.205]",
+    "dvl.mounting_rpy_deg=[-0.19, 0.15, -0.29]",
+    "dvl.scale=1.00024",
+    "reference.lever_arm_m=[1.763, 0.018, 0.111]",
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("wrong", "suspect"),
+    [
+        ((), ""),
+        (("dvl.mounting_rpy_deg=[0.0, 0.0, 20.0]",), "gyro_white_rad_rts = "),
+        (("dvl.lever_arm_m=[5.0, 0.0, 0.0]",), "gyro_white_rad_rts = "),
+        (("dvl.latency_s=0.5",), "accel_white_mps_rts = "),
+    ],
+)
+def test_wrong_geometry_of_a_real_dive_is_not_called_noise_of_a_sensor(
+    snapir: Path, wrong: tuple[str, ...], suspect: str
+) -> None:
+    config = load_config(file=Path(__file__).parents[1] / "examples" / "snapir.toml", overrides=(*RIGHT, *wrong))
+    notes = warnings(with_control(read_dive(snapir / "snapir_02.mcap", config), config)[1])
+    assert [note.code for note in notes] == (["control_out_of_class"] if suspect else [])
+    assert all(suspect in note.text for note in notes)

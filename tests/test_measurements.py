@@ -119,7 +119,7 @@ def test_windowed_prediction_is_the_slope_of_what_the_ins_adds_and_its_jacobian_
         np.zeros(4, dtype=np.int64), np.full(4, np.nan), 0, 0,
     )  # fmt: skip
     windowed = acceleration_measurement(
-        velocities, velocity_cov(velocities, 0.02, None), kind=WINDOWED, window=4, order=1, max_gap_s=1.0,
+        velocities, velocity_cov(velocities, 0.02), kind=WINDOWED, window=4, order=1, max_gap_s=1.0,
         sd_mps2=None, accel_white_mps_rts=0.2, gate=np.inf,
     )  # fmt: skip
 
@@ -150,10 +150,10 @@ def test_velocity_noise_is_isotropic_with_all_beams_and_worse_with_three() -> No
     beams[1, 2] = np.nan
     velocity, shape, residual = solve_beams(beams, vectors)
     velocities = DvlVelocities(np.arange(2), velocity, shape, shape[0], True, np.array([4, 3]), residual, 0, 0)
-    full, three = velocity_cov(velocities, 0.02, None)
+    full, three = velocity_cov(velocities, 0.02)
     np.testing.assert_allclose(full, 0.02**2 * np.eye(3), atol=1e-12)
     assert (np.linalg.eigvalsh(three) >= 0.02**2 * (1 - 1e-9)).all()
-    np.testing.assert_allclose(velocity_cov(velocities, 9.9, 0.01), 0.01**2 * shape)
+    np.testing.assert_allclose(velocity_cov(velocities, 0.01, of_one_beam=True), 0.01**2 * shape)
 
 
 def test_acceleration_noise_comes_from_the_dvl_and_the_accelerometer() -> None:
@@ -163,7 +163,7 @@ def test_acceleration_noise_comes_from_the_dvl_and_the_accelerometer() -> None:
         np.zeros(m, dtype=np.int64), np.full(m, np.nan), 0, 0,
     )  # fmt: skip
     made = acceleration_measurement(
-        velocities, velocity_cov(velocities, s, None), kind=WINDOWED, window=3, order=1, max_gap_s=2.5,
+        velocities, velocity_cov(velocities, s), kind=WINDOWED, window=3, order=1, max_gap_s=2.5,
         sd_mps2=None, accel_white_mps_rts=white, gate=np.inf,
     )  # fmt: skip
     # n = 3 at 1 Hz: c = (-1/2, 0, 1/2), W = (1/2, 1/2).

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from instants import instants
 from scipy.integrate import cumulative_simpson
+from scipy.spatial.transform import Rotation
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.columns import Floats
@@ -18,17 +19,19 @@ from insdvl_replay.errors import ConfigError
 from insdvl_replay.history import History
 from insdvl_replay.logs.dive_log import write_dive
 from insdvl_replay.nav.error_directions import named_directions
-from insdvl_replay.nav.measurements import NEVER_REOPENED, VELOCITY, Measurement
+from insdvl_replay.nav.measurements import NEVER_REOPENED, PUBLISHED, VELOCITY, Measurement
 from insdvl_replay.nav.nominal_motion import NominalPings, nominal_pings
-from insdvl_replay.nav.observability import analyse, whitened_rows
+from insdvl_replay.nav.observability import analyse, jacobians, whitened_rows
+from insdvl_replay.nav.remaining import remaining_cov
 from insdvl_replay.nav.timeline import Timeline, build_timeline
+from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.report.study import StudyReport
 from insdvl_replay.rotation import mat_from_rpy, skew
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.sim.motion import START
 from insdvl_replay.sim.trajectories import SCENARIOS, Scenario, Segment, Wave
-from insdvl_replay.states import BA, BG, DV, PHI
+from insdvl_replay.states import BA, BG, DV, PHI, STATES
 from insdvl_replay.studies import observability
 from insdvl_replay.studies.observability import study_observability
 
@@ -92,7 +95,7 @@ def exact_nominal(scenario: str) -> tuple[Timeline, History]:
 def test_transition_is_the_papers_closed_form_with_its_sign_mended() -> None:
     """Phi = [I, S, R, M; 0, I, 0, R; ...] with S = -int [f x], R = int C, M = -int [f x] R, where the Earth stands."""
     timeline, nominal = exact_nominal("weave")
-    transition = nominal_pings(timeline, nominal, earth_rate=False).transition
+    transition = nominal_pings(timeline, nominal, np.zeros(12), earth_rate=False).transition
     scenario, time_s = Scenario("", 424.0, Wave(2.0, 0.3, 60.0), TURN), instants(timeline).time_s
     mat_nb = mat_from_rpy(scenario.rpy(time_s))
     velocity_b, rate_b = (
@@ -119,12 +122,16 @@ def test_history_of_another_time_line_is_refused() -> None:
     timeline, _ = exact_nominal("straight")
     _, other = exact_nominal("weave")
     with pytest.raises(ValueError, match="other times"):
-        nominal_pings(timeline, History(**{**other.__dict__, "time_ns": other.time_ns + 1}))
+        nominal_pings(timeline, History(**{**other.__dict__, "time_ns": other.time_ns + 1}), np.zeros(12))
 
 
 def test_rows_are_in_units_of_the_measurements_noise() -> None:
     pings = NominalPings(
-        np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)), np.ones(2), np.tile(np.eye(12), (2, 1, 1))
+        np.zeros((2, 3)),
+        np.tile(np.eye(3), (2, 1, 1)),
+        np.zeros((2, 3)),
+        np.ones(2),
+        *np.tile(np.eye(12), (3, 2, 1, 1)),
     )
     cov_b = np.array([[4.0, 1.0, 0.0], [1.0, 3.0, 0.0], [0.0, 0.0, 1.0]])
     measurement = Measurement(
@@ -263,6 +270,105 @@ def test_accelerations_do_not_have_the_unobservable_subspace_of_velocities() -> 
     assert ranks(report)["velocity + published"] == ranks(report)["velocity"]
     at_rest = study("static", earth_rate=False)
     assert unobservable(at_rest, "published") - unobservable(at_rest, "velocity") == VELOCITY_ERRORS
+
+
+# --- What is left, with process noise and without.
+
+
+def random_pings(pings: int, *, noise: float, seed: int = 6) -> NominalPings:
+    """Motions that never were: transitions near one, and the noise of a filter, for matrices in numpy to work on."""
+    rng = np.random.default_rng(seed)
+    step = np.eye(12) + 0.1 * rng.normal(size=(pings, 12, 12))
+    transition = np.array([np.linalg.multi_dot([np.eye(12), *step[k::-1], np.eye(12)]) for k in range(pings)])
+    root = noise * rng.normal(size=(pings, 12, 12))
+    mat_nb = Rotation.random(pings, random_state=seed).as_matrix()
+    velocity_n, rate_nb_b = rng.normal(size=(2, pings, 3))
+    return NominalPings(
+        velocity_n, mat_nb, rate_nb_b, np.full(pings, 9.8), transition, step, root @ np.swapaxes(root, 1, 2)
+    )
+
+
+def random_measurements(pings: int) -> list[Measurement]:
+    """Velocities and published accelerations, each missing at some pings."""
+    rng = np.random.default_rng(7)
+    found = []
+    for kind in (VELOCITY, PUBLISHED):
+        root = rng.normal(size=(pings, 3, 3))
+        cov_b = root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(3)
+        nothing = (np.zeros((pings, 3)), cov_b, np.zeros((pings, 1)), np.zeros((pings, 0)), np.inf, 0)
+        found.append(Measurement(kind, rng.random(pings) < 0.7, np.arange(pings), *nothing))
+    return found
+
+
+def test_covariance_is_carried_on_as_a_textbook_has_it() -> None:
+    pings, measurements, prior_sd = random_pings(9, noise=0.2), random_measurements(9), np.linspace(0.5, 2.0, 12)
+    arm_b = np.array([1.0, 0.2, -0.3])
+    P = np.diag(prior_sd**2)
+    for ping in range(9):
+        P = pings.step[ping] @ P @ pings.step[ping].T + pings.noise[ping]
+        for measurement in measurements:
+            if measurement.available[ping]:
+                H = jacobians(pings, measurement, arm_b)[ping]
+                K = P @ H.T @ np.linalg.inv(H @ P @ H.T + measurement.cov_b[ping])
+                P = (np.eye(12) - K @ H) @ P
+    found = remaining_cov(pings, measurements, arm_b, prior_sd)
+    np.testing.assert_allclose(found, P, rtol=0.0, atol=1e-10 * np.abs(P).max())
+    np.testing.assert_array_equal(found, found.T)
+
+
+def test_without_process_noise_the_end_is_the_start_carried_on() -> None:
+    """The stack tells what is left of the errors at the start; at the last ping they have grown by the transition."""
+    pings, measurements, prior_sd = random_pings(9, noise=0.0), random_measurements(9), np.linspace(0.5, 2.0, 12)
+    arm_b = np.zeros(3)
+    rows = np.vstack([whitened_rows(pings, measurement, arm_b) for measurement in measurements])
+    at_start = np.linalg.inv(np.diag(prior_sd**-2) + rows.T @ rows)
+    np.testing.assert_allclose(analyse(rows, prior_sd).left() * prior_sd, np.sqrt(np.diag(at_start)), rtol=1e-9)
+    expected = pings.transition[-1] @ at_start @ pings.transition[-1].T
+    found = remaining_cov(pings, measurements, arm_b, prior_sd)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+
+
+def left_sd(report: StudyReport, aiding: str) -> Floats:
+    """Standard deviations after the last ping, SI units."""
+    rows = report.tables["states"]
+    return np.asarray(rows.loc[rows["aiding"] == aiding, "left_sd"]) * [state.factor for state in STATES]
+
+
+def last_updated_sd(history: History) -> Floats:
+    last: Floats = history.sd[np.flatnonzero(history.updated)[-1]]
+    return last
+
+
+def test_what_is_left_is_what_the_filter_believes_after_the_last_ping() -> None:
+    """Along the exact motion nothing is corrected, and the recursion is that of the filter with the same aiding."""
+    config = load_config()
+    dive = exact_dive("figure-eight", lever_arm_m=config.dvl.lever_arm_m)
+    velocity, aided = replay_dive(dive, config).histories
+    windowed = config.filters["aided"].acceleration
+    assert windowed is not None
+    assert windowed.model == "windowed"
+    report = study("figure-eight", earth_rate=True)
+    np.testing.assert_allclose(left_sd(report, "velocity"), last_updated_sd(velocity), rtol=1e-6)
+    np.testing.assert_allclose(left_sd(report, "velocity + windowed"), last_updated_sd(aided), rtol=1e-6)
+
+
+def test_left_after_the_last_ping_may_be_more_than_at_the_start() -> None:
+    """Nothing shows the heading on a level way, and what is known of the gyros leaves it to drift: 10 deg/h, 424 s."""
+    report = study("straight", earth_rate=True)
+    rows = report.tables["states"].set_index(["aiding", "state"])
+    heading = rows.loc[("velocity", "phi_d")]
+    drifted_deg = np.hypot(0.5, 10.0 / 3600.0 * 423.4)
+    assert heading["left_pct"] == pytest.approx(100.0 * drifted_deg / 0.5, rel=0.01)
+    assert heading["left_without_noise_pct"] < 100.0
+    (sentence,) = (text for text in report.sentences if text.startswith("velocity: with process noise"))
+    assert f"misalignment, down ({heading['left_pct']:.0f} %)" in sentence
+
+
+def test_what_is_left_on_a_real_dive_is_what_its_filters_believe(snapir: Path) -> None:
+    log, config = snapir / "snapir_02.mcap", load_config(file=Path(__file__).parents[1] / "examples" / "snapir.toml")
+    report, (velocity, windowed, _) = study_observability(str(log), config), replay_log(log, config).histories
+    np.testing.assert_allclose(left_sd(report, "velocity"), last_updated_sd(velocity), rtol=2e-3)
+    np.testing.assert_allclose(left_sd(report, "velocity + windowed"), last_updated_sd(windowed), rtol=2e-3)
 
 
 # --- Logs and the command.

@@ -1,9 +1,12 @@
 """From the configuration of a filter to its measurements and its noise."""
 
+from typing import Literal, NamedTuple
+
+import msgspec
 import numpy as np
 
 from insdvl_replay.columns import Floats, TimeNs
-from insdvl_replay.config import Config, Filter
+from insdvl_replay.config import Config, Filter, Noise
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.error_model import noise_density
 from insdvl_replay.nav.gaps import NO_GAPS, Gaps, swing_cov
@@ -17,8 +20,63 @@ from insdvl_replay.nav.measurements import (
 )
 
 
+class DvlNoise(NamedTuple):
+    """The DVL's noise as one filter takes it.
+
+    Attributes
+    ----------
+    key : {'beam_sd_mps', 'velocity_sd_mps'}
+        Whether it is that of one beam, or of each axis of a velocity from all beams.
+    sd_mps : float
+    """
+
+    key: Literal["beam_sd_mps", "velocity_sd_mps"]
+    sd_mps: float
+
+
+def dvl_noise(filter_: Filter, config: Config, *, from_beams: bool) -> DvlNoise:
+    """Resolve the DVL's noise for a filter: what the filter names itself, under either key, goes before ``[dvl]``.
+
+    Where one of the two names both, the beams' goes first. Velocities that do not come from beams have no noise of
+    beams, so that there ``beam_sd_mps`` says nothing.
+
+    Parameters
+    ----------
+    filter_ : Filter
+    config : Config
+    from_beams : bool
+        Whether the velocities are solved from beams.
+
+    Returns
+    -------
+    DvlNoise
+    """
+    for named in (filter_, config.dvl):
+        if from_beams and named.beam_sd_mps is not None:
+            return DvlNoise("beam_sd_mps", named.beam_sd_mps)
+        if named.velocity_sd_mps is not None:
+            return DvlNoise("velocity_sd_mps", named.velocity_sd_mps)
+    raise ValueError("[dvl] always has a velocity_sd_mps")
+
+
+def inertial_noise(filter_: Filter, config: Config) -> Noise:
+    """Resolve the inertial sensors' noise for a filter: its own densities, and the common ones where it names none.
+
+    Parameters
+    ----------
+    filter_ : Filter
+    config : Config
+
+    Returns
+    -------
+    Noise
+    """
+    own = {key: getattr(filter_, key) for key in Noise.__struct_fields__}
+    return msgspec.structs.replace(config.noise, **{key: value for key, value in own.items() if value is not None})
+
+
 def filter_noise(filter_: Filter, config: Config) -> Floats:
-    """Give a filter's process noise: its own densities, and the common ones where it names none.
+    """Give a filter's process noise.
 
     Parameters
     ----------
@@ -30,7 +88,7 @@ def filter_noise(filter_: Filter, config: Config) -> Floats:
     ndarray, shape (12,)
         See `error_model.noise_density`.
     """
-    return noise_density(**{key: _own_or(filter_, config.noise, key) for key in config.noise.__struct_fields__})
+    return noise_density(**msgspec.structs.asdict(inertial_noise(filter_, config)))
 
 
 def filter_measurements(
@@ -53,11 +111,8 @@ def filter_measurements(
     -------
     tuple of Measurement
     """
-    cov_b = velocity_cov(
-        velocities,
-        _own_or(filter_, config.dvl, "velocity_sd_mps"),
-        filter_.beam_sd_mps or config.dvl.beam_sd_mps,
-    )
+    noise = dvl_noise(filter_, config, from_beams=velocities.from_beams)
+    cov_b = velocity_cov(velocities, noise.sd_mps, of_one_beam=noise.key == "beam_sd_mps")
     cov_b = cov_b + swing_cov(gaps, velocities.time_ns, np.array(config.dvl.lever_arm_m), config.imu)
     measurements = []
     for aiding in filter_.aiding:
@@ -90,11 +145,6 @@ def _acceleration(
         order=settings.order,
         max_gap_s=settings.max_window_gap_s,
         sd_mps2=settings.sd_mps2,
-        accel_white_mps_rts=_own_or(filter_, config.noise, "accel_white_mps_rts"),
+        accel_white_mps_rts=inertial_noise(filter_, config).accel_white_mps_rts,
         gate=gate,
     )
-
-
-def _own_or(filter_: Filter, common: object, key: str) -> float:
-    own = getattr(filter_, key)
-    return float(getattr(common, key) if own is None else own)

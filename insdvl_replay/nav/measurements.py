@@ -54,30 +54,29 @@ class Measurement(NamedTuple):
     reopen_after: int
 
 
-def velocity_cov(velocities: DvlVelocities, velocity_sd_mps: float, beam_sd_mps: float | None) -> Floats:
+def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, of_one_beam: bool = False) -> Floats:
     """Give the covariance of each DVL velocity.
 
-    With ``beam_sd_mps`` it is the beams' noise through the least squares. Without, each axis of a velocity from all
-    beams has ``velocity_sd_mps``, and a velocity from fewer beams is worse by as much as the least squares says.
+    Noise of one beam goes through the least squares. Else each axis of a velocity from all beams has ``sd_mps``, and a
+    velocity from fewer beams is worse by as much as the least squares says.
 
     Parameters
     ----------
     velocities : DvlVelocities
         m pings.
-    velocity_sd_mps : float
-    beam_sd_mps : float or None
+    sd_mps : float
+    of_one_beam : bool
+        Whether the noise is that of a beam; of velocities that come from beams alone.
 
     Returns
     -------
     ndarray, shape (m, 3, 3), m^2/s^2
     """
-    if not velocities.from_beams:
-        return velocity_sd_mps**2 * velocities.shape_b
-    if beam_sd_mps is not None:
-        return beam_sd_mps**2 * velocities.shape_b
+    if of_one_beam or not velocities.from_beams:
+        return sd_mps**2 * velocities.shape_b
     values, vectors = np.linalg.eigh(velocities.full_shape_b)
     whiten = vectors / np.sqrt(values) @ vectors.T
-    cov: Floats = velocity_sd_mps**2 * (whiten @ velocities.shape_b @ whiten)
+    cov: Floats = sd_mps**2 * (whiten @ velocities.shape_b @ whiten)
     return cov
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from insdvl_replay.columns import Floats
 from insdvl_replay.compiled import compiled, inlined
 from insdvl_replay.history import History
-from insdvl_replay.nav.error_model import propagate_errors
+from insdvl_replay.nav.error_model import add_noise, propagate_cov, propagate_errors
+from insdvl_replay.nav.kalman import multiply
 from insdvl_replay.nav.place import gravity_at, normal_gravity, place_about, place_at
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import Timeline, first_node, is_event, is_last, mean, next_node
@@ -39,6 +40,10 @@ class NominalPings(NamedTuple):
         m/s^2
     transition : ndarray, shape (m, 12, 12)
         Phi(t, t0), from the errors at the start to those at the ping.
+    step : ndarray, shape (m, 12, 12)
+        Phi from the ping before, of the first from the start.
+    noise : ndarray, shape (m, 12, 12)
+        Covariance of what process noise has added meanwhile.
     """
 
     velocity_n: Floats
@@ -46,9 +51,13 @@ class NominalPings(NamedTuple):
     rate_nb_b: Floats
     gravity: Floats
     transition: Floats
+    step: Floats
+    noise: Floats
 
 
-def nominal_pings(timeline: Timeline, nominal: History, *, earth_rate: bool = True) -> NominalPings:
+def nominal_pings(
+    timeline: Timeline, nominal: History, noise_density: Floats, *, earth_rate: bool = True
+) -> NominalPings:
     """Carry the errors at the start to each ping along a nominal motion.
 
     Equations (48) and (49) of Levy and Klein, as the product of ``I + F dt`` along the way; see EQUATIONS.md.
@@ -59,6 +68,8 @@ def nominal_pings(timeline: Timeline, nominal: History, *, earth_rate: bool = Tr
         Nodes with readings and pings.
     nominal : History
         A row at each recorded event of the time line; from one to the next the motion is mechanised.
+    noise_density : ndarray, shape (12,)
+        From `error_model.noise_density`; long gaps of the IMU add theirs.
     earth_rate : bool
         False: let the Earth be flat and at rest, and take the Coriolis acceleration out of the readings.
 
@@ -79,7 +90,7 @@ def nominal_pings(timeline: Timeline, nominal: History, *, earth_rate: bool = Tr
         np.empty((pings, 3, 3)),
         np.empty((pings, 3)),
         np.empty(pings),
-        np.empty((pings, 12, 12)),
+        *np.empty((3, pings, 12, 12)),
     )
     states = _States(
         nominal.position,
@@ -88,7 +99,7 @@ def nominal_pings(timeline: Timeline, nominal: History, *, earth_rate: bool = Tr
         nominal.accel_bias_b,
         nominal.gyro_bias_b,
     )
-    _walk(timeline, states, earth_rate, np.eye(12).ravel(), found)
+    _walk(timeline, states, noise_density, earth_rate, found)
     return found
 
 
@@ -114,8 +125,10 @@ def _row_state(states: _States, row: int) -> NavState:
 
 
 @compiled
-def _walk(timeline: Timeline, nominal: _States, earth_rate: bool, Phi: Floats, found: NominalPings) -> None:
-    """Mechanise from one recorded event to the next, and multiply up the transition Phi, which stands row by row."""
+def _walk(timeline: Timeline, nominal: _States, noise_density: Floats, earth_rate: bool, found: NominalPings) -> None:
+    """Mechanise from one recorded event to the next, and let errors grow and noise gather from ping to ping."""
+    transition, step, noise = np.eye(12), np.eye(12), np.zeros((12, 12))
+    step_by_row, noise_by_row = step.ravel(), noise.ravel()
     state = _row_state(nominal, timeline.record[0])
     place = place_at(state.position[0], state.position[2])
     before = first_node(timeline)
@@ -127,7 +140,12 @@ def _walk(timeline: Timeline, nominal: _States, earth_rate: bool, Phi: Floats, f
         force_b = mean(before.specific_force_b, now.specific_force_b)
         rate_b = mean(before.angular_rate_b, now.angular_rate_b)
         state, motion = propagate(state, force_b, rate_b, dt, place, gravity_at(place, state.position[2]))
-        propagate_errors(Phi, motion if earth_rate else _on_a_resting_earth(motion, before_n), dt)
+        errors_motion = motion if earth_rate else _on_a_resting_earth(motion, before_n)
+        propagate_errors(step_by_row, errors_motion, dt)
+        propagate_cov(noise_by_row, errors_motion, noise_density, dt)
+        gap = timeline.gap[before.event]
+        if gap >= 0:
+            add_noise(noise_by_row, timeline.gap_noise_density[gap], dt)
         before = now
         if not is_event(timeline, now):
             continue
@@ -142,9 +160,10 @@ def _walk(timeline: Timeline, nominal: _States, earth_rate: bool, Phi: Floats, f
             rate_in_b = rotate_back(motion.mat_nb, motion.rate_in_n)
             write_row_vector(subtract(rate_ib_b, rate_in_b), found.rate_nb_b, ping)
             found.gravity[ping] = normal_gravity(state.position[0], state.position[2])
-            for i in range(12):
-                for j in range(12):
-                    found.transition[ping, i, j] = Phi[12 * i + j]
+            multiply(step, transition, found.transition[ping])
+            found.step[ping], found.noise[ping] = step, noise
+            transition = found.transition[ping]
+            step[:], noise[:] = np.eye(12), 0.0
 
 
 @inlined

@@ -3,7 +3,7 @@
 The rows ``H(t) Phi(t, t0)`` of all pings are stacked. Each is divided by its measurement's noise, so that velocities
 and accelerations can stand in one stack, and each state is counted in units of its prior standard deviation. A singular
 value s is then a ratio of signal to noise: were there no process noise, the measurements would leave
-``1 / sqrt(1 + s^2)`` of the prior uncertainty along its direction.
+``1 / sqrt(1 + s^2)`` of the prior uncertainty along its direction. What they leave with it, see `remaining`.
 """
 
 from dataclasses import dataclass
@@ -43,11 +43,32 @@ def whitened_rows(pings: NominalPings, measurement: Measurement, lever_arm_b: Fl
         Three rows for each of the k pings that have the measurement.
     """
     rows = np.flatnonzero(measurement.available)
-    H = np.empty((len(rows), 3, 12))
-    _jacobians(measurement, rows, pings, vector(lever_arm_b), H)
+    H = jacobians(pings, measurement, lever_arm_b)[rows]
     L = np.linalg.cholesky(measurement.cov_b[rows])
     whitened: Floats = np.linalg.solve(L, H @ pings.transition[rows]).reshape(-1, 12)
     return whitened
+
+
+def jacobians(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats) -> Floats:
+    """Give the H of a measurement at every ping.
+
+    Parameters
+    ----------
+    pings : NominalPings
+        m pings.
+    measurement : Measurement
+        Of the same pings.
+    lever_arm_b : ndarray, shape (3,)
+        IMU to DVL, m.
+
+    Returns
+    -------
+    ndarray, shape (m, 3, 12)
+        Zero where there is no measurement.
+    """
+    H = np.zeros((len(measurement.available), 3, 12))
+    _write_jacobians(measurement, np.flatnonzero(measurement.available), pings, vector(lever_arm_b), H)
+    return H
 
 
 @dataclass(frozen=True)
@@ -103,7 +124,12 @@ class Observability:
         return float(np.linalg.norm(self.singular_values * (self.directions @ direction)))
 
     def left(self) -> Floats:
-        """Give the share of each state's prior standard deviation that the measurements leave, shape (12,)."""
+        """Give the share of each state's prior standard deviation at the start that is left without process noise.
+
+        Returns
+        -------
+        ndarray, shape (12,)
+        """
         var = 1.0 / (1.0 + self.singular_values**2)
         share: Floats = np.sqrt(var @ self.directions**2)
         return share
@@ -135,12 +161,12 @@ def analyse(rows: Floats, prior_sd: Floats, tolerance: float = TOLERANCE) -> Obs
 
 
 @compiled
-def _jacobians(
+def _write_jacobians(
     measurement: Measurement, rows: NDArray[np.int64], pings: NominalPings, lever_arm_b: Vector, H: Floats
 ) -> None:
     """Write the Jacobian of each ping. What only the innovation needs is left at zero."""
     unused, unused_b = (0.0, 0.0, 0.0), np.zeros(pings.velocity_n.shape)
-    for i, ping in enumerate(rows):
+    for ping in rows:
         ins = InsAtPing(
             row_vector(pings.velocity_n, ping),
             row_matrix(pings.mat_nb, ping),
@@ -151,4 +177,4 @@ def _jacobians(
             pings.gravity[ping],
             lever_arm_b,
         )
-        linearise(measurement, ping, ins, H[i])
+        linearise(measurement, ping, ins, H[ping])

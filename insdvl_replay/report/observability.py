@@ -15,15 +15,17 @@ _SHORT: Final = {
 }
 _NOTHING: Final = 1e-5
 """Smaller components of a direction, in shown units beside a leading 1, are left out."""
+_GROWN_PCT: Final = 101.0
+"""Of the prior, above which a state is said to have grown more uncertain; a bias alone wanders by less."""
 
 
 def observability_sentences(tables: Mapping[str, pd.DataFrame], tolerance: float) -> tuple[str, ...]:
-    """Say for each aiding what its rank is and which directions it cannot see.
+    """Say for each aiding what its rank is, which directions it cannot see, and which states it lets grow uncertain.
 
     Parameters
     ----------
     tables : mapping of str to DataFrame
-        ``ranks`` and ``directions``.
+        ``ranks``, ``directions`` and ``states``.
     tolerance : float
         Share of the largest singular value up to which one is called zero.
 
@@ -34,6 +36,7 @@ def observability_sentences(tables: Mapping[str, pd.DataFrame], tolerance: float
     directions = tables["directions"]
     unseen = directions[directions["status"] == "unobservable"].groupby("aiding")["label"].agg(list)
     sentences = [_rank_sentence(row, unseen.get(row["aiding"], [])) for row in tables["ranks"].to_dict("records")]
+    sentences += [_grown_sentence(aiding, rows) for aiding, rows in tables["states"].groupby("aiding", sort=False)]
     return (*sentences, f"Singular values up to {tolerance:.0e} of the largest count as zero.")
 
 
@@ -48,6 +51,15 @@ def _rank_sentence(row: Mapping[Any, Any], unseen: list[str]) -> str:
     return f"{rank}{gap}; unobservable: {', '.join(names)}."
 
 
+def _grown_sentence(aiding: object, states: pd.DataFrame) -> str:
+    """Name the states that are less certain at the end than at the start, which no rank tells."""
+    grown = states[states["left_pct"] > _GROWN_PCT]
+    names = [f"{row_label(row['state'])} ({row['left_pct']:.0f} %)" for row in grown.to_dict("records")]
+    if not names:
+        return f"{aiding}: with process noise, no state is less certain after the last ping than at the start."
+    return f"{aiding}: with process noise, less certain after the last ping than at the start: {'; '.join(names)}."
+
+
 def shown_observability(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable, ...]:
     """Turn the tables of a study into tables for people.
 
@@ -59,13 +71,24 @@ def shown_observability(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable,
     Returns
     -------
     tuple of ShownTable
-        The directions, with their numbers and how they are seen; singular values; what is left of each state.
+        The directions, with their numbers and how they are seen; singular values; what is left of each state at the
+        end, with process noise, and of its error at the start, without.
     """
     return (
         _catalogue(tables["catalogue"]),
         _directions(tables["directions"]),
         _singular_values(tables["singular_values"]),
-        _states(tables["states"]),
+        _states(
+            "What is left of the prior standard deviation after the last ping, process noise included",
+            tables["states"],
+            "left_pct",
+            "Over 100 %: grown since the start, by process noise and by other errors",
+        ),
+        _states(
+            "What would be left of the errors at the start, were there no process noise",
+            tables["states"],
+            "left_without_noise_pct",
+        ),
     )
 
 
@@ -112,14 +135,15 @@ def _singular_values(values: pd.DataFrame) -> ShownTable:
     )
 
 
-def _states(states: pd.DataFrame) -> ShownTable:
-    cells = {(row["state"], row["aiding"]): percent(row["left_pct"]) for row in states.to_dict("records")}
+def _states(title: str, states: pd.DataFrame, column: str, footnote: str = "") -> ShownTable:
+    cells = {(row["state"], row["aiding"]): percent(row[column]) for row in states.to_dict("records")}
     return _by_aiding(
-        "What is left of the prior standard deviation at the start, without process noise",
+        title,
         "state",
         {name: row_label(name) for name in states["state"].unique()},
         list(states["aiding"].unique()),
         cells,
+        footnote,
     )
 
 

@@ -7,15 +7,17 @@ import msgspec
 import numpy as np
 
 from insdvl_replay import logs
-from insdvl_replay.columns import Dive, Floats
+from insdvl_replay.columns import Dive
 from insdvl_replay.config import Acceleration, Config, Filter, Initial
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.history import History
 from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.error_directions import named_directions
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.nominal_motion import nominal_pings
+from insdvl_replay.nav.measurements import Measurement
+from insdvl_replay.nav.nominal_motion import NominalPings, nominal_pings
 from insdvl_replay.nav.observability import TOLERANCE, analyse, whitened_rows
+from insdvl_replay.nav.remaining import remaining_cov
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.report.observability import observability_sentences, shown_observability
@@ -41,7 +43,7 @@ def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bo
     """Analyse what velocities and accelerations tell about the errors at the start of a dive.
 
     The motion around which the errors are linearised is that of the first filter: along a scenario, with perfect
-    sensors, it is the exact one.
+    sensors, it is the exact one. The process noise is that of the first filter, too.
 
     Parameters
     ----------
@@ -66,13 +68,17 @@ def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bo
     """
     dive, config = _dive(dive_or_scenario, config)
     start = prepare_dive(dive, config)
-    nominal, stacks = _stacks(dive, start, config, earth_rate)
+    nominal, pings = _nominal(dive, start, config, earth_rate)
+    measurements, arm_b = _measurements(start, config), np.array(config.dvl.lever_arm_m)
     prior_sd = start.alignment.start.sd
-    found = {
-        name: analyse(np.vstack([stacks[single] for single in aiding]), prior_sd) for name, aiding in AIDING.items()
-    }
+    found, left_sd = {}, {}
+    for name, aiding in AIDING.items():
+        stack = [measurements[single] for single in aiding]
+        found[name] = analyse(np.vstack([whitened_rows(pings, single, arm_b) for single in stack]), prior_sd)
+        left_sd[name] = np.sqrt(np.diag(remaining_cov(pings, stack, arm_b, prior_sd)))
     start_of = (nominal.position[0], nominal.velocity_n[0], nominal.mat_nb[0])
-    tables = observability_tables(found, named_directions(*start_of, earth_rate=earth_rate), prior_sd)
+    directions = named_directions(*start_of, earth_rate=earth_rate)
+    tables = observability_tables(found, directions, prior_sd, left_sd)
     seconds_s = (start.end_ns - start.alignment.start_ns) * 1e-9
     earth = "" if earth_rate else ", Earth rate left out"
     return StudyReport(
@@ -122,22 +128,24 @@ def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
     return dive, msgspec.structs.replace(config, dvl=dvl, initial=initial)
 
 
-def _stacks(dive: Dive, start: Prepared, config: Config, earth_rate: bool) -> tuple[History, dict[str, Floats]]:
-    """Run the first filter for the nominal motion, and stack the rows of each measurement around it."""
-    gaps, arm_b, baseline = start.gaps, np.array(config.dvl.lever_arm_m), config.baseline
+def _nominal(dive: Dive, start: Prepared, config: Config, earth_rate: bool) -> tuple[History, NominalPings]:
+    """Run the first filter for the nominal motion, and let errors grow and its process noise gather around it."""
+    gaps, baseline = start.gaps, config.baseline
     start_ns, end_ns, filter_ = start.alignment.start_ns, start.end_ns, config.filters[baseline]
     timeline = build_timeline(dive.imu, start.velocities.time_ns, NO_TIMES, start_ns, end_ns, gaps)
-    noise, aided_by = (
-        filter_noise(filter_, config),
-        filter_measurements(filter_, start.velocities, config, NO_GATE, gaps),
-    )
+    noise = filter_noise(filter_, config)
+    aided_by = filter_measurements(filter_, start.velocities, config, NO_GATE, gaps)
+    arm_b = np.array(config.dvl.lever_arm_m)
     nominal = run_filter(baseline, timeline, start.alignment.start, noise, aided_by, arm_b)
-    pings = nominal_pings(timeline, nominal, earth_rate=earth_rate)
-    stacks = {}
+    return nominal, nominal_pings(timeline, nominal, noise, earth_rate=earth_rate)
+
+
+def _measurements(start: Prepared, config: Config) -> dict[str, Measurement]:
+    """Prepare each measurement alone."""
+    prepared = {}
     for name, single in _single_aidings(config).items():
-        (measurement,) = filter_measurements(single, start.velocities, config, NO_GATE, gaps)
-        stacks[name] = whitened_rows(pings, measurement, arm_b)
-    return nominal, stacks
+        (prepared[name],) = filter_measurements(single, start.velocities, config, NO_GATE, start.gaps)
+    return prepared
 
 
 def _single_aidings(config: Config) -> dict[str, Filter]:

@@ -14,7 +14,10 @@ _FACTORS = np.array([state.factor for state in STATES])
 
 
 def observability_tables(
-    found: Mapping[str, Observability], directions: tuple[ErrorDirection, ...], prior_sd: Floats
+    found: Mapping[str, Observability],
+    directions: tuple[ErrorDirection, ...],
+    prior_sd: Floats,
+    left_sd: Mapping[str, Floats],
 ) -> dict[str, pd.DataFrame]:
     """Lay out what was found.
 
@@ -26,6 +29,8 @@ def observability_tables(
         Those that have a name.
     prior_sd : ndarray, shape (12,)
         Standard deviations of the states at the start, SI units.
+    left_sd : mapping of str to ndarray, shape (12,)
+        Those after the last ping, with process noise, by aiding.
 
     Returns
     -------
@@ -34,9 +39,10 @@ def observability_tables(
         (unobservable directions without a name).
         ``directions``: aiding, direction, label, signal_to_noise, status (``unobservable``, ``weak``, ``seen``).
         ``catalogue``: direction, label, and its 12 errors in shown units, the leading one 1.
-        ``singular_values``: aiding, number, singular_value, left_pct of the prior, and the direction's 12 errors in
-        shown units, as large as the prior.
-        ``states``: aiding, state, unit, prior_sd, left_sd, left_pct.
+        ``singular_values``: aiding, number, singular_value, left_without_noise_pct of the prior, and the direction's 12
+        errors in shown units, as large as the prior.
+        ``states``: aiding, state, unit, prior_sd, left_sd and left_pct of the prior after the last ping, with process
+        noise, and left_without_noise_pct, what would be left without of the errors at the start.
     """
     named = {aiding: name_unobservable(one, directions, prior_sd) for aiding, one in found.items()}
     return {
@@ -44,7 +50,7 @@ def observability_tables(
         "directions": _directions(found, named, directions, prior_sd),
         "catalogue": _catalogue(directions, prior_sd),
         "singular_values": _singular_values(found, prior_sd),
-        "states": _states(found, prior_sd),
+        "states": _states(found, prior_sd, left_sd),
     }
 
 
@@ -93,16 +99,15 @@ def _singular_values(found: Mapping[str, Observability], prior_sd: Floats) -> pd
         for aiding, one in found.items()
         for number, (value, direction) in enumerate(zip(one.singular_values, one.directions, strict=True), start=1)
     ]
-    columns = ["aiding", "number", "singular_value", "left_pct", *(state.id for state in STATES)]
+    columns = ["aiding", "number", "singular_value", "left_without_noise_pct", *(state.id for state in STATES)]
     return pd.DataFrame(rows, columns=columns)
 
 
-def _states(found: Mapping[str, Observability], prior_sd: Floats) -> pd.DataFrame:
-    rows = []
+def _states(found: Mapping[str, Observability], prior_sd: Floats, left_sd: Mapping[str, Floats]) -> pd.DataFrame:
+    tables = []
     for aiding, one in found.items():
-        left = one.left()
-        for state in STATES:
-            prior = prior_sd[state.index] / state.factor
-            share = left[state.index]
-            rows.append((aiding, state.id, state.unit, prior, share * prior, 100.0 * share))
-    return pd.DataFrame(rows, columns=["aiding", "state", "unit", "prior_sd", "left_sd", "left_pct"])
+        rows = pd.DataFrame([(aiding, state.id, state.unit) for state in STATES], columns=["aiding", "state", "unit"])
+        rows["prior_sd"], rows["left_sd"] = prior_sd / _FACTORS, left_sd[aiding] / _FACTORS
+        rows["left_pct"], rows["left_without_noise_pct"] = 100.0 * left_sd[aiding] / prior_sd, 100.0 * one.left()
+        tables.append(rows)
+    return pd.concat(tables, ignore_index=True)

@@ -1,16 +1,17 @@
 """One run of a Monte Carlo study: draw errors of the sensors and of the start, and see how far each filter is off."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
+import msgspec
 import numpy as np
 
 from insdvl_replay.columns import Dive, DvlColumns
 from insdvl_replay.config import Config
 from insdvl_replay.evaluation.consistency import chi_square_quantile
 from insdvl_replay.evaluation.ensemble import RunErrors, run_errors
-from insdvl_replay.nav.aiding import filter_measurements, filter_noise
+from insdvl_replay.nav.aiding import dvl_noise, filter_measurements, filter_noise, inertial_noise
 from insdvl_replay.nav.alignment import initial_sd
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.filter import run_filter
@@ -105,11 +106,13 @@ def matched_errors(config: Config) -> tuple[ImuErrors, DvlErrors]:
         Noise of the beams, or alike on the axes of the velocity, whichever the filter is told.
     """
     baseline, sd = config.filters[config.baseline], initial_sd(config.initial)
-    accel_white, gyro_white, accel_walk, gyro_walk = np.sqrt(filter_noise(baseline, config)[::3])
-    imu_errors = ImuErrors(accel_white, gyro_white, sd[BA][0], sd[BG][0], accel_walk, gyro_walk)
-    beam_sd_mps = baseline.beam_sd_mps or config.dvl.beam_sd_mps or 0.0
-    velocity_sd_mps = 0.0 if beam_sd_mps else baseline.velocity_sd_mps or config.dvl.velocity_sd_mps
-    return imu_errors, DvlErrors(beam_sd_mps, 0.0, 0.0, 0.0, velocity_sd_mps)
+    imu_errors = ImuErrors(
+        accel_bias_sd_mps2=sd[BA][0],
+        gyro_bias_sd_radps=sd[BG][0],
+        **msgspec.structs.asdict(inertial_noise(baseline, config)),
+    )
+    silent, noise = DvlErrors(0.0, 0.0, 0.0, 0.0), dvl_noise(baseline, config, from_beams=True)
+    return imu_errors, replace(silent, **{noise.key: noise.sd_mps})
 
 
 def run_seed(seed: int, run: int) -> int:
