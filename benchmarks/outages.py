@@ -68,7 +68,7 @@ def main() -> None:
             rows.append(f"| {' | '.join(cells)} |")
     about = (
         f"Mean NEES of the baseline, 12 expected, over {RUNS} runs of `{SCENARIO}` with one outage of the DVL from "
-        f"{BEFORE_S:g} s on, and {AFTER_S:g} s after it. The sensors, of which the IMU has {IMU_RATE_HZ:g} Hz, err exactly "
+        f"{BEFORE_S:g} s on, and {AFTER_S:g} s after it. The sensors, the IMU at {IMU_RATE_HZ:g} Hz, err exactly "
         f"as the preset says. {machine()}."
     )
     part = "\n".join(["# After an outage", "", about, "", *table(COLUMNS, rows)])
