@@ -260,6 +260,12 @@ def position_errors(dives: list[Replay]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
+def mean_nis(dives: list[Replay]) -> pd.Series:
+    """Give the mean NIS of the first filter's velocities in each dive."""
+    tables = {replay.dive.name: replay.tables["consistency"].iloc[0] for replay in dives}
+    return pd.Series({name: row["mean_nis"] for name, row in tables.items()})
+
+
 def mean_over(replay: Replay, table: str, filter_: str = "aided") -> float:
     """Give the paper's mean over nine states; what did not improve counts as 0."""
     return mean_over_nine(replay.tables[table], filter_)

@@ -31,11 +31,19 @@ from insdvl_replay.studies.window import study_window
 PAGE = PROJECT / "REPRODUCTION.md"
 PUBLISHED = PROJECT / "pages" / "levy_klein_straight.csv"
 """Levy and Klein, both tables of the straight line."""
+SNAPIR = PROJECT / "examples" / "snapir.toml"
 DIVES = PROJECT.parent / "shared" / "data" / "snapir"
 PUBLISHED_FILTER = (
     'filters.published={aiding=["velocity","acceleration"],'
     'acceleration={model="published",window=3,sd_mps2=0.103,max_window_gap_s=2.5}}'
 )
+MISPLACED = (
+    "dvl.lever_arm_m=[-1.834,-0.034,0.095]",
+    "reference.lever_arm_m=[0,0,0]",
+    "dvl.mounting_rpy_deg=[-0.04,0,-0.16]",
+    "dvl.scale=1.00135",
+)
+"""The arm from the reference's point to the DVL, taken for that from the IMU, and what was fitted with it."""
 FOG_STUDIES = (
     *((scenario, "levy-klein") for scenario in ("straight", "figure-eight", "lawnmower")),
     ("lawnmower", "fog"),
@@ -61,11 +69,13 @@ class Findings:
     window: StudyReport
     observability: StudyReport
     dives: list[Replay]
+    misplaced: list[Replay]
 
 
 def find(dives: Path) -> Findings:
     """Repeat everything."""
-    config, snapir = load_config(), load_config(file=PROJECT / "examples" / "snapir.toml")
+    config, snapir = load_config(), load_config(file=SNAPIR)
+    misplaced = load_config(file=SNAPIR, overrides=MISPLACED)
     with_published = load_config(overrides=[PUBLISHED_FILTER])
     montecarlo, ensembles = study_montecarlo("lawnmower", config)
     paths = sorted(dives.glob("*.mcap"))
@@ -78,6 +88,7 @@ def find(dives: Path) -> Findings:
         window=study_window(paths, snapir),
         observability=study_observability("straight", config, earth_rate=False),
         dives=[replay_log(path, snapir) for path in paths],
+        misplaced=[replay_log(path, misplaced) for path in paths],
     )
 
 
@@ -104,6 +115,7 @@ def written(found: Findings) -> str:
             "tuning": tuning,
             "verdicts": verdicts,
             "positions": positions,
+            "geometry": geometry,
         }.items()
     }
     return renewed(PAGE.read_text("utf-8"), parts, "make reproduce")
@@ -258,6 +270,29 @@ def positions(found: Findings) -> str:
     return markdown_table(
         ("median of the eight dives", *errors.index), [("position rms [m]", *(f"{error:.2f}" for error in errors))]
     )
+
+
+def geometry(found: Findings) -> str:
+    """The eight dives with the DVL where it is, and where it was once taken to be."""
+    return markdown_table(
+        ("arm from the IMU to the DVL", "mean NIS of the baseline, median", "windowed worse", "published worse"),
+        [
+            (
+                arm,
+                f"{claims.mean_nis(dives).median():.4f}",
+                *(_worse(dives, name) for name in ("windowed", "published")),
+            )
+            for arm, dives in (
+                ("0.22 m, by the innovations", found.dives),
+                ("1.84 m, from the reference's point", found.misplaced),
+            )
+        ],
+    )
+
+
+def _worse(dives: list[Replay], name: str) -> str:
+    verdicts = [verdict for replay in dives for verdict in replay.verdicts if verdict.filter == name]
+    return f"{sum(verdict.improvement == 'worse' for verdict in verdicts)} of {len(verdicts)}"
 
 
 def percent(value: float) -> str:

@@ -36,12 +36,18 @@ def position_rms_m(replays: dict[str, Replay], filter_name: str) -> Floats:
 def test_baseline_stays_near_the_reference(replays: dict[str, Replay]) -> None:
     rms_m = position_rms_m(replays, "baseline")
     assert rms_m.max() < 3.5
-    assert np.median(rms_m) < 1.0
+    assert np.median(rms_m) < 1.3
+
+
+def test_innovations_are_as_small_as_a_dvl_in_its_place_makes_them(replays: dict[str, Replay]) -> None:
+    """With the arm of the reference's point, off by 1.75 m, they were 15 to 300 times as large in all dives with turns."""
+    for replay in replays.values():
+        assert replay.tables["consistency"].iloc[0]["mean_nis"] < 0.01
 
 
 def test_windowed_acceleration_leaves_the_position_as_it_was(replays: dict[str, Replay]) -> None:
     baseline_m, windowed_m = (np.median(position_rms_m(replays, name)) for name in ("baseline", "windowed"))
-    assert abs(windowed_m - baseline_m) < 0.2 * baseline_m
+    assert abs(windowed_m - baseline_m) < 0.05 * baseline_m
 
 
 def test_published_acceleration_makes_turning_dives_worse(replays: dict[str, Replay]) -> None:
@@ -80,8 +86,8 @@ def test_every_ping_and_reference_time_is_used_or_counted(replays: dict[str, Rep
 def test_first_line_says_that_the_improvement_is_not_borne_out(replays: dict[str, Replay]) -> None:
     for run, replay in replays.items():
         windowed, published = replay.verdicts
-        assert windowed.improvement == ("worse" if run == "07" else "not borne out")
+        assert windowed.improvement == "not borne out"
         assert published.improvement == ("not borne out" if run == STRAIGHT else "worse")
-        assert ("it is WORSE" if run == "07" else "NOT borne out") in windowed.sentence
+        assert "NOT borne out" in windowed.sentence
         if run != STRAIGHT:
             assert 35.0 < windowed.believed_pct < 42.0
