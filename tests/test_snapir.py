@@ -40,7 +40,7 @@ def test_baseline_stays_near_the_reference(replays: dict[str, Replay]) -> None:
 
 
 def test_innovations_are_as_small_as_a_dvl_in_its_place_makes_them(replays: dict[str, Replay]) -> None:
-    """With the arm of the reference's point, off by 1.75 m, they were 15 to 300 times as large in all dives with turns."""
+    """With the arm of the reference's point they were 14 to 80 times as large in all dives that turn."""
     for replay in replays.values():
         assert replay.tables["consistency"].iloc[0]["mean_nis"] < 0.01
 
