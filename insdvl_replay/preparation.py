@@ -7,6 +7,7 @@ import numpy as np
 from insdvl_replay.columns import Dive, nanoseconds
 from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError, Note, about
+from insdvl_replay.nav.aiding import sensor_noise
 from insdvl_replay.nav.alignment import Alignment, align
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.gaps import Gaps, find_gaps, settle_gaps
@@ -90,7 +91,8 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     gaps = find_gaps(dive.imu.time_ns, config.imu)
     with about(dive.name):
         start_ns, end_ns, gap_notes = settle_gaps(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
-        alignment = align(dive.imu, velocities, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
+        noise = sensor_noise(config.filters[config.baseline], velocities, config)
+        alignment = align(dive.imu, velocities, noise, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
     inside = velocities.within(alignment.start_ns, end_ns)
     notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside)
     return Prepared(inside, alignment, end_ns, gaps.within(alignment.start_ns, end_ns), notes)

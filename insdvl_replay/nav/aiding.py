@@ -7,6 +7,7 @@ from insdvl_replay.config import Config, Filter
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.error_model import noise_density
 from insdvl_replay.nav.gaps import NO_GAPS, Gaps, swing_cov
+from insdvl_replay.nav.levelling import SensorNoise
 from insdvl_replay.nav.measurements import (
     PUBLISHED,
     WINDOWED,
@@ -33,6 +34,44 @@ def filter_noise(filter_: Filter, config: Config) -> Floats:
     return noise_density(**{key: _own_or(filter_, config.noise, key) for key in config.noise.__struct_fields__})
 
 
+def ping_cov(filter_: Filter, velocities: DvlVelocities, config: Config) -> Floats:
+    """Give the covariance of each ping's velocity as a filter is told it.
+
+    Parameters
+    ----------
+    filter_ : Filter
+    velocities : DvlVelocities
+        m pings.
+    config : Config
+
+    Returns
+    -------
+    ndarray, shape (m, 3, 3), m^2/s^2
+    """
+    return velocity_cov(
+        velocities,
+        _own_or(filter_, config.dvl, "velocity_sd_mps"),
+        filter_.beam_sd_mps or config.dvl.beam_sd_mps,
+    )
+
+
+def sensor_noise(filter_: Filter, velocities: DvlVelocities, config: Config) -> SensorNoise:
+    """Give the noise with which the level is found.
+
+    Parameters
+    ----------
+    filter_ : Filter
+    velocities : DvlVelocities
+    config : Config
+
+    Returns
+    -------
+    SensorNoise
+    """
+    white_mps_rts = _own_or(filter_, config.noise, "accel_white_mps_rts")
+    return SensorNoise(ping_cov(filter_, velocities, config), white_mps_rts)
+
+
 def filter_measurements(
     filter_: Filter, velocities: DvlVelocities, config: Config, gate: float, gaps: Gaps = NO_GAPS
 ) -> tuple[Measurement, ...]:
@@ -53,11 +92,7 @@ def filter_measurements(
     -------
     tuple of Measurement
     """
-    cov_b = velocity_cov(
-        velocities,
-        _own_or(filter_, config.dvl, "velocity_sd_mps"),
-        filter_.beam_sd_mps or config.dvl.beam_sd_mps,
-    )
+    cov_b = ping_cov(filter_, velocities, config)
     cov_b = cov_b + swing_cov(gaps, velocities.time_ns, np.array(config.dvl.lever_arm_m), config.imu)
     measurements = []
     for aiding in filter_.aiding:
