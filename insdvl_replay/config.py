@@ -124,7 +124,8 @@ class Initial(_Section, frozen=True):
     """State and uncertainty at the start. The uncertainties are the paper's, reconstructed."""
 
     source: Annotated[
-        Literal["reference", "level"], Says("reference | level (from gravity and DVL; of a reference the position alone)")
+        Literal["reference", "level"],
+        Says("reference | level (by gravity and DVL; of a reference the position alone)"),
     ] = "reference"
     heading_deg: Annotated[float | None, Says("needed where the reference has no attitude, or source = level")] = None
     latitude_deg: Annotated[

@@ -53,12 +53,13 @@ def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
     Returns
     -------
     Dive
-        As `prepare_dive` takes it.
+        As `prepare_dive` takes it. A reference of which no number is left is none.
     """
     if dive.reference is None:
         return dive
     lever_arm_b = np.array(config.reference.lever_arm_m)
-    return replace(dive, reference=reference_at_imu(dive.reference, dive.imu, lever_arm_b))
+    reference = reference_at_imu(dive.reference, dive.imu, lever_arm_b)
+    return replace(dive, reference=reference if len(reference.time_ns) else None)
 
 
 def prepare_dive(dive: Dive, config: Config) -> Prepared:

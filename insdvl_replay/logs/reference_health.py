@@ -48,7 +48,9 @@ def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumn
     found = []
     if median_speed_mps(dvl) > MOVING_MPS:
         # A velocity may be constant, but not zero.
-        still = {"position": _is_constant(reference.position[:, :2]), "velocity": not reference.velocity_n.any()}
+        velocities = reference.velocity_n[reference.known["velocities"]]
+        resting = len(velocities) > 0 and not velocities.any()
+        still = {"position": _is_constant(reference.position[:, :2]), "velocity": resting}
         found += [(name, "the DVL measures a speed") for name, stands in still.items() if stands]
     if _is_constant(reference.mat_nb.reshape(-1, 9)) and _turns(imu):
         found.append(("attitude", "the gyros show turns"))
