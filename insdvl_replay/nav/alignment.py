@@ -5,19 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from insdvl_replay import earth
-from insdvl_replay.columns import Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.columns import Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.config import Initial
 from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.levelling import Level, SensorNoise, find_level, levelling_samples
 from insdvl_replay.nav.start import Start, start_cov
-from insdvl_replay.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
+from insdvl_replay.nav.start_position import FAR_S, apart_s, at_time, configured_latitude_deg, start_position
+from insdvl_replay.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
-
-FAR_S = 1.0
-"""A reference row further than this from the start says little about it: a vehicle moves on."""
-CONTRADICTION_DEG = 0.1
-"""A latitude that a user gives in round numbers is as near as this."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +87,7 @@ def align(
     posed = moving if moving is not None and moving.has_attitude else None
     if posed is not None:
         start_ns = _first_attitude_ns(posed, start_ns, end_ns)
-    position = _position(reference, initial, start_ns, notes)
+    position = start_position(reference, initial, start_ns, notes)
     level = None
     if posed is not None:
         mat_nb = posed.mat_nb[np.searchsorted(posed.time_ns, start_ns)]
@@ -134,18 +130,9 @@ def check_start(initial: Initial, *, has_reference: bool, has_position: bool, ha
             "--set initial.heading_deg=... --set initial.latitude_deg=...",
         )
     if not has_position:
-        _configured_latitude_deg(initial)
+        configured_latitude_deg(initial)
     if not (from_reference and has_attitude):
         _configured_heading_deg(initial)
-
-
-def _configured_latitude_deg(initial: Initial) -> float:
-    if initial.latitude_deg is None:
-        raise ConfigError(
-            "the latitude is needed for gravity and Earth rate, and no reference gives it",
-            "--set initial.latitude_deg=...",
-        )
-    return initial.latitude_deg
 
 
 def _configured_heading_deg(initial: Initial) -> float:
@@ -179,7 +166,7 @@ def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) 
     """Find the first attitude in the span, if possible one that has a position near it."""
     has_attitude = np.isfinite(reference.mat_nb).all(axis=(1, 2))
     inside = has_attitude & (reference.time_ns >= start_ns) & (reference.time_ns < end_ns)
-    located = inside & (_apart_s(reference.time_ns, reference.position[:, :2], reference.time_ns) <= FAR_S)
+    located = inside & (apart_s(reference.time_ns, reference.position[:, :2], reference.time_ns) <= FAR_S)
     inside = located if located.any() else inside
     if not inside.any():
         raise LogError(
@@ -187,50 +174,6 @@ def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) 
             "check that both are stamped by the same clock (imu.stamp, reference.stamp), or widen --start and --end",
         )
     return int(reference.time_ns[np.argmax(inside)])
-
-
-def _position(reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
-    if reference is not None and reference.has_position:
-        return _reference_position(reference, initial, start_ns, notes)
-    latitude_deg = _configured_latitude_deg(initial)
-    notes.append(Note("start_position_configured", f"started at the configured latitude {latitude_deg:g} deg"))
-    return np.array([latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
-
-
-def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
-    horizontal, height_m = reference.position[:, :2].copy(), reference.position[:, 2:]
-    first_longitude = horizontal[np.argmax(np.isfinite(horizontal).all(axis=1)), 1]
-    horizontal[:, 1] = wrap_angle(horizontal[:, 1] - first_longitude)  # so that 180 deg lies between no two rows
-    latitude, longitude = _at(reference.time_ns, horizontal, start_ns)
-    notes += _far_notes("position", reference.time_ns, horizontal, start_ns)
-    if np.isfinite(height_m).any():
-        start_height_m = _at(reference.time_ns, height_m, start_ns)[0]
-        notes += _far_notes("height", reference.time_ns, height_m, start_ns)
-    else:
-        start_height_m = initial.height_m
-        notes.append(Note("start_height_configured", f"started at the configured height {initial.height_m:g} m"))
-    notes += _latitude_notes(initial, float(latitude) / DEG)
-    return np.array([latitude, float(wrap_angle(longitude + first_longitude)), start_height_m])
-
-
-def _far_notes(quantity: str, time_ns: TimeNs, values: Floats, start_ns: int) -> list[Note]:
-    apart_s = float(_apart_s(time_ns, values, np.array([start_ns]))[0])
-    if apart_s <= FAR_S:
-        return []
-    text = f"the {quantity} at the start is the reference's {apart_s:.1f} s away from it, and is off by as much"
-    return [Note(f"start_{quantity}_far", text, severity="warning", hint=f"--start near the reference's {quantity}s")]
-
-
-def _latitude_notes(initial: Initial, latitude_deg: float) -> list[Note]:
-    """Say that a latitude is configured in vain, where it is another than the reference's."""
-    if initial.latitude_deg is None or abs(initial.latitude_deg - latitude_deg) <= CONTRADICTION_DEG:
-        return []
-    text = (
-        f"initial.latitude_deg is {initial.latitude_deg:g}, but the reference starts at {latitude_deg:.4g} deg, "
-        "which counts"
-    )
-    hint = "leave initial.latitude_deg out, or name another reference.topic or reference.fix"
-    return [Note("start_latitude_contradiction", text, severity="warning", hint=hint)]
 
 
 def _levelled(
@@ -275,9 +218,9 @@ def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:
 
 
 def _reference_velocity(reference: ReferenceColumns | None, start_ns: int) -> Floats | None:
-    if reference is None or _apart_s(reference.time_ns, reference.velocity_n, np.array([start_ns]))[0] > FAR_S:
+    if reference is None or apart_s(reference.time_ns, reference.velocity_n, np.array([start_ns]))[0] > FAR_S:
         return None
-    return _at(reference.time_ns, reference.velocity_n, start_ns)
+    return at_time(reference.time_ns, reference.velocity_n, start_ns)
 
 
 def _dvl_velocity(
@@ -292,19 +235,19 @@ def _dvl_velocity(
 ) -> tuple[Floats, Note]:
     """Give the IMU's velocity in b, of the nearest ping; after levelling, of the first, and carried to the start."""
     if level is not None and level.pings:
-        apart_s = seconds(velocities.time_ns[velocities.time_ns >= start_ns][:1], start_ns)[0]
-        return level.velocity_b, _dvl_note(apart_s)
+        away_s = seconds(velocities.time_ns[velocities.time_ns >= start_ns][:1], start_ns)[0]
+        return level.velocity_b, _dvl_note(away_s)
     nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
-    rate_ib_b = _at(imu.time_ns, imu.angular_rate_b, int(velocities.time_ns[nearest])) - _gyro_bias_b(initial)
+    rate_ib_b = at_time(imu.time_ns, imu.angular_rate_b, int(velocities.time_ns[nearest])) - _gyro_bias_b(initial)
     rate_ie_n = earth.EARTH_RATE * np.array([np.cos(position[0]), 0.0, -np.sin(position[0])])
     rate_eb_b = rate_ib_b - mat_nb.T @ rate_ie_n
-    apart_s = abs(int(velocities.time_ns[nearest]) - start_ns) * 1e-9
+    away_s = abs(int(velocities.time_ns[nearest]) - start_ns) * 1e-9
     velocity_b: Floats = velocities.velocity_b[nearest] - np.cross(rate_eb_b, lever_arm_b)
-    return velocity_b, _dvl_note(apart_s)
+    return velocity_b, _dvl_note(away_s)
 
 
-def _dvl_note(apart_s: float) -> Note:
-    return Note("start_velocity_dvl", f"velocity at the start from the DVL's ping {apart_s:.2f} s away")
+def _dvl_note(away_s: float) -> Note:
+    return Note("start_velocity_dvl", f"velocity at the start from the DVL's ping {away_s:.2f} s away")
 
 
 def _accel_bias_b(initial: Initial) -> Floats:
@@ -313,21 +256,3 @@ def _accel_bias_b(initial: Initial) -> Floats:
 
 def _gyro_bias_b(initial: Initial) -> Floats:
     return np.array(initial.gyro_bias_degph) * DEG_PER_HOUR
-
-
-def _apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
-    """Give the seconds from each time to the nearest finite row of values; infinite where there is none."""
-    finite_ns = time_ns[np.isfinite(values).all(axis=1)]
-    if not len(finite_ns):
-        return np.full(len(at_ns), np.inf)
-    after = np.searchsorted(finite_ns, at_ns).clip(1, max(1, len(finite_ns) - 1))
-    neighbours = finite_ns[np.stack([after - 1, np.minimum(after, len(finite_ns) - 1)])]
-    apart_s: Floats = np.abs(seconds(neighbours, at_ns)).min(axis=0)
-    return apart_s
-
-
-def _at(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:
-    """Interpolate the finite rows of values; outside them the nearest row stands."""
-    finite = np.isfinite(values).all(axis=1)
-    offset_s = seconds(time_ns[finite], at_ns)
-    return np.array([np.interp(0.0, offset_s, column) for column in values[finite].T])
