@@ -6,7 +6,7 @@ import numpy as np
 
 from insdvl_replay.columns import Dive, nanoseconds
 from insdvl_replay.config import Config
-from insdvl_replay.errors import LogError, Note, about
+from insdvl_replay.errors import ConfigError, LogError, Note, about
 from insdvl_replay.nav.aiding import sensor_noise
 from insdvl_replay.nav.alignment import Alignment, align
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
@@ -53,13 +53,25 @@ def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
     Returns
     -------
     Dive
-        As `prepare_dive` takes it. A reference of which no number is left is none.
+        As `prepare_dive` takes it. A reference without any number is none.
+
+    Raises
+    ------
+    ConfigError
+        The reference is of another point than the IMU, and gives no attitude to say where that is.
     """
     if dive.reference is None:
         return dive
     lever_arm_b = np.array(config.reference.lever_arm_m)
     reference = reference_at_imu(dive.reference, dive.imu, lever_arm_b)
-    return replace(dive, reference=reference if len(reference.time_ns) else None)
+    if len(reference.time_ns):
+        return replace(dive, reference=reference)
+    if dive.reference.has_position or dive.reference.has_velocity:
+        raise ConfigError(
+            f"{dive.name}: the reference gives no attitude by which reference.lever_arm_m could move it to the IMU",
+            "--set reference.lever_arm_m=[0,0,0], and its errors hold the lever arm",
+        )
+    return replace(dive, reference=None)
 
 
 def prepare_dive(dive: Dive, config: Config) -> Prepared:
