@@ -136,7 +136,7 @@ class ReferenceColumns:
     velocity_n: Floats
     mat_nb: Floats
 
-    @property
+    @cached_property
     def known(self) -> dict[str, NDArray[np.bool_]]:
         """Which rows hold finite numbers, shape (r,), of the positions, heights, velocities and attitudes."""
         quantities = {

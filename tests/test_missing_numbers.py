@@ -142,12 +142,8 @@ def test_number_in_the_last_row_does_not_cover_what_lies_before(dive: Dive) -> N
 
 
 def test_reference_of_nan_alone_is_none(dive: Dive) -> None:
-    nothing = ReferenceColumns(
-        *(
-            np.full_like(values, np.nan) if values.dtype == float else values
-            for values in vars(reference_of(dive)).values()
-        )
-    )
+    reference = reference_of(dive)
+    nothing = replace(reference, **{quantity: np.full_like(getattr(reference, quantity), np.nan) for quantity in NAMES})
     assert with_reference_at_imu(replace(dive, reference=nothing), Config()).reference is None
     level = Initial(source="level", heading_deg=30.0, latitude_deg=32.8)
     replay = replay_dive(replace(dive, reference=nothing), Config(initial=level))
