@@ -141,20 +141,35 @@ class ReferenceColumns:
     velocity_n: Floats
     mat_nb: Floats
 
+    @cached_property
+    def known(self) -> dict[str, NDArray[np.bool_]]:
+        """Which rows hold finite numbers, shape (r,), of the positions, heights, velocities and attitudes."""
+        quantities = {
+            "positions": self.position[:, :2],
+            "heights": self.position[:, 2:],
+            "velocities": self.velocity_n,
+            "attitudes": self.mat_nb.reshape(-1, 9),
+        }
+        return {name: np.asarray(np.isfinite(values).all(axis=1)) for name, values in quantities.items()}
+
     @property
     def has_position(self) -> bool:
         """Whether any row has a position."""
-        return bool(np.isfinite(self.position[:, :2]).all(axis=1).any())
+        return bool(self.known["positions"].any())
 
     @property
     def has_velocity(self) -> bool:
         """Whether any row has a velocity."""
-        return bool(np.isfinite(self.velocity_n).all(axis=1).any())
+        return bool(self.known["velocities"].any())
 
     @property
     def has_attitude(self) -> bool:
         """Whether any row has an attitude."""
-        return bool(np.isfinite(self.mat_nb).all(axis=(1, 2)).any())
+        return bool(self.known["attitudes"].any())
+
+    def rows(self, keep: NDArray[np.bool_]) -> "ReferenceColumns":
+        """Keep some of the rows, chosen by a mask of shape (r,)."""
+        return ReferenceColumns(self.time_ns[keep], self.position[keep], self.velocity_n[keep], self.mat_nb[keep])
 
 
 @dataclass(frozen=True)

@@ -124,7 +124,8 @@ class Initial(_Section, frozen=True):
     """State and uncertainty at the start. The uncertainties are the paper's, reconstructed."""
 
     source: Annotated[
-        Literal["reference", "level"], Says("reference | level (from gravity, with the angles below)")
+        Literal["reference", "level"],
+        Says("reference | level (by gravity and DVL; of a reference the position alone)"),
     ] = "reference"
     heading_deg: Annotated[float | None, Says("needed where the reference has no attitude, or source = level")] = None
     latitude_deg: Annotated[
@@ -135,7 +136,10 @@ class Initial(_Section, frozen=True):
     accel_bias_mg: Annotated[Vector, Says("forward, starboard, down")] = (0.0, 0.0, 0.0)
     gyro_bias_degph: Annotated[Vector, Says("forward, starboard, down")] = (0.0, 0.0, 0.0)
     velocity_sd_mps: Annotated[Positive, Says("each axis")] = 0.1
-    misalignment_sd_deg: Annotated[tuple[Positive, Positive, Positive], Says("north, east, down")] = (0.5, 0.5, 0.5)
+    misalignment_sd_deg: Annotated[
+        tuple[Positive, Positive, Positive],
+        Says("north, east, down; of a levelled vehicle the third alone, of the heading, and the rest from its data"),
+    ] = (0.5, 0.5, 0.5)
     accel_bias_sd_mg: Annotated[Positive, Says("each axis")] = 50.0
     gyro_bias_sd_degph: Annotated[Positive, Says("each axis")] = 10.0
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from insdvl_replay.columns import Dive, nanoseconds
 from insdvl_replay.config import Config
-from insdvl_replay.errors import LogError, Note, about
+from insdvl_replay.errors import ConfigError, LogError, Note, about
+from insdvl_replay.nav.aiding import sensor_noise
 from insdvl_replay.nav.alignment import Alignment, align
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.gaps import Gaps, find_gaps, settle_gaps
@@ -52,12 +53,25 @@ def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
     Returns
     -------
     Dive
-        As `prepare_dive` takes it.
+        As `prepare_dive` takes it. A reference without any number is none.
+
+    Raises
+    ------
+    ConfigError
+        The reference is of another point than the IMU, and gives no attitude to say where that is.
     """
     if dive.reference is None:
         return dive
     lever_arm_b = np.array(config.reference.lever_arm_m)
-    return replace(dive, reference=reference_at_imu(dive.reference, dive.imu, lever_arm_b))
+    reference = reference_at_imu(dive.reference, dive.imu, lever_arm_b)
+    if len(reference.time_ns):
+        return replace(dive, reference=reference)
+    if dive.reference.has_position or dive.reference.has_velocity:
+        raise ConfigError(
+            f"{dive.name}: the reference gives no attitude by which reference.lever_arm_m could move it to the IMU",
+            "--set reference.lever_arm_m=[0,0,0], and its errors hold the lever arm",
+        )
+    return replace(dive, reference=None)
 
 
 def prepare_dive(dive: Dive, config: Config) -> Prepared:
@@ -90,7 +104,8 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     gaps = find_gaps(dive.imu.time_ns, config.imu)
     with about(dive.name):
         start_ns, end_ns, gap_notes = settle_gaps(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
-        alignment = align(dive.imu, velocities, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
+        noise = sensor_noise(config.filters[config.baseline], velocities, config)
+        alignment = align(dive.imu, velocities, noise, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
     inside = velocities.within(alignment.start_ns, end_ns)
     notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside)
     return Prepared(inside, alignment, end_ns, gaps.within(alignment.start_ns, end_ns), notes)

@@ -15,6 +15,7 @@ from insdvl_replay.config import Config
 from insdvl_replay.errors import Note
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table
 from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table, update_notes
+from insdvl_replay.evaluation.coverage import reference_coverage_notes, truth_coverage_notes
 from insdvl_replay.evaluation.credibility import credibility_table
 from insdvl_replay.evaluation.dead_filters import dead_filters
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
@@ -31,8 +32,6 @@ from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.stages import begin
 
-WELL_COVERED = 0.9
-"""Share of a replay that a reference has to cover before its errors are taken for those of the whole."""
 MOST_COVARIANCES = 20_000
 """So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times."""
 
@@ -244,13 +243,10 @@ def _reference_notes(
     if not config.reference.independent:
         text = "the reference shares sensors with the filters: errors that they have in common are not seen"
         notes.append(Note("reference_not_independent", text))
+    notes += reference_coverage_notes(dive.reference, start_ns, end_ns)
+    if dive.truth is not None:
+        notes += truth_coverage_notes(dive.truth, dive.reference, start_ns, end_ns)
     inside = _inside(dive.reference.time_ns, start)
-    covered = float(inside[-1] - inside[0]) / (end_ns - start_ns) if len(inside) else 0.0
-    if covered < WELL_COVERED:
-        text = (
-            f"the reference covers {100.0 * covered:.0f} % of the replay; the errors against it are of that part alone"
-        )
-        notes.append(Note("reference_coverage", text, len(inside), "warning", "--start and --end choose that part"))
     if left_out := len(inside) - len(judged_ns):
         text = (
             f"credibility is judged at {len(judged_ns)} of the {len(inside)} times of the reference, evenly chosen: P "

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from insdvl_replay.columns import Dive, Floats
+from insdvl_replay.columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.config import Config
 from insdvl_replay.evaluation.acceleration import acceleration_at, reference_acceleration
 from insdvl_replay.evaluation.consistency import mean_interval
@@ -131,4 +131,13 @@ def _sources(dive: Dive) -> Iterator[Source]:
     elif dive.dvl.velocity_d is not None:
         yield Source("DVL velocity", dive.dvl.time_ns, np.isfinite(dive.dvl.velocity_d.sum(axis=1)))
     if dive.reference is not None:
-        yield Source("reference", dive.reference.time_ns, np.ones(len(dive.reference.time_ns), dtype=bool))
+        yield from _reference_sources(dive.reference)
+
+
+def _reference_sources(reference: ReferenceColumns) -> Iterator[Source]:
+    """Give the reference as one where it tells all that it ever tells in each row, else each quantity by itself."""
+    known = {quantity: rows for quantity, rows in reference.known.items() if rows.any()}
+    if all(rows.all() for rows in known.values()):
+        known = {"": np.ones(len(reference.time_ns), dtype=bool)}
+    for quantity, rows in known.items():
+        yield Source(f"reference {quantity}".strip(), reference.time_ns[rows], np.ones(int(rows.sum()), dtype=bool))

@@ -137,6 +137,23 @@ def vector_from_mat(mat: Floats) -> Floats:
     return vector
 
 
+def mat_from_vector(vector: Floats) -> Floats:
+    """Turn rotation vectors into matrices, the exponential of a rotation.
+
+    Parameters
+    ----------
+    vector : ndarray, shape (..., 3), rad
+        Axis times angle.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+    """
+    half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
+    # numpy's sinc(x) is sin(pi x) / (pi x).
+    return mat_from_quat(np.concatenate([0.5 * np.sinc(half / np.pi) * vector, np.cos(half)], axis=-1))
+
+
 def wrap_angle(angle: Floats) -> Floats:
     """Bring angles into [-pi, pi)."""
     wrapped: Floats = (angle + np.pi) % (2.0 * np.pi) - np.pi

@@ -51,7 +51,7 @@ def run_plain_filter(inputs: Inputs) -> Belief:
     """Run the filter over a time line; the DVL is at the IMU."""
     timeline, start, noise_density, velocity = inputs
     belief = Belief(
-        start.position, start.velocity_n, start.mat_nb, start.accel_bias_b, start.gyro_bias_b, np.diag(start.sd**2)
+        start.position, start.velocity_n, start.mat_nb, start.accel_bias_b, start.gyro_bias_b, start.cov.copy()
     )
     at = instants(timeline)
     for k in range(1, len(at.time_s)):

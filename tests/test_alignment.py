@@ -2,16 +2,19 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.columns import Dive, Floats, ImuColumns, ReferenceColumns
-from insdvl_replay.config import Initial, Vector
+from insdvl_replay.config import Config, Initial, Vector
 from insdvl_replay.config_file import load_config
 from insdvl_replay.errors import ConfigError, LogError
-from insdvl_replay.nav.alignment import LEVELLING_S, Alignment, align, initial_sd, level_from_gravity
+from insdvl_replay.nav.aiding import sensor_noise
+from insdvl_replay.nav.alignment import Alignment, align, initial_sd
 from insdvl_replay.nav.dvl import dvl_velocities
+from insdvl_replay.nav.levelling import LEVELLING_S
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.rotation import rpy_from_mat
 from insdvl_replay.sim.dive import FIRST_PING_S, START_NS, exact_dive
@@ -40,9 +43,10 @@ def aligned(
     start_s: float = 0.0,
     lever_arm_m: Vector = (0.0, 0.0, 0.0),
 ) -> Alignment:
-    velocities = dvl_velocities(dive.dvl, np.eye(3))
+    velocities, config = dvl_velocities(dive.dvl, np.eye(3)), Config()
+    noise = sensor_noise(config.filters[config.baseline], velocities, config)
     start_ns, end_ns = START_NS + round(start_s * SECOND), int(dive.imu.time_ns[-1])
-    return align(dive.imu, velocities, reference, initial, np.array(lever_arm_m), start_ns, end_ns)
+    return align(dive.imu, velocities, noise, reference, initial, np.array(lever_arm_m), start_ns, end_ns)
 
 
 def rows(reference: ReferenceColumns, keep: slice) -> ReferenceColumns:
@@ -136,8 +140,9 @@ def test_reference_without_attitude_starts_level_at_the_first_sample(dive: Dive)
     found = aligned(dive, reference, Initial(heading_deg=30.0), start_s=0.02)
     assert found.start_ns == START_NS + 20_000_000
     assert codes(found) == ["start_levelled"]
-    # Swinging by 1 deg in 17 and 31 s while gravity is averaged over 10 s.
-    np.testing.assert_allclose(rpy_from_mat(found.start.mat_nb) / DEG, [0.0, 0.0, 30.0], atol=1.0)
+    # Of the attitude at the start alone, though the vehicle swings by 1 deg in 17 and 31 s.
+    mat_nb = Course(SCENARIOS["figure-eight"], 110.0).at(np.array([0.02])).mat_nb[0]
+    np.testing.assert_allclose(rpy_from_mat(found.start.mat_nb) / DEG, rpy_from_mat(mat_nb) / DEG, atol=0.01)
     np.testing.assert_allclose(found.start.velocity_n, reference.velocity_n[0], atol=1e-3)
 
 
@@ -206,10 +211,10 @@ def test_roll_and_pitch_come_from_gravity(roll_deg: float, pitch_deg: float) -> 
     expected = Rotation.from_euler("ZYX", rpy_deg[::-1], degrees=True)
     error = expected.inv() * Rotation.from_matrix(found.start.mat_nb)
     assert error.magnitude() < 1e-6 * DEG
-    assert codes(found) == ["start_position_configured", "start_levelled", "start_velocity_dvl"]
+    assert codes(found) == ["start_position_configured", "start_velocity_dvl", "start_levelled"]
 
 
-def test_levelling_averages_the_first_seconds_alone() -> None:
+def test_levelling_looks_at_the_first_seconds_alone() -> None:
     static = exact_dive("static", duration_s=40.0, imu_rate_hz=20.0)
     rng = np.random.default_rng(2)
     force_b = tilted(static.imu, np.array([2.0, -1.0, 0.0]), 30.0).specific_force_b
@@ -217,16 +222,53 @@ def test_levelling_averages_the_first_seconds_alone() -> None:
     later = static.imu.time_ns > START_NS + 5 * SECOND + int(LEVELLING_S * SECOND)
     earlier = static.imu.time_ns < START_NS + 5 * SECOND
     force_b[later | earlier] = [9.0, 0.0, 0.0]
-    rpy = level_from_gravity(replace(static.imu, specific_force_b=force_b), START_NS + 5 * SECOND)
-    # 0.05 m/s^2 over 201 samples are 3.5 mm/s^2, 0.02 deg; four of these.
-    np.testing.assert_allclose(rpy / DEG, [2.0, -1.0, 0.0], atol=0.08)
+    found = aligned(replace(static, imu=replace(static.imu, specific_force_b=force_b)), None, LEVEL, start_s=5.0)
+    # 0.05 m/s^2 at 20 Hz are 11 mm/s/sqrt(s), of which 10 s leave 4 mm/s^2, 0.02 deg; four of these.
+    np.testing.assert_allclose(rpy_from_mat(found.start.mat_nb) / DEG, [2.0, -1.0, 30.0], atol=0.08)
 
 
-def test_level_start_leaves_the_reference_alone(dive: Dive) -> None:
-    found = aligned(dive, reference_of(dive), LEVEL)
+def test_level_start_takes_position_and_height_of_the_reference_and_nothing_else(dive: Dive) -> None:
+    reference = reference_of(dive)
+    astray = replace(reference, velocity_n=reference.velocity_n + 5.0, mat_nb=reference.mat_nb[:, ::-1])
+    found = aligned(dive, astray, Initial(source="level", heading_deg=30.0))
     assert found.start_ns == START_NS
-    np.testing.assert_allclose(found.start.position, [32.8 * DEG, 34.9 * DEG, -20.0], atol=1e-15)
-    assert codes(found) == ["start_position_configured", "start_levelled", "start_velocity_dvl"]
+    np.testing.assert_allclose(found.start.position, reference.position[0], rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(found.start.velocity_n, reference.velocity_n[0], atol=2e-3)
+    np.testing.assert_allclose(rpy_from_mat(found.start.mat_nb) / DEG, [0.0, 0.0, 30.0], atol=0.01)
+    assert codes(found) == ["start_velocity_dvl", "start_levelled"]
+
+
+def test_configured_latitude_beside_a_reference_of_another_is_a_warning(dive: Dive) -> None:
+    found = aligned(dive, reference_of(dive), msgspec.structs.replace(LEVEL, latitude_deg=-32.8))
+    np.testing.assert_allclose(found.start.position, reference_of(dive).position[0], rtol=0.0, atol=1e-13)
+    (note,) = (note for note in found.notes if note.code == "start_latitude_contradiction")
+    assert note.severity == "warning"
+    assert "initial.latitude_deg is -32.8, but the reference starts at 32.8 deg" in note.text
+    assert "start_latitude_contradiction" not in codes(aligned(dive, reference_of(dive), LEVEL))
+
+
+@pytest.mark.parametrize("quantity", ["position", "velocity_n", "mat_nb"])
+def test_rows_that_are_not_finite_start_nothing(dive: Dive, quantity: str) -> None:
+    reference = reference_of(dive)
+    values = getattr(reference, quantity).copy()
+    values[:8] = np.nan
+    gappy = replace(reference, **{quantity: values})
+    found = aligned(dive, gappy, Initial())
+    # The attitude waits for a position near it; a velocity more than a second away is the DVL's matter.
+    assert found.start_ns == reference.time_ns[{"position": 3, "velocity_n": 0, "mat_nb": 8}[quantity]]
+    truth = Course(SCENARIOS["figure-eight"], 110.0).at(np.array([(found.start_ns - START_NS) * 1e-9]))
+    np.testing.assert_allclose(found.start.velocity_n, truth.velocity_n[0], atol=0.02)
+    np.testing.assert_array_equal(found.start.mat_nb, reference.mat_nb[reference.time_ns == found.start_ns][0])
+    assert codes(found) == (["start_velocity_dvl"] if quantity == "velocity_n" else [])
+
+
+def test_height_that_is_far_from_the_start_is_told(dive: Dive) -> None:
+    reference = reference_of(dive)
+    position = reference.position.copy()
+    position[:20, 2] = np.nan
+    found = aligned(dive, replace(reference, position=position), Initial())
+    assert codes(found) == ["start_height_far"]
+    assert "the height at the start is the reference's 4.0 s away" in found.notes[0].text
 
 
 @pytest.mark.parametrize("key", ["heading_deg", "latitude_deg"])

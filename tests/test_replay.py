@@ -550,7 +550,7 @@ def test_reference_that_sees_half_of_the_dive_is_a_warning(straight: Dive) -> No
     half = with_reference(straight, lambda time_s: time_s <= 30.0)
     found = note(replay_dive(half, config()), "reference_coverage")
     assert found.severity == "warning"
-    assert "covers 50 % of the replay" in found.text
+    assert "positions, heights, velocities and attitudes of the reference cover 50 % of the replay" in found.text
     assert "reference_coverage" not in {found.code for found in replay_dive(straight, config()).notes}
 
 

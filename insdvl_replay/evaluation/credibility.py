@@ -84,7 +84,7 @@ def _rows(errors: StateErrors) -> Iterator[Row]:
     standardised = _standardised(errors)
     for i, quantity in enumerate(CREDIBILITY_QUANTITIES):
         if i < BA.start or known[:, i].any():
-            yield quantity, *_judged(standardised[known[:, i], i : i + 1], _own_share(errors, i))
+            yield quantity, *_judged(standardised[known[:, i], i : i + 1], _own_share(errors, i, known[:, i]))
     yield JOINT, *_joint(errors, known)
 
 
@@ -102,16 +102,17 @@ def _standardised(errors: StateErrors) -> Floats:
         return np.asarray(error / np.sqrt(var))
 
 
-def _own_share(errors: StateErrors, state: int) -> float:
+def _own_share(errors: StateErrors, state: int, times: NDArray[np.bool_]) -> float:
     """Give the share of a variance that would be left if the attitude were known; 1 for the attitude itself.
 
     A filter starts at the reference. The misalignment that it allows for is not there, nor is what hangs on it, such as
     a velocity across the track or, on a straight line, a horizontal accelerometer bias.
     """
-    if PHI.start <= state < PHI.stop:
+    if PHI.start <= state < PHI.stop or not times.any():
         return 1.0
+    cov = errors.cov[times]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        by_attitude = nees(errors.cov[:, PHI, state], errors.cov[:, PHI, PHI]) / errors.sd[:, state] ** 2
+        by_attitude = nees(cov[:, PHI, state], cov[:, PHI, PHI]) / errors.sd[times, state] ** 2
     return float(np.mean(1.0 - np.nan_to_num(by_attitude, posinf=0.0)))
 
 

@@ -34,7 +34,7 @@ class ReferenceErrors:
     attitude_error_rad : ndarray, shape (k, 3)
         Roll, pitch, heading: the error rotation about the vehicle's level forward, level starboard and down axes, rad.
     distance_m : float
-        Horizontal distance travelled from the start to the last compared time.
+        Horizontal distance travelled from the start to the last compared position.
     """
 
     time_ns: TimeNs
@@ -61,12 +61,13 @@ def reference_errors(history: History, reference: ReferenceColumns) -> Reference
     time_ns, ours, theirs = np.intersect1d(history.time_ns[1:], reference.time_ns, return_indices=True)
     ours += 1
     position, truth = history.position[ours], reference.position[theirs]
+    error_ned_m = north_east_down_m(position, truth)
     return ReferenceErrors(
         time_ns,
-        north_east_down_m(position, truth),
+        error_ned_m,
         history.velocity_n[ours] - reference.velocity_n[theirs],
         attitude_error(history.mat_nb[ours], reference.mat_nb[theirs]),
-        distance_travelled_m(history, time_ns),
+        distance_travelled_m(history, time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]),
     )
 
 

@@ -204,6 +204,22 @@ class Cleaner:
         first[1:] = ~same_rows(ordered[1:], ordered[:-1])
         self._keep_rows(first, "same_values", "messages repeat the values of the one before")
 
+    def tell_missing(self, quantity: str, values: Floats) -> None:
+        """Count the rows that stay without a quantity which others of them give.
+
+        Parameters
+        ----------
+        quantity : str
+            In the plural.
+        values : ndarray, shape (k, n)
+            For each row of the file.
+        """
+        missing = ~np.isfinite(values[self.rows]).all(axis=1)
+        count = int(np.count_nonzero(missing))
+        if 0 < count < missing.size:
+            text = f"{quantity} of {missing.size} are not finite, and count as missing"
+            self.note("not_finite", text, count, first=self.rows[missing])
+
     def note(
         self, code: str, text: str, count: int, severity: Severity = "info", hint: str = "", first: Rows | None = None
     ) -> None:

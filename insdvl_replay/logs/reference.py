@@ -60,6 +60,7 @@ def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     settings = table.source.completed(settings)
     cleaner = Cleaner(table)
     position = _position(table, settings) if "latitude" in table else None
+    told = None if position is None else position.copy()
     if position is not None:
         _keep_latitudes(position, cleaner)
         _drop_zeros(position, cleaner)
@@ -71,6 +72,7 @@ def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     cleaner.drop_repeated_times()
     mat_nb = _attitude(table, settings)
     velocity_n = _velocity_n(table, settings, mat_nb)
+    _tell_missing(cleaner, told, velocity_n, mat_nb)
     chosen = (None if values is None else cleaner.kept(values) for values in (position, velocity_n, mat_nb))
     return _Part(cleaner.times, *chosen), cleaner.notes
 
@@ -104,6 +106,16 @@ def _drop_zeros(position: Floats, cleaner: Cleaner) -> None:
         position[zero] = np.nan
         text = "positions have latitude and longitude 0, as receivers without satellites report, and are left out"
         cleaner.note("zero", text, zero.size, "warning", "reference.fix names another topic of positions", first=zero)
+
+
+def _tell_missing(cleaner: Cleaner, position: Floats | None, velocity_n: Floats | None, mat_nb: Floats | None) -> None:
+    if position is not None:
+        cleaner.tell_missing("positions", position[:, :2])
+        cleaner.tell_missing("heights", position[:, 2:])
+    if velocity_n is not None:
+        cleaner.tell_missing("velocities", velocity_n)
+    if mat_nb is not None:
+        cleaner.tell_missing("attitudes", mat_nb.reshape(-1, 9))
 
 
 def _of_receiver(table: Table, quantity: str) -> Floats:

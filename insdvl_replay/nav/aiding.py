@@ -10,6 +10,7 @@ from insdvl_replay.config import Config, Filter, Noise
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.error_model import noise_density
 from insdvl_replay.nav.gaps import NO_GAPS, Gaps, swing_cov
+from insdvl_replay.nav.levelling import SensorNoise
 from insdvl_replay.nav.measurements import (
     PUBLISHED,
     WINDOWED,
@@ -91,6 +92,40 @@ def filter_noise(filter_: Filter, config: Config) -> Floats:
     return noise_density(**msgspec.structs.asdict(inertial_noise(filter_, config)))
 
 
+def ping_cov(filter_: Filter, velocities: DvlVelocities, config: Config) -> Floats:
+    """Give the covariance of each ping's velocity as a filter is told it.
+
+    Parameters
+    ----------
+    filter_ : Filter
+    velocities : DvlVelocities
+        m pings.
+    config : Config
+
+    Returns
+    -------
+    ndarray, shape (m, 3, 3), m^2/s^2
+    """
+    noise = dvl_noise(filter_, config, from_beams=velocities.from_beams)
+    return velocity_cov(velocities, noise.sd_mps, of_one_beam=noise.key == "beam_sd_mps")
+
+
+def sensor_noise(filter_: Filter, velocities: DvlVelocities, config: Config) -> SensorNoise:
+    """Give the noise with which the level is found.
+
+    Parameters
+    ----------
+    filter_ : Filter
+    velocities : DvlVelocities
+    config : Config
+
+    Returns
+    -------
+    SensorNoise
+    """
+    return SensorNoise(ping_cov(filter_, velocities, config), inertial_noise(filter_, config).accel_white_mps_rts)
+
+
 def filter_measurements(
     filter_: Filter, velocities: DvlVelocities, config: Config, gate: float, gaps: Gaps = NO_GAPS
 ) -> tuple[Measurement, ...]:
@@ -111,8 +146,7 @@ def filter_measurements(
     -------
     tuple of Measurement
     """
-    noise = dvl_noise(filter_, config, from_beams=velocities.from_beams)
-    cov_b = velocity_cov(velocities, noise.sd_mps, of_one_beam=noise.key == "beam_sd_mps")
+    cov_b = ping_cov(filter_, velocities, config)
     cov_b = cov_b + swing_cov(gaps, velocities.time_ns, np.array(config.dvl.lever_arm_m), config.imu)
     measurements = []
     for aiding in filter_.aiding:

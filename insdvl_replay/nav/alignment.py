@@ -1,24 +1,19 @@
 """Where and how a filter starts: from the reference, or level from gravity (configuration section ``[initial]``)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from insdvl_replay import earth
-from insdvl_replay.columns import Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.columns import Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.config import Initial
 from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.nav.dvl import DvlVelocities
-from insdvl_replay.nav.start import Start
-from insdvl_replay.rotation import mat_from_rpy, wrap_angle
+from insdvl_replay.nav.levelling import Level, SensorNoise, find_level, levelling_samples
+from insdvl_replay.nav.start import Start, start_cov
+from insdvl_replay.nav.start_position import FAR_S, apart_s, at_time, configured_latitude_deg, start_position
+from insdvl_replay.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
-
-LEVELLING_S = 10.0
-"""Time over which gravity is averaged to level the vehicle."""
-FEWEST_SAMPLES = 10
-"""With fewer samples gravity is not told from motion."""
-FAR_S = 1.0
-"""A reference row further than this from the start says little about it: a vehicle moves on."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +38,7 @@ class Alignment:
 def align(
     imu: ImuColumns,
     velocities: DvlVelocities,
+    noise: SensorNoise,
     reference: ReferenceColumns | None,
     initial: Initial,
     lever_arm_b: Floats,
@@ -51,14 +47,16 @@ def align(
 ) -> Alignment:
     """Find the start: the reference's first attitude inside the span, or the first sample when levelling.
 
-    What the reference lacks is taken from gravity (roll, pitch), from the first ping (velocity) and from the
-    configuration (heading, position), each with a note.
+    What the reference lacks is taken from gravity (roll, pitch), from the DVL (velocity) and from the configuration
+    (heading, position), each with a note. Started level, the reference gives the position and height alone.
 
     Parameters
     ----------
     imu : ImuColumns
     velocities : DvlVelocities
         Pings.
+    noise : SensorNoise
+        Of the pings and the accelerometers.
     reference : ReferenceColumns or None
     initial : Initial
         Configuration.
@@ -85,21 +83,26 @@ def align(
         has_position=reference is not None and reference.has_position,
         has_attitude=reference is not None and reference.has_attitude,
     )
-    if initial.source == "level":
-        reference = None
-    if reference is not None and reference.has_attitude:
-        start_ns = _first_attitude_ns(reference, start_ns, end_ns)
-    position = _position(reference, initial, start_ns, notes)
-    mat_nb = _attitude(imu, reference, initial, start_ns, notes)
-    velocity_n = _velocity(imu, velocities, reference, mat_nb, lever_arm_b, start_ns, position, notes)
-    start = Start(
-        position,
-        velocity_n,
-        mat_nb,
-        initial_sd(initial),
-        np.array(initial.accel_bias_mg) * MG,
-        np.array(initial.gyro_bias_degph) * DEG_PER_HOUR,
-    )
+    moving = reference if initial.source == "reference" else None
+    posed = moving if moving is not None and moving.has_attitude else None
+    if posed is not None:
+        start_ns = _first_attitude_ns(posed, start_ns, end_ns)
+    position = start_position(reference, initial, start_ns, notes)
+    level = None
+    if posed is not None:
+        mat_nb = posed.mat_nb[np.searchsorted(posed.time_ns, start_ns)]
+    else:
+        level, mat_nb = _levelled(imu, velocities, noise, initial, lever_arm_b, start_ns, float(position[0]))
+    velocity_n = _reference_velocity(moving, start_ns)
+    by_dvl_n = None
+    if velocity_n is None:
+        velocity_b, note = _dvl_velocity(imu, velocities, level, initial, mat_nb, lever_arm_b, start_ns, position)
+        velocity_n = by_dvl_n = mat_nb @ velocity_b
+        notes.append(note)
+    cov = start_cov(initial_sd(initial), mat_nb, level, by_dvl_n)
+    if level is not None:
+        notes += _level_notes(level, mat_nb, cov)
+    start = Start(position, velocity_n, mat_nb, cov, _accel_bias_b(initial), _gyro_bias_b(initial))
     return Alignment(start_ns, start, tuple(notes))
 
 
@@ -126,19 +129,10 @@ def check_start(initial: Initial, *, has_reference: bool, has_position: bool, ha
             "name it with --set reference.topic=... and its fields, or start level: --set initial.source=level "
             "--set initial.heading_deg=... --set initial.latitude_deg=...",
         )
-    if not (from_reference and has_position):
-        _configured_latitude_deg(initial)
+    if not has_position:
+        configured_latitude_deg(initial)
     if not (from_reference and has_attitude):
         _configured_heading_deg(initial)
-
-
-def _configured_latitude_deg(initial: Initial) -> float:
-    if initial.latitude_deg is None:
-        raise ConfigError(
-            "the latitude is needed for gravity and Earth rate, and no reference gives it",
-            "--set initial.latitude_deg=...",
-        )
-    return initial.latitude_deg
 
 
 def _configured_heading_deg(initial: Initial) -> float:
@@ -172,7 +166,7 @@ def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) 
     """Find the first attitude in the span, if possible one that has a position near it."""
     has_attitude = np.isfinite(reference.mat_nb).all(axis=(1, 2))
     inside = has_attitude & (reference.time_ns >= start_ns) & (reference.time_ns < end_ns)
-    located = inside & (_apart_s(reference.time_ns, reference.position[:, :2], reference.time_ns) <= FAR_S)
+    located = inside & (apart_s(reference.time_ns, reference.position[:, :2], reference.time_ns) <= FAR_S)
     inside = located if located.any() else inside
     if not inside.any():
         raise LogError(
@@ -182,117 +176,83 @@ def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) 
     return int(reference.time_ns[np.argmax(inside)])
 
 
-def _position(reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
-    if reference is not None and reference.has_position:
-        return _reference_position(reference, initial, start_ns, notes)
-    latitude_deg = _configured_latitude_deg(initial)
-    notes.append(Note("start_position_configured", f"started at the configured latitude {latitude_deg:g} deg"))
-    return np.array([latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
-
-
-def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
-    horizontal, height_m = reference.position[:, :2].copy(), reference.position[:, 2:]
-    first_longitude = horizontal[np.argmax(np.isfinite(horizontal).all(axis=1)), 1]
-    horizontal[:, 1] = wrap_angle(horizontal[:, 1] - first_longitude)  # so that 180 deg lies between no two rows
-    latitude, longitude = _at(reference.time_ns, horizontal, start_ns)
-    apart_s = float(_apart_s(reference.time_ns, horizontal, np.array([start_ns]))[0])
-    if apart_s > FAR_S:
-        text = f"the position at the start is the reference's {apart_s:.1f} s away from it, and is off by as much"
-        notes.append(
-            Note("start_position_far", text, severity="warning", hint="--start near the reference's positions")
-        )
-    if np.isfinite(height_m).any():
-        start_height_m = _at(reference.time_ns, height_m, start_ns)[0]
-    else:
-        start_height_m = initial.height_m
-        notes.append(Note("start_height_configured", f"started at the configured height {initial.height_m:g} m"))
-    return np.array([latitude, float(wrap_angle(longitude + first_longitude)), start_height_m])
-
-
-def _attitude(
-    imu: ImuColumns, reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note]
-) -> Floats:
-    if reference is not None and reference.has_attitude:
-        there: Floats = reference.mat_nb[np.searchsorted(reference.time_ns, start_ns)]
-        return there
-    heading_deg = _configured_heading_deg(initial)
-    rpy = level_from_gravity(imu, start_ns)
-    rpy[2] = heading_deg * DEG
-    notes.append(
-        Note(
-            "start_levelled",
-            f"roll {rpy[0] / DEG:.2f} deg and pitch {rpy[1] / DEG:.2f} deg from gravity over {LEVELLING_S:g} s, "
-            f"heading {heading_deg:g} deg from the configuration",
-        )
-    )
-    return mat_from_rpy(rpy)
-
-
-def level_from_gravity(imu: ImuColumns, start_ns: int) -> Floats:
-    """Give roll and pitch from the mean specific force after the start; the heading is left at zero.
-
-    Levelling as in Groves, chapter 5.
-
-    Parameters
-    ----------
-    imu : ImuColumns
-    start_ns : int
-
-    Returns
-    -------
-    ndarray, shape (3,), rad
-
-    Raises
-    ------
-    LogError
-        Hardly a sample follows the start.
-    """
-    rows = (imu.time_ns >= start_ns) & (imu.time_ns <= start_ns + int(LEVELLING_S * 1e9))
-    if rows.sum() < FEWEST_SAMPLES:
-        raise LogError(
-            f"only {rows.sum()} IMU samples lie in the {LEVELLING_S:g} s after the start, too few to find the level",
-            "choose another --start",
-        )
-    x, y, z = imu.specific_force_b[rows].mean(axis=0)
-    return np.array([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), 0.0])
-
-
-def _velocity(
+def _levelled(
     imu: ImuColumns,
     velocities: DvlVelocities,
-    reference: ReferenceColumns | None,
+    noise: SensorNoise,
+    initial: Initial,
+    lever_arm_b: Floats,
+    start_ns: int,
+    latitude: float,
+) -> tuple[Level, Floats]:
+    """Find the level, and the attitude with the configured heading."""
+    heading = _configured_heading_deg(initial) * DEG
+    samples = levelling_samples(imu, start_ns)
+    unbiased = replace(
+        samples,
+        specific_force_b=samples.specific_force_b - _accel_bias_b(initial),
+        angular_rate_b=samples.angular_rate_b - _gyro_bias_b(initial),
+    )
+    level = find_level(unbiased, velocities, noise, lever_arm_b, start_ns, heading=heading, latitude=latitude)
+    return level, mat_from_rpy(np.array([*level.roll_pitch, heading]))
+
+
+def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:
+    """Tell roll and pitch with their standard deviations, about the vehicle's level forward and starboard axes."""
+    roll_deg, pitch_deg, heading_deg = rpy_from_mat(mat_nb) / DEG
+    level_axes = mat_from_rpy(np.array([0.0, 0.0, heading_deg * DEG]))
+    roll_sd_deg, pitch_sd_deg, _ = np.sqrt(np.diagonal(level_axes.T @ cov[PHI, PHI] @ level_axes)) / DEG
+    text = (
+        f"roll {roll_deg:.2f} +- {roll_sd_deg:.2f} deg and pitch {pitch_deg:.2f} +- {pitch_sd_deg:.2f} deg "
+        f"from gravity over {level.span_s:.3g} s, heading {heading_deg:g} deg from the configuration"
+    )
+    notes = [Note("start_levelled", text)]
+    if not level.pings:
+        text = (
+            f"the DVL tells too little of the {level.span_s:.3g} s after the start to take the vehicle's own "
+            "acceleration off gravity"
+        )
+        hint = "--start where the DVL sees the bottom"
+        notes.append(Note("start_level_unaided", text, severity="warning", hint=hint))
+    return notes
+
+
+def _reference_velocity(reference: ReferenceColumns | None, start_ns: int) -> Floats | None:
+    if reference is None or apart_s(reference.time_ns, reference.velocity_n, np.array([start_ns]))[0] > FAR_S:
+        return None
+    return at_time(reference.time_ns, reference.velocity_n, start_ns)
+
+
+def _dvl_velocity(
+    imu: ImuColumns,
+    velocities: DvlVelocities,
+    level: Level | None,
+    initial: Initial,
     mat_nb: Floats,
     lever_arm_b: Floats,
     start_ns: int,
     position: Floats,
-    notes: list[Note],
-) -> Floats:
-    at_start = np.array([start_ns])
-    if reference is not None and _apart_s(reference.time_ns, reference.velocity_n, at_start)[0] <= FAR_S:
-        return _at(reference.time_ns, reference.velocity_n, start_ns)
+) -> tuple[Floats, Note]:
+    """Give the IMU's velocity in b, of the nearest ping; after levelling, of the first, and carried to the start."""
+    if level is not None and level.pings:
+        away_s = seconds(velocities.time_ns[velocities.time_ns >= start_ns][:1], start_ns)[0]
+        return level.velocity_b, _dvl_note(away_s)
     nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
-    rate_ib_b = _at(imu.time_ns, imu.angular_rate_b, int(velocities.time_ns[nearest]))
+    rate_ib_b = at_time(imu.time_ns, imu.angular_rate_b, int(velocities.time_ns[nearest])) - _gyro_bias_b(initial)
     rate_ie_n = earth.EARTH_RATE * np.array([np.cos(position[0]), 0.0, -np.sin(position[0])])
     rate_eb_b = rate_ib_b - mat_nb.T @ rate_ie_n
-    apart_s = abs(int(velocities.time_ns[nearest]) - start_ns) * 1e-9
-    notes.append(Note("start_velocity_dvl", f"velocity at the start from the DVL's ping {apart_s:.2f} s away"))
-    velocity_n: Floats = mat_nb @ (velocities.velocity_b[nearest] - np.cross(rate_eb_b, lever_arm_b))
-    return velocity_n
+    away_s = abs(int(velocities.time_ns[nearest]) - start_ns) * 1e-9
+    velocity_b: Floats = velocities.velocity_b[nearest] - np.cross(rate_eb_b, lever_arm_b)
+    return velocity_b, _dvl_note(away_s)
 
 
-def _apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
-    """Give the seconds from each time to the nearest finite row of values; infinite where there is none."""
-    finite_ns = time_ns[np.isfinite(values).all(axis=1)]
-    if not len(finite_ns):
-        return np.full(len(at_ns), np.inf)
-    after = np.searchsorted(finite_ns, at_ns).clip(1, max(1, len(finite_ns) - 1))
-    neighbours = finite_ns[np.stack([after - 1, np.minimum(after, len(finite_ns) - 1)])]
-    apart_s: Floats = np.abs(seconds(neighbours, at_ns)).min(axis=0)
-    return apart_s
+def _dvl_note(away_s: float) -> Note:
+    return Note("start_velocity_dvl", f"velocity at the start from the DVL's ping {away_s:.2f} s away")
 
 
-def _at(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:
-    """Interpolate the finite rows of values; outside them the nearest row stands."""
-    finite = np.isfinite(values).all(axis=1)
-    offset_s = seconds(time_ns[finite], at_ns)
-    return np.array([np.interp(0.0, offset_s, column) for column in values[finite].T])
+def _accel_bias_b(initial: Initial) -> Floats:
+    return np.array(initial.accel_bias_mg) * MG
+
+
+def _gyro_bias_b(initial: Initial) -> Floats:
+    return np.array(initial.gyro_bias_degph) * DEG_PER_HOUR

@@ -119,7 +119,7 @@ def run_filter(
     """
     keep_cov = np.isin(timeline.event_ns[timeline.record >= 0], () if cov_ns is None else cov_ns)
     records, updates = new_records(keep_cov), new_updates(len(measurements), int(timeline.ping.max()) + 1)
-    state, matrices = _state_at(start), _new_matrices(start.sd)
+    state, matrices = _state_at(start), _new_matrices(start.cov)
     memory = _Memory(*np.zeros((3, *updates.innovation_b.shape[1:])))
     arm_b = vector(lever_arm_b)
     _run(timeline, state, matrices, noise_density, _stacked(measurements), arm_b, memory, records, updates)
@@ -136,8 +136,8 @@ def _state_at(start: Start) -> NavState:
     )
 
 
-def _new_matrices(sd: Floats) -> _Matrices:
-    P, (H, HP, KT, rest) = np.diag(sd**2), np.empty((4, 3, 12))
+def _new_matrices(cov: Floats) -> _Matrices:
+    P, (H, HP, KT, rest) = np.array(cov, order="C"), np.empty((4, 3, 12))
     return _Matrices(P, P.ravel(), H, HP, KT, rest, np.empty(12))
 
 

@@ -23,11 +23,15 @@ def reference_at_imu(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: 
     Returns
     -------
     ReferenceColumns
-        Rows without an attitude lose their position and velocity, rows outside the IMU's samples their velocity. With
-        no lever arm the reference itself.
+        Rows without an attitude lose their position and velocity, rows outside the IMU's samples their velocity. Rows
+        of which no number is left are left out. With no lever arm, and numbers in all rows, the reference itself.
     """
-    if not np.any(lever_arm_b):
-        return reference
+    moved = _moved(reference, imu, lever_arm_b) if np.any(lever_arm_b) else reference
+    said = np.any(list(moved.known.values()), axis=0)
+    return moved if said.all() else moved.rows(said)
+
+
+def _moved(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: Floats) -> ReferenceColumns:
     latitude, height_m = reference.position[:, 0], reference.position[:, 2]
     arm_n = reference.mat_nb @ lever_arm_b
     arm_velocity_n = np.einsum("kij,kj->ki", reference.mat_nb, np.cross(_rate_eb_b(reference, imu), lever_arm_b))

@@ -194,7 +194,7 @@ def drawn_start(world: World, seed: int) -> Start:
     )
     sd = initial_sd(world.config.initial)
     turn = np.array(rotation_from_vector(vector(sd[PHI] * rng.standard_normal(3))))
-    return Start(position, velocity_n + sd[DV] * rng.standard_normal(3), turn @ mat_nb, sd)
+    return Start(position, velocity_n + sd[DV] * rng.standard_normal(3), turn @ mat_nb, np.diag(sd**2))
 
 
 def _velocities(dvl: DvlColumns, config: Config) -> DvlVelocities:
