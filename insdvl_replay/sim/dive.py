@@ -46,7 +46,7 @@ def simulate_dive(
     lever_arm_m: Vector = (0.0, 0.0, 0.0),
     mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),
 ) -> Dive:
-    """Simulate a dive as its sensors report it. The same arguments give the same bytes.
+    """Simulate a dive as its sensors report it. The same arguments give the same bytes, whatever the processor.
 
     Parameters
     ----------
@@ -164,7 +164,8 @@ def add_errors(exact: Dive, imu_errors: ImuErrors, dvl_errors: DvlErrors, seed: 
     imu_errors : ImuErrors
     dvl_errors : DvlErrors
     seed : int
-        Not negative. Accelerometers, gyros and DVL draw from streams of their own.
+        Not negative. Accelerometers, gyros and DVL draw from streams of their own, by numpy's ziggurat, which asks the
+        C library for a logarithm once in thousands of draws; readings are rounded to their quantum after it.
 
     Returns
     -------
