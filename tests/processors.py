@@ -1,4 +1,7 @@
-"""Other processors, emulated: what numpy, OpenBLAS, numba and the C library choose by the processor, chosen by hand."""
+"""Other processors, emulated: what numpy, OpenBLAS, numba and the C library choose by the processor, chosen by hand.
+
+Usage: python tests/processors.py ARGUMENTS, which runs Python with them on each; `make processors` runs all tests so.
+"""
 
 import os
 import platform
@@ -75,3 +78,10 @@ PROCESSORS = {
     "SSE": Processor("Prescott", "generic", frozenset(), "-AVX512F,-AVX512VL,-AVX2,-FMA,-AVX"),
 }
 """From 2013, from 2011, and the least that the programs in Python's packages are made for."""
+
+
+if __name__ == "__main__":
+    for name, processor in PROCESSORS.items():
+        sys.stdout.write(f"--- {name}\n")
+        sys.stdout.flush()
+        subprocess.run([sys.executable, *sys.argv[1:]], env=processor.environment(), check=True)
