@@ -54,12 +54,18 @@ class Processor:
         """What this numpy would choose here, and must not."""
         return {name for name in __cpu_dispatch__ if __cpu_features__[name]} - self.features
 
+    def obstacle(self) -> str:
+        """Say why it cannot be emulated here; nothing if it can."""
+        if platform.machine() not in ("x86_64", "AMD64"):
+            return f"cannot emulate x86 processors on {platform.machine()}"
+        needed = self.features & {"AVX", "AVX2"}
+        missing = sorted(name for name in needed if not __cpu_features__[name])
+        return f"cannot emulate {', '.join(missing)}: this processor lacks it" if missing else ""
+
     def run(self, *commands: Sequence[str]) -> str:
         """Run command lines of the program on it, and give the digest of a motion that was computed there."""
-        if platform.machine() not in ("x86_64", "AMD64"):
-            pytest.skip(f"cannot emulate x86 processors on {platform.machine()}")
-        if "AVX2" in self.features and not __cpu_features__["AVX2"]:
-            pytest.skip("cannot emulate AVX2: this processor lacks it")
+        if obstacle := self.obstacle():
+            pytest.skip(obstacle)
         done = subprocess.run(
             [sys.executable, str(WORK), " ".join(self.switched_off())],
             env=self.environment(),
@@ -82,6 +88,8 @@ PROCESSORS = {
 
 if __name__ == "__main__":
     for name, processor in PROCESSORS.items():
-        sys.stdout.write(f"--- {name}\n")
+        obstacle = processor.obstacle()
+        sys.stdout.write(f"--- {name} {obstacle}\n")
         sys.stdout.flush()
-        subprocess.run([sys.executable, *sys.argv[1:]], env=processor.environment(), check=True)
+        if not obstacle:
+            subprocess.run([sys.executable, *sys.argv[1:]], env=processor.environment(), check=True)
