@@ -5,7 +5,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: demo test quick check lint bench samples schemas pictures readme reproduce clean
+.PHONY: demo test extras quick processors check lint bench samples schemas pictures readme reproduce clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
@@ -13,8 +13,17 @@ demo: .venv/run.stamp
 test: .venv/test.stamp lint check tests/node/node_modules
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
+# What some tests need beside Python: a browser for the pages, and node with what Foxglove reads logs with.
+extras:
+	sh tests/extras.sh
+	$(MAKE) tests/node/node_modules
+
 quick: .venv/test.stamp
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m "not slow"
+
+# All tests on each of three emulated processors, which takes three times as long as on this one.
+processors: .venv/test.stamp
+	$(BIN)/python tests/processors.py -m pytest --numprocesses 2 --dist worksteal --ignore tests/test_processors.py
 
 # The example archive against its gates, as a team's own job does it.
 check: .venv/run.stamp

@@ -40,6 +40,10 @@ STARTS: Final = tuple(product((1.0, 0.1, 0.01), (1.0, 10.0, 100.0), (1.0, 0.3)))
 """Factors of which the likeliest is the start: innovations can have several likely causes, a quiet DVL on a restless
 IMU among them, and a search from one place finds the nearest. Order as of `_noise`."""
 
+LIKELIHOOD_DIGITS: Final = 3
+"""Decimals of a log-likelihood that count. Where innovations tell nothing of a noise, its further ones differ from
+processor to processor, and the search would go where they point."""
+
 
 def replay_with_control(
     path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False, name: str | None = None
@@ -153,7 +157,7 @@ def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, befor
     def unlikelihood(logarithms: Floats) -> float:
         alone = msgspec.structs.replace(config, filters={NAME: filter_with(logarithms)})
         (history,) = run_filters(dive, start, alone)
-        return -log_likelihood(history.innovations[0])
+        return -round(log_likelihood(history.innovations[0]), LIKELIHOOD_DIGITS)
 
     best = min(np.log(STARTS), key=unlikelihood)
     for step in (-2.0, 0.5):  # the second search frees what fell flat against an edge

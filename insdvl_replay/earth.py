@@ -1,6 +1,7 @@
 """The WGS-84 Earth: rotation, gravity, radii of curvature.
 
-Written with numpy functions that take numbers and arrays alike; `nav.strapdown` compiles the same text for its loop.
+Written with numpy functions that take numbers and arrays alike; `nav.place` compiles the same text for the filter's
+loop. All of it depends on the latitude by its sine squared alone, which the simulation computes in its own way.
 Source: NIMA TR8350.2, "Department of Defense World Geodetic System 1984", third edition, chapters 3 and 4.
 """
 
@@ -38,7 +39,11 @@ def normal_gravity(latitude: Any, height_m: Any) -> Any:
     -------
     float or ndarray, m/s^2
     """
-    sin2 = np.sin(latitude) ** 2
+    return gravity_of(np.sin(latitude) ** 2, height_m)
+
+
+def gravity_of(sin2: Any, height_m: Any) -> Any:
+    """Give `normal_gravity` where the sine of the latitude has this square."""
     surface = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA_K * sin2) / np.sqrt(1.0 - ECCENTRICITY_2 * sin2)
     linear = 2.0 / SEMI_MAJOR_M * (1.0 + FLATTENING + GRAVITY_RATIO - 2.0 * FLATTENING * sin2)
     return surface * (1.0 - linear * height_m + 3.0 * height_m**2 / SEMI_MAJOR_M**2)
@@ -56,7 +61,12 @@ def meridian_radius_m(latitude: Any) -> Any:
     -------
     float or ndarray, m
     """
-    root = np.sqrt(1.0 - ECCENTRICITY_2 * np.sin(latitude) ** 2)
+    return meridian_radius_of(np.sin(latitude) ** 2)
+
+
+def meridian_radius_of(sin2: Any) -> Any:
+    """Give `meridian_radius_m` where the sine of the latitude has this square."""
+    root = np.sqrt(1.0 - ECCENTRICITY_2 * sin2)
     return SEMI_MAJOR_M * (1.0 - ECCENTRICITY_2) / (root * root * root)
 
 
@@ -72,4 +82,9 @@ def transverse_radius_m(latitude: Any) -> Any:
     -------
     float or ndarray, m
     """
-    return SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_2 * np.sin(latitude) ** 2)
+    return transverse_radius_of(np.sin(latitude) ** 2)
+
+
+def transverse_radius_of(sin2: Any) -> Any:
+    """Give `transverse_radius_m` where the sine of the latitude has this square."""
+    return SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_2 * sin2)

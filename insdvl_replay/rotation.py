@@ -39,13 +39,44 @@ def mat_from_rpy(rpy: Floats) -> Floats:
     -------
     ndarray, shape (..., 3, 3)
     """
-    (cr, cp, ch), (sr, sp, sh) = np.moveaxis(np.cos(rpy), -1, 0), np.moveaxis(np.sin(rpy), -1, 0)
+    return mat_from_sines(np.sin(rpy), np.cos(rpy))
+
+
+def mat_from_sines(sine: Floats, cosine: Floats) -> Floats:
+    """Make the matrix of `mat_from_rpy` from the sines and cosines of roll, pitch, heading.
+
+    Parameters
+    ----------
+    sine, cosine : ndarray, shape (..., 3)
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+    """
+    (sr, sp, sh), (cr, cp, ch) = np.moveaxis(sine, -1, 0), np.moveaxis(cosine, -1, 0)
     rows = [
         [cp * ch, sr * sp * ch - cr * sh, cr * sp * ch + sr * sh],
         [cp * sh, sr * sp * sh + cr * ch, cr * sp * sh - sr * ch],
         [-sp, sr * cp, cr * cp],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def turned(mat: Floats, vector: Floats) -> Floats:
+    """Take vectors into another frame by their matrices, with sums in the same order on every processor.
+
+    Parameters
+    ----------
+    mat : ndarray, shape (..., m, 3)
+    vector : ndarray, shape (..., 3)
+
+    Returns
+    -------
+    ndarray, shape (..., m)
+    """
+    x, y, z = (vector[..., None, i] for i in range(3))
+    product: Floats = mat[..., 0] * x + mat[..., 1] * y + mat[..., 2] * z
+    return product
 
 
 def rpy_from_mat(mat_nb: Floats) -> Floats:

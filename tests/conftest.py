@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from left_out import left_out
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
@@ -31,3 +32,11 @@ def _shared(folder: str, what: str) -> Path:
     if not (SHARED / folder).is_dir():
         pytest.skip(f"needs ../shared/{folder} ({what})")
     return SHARED / folder
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Say last of all which tests were left out, and what brings them; workers have no terminal."""
+    terminal = config.pluginmanager.get_plugin("terminalreporter")
+    if terminal is not None:
+        for line in left_out(report.longrepr[2] for report in terminal.stats.get("skipped", [])):
+            terminal.write_line(line, yellow=True)

@@ -52,6 +52,14 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def nudged(report: dict[str, Any], share: float) -> dict[str, Any]:
+    """The same report with every number of its tables larger by a share; counts are left alone."""
+    rows = [*report["filters"].values(), *(row for table in report["tables"].values() for row in table)]
+    for row in rows:
+        row |= {key: value * (1.0 + share) for key, value in row.items() if isinstance(value, float)}
+    return report
+
+
 def write(folder: Path, report: dict[str, Any]) -> Path:
     """Write a report where a result folder has it, and return the folder."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -9,7 +9,7 @@ from browser import PROGRAM, Browser, opened_browser
 from insdvl_replay.cli import run_command_line
 
 pytestmark = [
-    pytest.mark.skipif(PROGRAM is None, reason="needs Chromium (Debian: apt-get install chromium)"),
+    pytest.mark.skipif(PROGRAM is None, reason="needs Chromium (make extras)"),
     pytest.mark.slow,
 ]
 WIDER = """

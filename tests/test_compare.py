@@ -13,7 +13,7 @@ import msgspec
 import pandas as pd
 import pytest
 from rich.console import Console
-from small_results import content, write
+from small_results import content, nudged, write
 from test_html import Document
 
 from insdvl_replay.changes import Change, Comparison
@@ -116,6 +116,31 @@ def test_counts_limits_and_words_without_rank_only_change(tmp_path: Path) -> Non
         ("reference_error", "roll", "samples"): "changed",
         ("reference_error", "roll", "status"): "changed",
     }
+
+
+@pytest.mark.parametrize("share", [1e-10, -1e-10])
+@pytest.mark.parametrize("tolerance_pct", [None, 0.0])
+def test_digits_that_differ_between_processors_are_no_change(
+    tolerance_pct: float | None, share: float, tmp_path: Path
+) -> None:
+    comparison = compared(tmp_path, content(), nudged(content(), share), tolerance_pct=tolerance_pct)
+    assert words(comparison) == {}
+    for limit in ("worse", "worse:0%", "changed"):
+        assert breach(comparison, parse_limit(limit)) is None
+
+
+@pytest.mark.parametrize("share", [1e-8, -1e-8])
+def test_eight_digits_are_a_change_where_no_tolerance_covers_them(share: float, tmp_path: Path) -> None:
+    comparison = compared(tmp_path, content(), nudged(content(), share), tolerance_pct=0.0)
+    assert {"better", "worse", "changed"} <= set(words(comparison).values())
+    for limit in ("worse", "changed"):
+        assert breach(comparison, parse_limit(limit)) is not None
+
+
+def test_a_limit_may_be_reached_but_for_digits_that_differ_between_processors(tmp_path: Path) -> None:
+    comparison = compared(tmp_path, content(), content(ba_x_sd=1.05 * (1.0 + 1e-10)), columns=("sd",))
+    assert breach(comparison, parse_limit("worse:5%")) is None
+    assert breach(comparison, parse_limit("worse:4.99999%")) is not None
 
 
 def test_a_row_on_one_side_is_new_or_gone(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def result(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 @pytest.mark.slow
 @pytest.mark.skipif(
     shutil.which("node") is None or not (NODE / "node_modules").is_dir(),
-    reason="needs node, and npm ci in tests/node, which make test does where there is npm",
+    reason="needs node and the libraries in tests/node (make extras)",
 )
 def test_foxgloves_libraries_read_every_message_with_the_values_of_the_tables(result: Path) -> None:
     command = ["node", NODE / "read_replay.mjs", result / "replay.mcap"]

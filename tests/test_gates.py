@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from small_results import content
+from small_results import content, nudged
 
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.evaluation.gate_findings import gate_findings
@@ -282,3 +282,37 @@ def test_a_row_that_the_baseline_lacks_does_not_pass() -> None:
     baseline = stored()
     baseline.tables["improvement"].clear()
     assert "has no number in the baseline" in why(gate(baseline="b", max_worse_pct=1e9), stored(), baseline)
+
+
+@pytest.mark.parametrize("share", [1e-10, -1e-10])
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"max": 1.0},
+        {"min": 1.0},
+        {"equals": 1.0},
+        {"equals": [7, 1]},
+        {"max_worse_pct": 0.0},
+        {"max_worse_abs": 0.0},
+        {"column": "improvement_pct", "min": 50.0, "max_worse_pct": 0.0},
+        {"column": "improvement_pct", "max_worse_abs": 0.0},
+        {"table": "reference_error", "column": "final", "max_worse_pct": 0.0},
+        {"table": "consistency", "column": "mean_nis", "max_worse_pct": 0.0},
+        {"table": "filters", "column": "mean_improvement_pct", "min": 50.0, "max": 50.0},
+    ],
+)
+def test_digits_that_differ_between_processors_pass_every_gate(keys: dict[str, Any], share: float) -> None:
+    there = msgspec.convert(nudged(content(), share), StoredReport)
+    baseline = {"baseline": "b"} if any(key.startswith("max_worse") for key in keys) else {}
+    assert passes(gate(**baseline, **keys), there, stored())
+    further = msgspec.convert(nudged(content(), 100.0 * share), StoredReport)
+    back = msgspec.convert(nudged(content(), -100.0 * share), StoredReport)
+    assert not all(passes(gate(**baseline, **keys), report, stored()) for report in (further, back))
+
+
+@pytest.mark.parametrize(("keys", "sd"), [({"max_worse_pct": 5.0}, 1.05), ({"max_worse_abs": 0.05}, 1.05)])
+def test_an_allowance_may_be_used_up_but_for_digits_that_differ_between_processors(
+    keys: dict[str, Any], sd: float
+) -> None:
+    assert passes(gate(row="ba_x", baseline="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-10)), stored())
+    assert not passes(gate(row="ba_x", baseline="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-8)), stored())

@@ -1,5 +1,6 @@
 """Simulated dives: the motion is exact, the errors are of the size asked for, and the bytes come again."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -20,6 +21,7 @@ from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive, simulate_di
 from insdvl_replay.sim.dvl_errors import DvlErrors, LostBeam, beam_vectors_d
 from insdvl_replay.sim.imu_errors import GRADES, ImuErrors, quantise
 from insdvl_replay.sim.motion import START, Course
+from insdvl_replay.sim.sines import sine_and_cosine
 from insdvl_replay.sim.trajectories import RAMP_S, SCENARIOS, Segment, Wave, turn
 from insdvl_replay.states import DEG, DEG_PER_HOUR, MG
 
@@ -125,6 +127,14 @@ def test_turn_rate_has_no_corner() -> None:
 def test_wave_swings_about_its_mean() -> None:
     wave = Wave(2.0, 0.5, 10.0)
     np.testing.assert_allclose(wave.value(np.array([0.0, 2.5, 5.0, 7.5])), [2.0, 2.5, 2.0, 1.5], atol=1e-12)
+
+
+@REPEATABLE
+@given(angle=st.floats(-1e6, 1e6) | st.integers(-600_000, 600_000).map(lambda quarters: quarters * np.pi / 2.0))
+def test_sines_are_those_of_the_library_to_the_last_bit_or_two(angle: float) -> None:
+    sine, cosine = sine_and_cosine(np.array([angle]))
+    assert sine[0] == pytest.approx(math.sin(angle), rel=0.0, abs=3e-16)
+    assert cosine[0] == pytest.approx(math.cos(angle), rel=0.0, abs=3e-16)
 
 
 # --- Perfect sensors: mechanising their readings gives the motion back.

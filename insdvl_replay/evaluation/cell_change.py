@@ -17,7 +17,55 @@ PRINTED_DIGITS: Final = 4
 PRINTED_PERCENT_UNIT: Final = 0.1
 """One unit of the last printed digit of a percentage."""
 ROUNDING: Final = 1e-9
-"""Share of a limit that binary fractions may add: 0.3 - 0.2 is not more than 0.1."""
+"""Share of a number that another processor, or binary fractions, may add: 0.3 - 0.2 is not more than 0.1."""
+
+
+def rounding(old: float, new: float, column: str) -> float:
+    """Give the difference of two numbers that says nothing.
+
+    Parameters
+    ----------
+    old, new : float
+    column : str
+        A percentage is itself a difference, of numbers that are 100 % or so.
+
+    Returns
+    -------
+    float
+        In the unit of the numbers; from zero every step says something, but for percentages.
+    """
+    return ROUNDING * max(100.0 if column.endswith(PERCENTAGE) else 0.0, min(abs(old), abs(new)))
+
+
+def agree(old: float, new: float, column: str) -> bool:
+    """Say whether two numbers are the same, but for a difference that says nothing.
+
+    Parameters
+    ----------
+    old, new : float
+    column : str
+
+    Returns
+    -------
+    bool
+    """
+    return old == new or abs(new - old) <= rounding(old, new, column)
+
+
+def within(change: float, allowed: float, digits: float) -> bool:
+    """Say whether a change is no more than allowed, but for a difference that says nothing.
+
+    Parameters
+    ----------
+    change, allowed : float
+    digits : float
+        From `rounding` or `rounding_pct`, in the unit of the change.
+
+    Returns
+    -------
+    bool
+    """
+    return change <= allowed * (1.0 + ROUNDING) + digits
 
 
 def size(value: float, better: Better, dof: float = math.nan) -> float:
@@ -65,6 +113,11 @@ def size_change_pct(old: float, new: float, column: str) -> float | None:
     if old == 0.0 or math.isinf(old) or math.isinf(new):
         return None
     return 100.0 * (new - old) / abs(old)
+
+
+def rounding_pct(old: float, new: float, column: str) -> float:
+    """Give the change of a size, as `size_change_pct` has it, that says nothing."""
+    return rounding(old, new, column) if column.endswith(PERCENTAGE) else 100.0 * ROUNDING
 
 
 def prints_alike(old: float, new: float, column: str) -> bool:
@@ -141,7 +194,8 @@ def judge_number(
     if tolerance_pct is None:
         alike = prints_alike(before, after, column)
     else:
-        alike = before == after or (change_pct is not None and abs(change_pct) <= tolerance_pct * (1.0 + ROUNDING))
+        digits = rounding_pct(before, after, column)
+        alike = before == after or (change_pct is not None and within(abs(change_pct), tolerance_pct, digits))
     if alike:
         return Moved(new - old, change_pct, "same")
     return Moved(new - old, change_pct, "better" if (after > before) == (better == "higher") else "worse")

@@ -4,7 +4,7 @@ import difflib
 import math
 from collections.abc import Iterator
 
-from insdvl_replay.evaluation.cell_change import ROUNDING, size, size_change_pct
+from insdvl_replay.evaluation.cell_change import agree, rounding, rounding_pct, size, size_change_pct, within
 from insdvl_replay.evaluation.row_changes import rows_of
 from insdvl_replay.gates import ANY, Finding, Gate
 from insdvl_replay.result_tables import CANDIDATES, NOT_JUDGED, PERCENTAGE, TABLES, TableLayout
@@ -92,7 +92,7 @@ def _of_equality(gate: Gate, value: Cell) -> Iterator[str]:
     if gate.equals is None:
         return
     wanted = gate.equals if isinstance(gate.equals, tuple) else (gate.equals,)
-    if value not in wanted:
+    if value not in wanted and not any(_agree(value, one, gate.column) for one in wanted):
         yield f"is {shown(value)}, {' or '.join(map(shown, wanted))} is wanted"
 
 
@@ -102,9 +102,9 @@ def _of_limits(gate: Gate, value: Cell, unit: str) -> Iterator[str]:
     if not isinstance(value, float | int):
         yield f"is the word {value!r}, a number is wanted"
         return
-    if gate.min is not None and not value >= gate.min:
+    if gate.min is not None and not (value >= gate.min or agree(value, gate.min, gate.column)):
         yield f"is {shown(value)}{unit}, at least {shown(gate.min)} is wanted"
-    if gate.max is not None and not value <= gate.max:
+    if gate.max is not None and not (value <= gate.max or agree(value, gate.max, gate.column)):
         yield f"is {shown(value)}{unit}, at most {shown(gate.max)} is wanted"
 
 
@@ -124,14 +124,16 @@ def _of_baseline(gate: Gate, layout: TableLayout, row: Row, was: Row | None) -> 
     sign = -1.0 if better == "higher" else 1.0
     change_pct = size_change_pct(before, after, gate.column)
     worse_pct = math.inf * sign * (after - before) if change_pct is None else sign * change_pct
-    if _within(worse_pct, gate.max_worse_pct) or _within(sign * (after - before), gate.max_worse_abs):
+    in_percent = worse_pct, gate.max_worse_pct, rounding_pct(before, after, gate.column)
+    in_unit = sign * (after - before), gate.max_worse_abs, rounding(before, after, gate.column)
+    if any(allowed is not None and within(worse, allowed, digits) for worse, allowed, digits in (in_percent, in_unit)):
         return
     amount = f"by {worse_pct:.3g} {_percent(gate.column)}" if math.isfinite(worse_pct) else "beyond any percentage"
     yield f"{_told(layout, row, gate.column, was)}: worse {amount}, {_allowed(gate)} is allowed"
 
 
-def _within(worse: float, allowance: float | None) -> bool:
-    return allowance is not None and worse <= allowance * (1.0 + ROUNDING)
+def _agree(value: Cell, wanted: str | bool | int | float, column: str) -> bool:
+    return isinstance(value, float) and isinstance(wanted, float | int) and agree(value, wanted, column)
 
 
 def _allowed(gate: Gate) -> str:

@@ -4,7 +4,7 @@ import re
 
 from insdvl_replay.changes import Breach, Change, Comparison, Limit
 from insdvl_replay.errors import ConfigError
-from insdvl_replay.evaluation.cell_change import ROUNDING
+from insdvl_replay.evaluation.cell_change import ROUNDING, within
 from insdvl_replay.evaluation.over_dives import loss_of, worst_of
 
 
@@ -84,4 +84,4 @@ def breach(comparison: Comparison, limit: Limit) -> Breach | None:
 def _exceeds(change: Change, limit: Limit) -> bool:
     if limit.word == "changed":
         return change.word != "same"
-    return loss_of(change) > limit.above_pct * (1.0 + ROUNDING)
+    return not within(loss_of(change), limit.above_pct, 100.0 * ROUNDING)

@@ -5,7 +5,7 @@ from typing import Final
 
 from insdvl_replay.changes import Change
 from insdvl_replay.errors import ResultError
-from insdvl_replay.evaluation.cell_change import Moved, judge_number, rank_word
+from insdvl_replay.evaluation.cell_change import Moved, agree, judge_number, rank_word
 from insdvl_replay.result_tables import CANDIDATES, TableLayout
 from insdvl_replay.stored_result import Cell, Row, StoredReport, StoredResult
 
@@ -126,6 +126,8 @@ def _judged(old: Row, new: Row, column: str, layout: TableLayout, tolerance_pct:
     dofs = _number(old, "dof"), _number(new, "dof")
     if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
         better = None
+    if isinstance(was, float) and isinstance(is_, float) and better is None and agree(was, is_, column):
+        return Moved(is_ - was, None, "same")
     if better is None or isinstance(was, str) or isinstance(is_, str):
         return Moved(_difference(was, is_), None, rank_word(was, is_, layout.words.get(column, ())))
     return judge_number(was, is_, column, better, dofs=dofs, tolerance_pct=tolerance_pct)

@@ -2,6 +2,9 @@
 
 ``/imu`` sensor_msgs/Imu, ``/dvl`` marine_acoustic_msgs/Dvl or geometry_msgs/TwistWithCovarianceStamped, ``/reference``
 insdvl_msgs/NavSolution, ``/truth/biases`` insdvl_msgs/SensorBiases. Axes are forward, starboard, down.
+
+What is computed here of the columns is the same on every processor: matrices are solved by formulae, since LAPACK sums
+in another order on each, and what goes through a library's arcs is rounded, since their last bits differ.
 """
 
 from pathlib import Path
@@ -13,9 +16,15 @@ from insdvl_replay import __version__
 from insdvl_replay.columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TruthColumns
 from insdvl_replay.logs.messages import DVL, IMU, NED, Batch, Column, missing_xyz, solution, stamped, xyz
 from insdvl_replay.logs.writer import write_log
+from insdvl_replay.rotation import rpy_from_mat, turned
 
 ALTITUDE_M: Final = 20.0
 """Height above a flat seabed from which the ranges of the beams follow; no filter uses it."""
+
+VELOCITY_DIGITS: Final = 6
+"""Decimals of what the instrument makes of its beams, m/s and rad: far below the noise of a beam."""
+ANGLE_DIGITS: Final = 9
+"""Decimals of the reference's angles, rad."""
 
 _BOTTOM_TRACK: Final = 1
 _BEAMS_FOR_VELOCITY: Final = 3
@@ -74,14 +83,15 @@ def _beam_columns(beam_velocity_mps: Floats, beam_vectors_d: Floats) -> dict[str
     good = np.isfinite(beam_velocity_mps)
     good_beams = good.sum(axis=1)
     any_good = good_beams > 0
-    velocity_d = _velocity_from_beams(beam_velocity_mps, beam_vectors_d)
+    velocity_d = np.round(_velocity_from_beams(beam_velocity_mps, beam_vectors_d), VELOCITY_DIGITS)
+    forward, starboard = velocity_d[:, 0], velocity_d[:, 1]
     columns: dict[str, Column] = {
         "velocity_mode": _BOTTOM_TRACK,
         **xyz("velocity", velocity_d),
         "velocity_covar": (_UNKNOWN_VARIANCE,) * 9,
         "altitude": np.where(any_good, ALTITUDE_M, np.nan),
-        "course_gnd": np.arctan2(velocity_d[:, 1], velocity_d[:, 0]),
-        "speed_gnd": np.hypot(velocity_d[:, 0], velocity_d[:, 1]),
+        "course_gnd": np.round(np.arctan2(starboard, forward), VELOCITY_DIGITS),
+        "speed_gnd": np.round(np.sqrt(forward * forward + starboard * starboard), VELOCITY_DIGITS),
         "num_good_beams": good_beams,
         "sound_speed": np.nan,
         "beam_ranges_valid": any_good,
@@ -98,19 +108,25 @@ def _beam_columns(beam_velocity_mps: Floats, beam_vectors_d: Floats) -> dict[str
 
 
 def _velocity_from_beams(beam_velocity_mps: Floats, beam_vectors_d: Floats) -> Floats:
-    """Solve the beams for the velocity by least squares, as the instrument would; NaN with fewer than three beams."""
+    """Solve the beams for the velocity by least squares, as the instrument would; NaN with fewer than three beams.
+
+    The normal matrix N is symmetric, so that its adjugate has the cross products of its columns as its rows.
+    """
     good = np.isfinite(beam_velocity_mps)
-    enough = good.sum(axis=1) >= _BEAMS_FOR_VELOCITY
-    weights = good[enough].astype(np.float64)
-    normal = np.einsum("kb,bi,bj->kij", weights, beam_vectors_d, beam_vectors_d)
-    projected = np.where(good[enough], beam_velocity_mps[enough], 0.0) @ beam_vectors_d
-    velocity_d = np.full((len(good), 3), np.nan)
-    velocity_d[enough] = np.linalg.solve(normal, projected[..., None])[..., 0]
-    return velocity_d
+    normal, projected = np.zeros((len(good), 3, 3)), np.zeros((len(good), 3))
+    for beam, vector in enumerate(beam_vectors_d):
+        normal += np.where(good[:, beam, None, None], vector[:, None] * vector, 0.0)
+        projected += np.where(good[:, beam, None], beam_velocity_mps[:, beam, None] * vector, 0.0)
+    x, y, z = (normal[:, i] for i in range(3))
+    adjugate = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
+    determinant = turned(adjugate[:, :1], x)
+    enough = good.sum(axis=1, keepdims=True) >= _BEAMS_FOR_VELOCITY
+    return np.divide(turned(adjugate, projected), determinant, out=np.full_like(projected, np.nan), where=enough)
 
 
 def _reference(reference: ReferenceColumns) -> Batch:
-    columns = solution(reference.position, reference.velocity_n, reference.mat_nb)
+    rpy = np.round(rpy_from_mat(reference.mat_nb), ANGLE_DIGITS)
+    columns = solution(reference.position, reference.velocity_n, rpy)
     return stamped("/reference", "insdvl_msgs/msg/NavSolution", reference.time_ns, NED, columns)
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.columns import NS_PER_S, Floats, TimeNs
-from insdvl_replay.rotation import rpy_from_mat
 
 NED: Final = "ned"
 IMU: Final = "imu"
@@ -129,7 +128,7 @@ def missing_xyz(path: str) -> dict[str, Column]:
     return {f"{path}.{axis}": np.nan for axis in "xyz"}
 
 
-def solution(position: Floats, velocity_n: Floats, mat_nb: Floats) -> dict[str, Column]:
+def solution(position: Floats, velocity_n: Floats, rpy: Floats) -> dict[str, Column]:
     """Fill the fields that insdvl_msgs/NavSolution and FilterState share.
 
     Parameters
@@ -137,7 +136,7 @@ def solution(position: Floats, velocity_n: Floats, mat_nb: Floats) -> dict[str, 
     position : ndarray, shape (k, 3)
         Latitude rad, longitude rad, height m.
     velocity_n : ndarray, shape (k, 3)
-    mat_nb : ndarray, shape (k, 3, 3)
+    rpy : ndarray, shape (k, 3), rad
 
     Returns
     -------
@@ -149,7 +148,7 @@ def solution(position: Floats, velocity_n: Floats, mat_nb: Floats) -> dict[str, 
         "longitude_deg": longitude_deg,
         "height_m": position[:, 2],
         "velocity_ned_mps": velocity_n,
-        **angles(rpy_from_mat(mat_nb)),
+        **angles(rpy),
     }
 
 

@@ -27,6 +27,7 @@ from insdvl_replay.logs.messages import (
 )
 from insdvl_replay.logs.ros2msg import Field, definition_text, parse_definitions
 from insdvl_replay.logs.writer import write_log
+from insdvl_replay.rotation import rpy_from_mat
 from insdvl_replay.states import DEG_PER_HOUR, MG, STATES
 
 if TYPE_CHECKING:
@@ -127,7 +128,7 @@ def _filter_batches(history: History, errors: Errors | None) -> Iterator[Batch]:
 
 def _state(topic: str, history: History) -> Batch:
     columns: dict[str, Column] = {
-        **solution(history.position, history.velocity_n, history.mat_nb),
+        **solution(history.position, history.velocity_n, rpy_from_mat(history.mat_nb)),
         "accel_bias_mg": InUnit(history.accel_bias_b, MG),
         "gyro_bias_degph": InUnit(history.gyro_bias_b, DEG_PER_HOUR),
     }

@@ -15,6 +15,8 @@ from insdvl_replay.nav.vector_algebra import Vector
 REACH_RAD: Final = 1e-7
 REACH_M: Final = 30.0
 
+for _formula in (earth.gravity_of, earth.meridian_radius_of, earth.transverse_radius_of):
+    inlined(_formula)
 normal_gravity = inlined(earth.normal_gravity)
 _meridian_radius_m = inlined(earth.meridian_radius_m)
 _transverse_radius_m = inlined(earth.transverse_radius_m)

@@ -6,6 +6,7 @@ from typing import Final
 from insdvl_replay.gates import CheckResult, Finding, Judgement, Status
 from insdvl_replay.report.markup import markdown_page
 from insdvl_replay.report.shown import MISSING, ShownTable, counted
+from insdvl_replay.stored_result import Cell
 
 WORDS: Final[dict[Status, str]] = {
     "unusable": "NO RESULT",
@@ -81,9 +82,9 @@ def baseline_text(changes: Sequence[tuple[str, Finding]]) -> str:
     Returns
     -------
     str
-        A line for each value that is new or moved, and how many are as before.
+        A line for each value that is new or moved in what it shows, and how many are as before.
     """
-    moved = [(dive, finding) for dive, finding in changes if finding.was != finding.value]
+    moved = [(dive, finding) for dive, finding in changes if _shown(finding.was) != _shown(finding.value)]
     lines = [f"{dive}: {_movement(finding)}" for dive, finding in moved]
     return "".join(
         f"{line}\n"
@@ -93,8 +94,15 @@ def baseline_text(changes: Sequence[tuple[str, Finding]]) -> str:
 
 def _movement(finding: Finding) -> str:
     cell = f"{finding.table} {finding.filter} {finding.row}: {finding.column}"
-    now = MISSING if finding.value is None else finding.value
-    return f"{cell} is new: {now}" if finding.was is None else f"{cell} goes from {finding.was} to {now}"
+    now = _shown(finding.value)
+    return f"{cell} is new: {now}" if finding.was is None else f"{cell} goes from {_shown(finding.was)} to {now}"
+
+
+def _shown(value: Cell) -> str:
+    """Write a value with the digits in which all processors agree."""
+    if value is None:
+        return MISSING
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
 def _gates(result: CheckResult) -> list[str]:

@@ -10,10 +10,11 @@ from insdvl_replay import janus
 from insdvl_replay.columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, TimeNs, TruthColumns, seconds
 from insdvl_replay.config import Vector
 from insdvl_replay.errors import ConfigError, refuse_unknown
-from insdvl_replay.rotation import mat_from_rpy
+from insdvl_replay.rotation import mat_from_sines, turned
 from insdvl_replay.sim.dvl_errors import DvlErrors, LostBeam, add_dvl_errors, beam_vectors_d
 from insdvl_replay.sim.imu_errors import GRADES, ImuErrors, add_imu_errors
 from insdvl_replay.sim.motion import Course
+from insdvl_replay.sim.sines import sine_and_cosine
 from insdvl_replay.sim.trajectories import SCENARIOS
 from insdvl_replay.states import DEG
 
@@ -45,7 +46,7 @@ def simulate_dive(
     lever_arm_m: Vector = (0.0, 0.0, 0.0),
     mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),
 ) -> Dive:
-    """Simulate a dive as its sensors report it. The same arguments give the same bytes.
+    """Simulate a dive as its sensors report it. The same arguments give the same bytes, whatever the processor.
 
     Parameters
     ----------
@@ -163,7 +164,8 @@ def add_errors(exact: Dive, imu_errors: ImuErrors, dvl_errors: DvlErrors, seed: 
     imu_errors : ImuErrors
     dvl_errors : DvlErrors
     seed : int
-        Not negative. Accelerometers, gyros and DVL draw from streams of their own.
+        Not negative. Accelerometers, gyros and DVL draw from streams of their own, by numpy's ziggurat, which asks the
+        C library for a logarithm once in thousands of draws; readings are rounded to their quantum after it.
 
     Returns
     -------
@@ -260,20 +262,17 @@ def _dvl(
 ) -> DvlColumns:
     time_s, vectors_d = seconds(time_ns, START_NS), beam_vectors_d()
     motion = course.at(time_s)
-    mat_bd = mat_from_rpy(np.array(mounting_rpy_deg) * DEG)
-    velocity_b = np.einsum("kji,kj->ki", motion.mat_nb, motion.velocity_n)
-    velocity_d = (velocity_b + np.cross(motion.turn_rate_b, lever_arm_m)) @ mat_bd
-    beam_velocity_mps = velocity_d @ vectors_d.T
+    mat_db = mat_from_sines(*sine_and_cosine(np.array(mounting_rpy_deg) * DEG)).T
+    velocity_b = turned(np.swapaxes(motion.mat_nb, -1, -2), motion.velocity_n)
+    velocity_d = turned(mat_db, velocity_b + np.cross(motion.turn_rate_b, lever_arm_m))
+    beam_velocity_mps = turned(vectors_d, velocity_d)
     for span in spans:
         beam_velocity_mps[(time_s >= span.start_s) & (time_s < span.end_s), span.beam] = np.nan
     return DvlColumns(time_ns, beam_velocity_mps, vectors_d)
 
 
 def _reference(course: Course, time_ns: TimeNs) -> ReferenceColumns:
-    """Write the motion down with as many digits as matter: below 0.1 mm, 1 um/s and 1 prad.
-
-    The last bits of a sine differ from machine to machine, and would show in the bytes of a log.
-    """
+    """Write the motion down with as many digits as matter: below 0.1 mm, 1 um/s and 1 prad."""
     motion = course.at(seconds(time_ns, START_NS))
     return ReferenceColumns(
         time_ns,

@@ -6,6 +6,7 @@ import numpy as np
 
 from insdvl_replay import janus
 from insdvl_replay.columns import DvlColumns, Floats
+from insdvl_replay.rotation import turned
 from insdvl_replay.sim.imu_errors import quantise
 
 
@@ -91,6 +92,6 @@ def add_dvl_errors(exact: DvlColumns, errors: DvlErrors, rng: np.random.Generato
     scale = errors.beam_scale_sd * rng.standard_normal(beams)
     bias = errors.beam_bias_sd_mps * rng.standard_normal(beams)
     noise = errors.beam_sd_mps * rng.standard_normal((pings, beams))
-    noise += errors.velocity_sd_mps * rng.standard_normal((pings, 3)) @ exact.beam_vectors_d.T
+    noise += turned(exact.beam_vectors_d, errors.velocity_sd_mps * rng.standard_normal((pings, 3)))
     reading = exact.beam_velocity_mps * (1.0 + scale) + bias + noise
     return replace(exact, beam_velocity_mps=quantise(reading, errors.beam_quantum_mps))

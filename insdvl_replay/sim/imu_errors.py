@@ -3,6 +3,7 @@
 White noise and random walk as IEEE Std 952, annex C, defines them by their Allan variance.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -123,11 +124,11 @@ def add_imu_errors(
         The biases at the same times.
     """
     interval_s = float(exact.time_ns[-1] - exact.time_ns[0]) * 1e-9 / (len(exact.time_ns) - 1)
-    shape = exact.specific_force_b.shape
-    accel_bias = _bias(shape, errors.accel_bias_sd_mps2, errors.accel_bias_walk_mps2_rts * interval_s**0.5, accel_rng)
-    gyro_bias = _bias(shape, errors.gyro_bias_sd_radps, errors.gyro_bias_walk_radps_rts * interval_s**0.5, gyro_rng)
-    accel_noise = errors.accel_white_mps_rts / interval_s**0.5 * accel_rng.standard_normal(shape)
-    gyro_noise = errors.gyro_white_rad_rts / interval_s**0.5 * gyro_rng.standard_normal(shape)
+    root_s, shape = math.sqrt(interval_s), exact.specific_force_b.shape
+    accel_bias = _bias(shape, errors.accel_bias_sd_mps2, errors.accel_bias_walk_mps2_rts * root_s, accel_rng)
+    gyro_bias = _bias(shape, errors.gyro_bias_sd_radps, errors.gyro_bias_walk_radps_rts * root_s, gyro_rng)
+    accel_noise = errors.accel_white_mps_rts / root_s * accel_rng.standard_normal(shape)
+    gyro_noise = errors.gyro_white_rad_rts / root_s * gyro_rng.standard_normal(shape)
     imu = ImuColumns(
         exact.time_ns,
         quantise(exact.specific_force_b + accel_bias + accel_noise, errors.accel_quantum_mps2),

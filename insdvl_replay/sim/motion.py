@@ -1,7 +1,8 @@
 """What perfect sensors feel along a scenario: the equations of navigation, turned round.
 
 Nothing is differentiated numerically. Velocity, acceleration and rates are formulae in time; only the position is
-integrated.
+integrated. All is computed by operations that every processor rounds alike, so that it is the same to the last bit:
+sums, products, quotients and roots, sines from `sim.sines`, and no matrix products, whose order of summation varies.
 """
 
 from dataclasses import dataclass
@@ -9,11 +10,11 @@ from typing import Final
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
-from scipy.interpolate import CubicHermiteSpline
 
 from insdvl_replay.columns import Floats
-from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
-from insdvl_replay.rotation import mat_from_rpy
+from insdvl_replay.earth import EARTH_RATE, gravity_of, meridian_radius_of, transverse_radius_of
+from insdvl_replay.rotation import mat_from_sines, turned
+from insdvl_replay.sim.sines import sine_and_cosine
 from insdvl_replay.sim.trajectories import Scenario
 from insdvl_replay.states import DEG
 
@@ -64,10 +65,8 @@ class Course:
     def __init__(self, scenario: Scenario, end_s: float) -> None:
         self._scenario = scenario
         knots_s = np.linspace(0.0, end_s, int(np.ceil(end_s / STEP_S)) + 1)
-        self._position = _position_spline(knots_s, self._velocity_n(knots_s))
-
-    def _velocity_n(self, time_s: Floats) -> Floats:
-        return _turned(mat_from_rpy(self._scenario.rpy(time_s)), self._scenario.velocity_b(time_s))
+        mat_nb = mat_from_sines(*sine_and_cosine(scenario.rpy(knots_s)))
+        self._way = _Way.of_velocity(knots_s, turned(mat_nb, scenario.velocity_b(knots_s)))
 
     def at(self, time_s: Floats) -> Motion:
         """Give the motion at any times up to the course's end.
@@ -83,16 +82,18 @@ class Course:
         -------
         Motion
         """
-        rpy, velocity_b = self._scenario.rpy(time_s), self._scenario.velocity_b(time_s)
-        mat_nb = mat_from_rpy(rpy)
+        sine, cosine = sine_and_cosine(self._scenario.rpy(time_s))
+        velocity_b = self._scenario.velocity_b(time_s)
+        mat_nb = mat_from_sines(sine, cosine)
         mat_bn = np.swapaxes(mat_nb, -1, -2)
-        position: Floats = self._position(time_s)
-        velocity_n = _turned(mat_nb, velocity_b)
-        rate_ie_b = _turned(mat_bn, _earth_rate_n(position))
-        rate_en_b = _turned(mat_bn, _transport_rate_n(position, velocity_n))
-        rate_nb_b = _body_rate(rpy, self._scenario.rpy_rate(time_s))
+        position = self._way.position(time_s)
+        velocity_n = turned(mat_nb, velocity_b)
+        place = _Place(position)
+        rate_ie_b = turned(mat_bn, place.earth_rate_n())
+        rate_en_b = turned(mat_bn, place.transport_rate_n(velocity_n))
+        rate_nb_b = _body_rate(sine, cosine, self._scenario.rpy_rate(time_s))
         acceleration_b = np.cross(rate_nb_b, velocity_b) + self._scenario.velocity_rate_b(time_s)
-        gravity_b = mat_nb[:, 2, :] * normal_gravity(position[:, 0], position[:, 2])[:, None]
+        gravity_b = mat_nb[:, 2, :] * place.gravity()[:, None]
         coriolis_b = np.cross(2.0 * rate_ie_b + rate_en_b, velocity_b)
         return Motion(
             position=position,
@@ -104,56 +105,76 @@ class Course:
         )
 
 
-def _turned(mat: Floats, vector: Floats) -> Floats:
-    """Take each vector into another frame by its matrix: (k, 3, 3) and (k, 3) to (k, 3)."""
-    turned: Floats = np.einsum("kij,kj->ki", mat, vector)
-    return turned
+@dataclass(frozen=True)
+class _Way:
+    """Position and its rate at k knots, and between them Hermite's cubic."""
+
+    knots_s: Floats
+    knot_position: Floats
+    knot_rate: Floats
+
+    @classmethod
+    def of_velocity(cls, knots_s: Floats, velocity_n: Floats) -> "_Way":
+        """Integrate the position.
+
+        The rates of latitude and longitude depend on the position only through the radii of curvature, so that each
+        repetition leaves the square of the error: after two of a day's dive it is far below a micrometre.
+        """
+        position = np.tile(START, (len(knots_s), 1))
+        for _ in range(3):
+            rate = _Place(position).position_rate(velocity_n)
+            position = START + cumulative_simpson(rate, x=knots_s, axis=0, initial=0.0)
+        return cls(knots_s, position, _Place(position).position_rate(velocity_n))
+
+    def position(self, time_s: Floats) -> Floats:
+        """Give the position at times of shape (k,)."""
+        left = np.clip(np.searchsorted(self.knots_s, time_s, side="right") - 1, 0, len(self.knots_s) - 2)
+        right = left + 1
+        step_s = (self.knots_s[right] - self.knots_s[left])[:, None]
+        done = (time_s - self.knots_s[left])[:, None] / step_s
+        ahead = 1.0 - done
+        chord = self.knot_position[right] - self.knot_position[left]
+        bend = done * ahead * step_s * (ahead * self.knot_rate[left] - done * self.knot_rate[right])
+        between: Floats = self.knot_position[left] + done * done * (3.0 - 2.0 * done) * chord + bend
+        return between
 
 
-def _position_spline(knots_s: Floats, velocity_n: Floats) -> CubicHermiteSpline:
-    """Integrate the position.
+class _Place:
+    """The Earth at k positions."""
 
-    The rates of latitude and longitude depend on the position only through the radii of curvature, so that each
-    repetition leaves the square of the error: after two of a day's dive it is far below a micrometre.
-    """
-    position = np.tile(START, (len(knots_s), 1))
-    for _ in range(3):
-        rate = _position_rate(position, velocity_n)
-        position = START + cumulative_simpson(rate, x=knots_s, axis=0, initial=0.0)
-    return CubicHermiteSpline(knots_s, position, _position_rate(position, velocity_n))
+    def __init__(self, position: Floats) -> None:
+        self._sine, self._cosine = sine_and_cosine(position[:, 0])
+        self._sin2, self._height_m = self._sine * self._sine, position[:, 2]
 
+    def position_rate(self, velocity_n: Floats) -> Floats:
+        """Give the rates of latitude, longitude and height."""
+        north_mps, east_mps, down_mps = velocity_n.T
+        latitude_rate = north_mps / (meridian_radius_of(self._sin2) + self._height_m)
+        longitude_rate = east_mps / ((transverse_radius_of(self._sin2) + self._height_m) * self._cosine)
+        return np.stack([latitude_rate, longitude_rate, -down_mps], axis=-1)
 
-def _position_rate(position: Floats, velocity_n: Floats) -> Floats:
-    latitude, height_m = position[:, 0], position[:, 2]
-    north_mps, east_mps, down_mps = velocity_n.T
-    latitude_rate = north_mps / (meridian_radius_m(latitude) + height_m)
-    longitude_rate = east_mps / ((transverse_radius_m(latitude) + height_m) * np.cos(latitude))
-    return np.stack([latitude_rate, longitude_rate, -down_mps], axis=-1)
+    def gravity(self) -> Floats:
+        """Give the magnitude of gravity."""
+        gravity: Floats = gravity_of(self._sin2, self._height_m)
+        return gravity
 
+    def earth_rate_n(self) -> Floats:
+        """Give the rotation rate of the Earth."""
+        return EARTH_RATE * np.stack([self._cosine, np.zeros_like(self._sine), -self._sine], axis=-1)
 
-def _earth_rate_n(position: Floats) -> Floats:
-    latitude = position[:, 0]
-    return EARTH_RATE * np.stack([np.cos(latitude), np.zeros_like(latitude), -np.sin(latitude)], axis=-1)
-
-
-def _transport_rate_n(position: Floats, velocity_n: Floats) -> Floats:
-    """Turn rate of north-east-down against the Earth as the vehicle moves on."""
-    latitude, height_m = position[:, 0], position[:, 2]
-    north = velocity_n[:, 1] / (transverse_radius_m(latitude) + height_m)
-    east = -velocity_n[:, 0] / (meridian_radius_m(latitude) + height_m)
-    return np.stack([north, east, -north * np.tan(latitude)], axis=-1)
+    def transport_rate_n(self, velocity_n: Floats) -> Floats:
+        """Give the turn rate of north-east-down against the Earth as the vehicle moves on."""
+        north = velocity_n[:, 1] / (transverse_radius_of(self._sin2) + self._height_m)
+        east = -velocity_n[:, 0] / (meridian_radius_of(self._sin2) + self._height_m)
+        return np.stack([north, east, -north * self._sine / self._cosine], axis=-1)
 
 
-def _body_rate(rpy: Floats, rpy_rate: Floats) -> Floats:
+def _body_rate(sine: Floats, cosine: Floats, rpy_rate: Floats) -> Floats:
     """Turn the rates of roll, pitch and heading into the rate of b against n, in b."""
-    roll, pitch = rpy[:, 0], rpy[:, 1]
+    (sr, sp, _), (cr, cp, _) = sine.T, cosine.T
     roll_rate, pitch_rate, heading_rate = rpy_rate.T
-    about_y = np.cos(pitch) * heading_rate
+    about_y = cp * heading_rate
     return np.stack(
-        [
-            roll_rate - np.sin(pitch) * heading_rate,
-            np.cos(roll) * pitch_rate + np.sin(roll) * about_y,
-            np.cos(roll) * about_y - np.sin(roll) * pitch_rate,
-        ],
+        [roll_rate - sp * heading_rate, cr * pitch_rate + sr * about_y, cr * about_y - sr * pitch_rate],
         axis=-1,
     )

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.columns import Floats
+from insdvl_replay.sim.sines import sine_and_cosine
 from insdvl_replay.states import DEG
 
 HEADING_DEG: Final = 30.0
@@ -37,14 +38,14 @@ class Wave:
 
     def value(self, time_s: Floats) -> Floats:
         """Give the quantity at times of shape (k,)."""
-        swing: Floats = self.mean + self.amplitude * np.sin(2.0 * np.pi * time_s / self.period_s)
-        return swing
+        sine, _ = sine_and_cosine(2.0 * np.pi * time_s / self.period_s)
+        return self.mean + self.amplitude * sine
 
     def rate(self, time_s: Floats) -> Floats:
         """Give its derivative, per second, at times of shape (k,)."""
         frequency = 2.0 * np.pi / self.period_s
-        swing: Floats = self.amplitude * frequency * np.cos(frequency * time_s)
-        return swing
+        _, cosine = sine_and_cosine(frequency * time_s)
+        return self.amplitude * frequency * cosine
 
 
 @dataclass(frozen=True)
@@ -103,14 +104,14 @@ def turn(turn_deg: float, peak_rate_degps: float) -> Segment:
 def _ramp(u: Floats) -> Floats:
     """Climb smoothly from 0 at u = 0 to 1 at u = 1."""
     within = np.clip(u, 0.0, 1.0)
-    climb: Floats = within**2 * (3.0 - 2.0 * within)
+    climb: Floats = within * within * (3.0 - 2.0 * within)
     return climb
 
 
 def _ramp_area(u: Floats) -> Floats:
     """Integrate `_ramp` from 0 to u."""
     within = np.clip(u, 0.0, 1.0)
-    area: Floats = within**3 * (1.0 - 0.5 * within) + np.maximum(u - 1.0, 0.0)
+    area: Floats = within * within * within * (1.0 - 0.5 * within) + np.maximum(u - 1.0, 0.0)
     return area
 
 
