@@ -43,9 +43,9 @@ DOCUMENTED = {
     "schema": ["NAME", "-v, --verbose", "--help"],
     "compile": ["-v, --verbose", "--help"],
     "study montecarlo": [
-        "SCENARIO", "--runs N", "--seed N", "--run K", "--duration S", "--imu GRADE", "--jobs N", "-o, --output DIR",
-        "--png", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--format <table|json|csv|md|latex>",
-        "--force", "-v, --verbose", "--help",
+        "SCENARIO", "--runs N", "--seed N", "--run K", "--duration S", "--imu GRADE", "--outage START:END", "--jobs N",
+        "-o, --output DIR", "--png", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
+        "--format <table|json|csv|md|latex>", "--force", "-v, --verbose", "--help",
     ],
 }  # fmt: skip
 WITH_STAND_IN = """

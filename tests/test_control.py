@@ -146,19 +146,12 @@ def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(snapir: 
         replay = replay_with_control(snapir / f"snapir_{run}.mcap", config)
         rows = replay.tables["consistency"].set_index(["filter", "measurement"])
         assert 0.8 < rows.loc[("tuned", "velocity"), "mean_nis"] / 3.0 < 1.25
-        # What gyro and DVL alone disagree by while the vehicle goes straight is 6 to 13 mm/s in these dives.
-        assert 0.004 < (replay.config.filters["tuned"].velocity_sd_mps or 0.0) < 0.015
+        # What gyro and DVL alone disagree by while the vehicle goes straight is 6 to 13 mm/s in these dives; from ping
+        # to ping it is less.
+        assert 0.002 < (replay.config.filters["tuned"].velocity_sd_mps or 0.0) < 0.013
     (tmp_path / "again.toml").write_text(render_toml(replay.config))
     again = replay_log(snapir / "snapir_12.mcap", load_config(file=tmp_path / "again.toml"))
     assert again.tables["consistency"].equals(replay.tables["consistency"])
-
-
-RIGHT = (
-    "dvl.lever_arm_m=[-0.071, -0.015, 0.205]",
-    "dvl.mounting_rpy_deg=[-0.19, 0.15, -0.29]",
-    "dvl.scale=1.00024",
-    "reference.lever_arm_m=[1.763, 0.018, 0.111]",
-)
 
 
 @pytest.mark.slow
@@ -174,7 +167,7 @@ RIGHT = (
 def test_wrong_geometry_of_a_real_dive_is_not_called_noise_of_a_sensor(
     snapir: Path, wrong: tuple[str, ...], suspect: str
 ) -> None:
-    config = load_config(file=Path(__file__).parents[1] / "examples" / "snapir.toml", overrides=(*RIGHT, *wrong))
+    config = load_config(file=Path(__file__).parents[1] / "examples" / "snapir.toml", overrides=wrong)
     notes = warnings(with_control(read_dive(snapir / "snapir_02.mcap", config), config)[1])
     assert [note.code for note in notes] == (["control_out_of_class"] if suspect else [])
     assert all(suspect in note.text for note in notes)

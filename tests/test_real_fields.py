@@ -19,7 +19,7 @@ from insdvl_replay.logs.message_encodings import channel_paths, open_reader
 from insdvl_replay.logs.ros2msg import PRIMITIVES
 
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
-LOGS = sorted(path for path in DATA.rglob("*.mcap") if "mcap_conformance" not in path.parts)
+LOGS = sorted(path for path in DATA.rglob("*.mcap") if not {"mcap_conformance", "ros1"} & set(path.parts))
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the real logs in ../shared/data are not here")
 

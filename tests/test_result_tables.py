@@ -8,7 +8,7 @@ from insdvl_replay.config import Config
 from insdvl_replay.evaluation import verdicts
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.report.json_report import Candidate, Tables
-from insdvl_replay.result_tables import CANDIDATES, LAYOUTS, TABLES
+from insdvl_replay.result_tables import CANDIDATES, LAYOUTS, NOT_JUDGED, TABLES
 from insdvl_replay.sim.dive import simulate_dive
 
 
@@ -27,7 +27,7 @@ def test_the_layout_of_the_candidates_names_what_is_said_of_them() -> None:
 
 
 def test_every_verdict_on_an_improvement_has_a_rank() -> None:
-    assert {*CANDIDATES.words["improvement"], "no reference"} == set(verdicts._CONCLUSION)
+    assert {*CANDIDATES.words["improvement"], "no reference"} == {*verdicts._CONCLUSION, NOT_JUDGED}
 
 
 def test_a_replay_has_the_rows_that_its_layouts_name() -> None:

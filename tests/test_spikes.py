@@ -14,8 +14,8 @@ from insdvl_replay.logs.spikes import find_spikes
 from insdvl_replay.replay import Replay, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 
-TIME_NS = np.arange(7) * 10_000_000
-LEVEL = np.tile([0.0, 0.0, -9.8], (7, 1))
+TIME_NS = np.arange(21) * 10_000_000
+LEVEL = np.tile([0.0, 0.0, -9.8], (21, 1))
 
 
 def spoiled(rows: list[int], values: Floats | list[float], axis: int = 0) -> Floats:
@@ -32,18 +32,19 @@ def spoiled(rows: list[int], values: Floats | list[float], axis: int = 0) -> Flo
         (spoiled([2, 4], [50.0, -50.0]), [2, 4]),
         (spoiled([3], [19.0]), []),  # a vehicle may feel that
         (spoiled([3, 4], [300.0, 280.0]), []),  # two samples are no spike
-        (spoiled([3, 4, 5, 6], [30.0] * 4), []),  # a step does not come back
+        (spoiled(list(range(3, 21)), [30.0] * 18), []),  # a step does not come back
         (spoiled([2, 3, 4], [-30.0, 60.0, -20.0]), []),  # nor does what swings
-        (spoiled([0, 6], [300.0, 300.0]), []),  # nothing tells whether the ends come back
+        (spoiled(list(range(21)), [2.0, -2.0, 1.0, 30.0, -1.0, 2.0, -2.0] * 3), []),  # nothing stands out of unrest
+        (spoiled([0, 20], [300.0, 300.0]), []),  # nothing tells whether the ends come back
     ],
 )
 def test_a_spike_is_one_sample_far_from_both_of_its_neighbours(readings: Floats, found: list[int]) -> None:
-    assert np.flatnonzero(find_spikes(TIME_NS, readings, 20.0, 0.5)).tolist() == found
+    assert np.flatnonzero(find_spikes(TIME_NS, readings, 20.0)).tolist() == found
 
 
 def test_nothing_jumps_across_a_pause() -> None:
-    paused = TIME_NS + np.where(np.arange(7) > 3, 1_000_000_000, 0)
-    assert not find_spikes(paused, spoiled([3], [300.0]), 20.0, 0.5).any()
+    paused = TIME_NS + np.where(np.arange(21) > 3, 100_000_000, 0)
+    assert not find_spikes(paused, spoiled([3], [300.0]), 20.0).any()
 
 
 @pytest.fixture(scope="module")

@@ -34,9 +34,12 @@ def test_dvl_and_imu_agree_with_the_mounting_of_the_example(replay: Replay) -> N
 
 def test_another_mounting_does_not(replay: Replay) -> None:
     turned = load_config(file=CONFIG, overrides=["dvl.mounting_rpy_deg=[0.0, 0.0, 0.0]"])
-    other = replay_log(DATA / f"{replay.dive.name}.mcap", turned).tables["consistency"]
-    used = other.set_index(["filter", "measurement"]).loc[("baseline", "velocity"), "used"]
-    assert used < 0.6 * len(replay.velocities.time_ns)
+    other = replay_log(DATA / f"{replay.dive.name}.mcap", turned)
+    velocity = other.tables["consistency"].set_index(["filter", "measurement"]).loc[("baseline", "velocity")]
+    assert velocity["verdict"] == "over-confident"
+    assert velocity["mean_nis"] > 6.0
+    assert other.verdicts[0].improvement == "not judged"
+    assert "baseline lost its way 4 times" in other.verdicts[0].sentence
 
 
 def test_gravity_is_read_as_such(replay: Replay) -> None:

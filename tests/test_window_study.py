@@ -279,13 +279,24 @@ def test_real_dives_fall_and_rise_with_the_window(real: dict[str, pd.DataFrame])
     assert middle[10] > 2.0 * middle[best]
 
 
-def test_real_dives_have_another_optimum_at_the_end_and_another_without_lever_arm(
-    real: dict[str, pd.DataFrame],
-) -> None:
+def best_of(snapir: Path, *overrides: str) -> pd.DataFrame:
+    config = load_config(file=SNAPIR, overrides=overrides)
+    return study_window(sorted(snapir.glob("*.mcap")), config, 10).tables["best"].set_index(["log", "lever_arm", "at"])
+
+
+def test_real_dives_are_further_off_at_the_end_and_without_lever_arm(real: dict[str, pd.DataFrame]) -> None:
     best = real["best"].set_index(["log", "lever_arm", "at"])
-    assert best.loc[("*", "compensated", "middle"), "n"] != best.loc[("*", "compensated", "end"), "n"]
     rmse = best["rmse_mps2"].unstack("at").xs("compensated", level="lever_arm")
     assert (rmse["middle"] < rmse["end"]).all()
+    pooled = best["rmse_mps2"].xs("*")
+    assert pooled["ignored", "middle"] > 1.05 * pooled["compensated", "middle"]
+
+
+def test_best_window_at_the_end_depends_on_the_point_of_the_vehicle(snapir: Path) -> None:
+    """At the point of the reference, 1.8 m ahead of the IMU, all of the arm is the DVL's."""
+    best = best_of(snapir, "dvl.lever_arm_m=[-1.834, -0.034, 0.095]", "reference.lever_arm_m=[0, 0, 0]")
+    assert best.loc[("*", "compensated", "middle"), "n"] == 3
+    assert best.loc[("*", "compensated", "end"), "n"] == 6
     pooled = best["rmse_mps2"].xs("*")
     assert pooled["ignored", "middle"] > 1.5 * pooled["compensated", "middle"]
 

@@ -6,6 +6,9 @@ from insdvl_replay.columns import NS_PER_S
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejections
 from insdvl_replay.history import History, Innovations
 
+MANY_REOPENED = 0.01
+"""Share of the pings; each comes after several that were rejected."""
+
 
 def dead_filters(histories: tuple[History, ...]) -> dict[str, str]:
     """Find the filters that are not to be judged.
@@ -18,10 +21,13 @@ def dead_filters(histories: tuple[History, ...]) -> dict[str, str]:
     -------
     dict of str to str
         By name of the filter what is wrong with it; those that are sound are left out. A filter is dead where its state
-        is not finite, or where its gate rejected more than `MANY_REJECTED` of what locks it out: the velocities, or the
-        accelerations of a filter that has no others.
+        is not finite, where its gate rejected more than `MANY_REJECTED` of what locks it out (the velocities, or the
+        accelerations of a filter that has no others), or where it was set to the DVL again more than once and at more
+        than `MANY_REOPENED` of its pings.
     """
-    found = {history.filter: _not_finite(history) or _locked_out(history) for history in histories}
+    found = {
+        history.filter: _not_finite(history) or _locked_out(history) or _set_again(history) for history in histories
+    }
     return {name: wrong for name, wrong in found.items() if wrong}
 
 
@@ -44,6 +50,17 @@ def _locked_out(history: History) -> str:
     if rejected <= MANY_REJECTED * total:
         return ""
     return f"{history.filter} rejected {rejected} of {total} {innovations.measurement} innovations"
+
+
+def _set_again(history: History) -> str:
+    """Find a filter that is not thrown off once, but errs all the time, and is saved from itself every so often."""
+    innovations = _leading(history)
+    if innovations is None:
+        return ""
+    reopened, total = int(innovations.reopened.sum()), len(innovations.used)
+    if reopened <= max(1.0, MANY_REOPENED * total):
+        return ""
+    return f"{history.filter} lost its way {reopened} times in {total} velocity innovations"
 
 
 def _leading(history: History) -> Innovations | None:

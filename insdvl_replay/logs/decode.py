@@ -109,7 +109,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
         cleaner.keep_possible(possible, reason, _LOST_HINT)
     cleaner.drop_repeated_times(specific_force_b, angular_rate_b)
     cleaner.require_rows()
-    drop_spikes(cleaner, specific_force_b, angular_rate_b, settings.max_gap_s)
+    drop_spikes(cleaner, specific_force_b, angular_rate_b)
     steps_ns = np.diff(cleaner.times)
     note_gaps(cleaner, steps_ns, settings.max_gap_s)
     note_bursts(cleaner, steps_ns, "noise.accel_white_mps_rts and noise.gyro_white_rad_rts")

@@ -16,12 +16,16 @@ FORCE_JUMP_MPS2: Final = 20.0
 """2 g from one sample to the next, and back with the one after."""
 RATE_JUMP_RADPS: Final = 3.5
 """200 deg/s, likewise."""
+NEAR_S: Final = 0.06
+"""Further apart, two samples do not tell a spike from a jolt."""
+UNREST: Final = 20.0
+"""And this many times the usual step: where readings jump all the time, or are in another unit, none stands out."""
 _REASON: Final = "samples jump by over 20 m/s^2 or 200 deg/s, and back with the next"
 BACK: Final = 0.25
 """Share of these by which the samples on the two sides of a spike may differ."""
 
 
-def drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Floats, max_gap_s: float) -> None:
+def drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Floats) -> None:
     """Drop samples that jump beyond what a vehicle can do and back; the pause that is left is bridged like any other.
 
     Parameters
@@ -30,15 +34,13 @@ def drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Floa
         Its rows have times of their own.
     specific_force_b, angular_rate_b : ndarray, shape (k, 3)
         For each row of the file, m/s^2 and rad/s.
-    max_gap_s : float
-        Across a longer pause nothing jumps.
     """
     spikes = np.zeros(len(cleaner.rows), np.bool_)
     for readings, jump in ((specific_force_b, FORCE_JUMP_MPS2), (angular_rate_b, RATE_JUMP_RADPS)):
         kept = cleaner.kept(readings)
         # Readings that are never so far apart have no such jump, and need no second look.
         if kept.max() - kept.min() > jump:
-            spikes |= find_spikes(cleaner.times, kept, jump, max_gap_s)
+            spikes |= find_spikes(cleaner.times, kept, jump)
     count = int(np.count_nonzero(spikes))
     if count and is_few(count, len(spikes)):
         good = np.ones(len(specific_force_b), np.bool_)
@@ -46,7 +48,7 @@ def drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Floa
         cleaner.keep(good, "spikes", _REASON, "warning", "the instrument or its cable; the pauses are bridged")
 
 
-def find_spikes(time_ns: TimeNs, readings: Floats, jump: float, max_gap_s: float) -> Mask:
+def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:
     """Find single samples that are far from both of their neighbours, which are near each other.
 
     Parameters
@@ -56,8 +58,6 @@ def find_spikes(time_ns: TimeNs, readings: Floats, jump: float, max_gap_s: float
     readings : ndarray, shape (k, 3)
     jump : float
         In the unit of the readings.
-    max_gap_s : float
-        Neighbours are no further away.
 
     Returns
     -------
@@ -68,8 +68,8 @@ def find_spikes(time_ns: TimeNs, readings: Floats, jump: float, max_gap_s: float
         return spikes
     step = np.diff(readings, axis=0)
     there, back = step[:-1], step[1:]
-    smaller = np.minimum(np.abs(there), np.abs(back))
-    alone = (smaller > jump) & (there * back < 0.0) & (np.abs(there + back) < BACK * jump)
-    near = np.diff(time_ns) <= nanoseconds(max_gap_s)
+    far = np.maximum(jump, UNREST * np.median(np.abs(step), axis=0))
+    alone = (np.minimum(np.abs(there), np.abs(back)) > far) & (there * back < 0.0) & (np.abs(there + back) < BACK * far)
+    near = np.diff(time_ns) <= nanoseconds(NEAR_S)
     spikes[1:-1] = alone.any(axis=1) & near[:-1] & near[1:]
     return spikes
