@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pandas as pd
 import pytest
 from rich.console import Console
@@ -17,6 +18,8 @@ from insdvl_replay.config import Config
 from insdvl_replay.errors import ConfigError, Note
 from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.report.csv_tables import report_csv, table_csv
+from insdvl_replay.report.dive_sentences import closing_lines, heading
+from insdvl_replay.report.dive_tables import glance_table
 from insdvl_replay.report.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.report.json_report import Candidate, Report, Tool, build_report, decode_report, encode_report
 from insdvl_replay.report.json_schemas import SCHEMAS
@@ -197,6 +200,15 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped() -> None:
         assert cell in text
     assert "mean improvement over nine states 6.7 %" in text
     assert "believed by the filter's own covariance; see reference error and consistency" in text
+
+
+def test_no_gain_stands_beside_a_filter_that_is_not_judged() -> None:
+    judged = report()
+    aided = msgspec.structs.replace(judged.filters["aided"], improvement="not judged")
+    unjudged = msgspec.structs.replace(judged, filters={"aided": aided})
+    assert glance_table(unjudged).rows[0][:5] == ("aided", "not judged", "-", "-", "-")
+    assert heading(unjudged).endswith("aided: NOT JUDGED")
+    assert (len(closing_lines(judged)), len(closing_lines(unjudged))) == (1, 0)
 
 
 def test_markdown_tables_have_one_cell_per_column() -> None:

@@ -44,4 +44,5 @@ def closing_lines(report: Report) -> list[str]:
         "own covariance; see reference error and consistency), "
         f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner"
         for name, means in report.filters.items()
+        if means.improvement != NOT_JUDGED
     ]

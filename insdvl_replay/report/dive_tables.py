@@ -14,7 +14,7 @@ from insdvl_replay.report.json_report import (
     Report,
 )
 from insdvl_replay.report.shown import MISSING, ShownTable, decimal, number, percent, row_label
-from insdvl_replay.result_tables import is_whole
+from insdvl_replay.result_tables import NOT_JUDGED, is_whole
 
 
 class _OfFilter(Protocol):
@@ -70,6 +70,8 @@ def glance_table(report: Report) -> ShownTable:
 
 def gain_cells(candidate: Candidate) -> tuple[str, str, str, str]:
     """Write what a candidate gains: the verdict on it, what is believed, what is so, and how much sooner."""
+    if candidate.improvement == NOT_JUDGED:
+        return NOT_JUDGED, MISSING, MISSING, MISSING
     return (
         candidate.improvement,
         percent(candidate.mean_improvement_pct),
