@@ -174,7 +174,7 @@ class Filter(_Section, frozen=True):
     ] = 1.0
     gate_reopen_after: Annotated[
         Annotated[int, Meta(ge=0, le=10_000)],
-        Says("velocities rejected in a row after which the INS is taken to be off, and set to the DVL; 0: never"),
+        Says("so many velocities rejected in a row: the INS is off, and is set to the DVL; 0: never"),
     ] = 5
     accel_white_mps_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
     gyro_white_rad_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None

@@ -36,6 +36,8 @@ class Innovations:
         Logarithm of the determinant of S, for the likelihood.
     gate : float
         Largest NIS that was used; infinite where none was rejected.
+    reopen_after : int
+        Rejections in a row after which the velocity's uncertainty was opened; 0: never.
     reopened : ndarray of bool, shape (m,)
         Used in spite of the gate, after so many rejections in a row that the velocity's uncertainty was opened; NIS and
         standard deviations are those before.
@@ -52,6 +54,7 @@ class Innovations:
     used: NDArray[np.bool_]
     log_det: Floats
     gate: float
+    reopen_after: int
     reopened: NDArray[np.bool_]
 
     @property

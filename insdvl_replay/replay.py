@@ -245,7 +245,7 @@ def _reference_notes(
         notes.append(Note("reference_not_independent", text))
     notes += reference_coverage_notes(dive.reference, start_ns, end_ns)
     if dive.truth is not None:
-        notes += truth_coverage_notes(dive.truth, dive.reference, start_ns, end_ns)
+        notes += truth_coverage_notes(dive.truth, start_ns, end_ns)
     inside = _inside(dive.reference.time_ns, start)
     if left_out := len(inside) - len(judged_ns):
         text = (

@@ -145,6 +145,8 @@ TABLES: Final[tuple[TableLayout, ...]] = (
     ),
 )
 
+PARTLY_COVERED: Final = "partly covered"
+"""The status of an error against a reference that knows the quantity in a part of the replay alone."""
 NOT_JUDGED: Final = "not judged"
 """The word on a candidate where it, or the baseline, is dead: its numbers say nothing of gain or loss."""
 CANDIDATES: Final = TableLayout(

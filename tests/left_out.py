@@ -6,7 +6,7 @@ from collections.abc import Iterable
 MISSING = {
     "Chromium": "Chromium is missing; `make extras` brings it",
     "node": "node is missing, or its libraries; `make extras` brings them",
-    "../shared": "there are no recorded logs and published tables in ../shared, beside the project",
+    "../shared": "they need recorded logs and published tables that are not part of the project",
     "emulate": "this processor cannot stand for others",
 }
 """By the word with which the reason for leaving a test out names it."""

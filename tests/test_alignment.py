@@ -235,7 +235,17 @@ def test_level_start_takes_position_and_height_of_the_reference_and_nothing_else
     np.testing.assert_allclose(found.start.position, reference.position[0], rtol=0.0, atol=1e-13)
     np.testing.assert_allclose(found.start.velocity_n, reference.velocity_n[0], atol=2e-3)
     np.testing.assert_allclose(rpy_from_mat(found.start.mat_nb) / DEG, [0.0, 0.0, 30.0], atol=0.01)
-    assert codes(found) == ["start_velocity_dvl", "start_levelled"]
+    assert codes(found) == ["start_velocity_dvl", "start_levelled", "start_heading_contradiction"]
+
+
+@pytest.mark.parametrize(("heading_deg", "told"), [(30.0, False), (39.0, False), (-319.0, True), (210.0, True)])
+def test_configured_heading_far_from_the_references_is_a_warning(dive: Dive, heading_deg: float, told: bool) -> None:
+    found = aligned(dive, reference_of(dive), Initial(source="level", heading_deg=heading_deg))
+    notes = [note for note in found.notes if note.code == "start_heading_contradiction"]
+    assert len(notes) == told
+    if told:
+        assert f"the heading of {heading_deg % 360.0:.0f} deg at the start contradicts the reference" in notes[0].text
+        assert (notes[0].severity, notes[0].hint) == ("warning", "initial.heading_deg = 30.0")
 
 
 def test_configured_latitude_beside_a_reference_of_another_is_a_warning(dive: Dive) -> None:

@@ -34,13 +34,14 @@ def test_square_stays_within_two_metres_of_the_satellite_track(replay: Replay) -
 
 def test_dive_with_stamps_in_bursts_is_told_and_consistent_in_the_mean_with_the_settings_of_the_example() -> None:
     overrides = ["initial.heading_deg=112.3", "dvl.scale=1.061", "initial.gyro_bias_degph=[0,0,412]"]
+    overrides += ["dvl.latency_s=0.124"]
     overrides += ["noise.accel_white_mps_rts=0.05", "noise.gyro_white_rad_rts=5e-4"]
     replay = replay_log(DATA / "gnss_challenging.mcap", load_config(file=CONFIG, overrides=overrides))
     assert [note.code for note in replay.notes if note.severity == "warning"] == ["imu_bursts"]
     judged = replay.tables["consistency"]
     of_all_axes = judged[judged["dof"] == 3]
     assert set(of_all_axes["measurement"]) == {"velocity", "acceleration"}
-    assert set(of_all_axes["verdict"]) == {"consistent"}
+    assert (of_all_axes["mean_nis"] - 3.0).abs().max() < 0.5
     position = replay.tables["reference_error"].set_index("quantity").loc["position_h"]
     assert position["baseline_rmse"] < 1.5
     assert position["rmse"] < 1.4
@@ -58,7 +59,7 @@ def test_beams_add_up_to_the_velocity_beside_them(replay: Replay) -> None:
     path = DATA / "auto_square.mcap"
     settings = {"topic": "blueye.protocol.DvlVelocityTel"}
     by_velocity = read_dive(
-        path, Config(imu=Imu(topic="blueye.protocol.Imu2Tel"), dvl=Dvl(kind="velocity", **settings))
+        path, Config(imu=Imu(topic="blueye.protocol.Imu2Tel"), dvl=Dvl(kind="velocity", latency_s=0.135, **settings))
     )
     beams, vectors_d = replay.dive.dvl.beam_velocity_mps, replay.dive.dvl.beam_vectors_d
     assert beams is not None

@@ -50,6 +50,7 @@ def history(
         kept,
         np.zeros(m),
         gate,
+        5,
         np.zeros(m, dtype=bool),
     )
     one = np.zeros((1, 3))
@@ -218,6 +219,32 @@ def test_innovations_that_are_not_finite_make_a_mean_that_is_not() -> None:
     nis = np.full(100, 3.0)
     nis[60:] = np.nan
     assert judged(nis, np.isfinite(nis))["verdict"] == "not finite"
+
+
+@pytest.mark.parametrize(
+    ("probability", "pings", "rejected", "dead"),
+    [(0.9, 300, 51, False), (0.9, 300, 61, True), (0.99999, 9, 1, False), (0.99999, 9, 3, True)],
+)
+def test_what_a_gate_rejects_by_chance_makes_no_filter_dead(
+    probability: float, pings: int, rejected: int, dead: bool
+) -> None:
+    made = history("one", np.full(pings, 3.0), np.arange(pings) >= rejected)
+    innovations = replace(made.innovations[0], gate=chi_square_quantile(probability, 3))
+    assert bool(dead_filters((replace(made, innovations=(innovations,)),))) is dead
+
+
+@pytest.mark.parametrize(
+    ("probability", "reopen_after", "times", "dead"),
+    [(0.99999, 5, 1, False), (0.99999, 5, 3, False), (0.99999, 5, 4, True), (0.99, 1, 5, False), (0.99, 1, 7, True)],
+)
+def test_filter_that_loses_its_way_again_and_again_is_dead(
+    probability: float, reopen_after: int, times: int, dead: bool
+) -> None:
+    made = history("one", np.full(300, 3.0))
+    gate, reopened = chi_square_quantile(probability, 3), np.arange(300) < times
+    innovations = replace(made.innovations[0], gate=gate, reopen_after=reopen_after, reopened=reopened)
+    found = dead_filters((replace(made, innovations=(innovations,)),))
+    assert found == ({"one": f"one lost its way {times} times in 300 velocity innovations"} if dead else {})
 
 
 def test_dead_filters_are_found() -> None:

@@ -56,7 +56,7 @@ def test_likelihood_is_that_of_normal_innovations() -> None:
     innovations = Innovations(
         "velocity", "m/s", times, times, z, z, np.sqrt(np.diag(S)) * np.ones((4, 1)), nis,
         np.array([True, True, False, True]), np.full(4, np.linalg.slogdet(S)[1]),
-        np.inf, np.zeros(4, dtype=bool),
+        np.inf, 5, np.zeros(4, dtype=bool),
     )  # fmt: skip
     expected = stats.multivariate_normal(np.zeros(3), S).logpdf(z).sum()
     assert log_likelihood(innovations) == pytest.approx(expected, rel=1e-12)

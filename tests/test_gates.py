@@ -207,6 +207,14 @@ def test_no_number_of_a_filter_that_is_not_judged_passes(keys: dict[str, Any], p
         assert why(gate(**keys), report).endswith("and the filter is not judged")
 
 
+def test_no_error_against_a_part_of_the_reference_passes() -> None:
+    report = stored()
+    report.tables["reference_error"][0]["status"] = "partly covered"
+    limit = gate(table="reference_error", row="roll", column="rmse", max=1e9)
+    assert not passes(limit, report)
+    assert why(limit, report).endswith("the reference does not cover the replay (partly covered)")
+
+
 def test_a_star_means_every_row() -> None:
     findings = gate_findings(gate(max=1.0), stored(bg_z_sd=1.5), None)
     assert [(finding.row, finding.passed) for finding in findings] == [("ba_x", True), ("bg_z", False)]

@@ -14,7 +14,7 @@ PROJECT = Path(__file__).parents[1]
 def test_each_thing_that_is_missing_has_a_line() -> None:
     reasons = ["Skipped: needs Chromium"] + ["Skipped: needs ../shared/a"] * 2 + ["Skipped: only on the moon"]
     assert left_out(reasons) == [
-        "2 tests were left out: there are no recorded logs and published tables in ../shared, beside the project",
+        "2 tests were left out: they need recorded logs and published tables that are not part of the project",
         "1 test was left out: Chromium is missing; `make extras` brings it",
         "1 test was left out: only on the moon",
     ]

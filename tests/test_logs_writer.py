@@ -83,6 +83,7 @@ def make_history(name: str, seed: int) -> History:
             rng.uniform(size=m) < 0.9,
             rng.normal(size=m),
             np.inf,
+            5,
             np.zeros(m, dtype=bool),
         )
         for measurement, unit in (("velocity", "m/s"), ("acceleration", "m/s^2"))

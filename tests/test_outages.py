@@ -9,8 +9,9 @@ import pytest
 from insdvl_replay.config_file import load_config
 from insdvl_replay.nav.gravity_height import HOLD_AFTER_S, GravityHeight, followed
 from insdvl_replay.nav.outages import outage_notes
+from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim import dive as sim_dive
-from insdvl_replay.sim.dive import exact_dive
+from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.sim.trajectories import Scenario, Wave
 from insdvl_replay.studies.simulated_run import make_world, run_seed, simulated_run
 
@@ -45,8 +46,8 @@ def test_gravity_follows_the_height_and_is_held_without_velocities() -> None:
     assert followed(again, 395.0, 1001.0) == GravityHeight(-26.0, 421.0, 1000.0)
 
 
-def test_gravity_that_is_held_serves_a_descent_better_than_the_ins_own_height() -> None:
-    """Twelve minutes down at 0.7 m/s before the DVL finds the bottom are 490 m: 51 where gravity goes along."""
+def test_gravity_that_is_held_costs_little_in_a_descent() -> None:
+    """Twelve minutes down at 0.7 m/s before the DVL finds the bottom are 490 m."""
     sinking = Scenario("", 1000.0, Wave(2.0), pitch_deg=Wave(-20.0))
     config = load_config("fog", overrides=["initial.accel_bias_sd_mg=0.04"])
     config = msgspec.structs.replace(config, filters={"baseline": config.filters["baseline"]})
@@ -56,3 +57,14 @@ def test_gravity_that_is_held_serves_a_descent_better_than_the_ins_own_height() 
     world = dataclasses.replace(make_world("straight", config, "matched", 10.0), exact=exact)
     runs = [simulated_run(world, run_seed(1, run))[0] for run in range(20)]
     assert np.mean([run.nees[-1] for run in runs]) < 25.0
+
+
+def test_published_accelerations_take_gravity_where_the_mechanisation_does() -> None:
+    """After an outage the INS's height is off by 400 m, which is 1.2 mm/s^2 of gravity."""
+    config = load_config("tactical", overrides=["filters.aided.acceleration.model='published'"])
+    dive = simulate_dive("straight", seed=1, duration_s=1700.0, grade="tactical", outages=[(20.0, 1300.0)])
+    aided = replay_dive(dive, config).histories[1]
+    published = aided.innovations[1]
+    late = published.time_ns > dive.imu.time_ns[0] + 1_400_000_000_000
+    assert abs(aided.position[-1, 2] + 20.0) > 100.0
+    assert abs(published.innovation_b[late, 2].mean()) < 3e-4

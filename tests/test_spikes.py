@@ -11,7 +11,7 @@ from insdvl_replay.columns import Dive, Floats
 from insdvl_replay.config_file import load_config
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.spikes import find_spikes
-from insdvl_replay.replay import Replay, replay_log
+from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 
 TIME_NS = np.arange(21) * 10_000_000
@@ -35,7 +35,9 @@ def spoiled(rows: list[int], values: Floats | list[float], axis: int = 0) -> Flo
         (spoiled(list(range(3, 21)), [30.0] * 18), []),  # a step does not come back
         (spoiled([2, 3, 4], [-30.0, 60.0, -20.0]), []),  # nor does what swings
         (spoiled(list(range(21)), [2.0, -2.0, 1.0, 30.0, -1.0, 2.0, -2.0] * 3), []),  # nothing stands out of unrest
-        (spoiled([0, 20], [300.0, 300.0]), []),  # nothing tells whether the ends come back
+        (spoiled([0, 20], [300.0, 300.0]), [0, 20]),
+        (spoiled([0, 1], [300.0, 250.0]), []),
+        (spoiled(list(range(3, 21)), [300.0] + [6.0] * 17), [3]),  # on a slope
     ],
 )
 def test_a_spike_is_one_sample_far_from_both_of_its_neighbours(readings: Floats, found: list[int]) -> None:
@@ -104,6 +106,33 @@ def test_a_filter_that_is_thrown_off_comes_back(clean: Dive, tmp_path: Path, reo
     assert (notes["gate_reopened"].count, notes["gate_reopened"].severity) == (1, "warning")
     assert replay.verdicts[0].improvement != "not judged"
     assert dive_speed_error(replay) < 0.1
+
+
+def test_a_spike_at_the_very_start_is_found(clean: Dive, tmp_path: Path) -> None:
+    replay = replayed(with_force(clean, [0], 300.0), tmp_path)
+    assert [(note.code, note.count) for note in replay.notes if note.severity == "warning"] == [("imu_spikes", 1)]
+
+
+@pytest.mark.parametrize("grade", ["fog", "tactical", "mems"])
+def test_levels_that_took_part_of_the_error_over_are_opened_too(grade: str) -> None:
+    """A jump before the first ping finds levels and biases as unsure as the velocity, and they share it."""
+    dive = with_force(simulate_dive("straight", seed=3, duration_s=120.0, grade=grade), [0], 300.0)
+    (velocity,) = replay_dive(dive, load_config(grade)).histories[0].innovations
+    assert 1 < velocity.reopened.sum() <= 3
+    assert (~velocity.used).sum() <= 12
+    assert velocity.used[-60:].all()
+
+
+def test_rejections_on_both_sides_of_an_outage_are_no_run(clean: Dive) -> None:
+    assert clean.dvl.beam_velocity_mps is not None
+    beams = clean.dvl.beam_velocity_mps.copy()
+    beams[98:100] += 1.0
+    beams[100:170] = np.nan
+    beams[170:173] += 30.0
+    dive = replace(clean, dvl=replace(clean.dvl, beam_velocity_mps=beams))
+    (velocity,) = replay_dive(dive, load_config("tactical")).histories[0].innovations
+    assert (~velocity.used).sum() == 5
+    assert not velocity.reopened.any()
 
 
 def dive_speed_error(replay: Replay) -> float:

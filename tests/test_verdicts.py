@@ -20,6 +20,7 @@ def judged(
     errors_of_aided: str = "consistent",
     errors_of_baseline: str = "consistent",
     dead: Mapping[str, str] = MappingProxyType({}),
+    status: str = "compared",
 ) -> Verdict:
     """Judge a candidate whose states all improved alike, and whose errors all did."""
     improvement = pd.DataFrame(
@@ -30,7 +31,7 @@ def judged(
     rmse = 2.0 * (1.0 - actual_pct / 100.0) if actual_pct is not None else np.nan
     reference_error = pd.DataFrame(
         [
-            ("aided", quantity, 2.0, rmse, actual_pct, "compared" if known else "no reference")
+            ("aided", quantity, 2.0, rmse, actual_pct, status if known else "no reference")
             for quantity in REFERENCE_QUANTITIES
         ],
         columns=["filter", "quantity", "baseline_rmse", "rmse", "improvement_pct", "status"],
@@ -100,6 +101,12 @@ def test_sentence_holds_the_numbers_that_it_was_judged_by() -> None:
     assert "40.0 % smaller errors than baseline" in sentence
     assert "75.0 % larger in the median (position 2.00 m, now 3.50 m): it is WORSE" in sentence
     assert "aided is over-confident, baseline consistent." in sentence
+
+
+def test_errors_of_a_part_of_the_dive_decide_nothing() -> None:
+    verdict = judged(40.0, 35.0, status="partly covered")
+    assert verdict.improvement == "no reference"
+    assert "the reference covers too little of the replay to compare with" in verdict.sentence
 
 
 def test_sentence_without_a_reference_says_so() -> None:

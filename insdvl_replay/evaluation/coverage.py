@@ -60,15 +60,12 @@ def reference_coverage_notes(reference: ReferenceColumns, start_ns: int, end_ns:
     return tuple(_notes("reference", reference.time_ns, known, start_ns, end_ns))
 
 
-def truth_coverage_notes(
-    truth: TruthColumns, reference: ReferenceColumns, start_ns: int, end_ns: int
-) -> tuple[Note, ...]:
-    """Say which true biases cover too little of a replay, at the times of the reference, where errors are judged.
+def truth_coverage_notes(truth: TruthColumns, start_ns: int, end_ns: int) -> tuple[Note, ...]:
+    """Say which true biases cover too little of a replay.
 
     Parameters
     ----------
     truth : TruthColumns
-    reference : ReferenceColumns
     start_ns, end_ns : int
         Of the replay.
 
@@ -76,9 +73,8 @@ def truth_coverage_notes(
     -------
     tuple of Note
     """
-    judged = np.isin(truth.time_ns, reference.time_ns)
     biases = {"accelerometer biases": truth.accel_bias_b, "gyro biases": truth.gyro_bias_b}
-    known = {quantity: judged & np.isfinite(values).all(axis=1) for quantity, values in biases.items()}
+    known = {quantity: np.asarray(np.isfinite(values).all(axis=1)) for quantity, values in biases.items()}
     return tuple(_notes("truth", truth.time_ns, known, start_ns, end_ns))
 
 

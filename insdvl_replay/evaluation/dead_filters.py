@@ -1,6 +1,9 @@
 """Filters that have lost their way: of what they are better or worse at, nothing can be said."""
 
+from typing import Final
+
 import numpy as np
+from scipy.special import chdtrc
 
 from insdvl_replay.columns import NS_PER_S
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejections
@@ -8,6 +11,8 @@ from insdvl_replay.history import History, Innovations
 
 MANY_REOPENED = 0.01
 """Share of the pings; each comes after several that were rejected."""
+FEW: Final = 2
+"""So many rejections prove nothing, in however short a dive."""
 
 
 def dead_filters(histories: tuple[History, ...]) -> dict[str, str]:
@@ -23,7 +28,7 @@ def dead_filters(histories: tuple[History, ...]) -> dict[str, str]:
         By name of the filter what is wrong with it; those that are sound are left out. A filter is dead where its state
         is not finite, where its gate rejected more than `MANY_REJECTED` of what locks it out (the velocities, or the
         accelerations of a filter that has no others), or where it was set to the DVL again more than once and at more
-        than `MANY_REOPENED` of its pings.
+        than `MANY_REOPENED` of its pings. What a gate rejects of a sound filter by chance is allowed for.
     """
     found = {
         history.filter: _not_finite(history) or _locked_out(history) or _set_again(history) for history in histories
@@ -47,7 +52,7 @@ def _locked_out(history: History) -> str:
     if innovations is None:
         return ""
     rejected, total = rejections(innovations), len(innovations.used)
-    if rejected <= MANY_REJECTED * total:
+    if rejected <= max(FEW, (MANY_REJECTED + _by_chance(innovations)) * total):
         return ""
     return f"{history.filter} rejected {rejected} of {total} {innovations.measurement} innovations"
 
@@ -58,9 +63,14 @@ def _set_again(history: History) -> str:
     if innovations is None:
         return ""
     reopened, total = int(innovations.reopened.sum()), len(innovations.used)
-    if reopened <= max(1.0, MANY_REOPENED * total):
+    if reopened <= max(1.0, (MANY_REOPENED + _by_chance(innovations) ** innovations.reopen_after) * total):
         return ""
     return f"{history.filter} lost its way {reopened} times in {total} velocity innovations"
+
+
+def _by_chance(innovations: Innovations) -> float:
+    """Give the share of the innovations that the gate of a sound filter rejects."""
+    return float(chdtrc(innovations.dof, innovations.gate))
 
 
 def _leading(history: History) -> Innovations | None:

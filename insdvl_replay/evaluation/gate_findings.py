@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from insdvl_replay.evaluation.cell_change import agree, rounding, rounding_pct, size, size_change_pct, within
 from insdvl_replay.evaluation.row_changes import rows_of
 from insdvl_replay.gates import ANY, Finding, Gate
-from insdvl_replay.result_tables import CANDIDATES, NOT_JUDGED, PERCENTAGE, TABLES, TableLayout
+from insdvl_replay.result_tables import CANDIDATES, NOT_JUDGED, PARTLY_COVERED, PERCENTAGE, TABLES, TableLayout
 from insdvl_replay.stored_result import Cell, Row, StoredReport
 
 LAYOUTS = (*TABLES, CANDIDATES)
@@ -77,6 +77,8 @@ def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None, unjud
     value = row.get(gate.column)
     if unjudged:
         return f"is {shown(value)}, and the filter is {NOT_JUDGED}"
+    if row.get("status") == PARTLY_COVERED and gate.column in layout.better:
+        return f"is {shown(value)}, and the reference does not cover the replay ({PARTLY_COVERED})"
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         word = row.get("status") or row.get("verdict")
         return f"is empty{f' ({word})' if word else ''}"

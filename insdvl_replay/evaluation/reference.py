@@ -8,8 +8,9 @@ import pandas as pd
 from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.evaluation.believed import improvement_pct
+from insdvl_replay.evaluation.coverage import WELL_COVERED, covered_share
 from insdvl_replay.history import History
-from insdvl_replay.result_tables import REFERENCE_QUANTITIES
+from insdvl_replay.result_tables import PARTLY_COVERED, REFERENCE_QUANTITIES
 from insdvl_replay.rotation import rpy_from_mat, vector_from_mat, wrap_angle
 from insdvl_replay.states import DEG
 
@@ -158,7 +159,8 @@ def reference_error_table(
     -------
     DataFrame
         Columns log, filter, quantity, unit, baseline_rmse, rmse, improvement_pct, baseline_final, final, samples,
-        status (``compared``, ``no reference``, ``not in reference``, ``no distance``, and of the position ``lost in
+        status (``compared``, ``no reference``, ``not in reference``, ``no distance``; ``partly covered`` where the
+        reference has the quantity for less than `coverage.WELL_COVERED` of the replay, and of the position ``lost in
         gap`` where the IMU was silent for long: the numbers stand, but say nothing of the filters); 9 rows for each
         candidate. Final errors keep their sign.
     """
@@ -167,7 +169,8 @@ def reference_error_table(
         "baseline_final", "final", "samples", "status",
     ]  # fmt: skip
     baseline, *candidates = (history.filter for history in histories)
-    summaries = {name: _summary(error) for name, error in errors.items()}
+    span_ns = int(histories[0].time_ns[0]), int(histories[0].time_ns[-1])
+    summaries = {name: _summary(error, span_ns) for name, error in errors.items()}
     rows = []
     for candidate in candidates:
         for quantity, unit in REFERENCE_QUANTITIES.items():
@@ -175,9 +178,9 @@ def reference_error_table(
                 nan = float("nan")
                 rows.append((log, candidate, quantity, unit, nan, nan, nan, nan, nan, 0, "no reference"))
                 continue
-            before_rmse, before_final, samples = summaries[baseline][quantity]
-            rmse, final, _ = summaries[candidate][quantity]
-            status = _status(quantity, samples, errors[candidate], bridged_gaps)
+            before_rmse, before_final, samples, covered = summaries[baseline][quantity]
+            rmse, final, *_ = summaries[candidate][quantity]
+            status = _status(quantity, samples, covered, errors[candidate], bridged_gaps)
             change_pct = improvement_pct(before_rmse, rmse)
             rows.append(
                 (log, candidate, quantity, unit, before_rmse, rmse, change_pct, before_final, final, samples, status)
@@ -185,15 +188,17 @@ def reference_error_table(
     return pd.DataFrame(rows, columns=names)
 
 
-def _status(quantity: str, samples: int, errors: ReferenceErrors, bridged_gaps: bool) -> str:
+def _status(quantity: str, samples: int, covered: float, errors: ReferenceErrors, bridged_gaps: bool) -> str:
+    if samples and bridged_gaps and quantity in DEAD_RECKONED:
+        return "lost in gap"
     if samples:
-        return "lost in gap" if bridged_gaps and quantity in DEAD_RECKONED else "compared"
+        return "compared" if covered >= WELL_COVERED else PARTLY_COVERED
     known = np.isfinite(errors.position_error_ned_m[:, :2]).all(axis=1).any()
     return "no distance" if quantity == "position_h_pct" and known else "not in reference"
 
 
-def _summary(errors: ReferenceErrors) -> dict[str, tuple[float, float, int]]:
-    """Give rms, final error and number of samples of each quantity, in its shown unit."""
+def _summary(errors: ReferenceErrors, span_ns: tuple[int, int]) -> dict[str, tuple[float, float, int, float]]:
+    """Give rms, final error, number of samples and share of the replay of each quantity, in its shown unit."""
     horizontal_m = np.hypot(errors.position_error_ned_m[:, 0], errors.position_error_ned_m[:, 1])
     per_cent = 100.0 / errors.distance_m if errors.distance_m >= SHORTEST_M else float("nan")
     columns = [
@@ -204,7 +209,8 @@ def _summary(errors: ReferenceErrors) -> dict[str, tuple[float, float, int]]:
         horizontal_m * per_cent,
     ]
     return {
-        quantity: _rms_final_samples(column) for quantity, column in zip(REFERENCE_QUANTITIES, columns, strict=True)
+        quantity: (*_rms_final_samples(column), covered_share(errors.time_ns, np.isfinite(column), *span_ns))
+        for quantity, column in zip(REFERENCE_QUANTITIES, columns, strict=True)
     }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.result_tables import JOINT, NOT_JUDGED, VERDICTS_BEST_FIRST, is_whole
+from insdvl_replay.result_tables import JOINT, NOT_JUDGED, PARTLY_COVERED, VERDICTS_BEST_FIRST, is_whole
 
 NOTABLE_PCT: Final = 5.0
 """A smaller change, believed or real, is not spoken of as an improvement."""
@@ -124,7 +124,8 @@ def _gravest(found: "pd.Series[str]") -> str | None:
 def _verdict(tables: dict[str, pd.DataFrame], baseline: str, candidate: str, dead: Mapping[str, str]) -> Verdict:
     believed_pct = mean_over_nine(tables["improvement"], candidate)
     rows = tables["reference_error"]
-    rows = rows[(rows["filter"] == candidate) & (rows["status"] == "compared")].set_index("quantity")
+    rows = rows[rows["filter"] == candidate].set_index("quantity")
+    partly, rows = PARTLY_COVERED in set(rows["status"]), rows[rows["status"] == "compared"]
     compared = rows.loc[rows.index.isin(COMPARED), "improvement_pct"].dropna()
     actual_pct = float(compared.median()) if len(compared) else float("nan")
     wrong = list(dict.fromkeys(dead[name] for name in (baseline, candidate) if name in dead))
@@ -136,7 +137,7 @@ def _verdict(tables: dict[str, pd.DataFrame], baseline: str, candidate: str, dea
     gain = (
         f"{candidate} is NOT JUDGED against {baseline}: {' and '.join(wrong)}; settle that first"
         if wrong
-        else f"{candidate} {_believes(believed_pct, baseline)}; {_against_reference(rows, actual_pct)}: "
+        else f"{candidate} {_believes(believed_pct, baseline)}; {_against_reference(rows, actual_pct, partly=partly)}: "
         f"{_CONCLUSION[improvement]}"
     )
     trust = _on_trust(_trust(consistency, credibility), _trust(*of_baseline), candidate, baseline)
@@ -171,9 +172,10 @@ def _believes(believed_pct: float, baseline: str) -> str:
     return f"believes in {abs(believed_pct):.1f} % {'smaller' if believed_pct > 0 else 'larger'} errors than {baseline}"
 
 
-def _against_reference(rows: pd.DataFrame, actual_pct: float) -> str:
+def _against_reference(rows: pd.DataFrame, actual_pct: float, *, partly: bool) -> str:
     if not np.isfinite(actual_pct):
-        return "there is no reference to compare with"
+        missing = "the reference covers too little of the replay" if partly else "there is no reference"
+        return f"{missing} to compare with"
     size = "smaller" if actual_pct >= 0 else "larger"
     change = f"the errors against the reference are {abs(actual_pct):.1f} % {size} in the median"
     if "position_h" not in rows.index:

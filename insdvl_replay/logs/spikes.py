@@ -16,13 +16,15 @@ FORCE_JUMP_MPS2: Final = 20.0
 """2 g from one sample to the next, and back with the one after."""
 RATE_JUMP_RADPS: Final = 3.5
 """200 deg/s, likewise."""
-NEAR_S: Final = 0.06
+NEAR_S: Final = 0.03
 """Further apart, two samples do not tell a spike from a jolt."""
 UNREST: Final = 20.0
 """And this many times the usual step: where readings jump all the time, or are in another unit, none stands out."""
-_REASON: Final = "samples jump by over 20 m/s^2 or 200 deg/s, and back with the next"
+_REASON: Final = "samples jump by over 20 m/s^2 or 200 deg/s, 20 times the usual step, and back with the next"
 BACK: Final = 0.25
 """Share of these by which the samples on the two sides of a spike may differ."""
+SLANT: Final = 0.05
+"""Share of a larger jump by which they may."""
 
 
 def drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Floats) -> None:
@@ -69,7 +71,12 @@ def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:
     step = np.diff(readings, axis=0)
     there, back = step[:-1], step[1:]
     far = np.maximum(jump, UNREST * np.median(np.abs(step), axis=0))
-    alone = (np.minimum(np.abs(there), np.abs(back)) > far) & (there * back < 0.0) & (np.abs(there + back) < BACK * far)
+    smaller = np.minimum(np.abs(there), np.abs(back))
+    alone = (smaller > far) & (there * back < 0.0) & (np.abs(there + back) < np.maximum(BACK * far, SLANT * smaller))
     near = np.diff(time_ns) <= nanoseconds(NEAR_S)
     spikes[1:-1] = alone.any(axis=1) & near[:-1] & near[1:]
+    # Of an end the samples next to it say where it should be.
+    for end, first, second in ((0, 0, 1), (-1, -1, -2)):
+        away = (np.abs(step[first]) > far) & (np.abs(step[second]) < BACK * far)
+        spikes[end] = away.any() and near[first] and near[second]
     return spikes

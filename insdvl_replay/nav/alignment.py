@@ -12,8 +12,11 @@ from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.levelling import Level, SensorNoise, find_level, levelling_samples
 from insdvl_replay.nav.start import Start, start_cov
 from insdvl_replay.nav.start_position import FAR_S, apart_s, at_time, configured_latitude_deg, start_position
-from insdvl_replay.rotation import mat_from_rpy, rpy_from_mat
+from insdvl_replay.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
 from insdvl_replay.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
+
+HEADING_DOUBT = 10.0 * DEG
+"""No compass of a vehicle errs by more, even where nobody has taken the declination off."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,7 @@ def align(
     cov = start_cov(initial_sd(initial), mat_nb, level, by_dvl_n)
     if level is not None:
         notes += _level_notes(level, mat_nb, cov)
+        notes += _heading_notes(reference, mat_nb, start_ns)
     start = Start(position, velocity_n, mat_nb, cov, _accel_bias_b(initial), _gyro_bias_b(initial))
     return Alignment(start_ns, start, tuple(notes))
 
@@ -138,7 +142,8 @@ def check_start(initial: Initial, *, has_reference: bool, has_position: bool, ha
 def _configured_heading_deg(initial: Initial) -> float:
     if initial.heading_deg is None:
         raise ConfigError(
-            "the heading at the start is needed, and no reference gives it", "--set initial.heading_deg=..."
+            "the heading at the start is needed: no reference gives it, or initial.source is level, which takes none",
+            "--set initial.heading_deg=...",
         )
     return initial.heading_deg
 
@@ -195,6 +200,22 @@ def _levelled(
     )
     level = find_level(unbiased, velocities, noise, lever_arm_b, start_ns, heading=heading, latitude=latitude)
     return level, mat_from_rpy(np.array([*level.roll_pitch, heading]))
+
+
+def _heading_notes(reference: ReferenceColumns | None, mat_nb: Floats, start_ns: int) -> list[Note]:
+    """Hold the configured heading against the reference's, where one is near enough to the start."""
+    if reference is None or not reference.has_attitude:
+        return []
+    rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)))
+    row = rows[np.argmin(np.abs(reference.time_ns[rows] - start_ns))]
+    if abs(seconds(reference.time_ns[row : row + 1], start_ns)[0]) > FAR_S:
+        return []
+    theirs, ours = rpy_from_mat(reference.mat_nb[row])[2], rpy_from_mat(mat_nb)[2]
+    if abs(float(wrap_angle(np.asarray(ours - theirs)))) <= HEADING_DOUBT:
+        return []
+    ours_deg, theirs_deg = ours / DEG % 360.0, theirs / DEG % 360.0
+    text = f"the heading of {ours_deg:.0f} deg at the start contradicts the reference, which has {theirs_deg:.0f} deg"
+    return [Note("start_heading_contradiction", text, 1, "warning", f"initial.heading_deg = {theirs_deg:.1f}")]
 
 
 def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:

@@ -13,19 +13,18 @@ from insdvl_replay.compiled import compiled, inlined
 from insdvl_replay.history import History
 from insdvl_replay.nav.correction import correct
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
-from insdvl_replay.nav.gate import locks_out, open_velocity
+from insdvl_replay.nav.gate import locks_out, open_state
 from insdvl_replay.nav.gravity_height import GravityHeight, followed
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import (
     cholesky,
     innovation_cov,
-    multiply,
     standardised,
     transposed_gain,
     update_cov,
 )
 from insdvl_replay.nav.measurements import VELOCITY, Measurement
-from insdvl_replay.nav.place import gravity_at, normal_gravity, place_about, place_at
+from insdvl_replay.nav.place import gravity_at, place_about, place_at
 from insdvl_replay.nav.recording import (
     Records,
     Updates,
@@ -59,7 +58,7 @@ class _Memory(NamedTuple):
 
 
 class _Matrices(NamedTuple):
-    """The covariance, the same memory row by row, and what an update is worked out in, see `kalman`."""
+    """The covariance, the same memory row by row, what an update is worked out in, see `kalman`, and P0's diagonal."""
 
     P: Floats
     P_by_row: Floats
@@ -68,6 +67,7 @@ class _Matrices(NamedTuple):
     KT: Floats
     rest: Floats
     dx: Floats
+    start_var: Floats
 
 
 class _Stack(NamedTuple):
@@ -138,7 +138,7 @@ def _state_at(start: Start) -> NavState:
 
 def _new_matrices(cov: Floats) -> _Matrices:
     P, (H, HP, KT, rest) = np.array(cov, order="C"), np.empty((4, 3, 12))
-    return _Matrices(P, P.ravel(), H, HP, KT, rest, np.empty(12))
+    return _Matrices(P, P.ravel(), H, HP, KT, rest, np.empty(12), np.diag(cov).copy())
 
 
 @compiled
@@ -165,7 +165,8 @@ def _run(
         force_b = mean(before.specific_force_b, now.specific_force_b)
         rate_b = mean(before.angular_rate_b, now.angular_rate_b)
         gravity = followed(gravity, state.position[2], before.time_s)
-        state, motion = propagate(state, force_b, rate_b, dt, place, gravity_at(place, gravity.height_m))
+        gravity_here = gravity_at(place, gravity.height_m)
+        state, motion = propagate(state, force_b, rate_b, dt, place, gravity_here)
         propagate_cov(P_by_row, motion, noise_density, dt)
         gap = timeline.gap[before.event]
         if gap >= 0:
@@ -180,9 +181,9 @@ def _run(
             for m in range(len(measurements.kind)):
                 if measurements.available[m, ping]:
                     measurement = _unstacked(measurements, m)
-                    at_ping = _at_ping(state, memory, now.specific_force_b, lever_arm_b)
+                    at_ping = _at_ping(state, memory, now.specific_force_b, gravity_here, lever_arm_b)
                     z = linearise(measurement, ping, at_ping, matrices.H)
-                    state = _update(state, measurement, m, ping, z, matrices, updates)
+                    state = _update(state, measurement, m, ping, now.time_s, z, matrices, updates)
                     if updates.used[m, ping] and measurement.kind == VELOCITY:
                         gravity = GravityHeight(gravity.height_m, gravity.drift_m, now.time_s)
             velocity_after_b = _velocity_b(state)
@@ -228,7 +229,7 @@ def _velocity_b(state: NavState) -> Vector:
 
 
 @inlined
-def _at_ping(state: NavState, memory: _Memory, reading_b: Vector, lever_arm_b: Vector) -> InsAtPing:
+def _at_ping(state: NavState, memory: _Memory, reading_b: Vector, gravity: float, lever_arm_b: Vector) -> InsAtPing:
     return InsAtPing(
         state.velocity_n,
         state.mat_nb,
@@ -236,7 +237,7 @@ def _at_ping(state: NavState, memory: _Memory, reading_b: Vector, lever_arm_b: V
         memory.rate_nb_b,
         memory.rate_eb_b,
         memory.velocity_change_b,
-        normal_gravity(state.position[0], state.position[2]),
+        gravity,
         lever_arm_b,
     )
 
@@ -262,26 +263,27 @@ def _update(
     measurement: Measurement,
     m: int,
     ping: int,
+    time_s: float,
     z: Vector,
     matrices: _Matrices,
     updates: Updates,
 ) -> NavState:
     """Judge an innovation by its gate, use it if it passes, and write down both."""
-    P, _, H, HP, KT, rest, dx = matrices
+    P, _, H, HP, KT, rest, dx, start_var = matrices
     R = row_matrix(measurement.cov_b, ping)
     S = innovation_cov(P, H, R, HP)
     L = cholesky(S)
     whitened = standardised(L, z)
     nis = dot(whitened, whitened)
     used = nis <= measurement.gate
-    refused_in_a_row = 0 if used else updates.refused_in_a_row[m] + 1
-    reopened = locks_out(nis, refused_in_a_row, measurement.reopen_after)
+    reopened = not used and locks_out(updates, m, nis, time_s, measurement.reopen_after)
     write_update(updates, m, ping, z, S, L, nis, used or reopened, reopened)
-    updates.refused_in_a_row[m] = 0 if reopened else refused_in_a_row
     if reopened:
-        L = cholesky(open_velocity(P, S, z))
-        multiply(H, P, HP)
-    elif not used:
+        open_state(P, z, start_var, updates, m, time_s)
+        L = cholesky(innovation_cov(P, H, R, HP))
+    elif used:
+        updates.refused_in_a_row[m] = 0
+    else:
         return state
     transposed_gain(HP, L, KT)
     update_cov(P, H, R, HP, KT, rest)

@@ -8,9 +8,9 @@ from insdvl_replay.columns import NS_PER_S, TimeNs, nanoseconds
 from insdvl_replay.errors import Note
 from insdvl_replay.nav.gravity_height import HOLD_AFTER_S
 
-_HOLD: Final = "5 min with micromechanical sensors, 1 h with tactical and 2 h with fibre-optic ones"
+_TRUSTED: Final = "5 min with micromechanical sensors, 1 h with tactical and 2 h with fibre-optic ones"
 """How long standard deviations hold without a velocity, by the presets; see EQUATIONS.md."""
-_HINT: Final = "--start and --end leave it out; a metre of depth that changes in it unseen makes 0.3 ug of gravity"
+_HINT: Final = "--start and --end leave it out"
 
 
 def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> tuple[Note, ...]:
@@ -37,6 +37,6 @@ def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> tuple[Note, ...
     text = (
         f"the DVL gives no velocity for over {HOLD_AFTER_S:g} s, {count} x, the longest {longest_s:.0f} s from "
         f"{since_s:.0f} s after the start on; from then on gravity is taken at the height of before, since an unaided "
-        f"height runs away, and standard deviations in and after it hold up to {_HOLD}"
+        f"height runs away, and standard deviations in and after it hold up to {_TRUSTED}"
     )
     return (Note("dvl_outages", text, count, "warning", _HINT),)

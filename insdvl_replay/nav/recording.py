@@ -30,7 +30,11 @@ class Records(NamedTuple):
 
 
 class Updates(NamedTuple):
-    """Innovations, first axis measurement, second axis ping; and how many of each were rejected in a row so far."""
+    """Innovations, first axis measurement, second axis ping; and how far each kind is in a run of rejections.
+
+    ``refused_in_a_row`` counts the rejections up to now, ``refused_s`` is the time of the last, and ``reopened_s`` that
+    of the last ping that was used in spite of the gate.
+    """
 
     innovation_b: Floats
     sd_b: Floats
@@ -39,6 +43,8 @@ class Updates(NamedTuple):
     reopened: NDArray[np.bool_]
     log_det: Floats
     refused_in_a_row: NDArray[np.int64]
+    refused_s: Floats
+    reopened_s: Floats
 
 
 def new_records(keep_cov: NDArray[np.bool_]) -> Records:
@@ -66,6 +72,8 @@ def new_updates(measurements: int, pings: int) -> Updates:
         reopened=np.zeros((measurements, pings), dtype=np.bool_),
         log_det=np.full((measurements, pings), np.nan),
         refused_in_a_row=np.zeros(measurements, dtype=np.int64),
+        refused_s=np.full(measurements, -np.inf),
+        reopened_s=np.full(measurements, -np.inf),
     )
 
 
@@ -134,6 +142,7 @@ def history_of(
                 nis=updates.nis[m, rows],
                 used=updates.used[m, rows],
                 gate=measurement.gate,
+                reopen_after=measurement.reopen_after,
                 reopened=updates.reopened[m, rows],
                 log_det=updates.log_det[m, rows],
             )

@@ -6,11 +6,12 @@ from typing import Final
 
 from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.report.json_report import Report
-from insdvl_replay.result_tables import is_whole
+from insdvl_replay.result_tables import NOT_JUDGED, is_whole
 
 COLUMNS: Final = (
     "log", "filter", "mean_improvement_pct", "mean_convergence_improvement_pct", "position_h_baseline_rmse_m",
-    "position_h_rmse_m", "position_h_baseline_rmse_pct", "position_h_rmse_pct", "verdicts", "status", "reason",
+    "position_h_rmse_m", "position_h_baseline_rmse_pct", "position_h_rmse_pct", "improvement", "verdicts", "status",
+    "reason",
 )  # fmt: skip
 
 
@@ -41,7 +42,8 @@ def summary_csv(outcomes: Sequence[Report | Failure]) -> bytes:
     Returns
     -------
     bytes
-        CSV; status is ``done`` or ``failed``, and a failed log has a reason instead of numbers.
+        CSV; status is ``done`` or ``failed``, and a failed log has a reason instead of numbers. A candidate that is
+        ``not judged`` has no gain.
     """
     return rows_csv(COLUMNS, (row for outcome in outcomes for row in _summary_rows(outcome))).encode()
 
@@ -56,13 +58,15 @@ def _summary_rows(outcome: Report | Failure) -> Iterator[tuple[object, ...]]:
         yield (outcome.log, *[None] * (len(COLUMNS) - 3), "failed", outcome.reason)
         return
     for name, means in outcome.filters.items():
+        judged = means.improvement != NOT_JUDGED
         yield (
             outcome.log.name,
             name,
-            means.mean_improvement_pct,
-            means.mean_convergence_improvement_pct,
+            means.mean_improvement_pct if judged else None,
+            means.mean_convergence_improvement_pct if judged else None,
             *position_rmse(outcome, name, "position_h"),
             *position_rmse(outcome, name, "position_h_pct"),
+            means.improvement,
             _verdicts(outcome, name),
             "done",
             None,
