@@ -14,14 +14,14 @@ from insdvl_replay.columns import Dive, Floats
 from insdvl_replay.config import Config, Dvl, Initial
 from insdvl_replay.config_file import load_config
 from insdvl_replay.earth import normal_gravity
-from insdvl_replay.evaluation.state_errors import nees
+from insdvl_replay.evaluation.state_errors import nees, state_errors
 from insdvl_replay.logs import read_dive
 from insdvl_replay.nav.aiding import sensor_noise
 from insdvl_replay.nav.alignment import Alignment, align
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.levelling import UNSEEN_MPS2
 from insdvl_replay.preparation import prepare_dive, with_reference_at_imu
-from insdvl_replay.replay import replay_log
+from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.rotation import mat_from_vector, rpy_from_mat, vector_from_mat
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
 from insdvl_replay.sim.trajectories import HEADING_DEG, Scenario, Wave, turn
@@ -280,3 +280,21 @@ def test_matrix_of_a_rotation_vector_is_its_exponential(vector: tuple[float, flo
     np.testing.assert_allclose(
         mat_from_vector(np.array(vector)), Rotation.from_rotvec(vector).as_matrix(), rtol=0.0, atol=1e-14
     )
+
+
+def test_filter_is_nearly_as_sure_as_it_says_after_a_levelled_start() -> None:
+    """The window's pings make the level and aid the filter again: it is somewhat too sure at first, not by much."""
+    config = load_config("fog", overrides=["initial.source='level'", "initial.heading_deg=30"])
+    config = msgspec.structs.replace(config, filters={"baseline": config.filters["baseline"]})
+    exact, errors = exact_dive("turning", duration_s=60.0, imu_rate_hz=50.0), matched_errors(config)
+    nees_by_run = []
+    for seed in range(20):
+        dive = add_errors(exact, *errors, seed)
+        history = replay_dive(dive, config, keep_cov=True).histories[0]
+        assert dive.reference is not None
+        found = state_errors(history, dive.reference, dive.truth)
+        rows = np.searchsorted(found.time_ns, dive.imu.time_ns[0] + np.array([10, 59]) * 1_000_000_000)
+        nees_by_run.append(nees(found.error[rows], found.cov[rows]))
+    early, late = np.mean(nees_by_run, axis=0)
+    assert 9.0 < early < 20.0
+    assert 9.0 < late < 17.0
