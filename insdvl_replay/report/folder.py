@@ -4,10 +4,12 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from insdvl_replay.errors import ConfigError
+from insdvl_replay.report.destination import NAME_A_FILE, open_in_place, replaceable_file
+from insdvl_replay.report.workspace import NEW, OLD, clear_leftovers, workspace_beside
 from insdvl_replay.result_tables import TABLES
 
 COMPLETE = "report.json"
@@ -48,13 +50,14 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
     ConfigError
         The target exists and must not be replaced, or the disk refuses.
     """
+    clear_leftovers(target.parent)  # an older result may lie in them
     refuse_existing_folder(target, force=force)
-    with _beside(target) as workspace:
-        fresh = workspace / "new"
-        fresh.mkdir()
-        yield fresh
+    with workspace_beside(target) as workspace:
+        yield workspace / NEW
         refuse_existing_folder(target, force=force)
-        _swap(fresh, target, old=workspace / "old")
+        if target.exists():
+            target.rename(workspace / OLD)
+        (workspace / NEW).rename(target)
 
 
 @contextmanager
@@ -64,7 +67,8 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
     Parameters
     ----------
     target : Path
-        The file. Folders above it are made.
+        The file, or a link to it, which stays. Folders above it are made. What is no file, as a device or a named pipe,
+        is never replaced: the bytes are written to it.
     force : bool
         Replace an older file.
 
@@ -76,13 +80,19 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
     Raises
     ------
     ConfigError
-        The target exists and must not be replaced, or the disk refuses.
+        The target exists and must not be replaced, is a folder, a disk or a link that leads nowhere, or the disk
+        refuses.
     """
     refuse_existing_file(target, force=force)
-    with _beside(target) as workspace:
-        yield workspace / target.name
+    file = replaceable_file(target)
+    if file is None:
+        with _copied_into(target) as path:
+            yield path
+        return
+    with workspace_beside(file) as workspace:
+        yield workspace / NEW / file.name
         refuse_existing_file(target, force=force)
-        (workspace / target.name).replace(target)
+        (workspace / NEW / file.name).replace(file)
 
 
 def refuse_existing_folder(target: Path, *, force: bool = False) -> None:
@@ -104,49 +114,26 @@ def refuse_existing_folder(target: Path, *, force: bool = False) -> None:
 
 
 def refuse_existing_file(target: Path, *, force: bool = False) -> None:
-    """Raise a ConfigError if a file exists and may not be replaced.
+    """Raise a ConfigError if a file cannot be written, or exists and may not be replaced.
 
     Parameters
     ----------
     target : Path
     force : bool
     """
-    if target.is_dir():
-        raise ConfigError(f"{target}: is a folder", "give the name of a file")
-    if os.path.lexists(target) and not force:
+    file = replaceable_file(target)
+    if file is not None and file.exists() and not force:
         raise ConfigError(f"{target}: exists", "choose another name with -o, or replace it with --force")
 
 
 @contextmanager
-def _beside(target: Path) -> Iterator[Path]:
-    """Give a hidden folder beside the target, on the same file system, and remove it with all it then holds."""
-    made = [parent for parent in target.parents if not parent.exists()]
+def _copied_into(target: Path) -> Iterator[Path]:
+    """Give a path to write to, whose bytes go into what is there already when the block ends without an exception."""
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        workspace = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-        try:
-            yield workspace
-        finally:
-            try:
-                shutil.rmtree(workspace, ignore_errors=True)
-            finally:  # an interruption may come while it is removed
-                shutil.rmtree(workspace, ignore_errors=True)
-            for parent in made:
-                with suppress(OSError):  # no longer empty, or never made
-                    parent.rmdir()
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / target.name
+            yield path
+            with path.open("rb") as source, open_in_place(target) as sink:
+                shutil.copyfileobj(source, sink)
     except OSError as error:
-        raise ConfigError(
-            f"{target}: cannot be written: {error.strerror or error}", "choose another place with -o"
-        ) from error
-
-
-def _swap(fresh: Path, target: Path, old: Path) -> None:
-    """Put the new folder where the old one is; if that fails half-way, put the old one back."""
-    try:
-        if target.exists():
-            target.rename(old)
-        fresh.rename(target)
-    except BaseException:
-        if old.exists() and not target.exists():
-            old.rename(target)
-        raise
+        raise ConfigError(f"{target}: cannot be written: {error.strerror or error}", NAME_A_FILE) from error

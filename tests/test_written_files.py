@@ -1,0 +1,224 @@
+"""Files and folders that are written: what they may replace, what they never do, and what a killed run leaves."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.errors import ConfigError
+from insdvl_replay.report.folder import COMPLETE, result_file, result_folder
+from insdvl_replay.report.workspace import LOCK, clear_leftovers
+
+EXAMPLES = Path(__file__).parents[1] / "examples" / "archive"
+TOOL = [sys.executable, "-m", "insdvl_replay"]
+OURS = '{"tool": {"name": "insdvl-replay"}, "word": "%s"}'
+
+
+def write(target: Path, text: str = "new", *, force: bool = False) -> None:
+    with result_file(target, force=force) as path:
+        path.write_text(text)
+
+
+def write_half(target: Path) -> None:
+    with result_file(target) as path:
+        path.write_text("half")
+        raise RuntimeError
+
+
+# --- Where a file goes.
+
+
+def test_a_named_pipe_is_written_to_and_stays(tmp_path: Path) -> None:
+    pipe, heard = tmp_path / "pipe", list[str]()
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: heard.append(pipe.read_text()))
+    reader.start()
+    write(pipe)
+    reader.join(timeout=10.0)
+    assert heard == ["new"]
+    assert pipe.is_fifo()
+    assert list(tmp_path.iterdir()) == [pipe]
+
+
+def test_a_device_behind_a_link_is_written_to_and_stays(tmp_path: Path) -> None:
+    link = tmp_path / "null"
+    link.symlink_to("/dev/null")
+    write(link)
+    assert link.readlink() == Path("/dev/null")
+    assert Path("/dev/null").is_char_device()
+    assert list(tmp_path.iterdir()) == [link]
+
+
+def test_a_link_to_a_file_stays_and_the_file_is_replaced_at_once(tmp_path: Path) -> None:
+    (tmp_path / "store").mkdir()
+    file, link = tmp_path / "store" / "gates.xml", tmp_path / "gates.xml"
+    file.write_text("old")
+    link.symlink_to(file)
+    with pytest.raises(ConfigError, match=r"gates\.xml: exists"):
+        write(link)
+    with result_file(link, force=True) as path:
+        path.write_text("new")
+        assert file.read_text() == "old"
+    assert link.readlink() == file
+    assert file.read_text() == "new"
+    assert sorted(tmp_path.rglob("*")) == sorted([link, file, file.parent])
+
+
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize(
+    ("leads", "sentence"),
+    [
+        ("absent", "link: is a link to absent, which is not there"),
+        ("folder", "link: is a link to a folder"),
+        ("link", "link: cannot be written: Too many levels of symbolic links"),
+    ],
+)
+def test_a_link_that_leads_to_no_file_is_refused_in_words(
+    leads: str, sentence: str, force: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "folder").mkdir()
+    link = tmp_path / "link"
+    link.symlink_to(leads)
+    with pytest.raises(ConfigError) as refused:
+        write(link, force=force)
+    assert refused.value.message == f"{tmp_path}/{sentence}"
+    assert refused.value.hint
+    assert link.readlink() == Path(leads)
+
+
+def test_a_pipe_gets_nothing_of_what_failed(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(RuntimeError):
+        write_half(pipe)
+    assert list(tmp_path.iterdir()) == [pipe]
+
+
+@pytest.mark.parametrize("append", [False, True])
+def test_the_descriptor_of_stdout_shares_its_place(append: bool, tmp_path: Path) -> None:
+    """A file that is opened once more by its name would be written over by what is printed afterwards."""
+    printed = tmp_path / "printed"
+    printed.write_text("before\n")
+    script = (
+        "from pathlib import Path; from insdvl_replay.report.folder import result_file\n"
+        "with result_file(Path('/dev/stdout'), force=True) as path: path.write_text('written\\n')\n"
+        "print('printed')"
+    )
+    with printed.open("a" if append else "w") as stdout:
+        subprocess.run([sys.executable, "-c", script], stdout=stdout, check=True, timeout=60)
+    assert printed.read_text() == "before\n" * append + "written\nprinted\n"
+
+
+def test_check_leaves_what_is_no_file_where_it_is(tmp_path: Path) -> None:
+    gates = tmp_path / "gates.toml"
+    gates.write_text((EXAMPLES / "gates.toml").read_text())
+    shutil.copytree(EXAMPLES, tmp_path, dirs_exist_ok=True)
+    null = tmp_path / "null"
+    null.symlink_to("/dev/null")
+    command = ["check", str(gates), "--results", str(tmp_path / "checked"), "--format", "junit", "--output"]
+    assert run_command_line([*command, str(null)]) in (0, 1)
+    assert null.is_symlink()
+    assert Path("/dev/null").is_char_device()
+    null.unlink()
+    null.symlink_to(tmp_path / "absent" / "gates.xml")
+    assert run_command_line([*command, str(null)]) == 2
+
+
+# --- What killed runs leave.
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from insdvl_replay.report.folder import COMPLETE, result_folder
+
+renamed, at = Path.rename, int(sys.argv[2])
+
+def rename(path, target):
+    global at
+    at -= 1
+    if at == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return renamed(path, target)
+
+Path.rename = rename
+with result_folder(Path(sys.argv[1]), force=True) as folder:
+    (folder / COMPLETE).write_text('{"tool": {"name": "insdvl-replay"}, "word": "killed"}')
+"""
+
+
+def written(target: Path, word: str) -> None:
+    with result_folder(target, force=True) as folder:
+        (folder / COMPLETE).write_text(OURS % word)
+
+
+def killed_at(target: Path, rename: int) -> None:
+    command = [sys.executable, "-c", KILLED, str(target), str(rename)]
+    assert subprocess.run(command, check=False, timeout=60).returncode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("rename", [1, 2])
+def test_a_killed_run_loses_no_older_result_and_is_cleared_by_the_next(rename: int, tmp_path: Path) -> None:
+    target = tmp_path / "dive"
+    written(target, "old")
+    killed_at(target, rename)
+    assert len(list(tmp_path.glob(".dive-*"))) == 1
+    assert target.exists() == (rename == 1)
+    clear_leftovers(tmp_path)
+    assert list(tmp_path.iterdir()) == [target]
+    assert '"old"' in (target / COMPLETE).read_text()
+
+
+def test_the_next_run_asks_before_it_replaces_what_it_put_back(tmp_path: Path) -> None:
+    target = tmp_path / "dive"
+    written(target, "old")
+    killed_at(target, 2)
+    with pytest.raises(ConfigError, match="dive: exists"), result_folder(target):
+        raise AssertionError
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_living_run_is_left_alone(tmp_path: Path) -> None:
+    target = tmp_path / "dive"
+    with result_folder(target, force=True) as first:
+        (first / "half.csv").write_text("half")
+        written(target, "of another run")
+        clear_leftovers(tmp_path)
+        assert (first / "half.csv").read_text() == "half"
+        (first / "half.csv").unlink()
+        (first / COMPLETE).write_text(OURS % "first")
+    assert '"first"' in (target / COMPLETE).read_text()
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_hidden_folders_of_others_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / ".dive-backup_1").mkdir()
+    (tmp_path / ".dive-backup_1" / "notes.txt").write_text("mine")
+    (tmp_path / ".dive-12345678").mkdir()
+    (tmp_path / ".ssh").mkdir()
+    (tmp_path / ".ssh" / LOCK).touch()
+    written(tmp_path / "dive", "new")
+    assert {path.name for path in tmp_path.iterdir()} == {".dive-backup_1", ".dive-12345678", ".ssh", "dive"}
+
+
+def test_a_folder_whose_result_cannot_go_back_is_kept_aside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target, renamed = tmp_path / "dive", Path.rename
+    written(target, "old")
+
+    def fails(path: Path, new: Path) -> Path:
+        if new == target:
+            raise OSError(5, "Input/output error")
+        return renamed(path, new)
+
+    monkeypatch.setattr(Path, "rename", fails)
+    with pytest.raises(ConfigError, match="Input/output error"):
+        written(target, "new")
+    monkeypatch.undo()
+    clear_leftovers(tmp_path)
+    assert list(tmp_path.iterdir()) == [target]
+    assert '"old"' in (target / COMPLETE).read_text()
