@@ -158,6 +158,13 @@ def test_dives_that_would_share_a_name_are_told_apart_by_their_folders(paths: st
     assert unique_names([tmp_path / path for path in paths.split()]) == names.split()
 
 
+@pytest.mark.parametrize(
+    ("file", "name"), [("..mcap", "mcap"), ("...mcap", "mcap"), (".mcap", ".mcap"), ("a..mcap", "a."), ("...", "dive")]
+)
+def test_no_dive_bears_the_name_of_the_folder_it_lies_in(file: str, name: str, tmp_path: Path) -> None:
+    assert unique_names([tmp_path / file]) == [name]
+
+
 def test_a_folder_keeps_what_stands_behind_a_dot_in_its_name(tmp_path: Path) -> None:
     bag = tmp_path / "dive_2026.11.21"
     bag.mkdir()
