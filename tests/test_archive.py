@@ -325,6 +325,33 @@ def test_a_changed_result_needs_force_before_any_work_is_done(archive: Path, res
     assert report.config["dvl"]["scale"] == 1.01
 
 
+def test_a_result_that_is_not_whole_is_replayed_and_told(
+    archive: Path, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(results, out)
+    (out / "dive_1" / "report.html").write_bytes(b"")
+    report = out / "dive_2" / "report.json"
+    report.write_bytes(report.read_bytes().replace(b'"rmse": ', b'"rmse": 1'))
+    with (out / "dive_3" / "replay.mcap").open("r+b") as replay:
+        replay.seek(10_000)
+        replay.write(bytes(1))
+    arguments = ["run", str(archive), "-o", str(out)]
+    assert run_command_line(arguments) == 2
+    said = capsys.readouterr().err
+    assert said == (
+        f"error: {out}/dive_1: not as its replay wrote it: report.html; "
+        "hint: keep what was changed, or replace it with --force\n"
+    )
+    assert run_command_line([*arguments, "--force"]) == 0
+    said = capsys.readouterr().err
+    for seed, name in enumerate(("report.html", "report.json", "replay.mcap"), start=1):
+        assert f"warning: {out}/dive_{seed}: not as its replay wrote it: {name} [result_damaged]\n" in said
+        assert f"wrote {out}/dive_{seed}\n" in said
+    assert "unchanged" in said
+    assert bytes_of(out) == bytes_of(results)
+
+
 def test_rerun_replays_what_is_unchanged(archive: Path, tmp_path: Path) -> None:
     arguments = ["run", str(archive / "dive_1.mcap"), "-o", str(tmp_path)]
     assert run_command_line(arguments) == 0

@@ -1,5 +1,6 @@
 """Files and folders that are written: what they may replace, what they never do, and what a killed run leaves."""
 
+import json
 import os
 import shutil
 import signal
@@ -12,7 +13,8 @@ import pytest
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.errors import ConfigError
-from insdvl_replay.report.folder import COMPLETE, result_file, result_folder
+from insdvl_replay.report.file_list import damaged_files
+from insdvl_replay.report.folder import COMPLETE, DIVE_FILES, result_file, result_folder
 from insdvl_replay.report.workspace import LOCK, clear_leftovers
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "archive"
@@ -128,6 +130,107 @@ def test_check_leaves_what_is_no_file_where_it_is(tmp_path: Path) -> None:
     null.unlink()
     null.symlink_to(tmp_path / "absent" / "gates.xml")
     assert run_command_line([*command, str(null)]) == 2
+
+
+# --- What may be replaced.
+
+
+@pytest.mark.parametrize(
+    "report", ["", "{", "[]", '{"tool": "x"}', '{"tool": {"name": "another-tool"}}', '{"results": [1, 2]}']
+)
+def test_a_report_of_another_tool_makes_no_result(report: str, tmp_path: Path) -> None:
+    thesis = tmp_path / "thesis"
+    thesis.mkdir()
+    (thesis / COMPLETE).write_text(report)
+    with pytest.raises(ConfigError, match="thesis: exists and is not a result folder"):
+        written(thesis, "new")
+    assert (thesis / COMPLETE).read_text() == report
+
+
+@pytest.mark.parametrize("name", ["notes.txt", ".hidden", "improvement.csv", "filter_x.tum"])
+def test_only_files_that_the_result_lists_are_removed(name: str, tmp_path: Path) -> None:
+    target = tmp_path / "dive"
+    written(target, "old")
+    (target / name).write_text("mine")
+    with pytest.raises(ConfigError) as refused:
+        written(target, "new")
+    sentence = f"{target}: holds {name}, which its result did not write, and is not replaced"
+    assert refused.value.message == sentence
+    assert (target / name).read_text() == "mine"
+    assert '"old"' in (target / COMPLETE).read_text()
+    (target / name).unlink()
+    written(target, "new")
+    assert '"new"' in (target / COMPLETE).read_text()
+
+
+def written_while_others_write(target: Path) -> None:
+    with result_folder(target, force=True) as folder:
+        (folder / COMPLETE).write_text(OURS % "new")
+        (target / "drawings").mkdir()
+        (target / "thesis.tex").write_text("years of work")
+
+
+def test_what_comes_while_a_result_is_made_is_not_removed(tmp_path: Path) -> None:
+    target = tmp_path / "dive"
+    written(target, "old")
+    with pytest.raises(ConfigError, match="holds drawings and 1 more"):
+        written_while_others_write(target)
+    assert (target / "thesis.tex").read_text() == "years of work"
+
+
+def test_a_result_of_an_early_version_is_replaced(tmp_path: Path) -> None:
+    """Its report does not list its files, and one that was damaged says nothing at all."""
+    target = tmp_path / "dive"
+    for text in (OURS % "early", "", "{}"):
+        target.mkdir(exist_ok=True)
+        for name in DIVE_FILES:
+            (target / name).write_text(text)
+        written(target, "new")
+        assert [path.name for path in target.iterdir()] == [COMPLETE]
+
+
+# --- What is known to be whole.
+
+
+@pytest.fixture
+def result(tmp_path: Path) -> Path:
+    """A result of three files."""
+    with result_folder(tmp_path / "dive") as folder:
+        (folder / COMPLETE).write_text('{"tool": {"name": "insdvl-replay", "started_at": "now"}, "rmse": 0.1}')
+        (folder / "improvement.csv").write_bytes(b"a,b\n1,2\n")
+        (folder / "replay.mcap").write_bytes(bytes(range(256)) * 5000)
+    return tmp_path / "dive"
+
+
+def test_a_result_lists_the_digests_that_other_tools_find(result: Path) -> None:
+    files = json.loads((result / COMPLETE).read_bytes())["files"]
+    sums = "".join(f"{digest}  {name}\n" for name, digest in files.items() if name != COMPLETE)
+    subprocess.run(["sha256sum", "--check", "--strict"], cwd=result, input=sums, text=True, check=True, timeout=60)
+    assert sorted(files) == sorted(path.name for path in result.iterdir())
+    assert damaged_files(result) == []
+
+
+def test_the_time_of_day_does_not_count(result: Path) -> None:
+    report = result / COMPLETE
+    report.write_text(report.read_text().replace('"now"', '"later"'))
+    assert damaged_files(result) == []
+
+
+@pytest.mark.parametrize("data", [b"", b"a,b\n1,3\n", None])
+def test_a_file_that_is_emptied_changed_or_gone_is_damaged(data: bytes | None, result: Path) -> None:
+    (result / "improvement.csv").unlink()
+    if data is not None:
+        (result / "improvement.csv").write_bytes(data)
+    assert damaged_files(result) == ["improvement.csv"]
+
+
+@pytest.mark.parametrize(("old", "new"), [("0.1", "0.0"), ('"files"', '"flies"'), ('"replay.mcap"', '"replay2.mcap"')])
+def test_a_report_that_is_changed_is_damaged(old: str, new: str, result: Path) -> None:
+    report = result / COMPLETE
+    text = report.read_text()
+    assert old in text
+    report.write_text(text.replace(old, new))
+    assert COMPLETE in damaged_files(result)
 
 
 # --- What killed runs leave.

@@ -3,23 +3,38 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.report.destination import NAME_A_FILE, open_in_place, replaceable_file
+from insdvl_replay.report.file_list import REPORT, list_files
 from insdvl_replay.report.workspace import NEW, OLD, clear_leftovers, workspace_beside
 from insdvl_replay.result_tables import TABLES
 
-COMPLETE = "report.json"
+COMPLETE = REPORT
 """The file by which a result folder is known, written last."""
 PAGE = "report.html"
 """The page that shows a result."""
 DIVE_FILES = (*(f"{layout.name}.csv" for layout in TABLES), "replay.mcap", "config.toml", "run.log", PAGE, COMPLETE)
 """All files of the result of a dive."""
+TOOL = "insdvl-replay"
+"""How a report says whose it is."""
 REFERENCE_TRAJECTORY = "reference.tum"
 """The reference's trajectory, where trajectories are asked for."""
+
+
+class _Label(msgspec.Struct):
+    """As much of a report as tells whose it is and which files it has; early ones do not list them."""
+
+    tool: dict[str, str | float | None]
+    baseline: str = ""
+    filters: dict[str, Any] = {}
+    files: dict[str, str] = {}
 
 
 def trajectory_file(name: str) -> str:
@@ -31,7 +46,8 @@ def trajectory_file(name: str) -> str:
 def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
     """Give a new folder to write into, which becomes the target when the block ends without an exception.
 
-    On any exception, an interruption included, nothing of it remains, and an older result stays as it was.
+    On any exception, an interruption included, nothing of it remains, and an older result stays as it was. The report
+    in it is made to list its files.
 
     Parameters
     ----------
@@ -54,6 +70,7 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
     refuse_existing_folder(target, force=force)
     with workspace_beside(target) as workspace:
         yield workspace / NEW
+        list_files(workspace / NEW)
         refuse_existing_folder(target, force=force)
         if target.exists():
             target.rename(workspace / OLD)
@@ -98,7 +115,8 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
 def refuse_existing_folder(target: Path, *, force: bool = False) -> None:
     """Raise a ConfigError if a result must not be written to a folder.
 
-    With ``force`` an older result may be replaced. Anything else that bears the name may not: it is somebody's work.
+    With ``force`` an older result may be replaced, if the folder holds its files alone. Anything else that bears the
+    name may not: it is somebody's work.
 
     Parameters
     ----------
@@ -107,10 +125,32 @@ def refuse_existing_folder(target: Path, *, force: bool = False) -> None:
     """
     if not os.path.lexists(target):
         return
-    if not (target / COMPLETE).is_file():
+    own = _files_of_result(target)
+    if own is None:
         raise ConfigError(f"{target}: exists and is not a result folder", "choose another folder with -o")
     if not force:
         raise ConfigError(f"{target}: exists", "choose another folder with -o, or replace it with --force")
+    if foreign := sorted(path.name for path in target.iterdir() if path.name not in own or path.is_dir()):
+        more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
+        raise ConfigError(
+            f"{target}: holds {foreign[0]}{more}, which its result did not write, and is not replaced",
+            "move it elsewhere, or choose another folder with -o",
+        )
+
+
+def _files_of_result(folder: Path) -> Collection[str] | None:
+    """Name the files that a result may have; None if there is none.
+
+    A report that was damaged does not list them: a folder with all files of a dive's result is one nevertheless.
+    """
+    try:
+        label = msgspec.json.decode((folder / COMPLETE).read_bytes(), type=_Label)
+    except (OSError, UnicodeDecodeError, msgspec.DecodeError):
+        label = _Label(tool={})
+    if label.tool.get("name") == TOOL:
+        trajectories = map(trajectory_file, [label.baseline, *label.filters])
+        return {COMPLETE, *(label.files or {*DIVE_FILES, *trajectories, REFERENCE_TRAJECTORY})}
+    return DIVE_FILES if all((folder / name).is_file() for name in DIVE_FILES) else None
 
 
 def refuse_existing_file(target: Path, *, force: bool = False) -> None:
