@@ -276,7 +276,7 @@ def test_dives_do_not_share_a_baseline(team: Path) -> None:
     assert not (team / "baselines").exists()
 
 
-@pytest.mark.parametrize("name", ["../../pwned", "/tmp/pwned", "a/b", "..", ".", "", "a\0b", "a" * 300])
+@pytest.mark.parametrize("name", ["../../pwned", "/etc/pwned", "a/b", "..", ".", "", "a\0b", "a" * 300])
 def test_update_never_leaves_the_folder_of_the_baselines(name: str, tmp_path: Path) -> None:
     write(tmp_path / "team" / "result", content(name))
     (tmp_path / "team" / "baselines").mkdir()
