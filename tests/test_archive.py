@@ -463,12 +463,7 @@ def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: P
         workers[0].kill()
         _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
-    assert visible(bytes_of(tmp_path / "out")) == bytes_of(results)
-
-
-def visible(files: dict[str, bytes]) -> dict[str, bytes]:
-    """Without what a killed worker had begun to write aside."""
-    return {name: data for name, data in files.items() if not name.startswith(".")}
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
 
 
 @pytest.mark.slow
@@ -511,7 +506,7 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(
         next(child for child in children if "spawn_main" in str(child.cmdline())).kill()
         _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
-    assert visible(bytes_of(tmp_path / "out")) == bytes_of(results)
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
 
 
 @pytest.mark.slow
