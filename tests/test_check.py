@@ -302,7 +302,7 @@ def test_what_is_checked_is_not_written_over(option: str, name: str, team: Path)
     before = (team / "dives" / "transit.mcap").read_bytes()
     done = check(team, PASSING, option, name)
     assert done.returncode == 2
-    assert re.match(rf"error: {option} {name}: is (what is checked|a folder); hint: give ", done.stderr)
+    assert re.match(rf"error: {option}: {name}: is (what is checked|a folder); hint: give ", done.stderr)
     assert (team / "gates.toml").read_text().endswith(PASSING)
     assert (team / "dives" / "transit.mcap").read_bytes() == before
 

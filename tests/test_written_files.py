@@ -127,9 +127,19 @@ def test_check_leaves_what_is_no_file_where_it_is(tmp_path: Path) -> None:
     assert run_command_line([*command, str(null)]) in (0, 1)
     assert null.is_symlink()
     assert Path("/dev/null").is_char_device()
-    null.unlink()
-    null.symlink_to(tmp_path / "absent" / "gates.xml")
-    assert run_command_line([*command, str(null)]) == 2
+
+
+@pytest.mark.parametrize("option", ["--output", "--summary-file"])
+@pytest.mark.parametrize("leads", ["absent/gates.xml", "link", "."])
+def test_check_refuses_where_nothing_can_be_written_before_any_work(
+    option: str, leads: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(leads)
+    gates = EXAMPLES / "gates.toml"
+    assert run_command_line(["check", str(gates), "--results", str(tmp_path / "checked"), option, str(link)]) == 2
+    assert capsys.readouterr().err.startswith(f"error: {option}: {link}: ")
+    assert list(tmp_path.iterdir()) == [link]
 
 
 # --- What may be replaced.

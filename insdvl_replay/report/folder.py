@@ -134,7 +134,7 @@ def refuse_existing_folder(target: Path, *, force: bool = False) -> None:
         more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
         raise ConfigError(
             f"{target}: holds {foreign[0]}{more}, which its result did not write, and is not replaced",
-            "move it elsewhere, or choose another folder with -o",
+            "move it elsewhere, or name another folder for the results",
         )
 
 
