@@ -134,6 +134,8 @@ def _leave(workspace: Path, target: Path, lock: int | None) -> None:
         finally:
             if lock is not None:
                 os.close(lock)
+                with suppress(OSError):  # NFS keeps a removed file in its folder while somebody has it open
+                    workspace.rmdir()
 
 
 def _close(workspace: Path, target: Path) -> None:
