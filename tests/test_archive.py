@@ -132,6 +132,13 @@ def test_results_are_dives_only_where_they_are_wanted(tree: Path) -> None:
         find_dives(["replay"], tree)
 
 
+def test_logs_beside_the_report_of_another_tool_are_dives(tree: Path) -> None:
+    (tree / "trip" / "report.json").write_text('{"tool": {"name": "another"}}')
+    assert [path.name for path in find_dives(["trip"], tree)] == ["trip_0.mcap", "trip_1.mcap"]
+    (tree / "trip" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
+    assert find_dives(["trip"], tree, results=True) == [tree / "trip"]
+
+
 def test_a_list_names_dives_seen_from_its_own_folder(tree: Path) -> None:
     (tree / "2026" / "season.txt").write_text("# the good ones\n\nc.mcap\n../*.mcap\n../bag\n")
     found = find_dives(["2026/season.txt"], tree)

@@ -138,6 +138,27 @@ def refuse_existing_folder(target: Path, *, force: bool = False) -> None:
         )
 
 
+def is_result(folder: Path) -> bool:
+    """Say whether a folder holds a result, so that the replay in it is no dive.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    bool
+        Also where its report is damaged, but not where it names another tool: that may lie beside logs.
+    """
+    if not (folder / COMPLETE).is_file():
+        return False
+    try:
+        label = msgspec.json.decode((folder / COMPLETE).read_bytes(), type=_Label)
+    except (OSError, UnicodeDecodeError, msgspec.DecodeError):
+        return True
+    return label.tool.get("name", TOOL) == TOOL
+
+
 def _files_of_result(folder: Path) -> Collection[str] | None:
     """Name the files that a result may have; None if there is none.
 
