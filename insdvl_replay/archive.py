@@ -1,8 +1,8 @@
 """Many dives: which of them have to be replayed, and their replay on as many workers as there are.
 
 A result is known by its content: while the log's bytes, the resolved settings, the versions and the tool's own sources
-are those that ``report.json`` names, the dive is not replayed again. So an interrupted run goes on where it stopped.
-What is heavy to import waits until a dive is replayed: often none is.
+are those that ``report.json`` names, and the files that it lists are whole, the dive is not replayed again. So an
+interrupted run goes on where it stopped. What is heavy to import waits until a dive is replayed: often none is.
 """
 
 import hashlib
@@ -18,15 +18,18 @@ import msgspec
 from insdvl_replay import __version__
 from insdvl_replay.config import Config
 from insdvl_replay.dive_names import unique_names
-from insdvl_replay.errors import ConfigError, LogError, UserError
+from insdvl_replay.errors import ConfigError, LogError, Note, UserError, listed
 from insdvl_replay.executors import WorkerLostError, Workers, do_each
-from insdvl_replay.report.folder import COMPLETE, DIVE_FILES, refuse_existing_folder, result_folder, trajectory_file
+from insdvl_replay.report.file_list import damaged_files
+from insdvl_replay.report.folder import COMPLETE, refuse_existing_folder, result_folder, trajectory_file
 from insdvl_replay.report.json_report import Report, decode_report, encode_report, package_versions
+from insdvl_replay.report.workspace import clear_leftovers
 from insdvl_replay.sources import sources_digest
 from insdvl_replay.studies.workers import each
 
 CONTROL_NOTE = "control_fitted"
 DAMAGE_NOTE = "log_damaged"
+DAMAGED_RESULT = "result_damaged"
 
 
 @dataclass(frozen=True)
@@ -128,8 +131,10 @@ def _name_giver(logs: tuple[Path, ...]) -> Path:
     return name_giver(logs)
 
 
-def known_reports(tasks: Sequence[Task], *, force: bool, rerun: bool = False) -> dict[Path, Report]:
-    """Find the dives whose result is there already, made from the same log, settings and versions.
+def known_reports(
+    tasks: Sequence[Task], *, force: bool, rerun: bool = False, tell: Callable[[Note], None] = lambda _: None
+) -> dict[Path, Report]:
+    """Find the dives whose result is there already and whole, made from the same log, settings and versions.
 
     Parameters
     ----------
@@ -138,6 +143,8 @@ def known_reports(tasks: Sequence[Task], *, force: bool, rerun: bool = False) ->
         Results made from anything else may be replaced.
     rerun : bool
         Take none for known.
+    tell : callable
+        Called for each result whose files are not as they were written, which is replaced.
 
     Returns
     -------
@@ -147,16 +154,23 @@ def known_reports(tasks: Sequence[Task], *, force: bool, rerun: bool = False) ->
     Raises
     ------
     ConfigError
-        A folder is in the way.
+        A folder is in the way, or holds what a result did not write.
     """
+    for folder in {task.target.parent for task in tasks}:
+        clear_leftovers(folder)
     known = {}
     # Where all is replaced anyway, no log needs to be digested.
     found = [None] * len(tasks) if force and rerun else each(_known_report, tasks)
     for task, report in zip(tasks, found, strict=True):
-        if report is None:
-            refuse_existing_folder(task.target, force=force)
-        elif not rerun:
-            known[task.target] = report
+        if isinstance(report, Report):
+            if not rerun:
+                known[task.target] = report
+            continue
+        if isinstance(report, Note):
+            if not force:
+                raise ConfigError(report.text, "keep what was changed, or replace it with --force")
+            tell(report)
+        refuse_existing_folder(task.target, force=force)
     return known
 
 
@@ -196,6 +210,7 @@ def replay_archive(
 
 def _result_of(task: Task, result: bytes | Exception) -> Report | Exception:
     if isinstance(result, WorkerLostError):  # workers do not know of logs
+        clear_leftovers(task.target.parent)
         return LogError(f"{task.name}: {result.message}", result.hint)
     return decode_report(result) if isinstance(result, bytes) else result
 
@@ -210,8 +225,8 @@ def replay_into(task: Task) -> bytes:
     Returns
     -------
     bytes
-        The report as it was written, with the time of day, which is added here: what the hall writes depends on the
-        log alone.
+        The report as it was written, with the time of day, which is added here, and the list of files: what the hall
+        writes depends on the log alone.
 
     Raises
     ------
@@ -240,13 +255,15 @@ def replay_into(task: Task) -> bytes:
         tool = msgspec.structs.replace(
             report.tool, started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3)
         )
-        data = encode_report(msgspec.structs.replace(report, tool=tool))
-        (folder / COMPLETE).write_bytes(data)
-    return data
+        (folder / COMPLETE).write_bytes(encode_report(msgspec.structs.replace(report, tool=tool)))
+    return (task.target / COMPLETE).read_bytes()
 
 
-def _known_report(task: Task) -> Report | None:
-    """Give the result that is there if another replay would give the same; the log is read last."""
+def _known_report(task: Task) -> Report | Note | None:
+    """Give the result that is there if another replay would give the same; a note if only its files are not whole.
+
+    What is large is read last: the log, then the files of the result.
+    """
     try:
         report = decode_report((task.target / COMPLETE).read_bytes())
         filters = [report.baseline, *report.filters] if task.order.trajectories else []
@@ -255,11 +272,15 @@ def _known_report(task: Task) -> Report | None:
             and report.versions == package_versions()
             and report.log.name == task.target.name
             and _is_of(task.order, report)
-            and all((task.target / name).is_file() for name in (*DIVE_FILES, *map(trajectory_file, filters)))
+            and set(map(trajectory_file, filters)) <= set(report.files)
             and log_digest(task) == report.log.sha256
         )
+        damaged = damaged_files(task.target) if same else []
     except (OSError, msgspec.DecodeError, UserError):  # a log that is no longer whole is told by its replay
         return None
+    if damaged:
+        text = f"{task.target}: not as its replay wrote it: {listed(damaged)}"
+        return Note(DAMAGED_RESULT, text, len(damaged), "warning")
     return report if same else None
 
 

@@ -7,14 +7,15 @@ from typing import Any, Final
 import msgspec
 
 from insdvl_replay.archive import Outcome
-from insdvl_replay.errors import ConfigError, UserError
+from insdvl_replay.dive_names import LONGEST_NAME, is_dive_name
+from insdvl_replay.errors import ConfigError, ResultError, UserError
 from insdvl_replay.evaluation.gate_findings import gate_findings
 from insdvl_replay.gate_file import Gates
 from insdvl_replay.gates import LOG, CheckResult, Finding, Gate, Judgement, Status
-from insdvl_replay.report.folder import result_file
+from insdvl_replay.report.folder import COMPLETE, result_file
 from insdvl_replay.report.json_report import Report, as_json
 from insdvl_replay.report.stored_results import read_results
-from insdvl_replay.stored_result import StoredReport
+from insdvl_replay.stored_result import StoredReport, StoredResult
 
 Checked = tuple[str, StoredReport | Exception]
 """A dive's name, and its result or why there is none."""
@@ -54,9 +55,19 @@ def checked_results(folder: Path) -> Iterator[Checked]:
     """
     try:
         results, _ = read_results(folder)
-        yield from ((result.name, result.report) for result in results)
+        yield from map(_checked_result, results)
     except UserError as error:
         yield folder.name, error
+
+
+def _checked_result(result: StoredResult) -> Checked:
+    """Refuse a result whose log's name, which becomes that of its baseline, leads out of the baselines' folder."""
+    if is_dive_name(result.name):
+        return result.name, result.report
+    return result.folder.name, ResultError(
+        f"{result.folder / COMPLETE}: log.name = {result.name[:LONGEST_NAME]!r} is no name of a dive",
+        "replay its log again, which names it after its file",
+    )
 
 
 def judge_dives(gates: Gates, dives: Iterable[Checked]) -> CheckResult:

@@ -4,8 +4,14 @@ import os
 from collections import Counter
 from collections.abc import Hashable, Sequence
 from pathlib import Path
+from typing import Final
 
 from insdvl_replay.errors import ConfigError
+
+NAMELESS: Final = "dive"
+"""What a dive is called whose file has no name but dots."""
+LONGEST_NAME: Final = 255
+"""Bytes of a name that file systems keep."""
 
 
 def dive_name(path: Path) -> str:
@@ -20,7 +26,25 @@ def dive_name(path: Path) -> str:
     str
     """
     whole = _whole(path)
-    return whole.name if whole.is_dir() else whole.stem
+    name = whole.name if whole.is_dir() else whole.stem
+    # `..mcap` would bear the name of the folder that its result lies in, and `...mcap` that of the one above.
+    return name if name.strip(".") else whole.name.strip(".") or NAMELESS
+
+
+def is_dive_name(name: str) -> bool:
+    """Say whether a name can be that of a dive, and so of a folder or a file below one that is given.
+
+    Parameters
+    ----------
+    name : str
+        From a stored result, which anybody may have written.
+
+    Returns
+    -------
+    bool
+    """
+    separators = {"/", os.sep, os.altsep or os.sep, "\0"}
+    return bool(name.strip(".")) and not separators & set(name) and len(os.fsencode(name)) <= LONGEST_NAME
 
 
 def unique_names(paths: Sequence[Path]) -> list[str]:

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Final
 
 from insdvl_replay.errors import ConfigError
+from insdvl_replay.report.folder import is_result
 
 LOG_SUFFIX: Final = ".mcap"
 LIST_SUFFIX: Final = ".txt"
 """Ending of a file that lists dives, one a line."""
 BAG_METADATA: Final = "metadata.yaml"
 """The file by which a bag is known. Names do not tell: dives of an archive are numbered like the parts of a bag."""
-RESULT: Final = "report.json"
-"""The file by which a result folder is known."""
 
 _MAGIC: Final = frozenset("*?[")
 
@@ -78,7 +77,7 @@ def _matched(path: Path, *, results: bool) -> Iterator[Path]:
 
 
 def _in_folder(folder: Path, *, results: bool) -> Iterator[Path]:
-    if (folder / RESULT).is_file():
+    if is_result(folder):
         if results:
             yield folder
         return

@@ -132,6 +132,13 @@ def test_results_are_dives_only_where_they_are_wanted(tree: Path) -> None:
         find_dives(["replay"], tree)
 
 
+def test_logs_beside_the_report_of_another_tool_are_dives(tree: Path) -> None:
+    (tree / "trip" / "report.json").write_text('{"tool": {"name": "another"}}')
+    assert [path.name for path in find_dives(["trip"], tree)] == ["trip_0.mcap", "trip_1.mcap"]
+    (tree / "trip" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
+    assert find_dives(["trip"], tree, results=True) == [tree / "trip"]
+
+
 def test_a_list_names_dives_seen_from_its_own_folder(tree: Path) -> None:
     (tree / "2026" / "season.txt").write_text("# the good ones\n\nc.mcap\n../*.mcap\n../bag\n")
     found = find_dives(["2026/season.txt"], tree)
@@ -156,6 +163,13 @@ def test_a_dive_that_is_meant_twice_is_one(tree: Path) -> None:
 )
 def test_dives_that_would_share_a_name_are_told_apart_by_their_folders(paths: str, names: str, tmp_path: Path) -> None:
     assert unique_names([tmp_path / path for path in paths.split()]) == names.split()
+
+
+@pytest.mark.parametrize(
+    ("file", "name"), [("..mcap", "mcap"), ("...mcap", "mcap"), (".mcap", ".mcap"), ("a..mcap", "a."), ("...", "dive")]
+)
+def test_no_dive_bears_the_name_of_the_folder_it_lies_in(file: str, name: str, tmp_path: Path) -> None:
+    assert unique_names([tmp_path / file]) == [name]
 
 
 def test_a_folder_keeps_what_stands_behind_a_dot_in_its_name(tmp_path: Path) -> None:
@@ -318,6 +332,33 @@ def test_a_changed_result_needs_force_before_any_work_is_done(archive: Path, res
     assert report.config["dvl"]["scale"] == 1.01
 
 
+def test_a_result_that_is_not_whole_is_replayed_and_told(
+    archive: Path, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(results, out)
+    (out / "dive_1" / "report.html").write_bytes(b"")
+    report = out / "dive_2" / "report.json"
+    report.write_bytes(report.read_bytes().replace(b'"rmse": ', b'"rmse": 1'))
+    with (out / "dive_3" / "replay.mcap").open("r+b") as replay:
+        replay.seek(10_000)
+        replay.write(bytes(1))
+    arguments = ["run", str(archive), "-o", str(out)]
+    assert run_command_line(arguments) == 2
+    said = capsys.readouterr().err
+    assert said == (
+        f"error: {out}/dive_1: not as its replay wrote it: report.html; "
+        "hint: keep what was changed, or replace it with --force\n"
+    )
+    assert run_command_line([*arguments, "--force"]) == 0
+    said = capsys.readouterr().err
+    for seed, name in enumerate(("report.html", "report.json", "replay.mcap"), start=1):
+        assert f"warning: {out}/dive_{seed}: not as its replay wrote it: {name} [result_damaged]\n" in said
+        assert f"wrote {out}/dive_{seed}\n" in said
+    assert "unchanged" in said
+    assert bytes_of(out) == bytes_of(results)
+
+
 def test_rerun_replays_what_is_unchanged(archive: Path, tmp_path: Path) -> None:
     arguments = ["run", str(archive / "dive_1.mcap"), "-o", str(tmp_path)]
     assert run_command_line(arguments) == 0
@@ -429,12 +470,7 @@ def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: P
         workers[0].kill()
         _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
-    assert visible(bytes_of(tmp_path / "out")) == bytes_of(results)
-
-
-def visible(files: dict[str, bytes]) -> dict[str, bytes]:
-    """Without what a killed worker had begun to write aside."""
-    return {name: data for name, data in files.items() if not name.startswith(".")}
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
 
 
 @pytest.mark.slow
@@ -477,7 +513,7 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(
         next(child for child in children if "spawn_main" in str(child.cmdline())).kill()
         _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
-    assert visible(bytes_of(tmp_path / "out")) == bytes_of(results)
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
 
 
 @pytest.mark.slow

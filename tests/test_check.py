@@ -276,6 +276,17 @@ def test_dives_do_not_share_a_baseline(team: Path) -> None:
     assert not (team / "baselines").exists()
 
 
+@pytest.mark.parametrize("name", ["../../pwned", "/etc/pwned", "a/b", "..", ".", "", "a\0b", "a" * 300])
+def test_update_never_leaves_the_folder_of_the_baselines(name: str, tmp_path: Path) -> None:
+    write(tmp_path / "team" / "result", content(name))
+    (tmp_path / "team" / "baselines").mkdir()
+    before = sorted(path for path in tmp_path.rglob("*"))
+    done = started(tmp_path / "team", BASELINE, "--update", dives='["result"]')
+    assert done.returncode == 3
+    assert f"error: result/report.json: log.name = {name[:255]!r} is no name of a dive; hint: " in done.stderr
+    assert sorted(path for path in tmp_path.rglob("*")) == sorted([*before, tmp_path / "team" / "gates.toml"])
+
+
 def test_update_without_a_baseline_is_an_error(team: Path) -> None:
     done = check(team, PASSING, "--update")
     assert done.returncode == 2
@@ -291,7 +302,7 @@ def test_what_is_checked_is_not_written_over(option: str, name: str, team: Path)
     before = (team / "dives" / "transit.mcap").read_bytes()
     done = check(team, PASSING, option, name)
     assert done.returncode == 2
-    assert re.match(rf"error: {option} {name}: is (what is checked|a folder); hint: give ", done.stderr)
+    assert re.match(rf"error: {option}: {name}: is (what is checked|a folder); hint: give ", done.stderr)
     assert (team / "gates.toml").read_text().endswith(PASSING)
     assert (team / "dives" / "transit.mcap").read_bytes() == before
 

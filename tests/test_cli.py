@@ -251,7 +251,7 @@ def test_wrong_uses_end_with_a_code_a_reason_and_a_hint(
 ) -> None:
     (tmp_path / "text.mcap").write_text("this is no log")
     (tmp_path / "taken" / "straight").mkdir(parents=True)
-    (tmp_path / "taken" / "straight" / "report.json").write_text("{}")
+    (tmp_path / "taken" / "straight" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
     before = sorted(tmp_path.rglob("*"))
     done = tool(*[dive if word == "DIVE" else word for word in arguments], cwd=tmp_path)
     assert done.returncode == code, done.stderr
@@ -348,3 +348,30 @@ def test_simulate_replaces_a_log_only_when_asked_to(tmp_path: Path) -> None:
 def test_schema_prints_message_definitions(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command_line(["schema", "insdvl_msgs/msg/NavSolution"]) == 0
     assert "std_msgs/Header header" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("redirection", "reason"),
+    [
+        (">/dev/full", "error: stdout: cannot be written: No space left on device; hint: "),
+        (">&-", "error: stdout: cannot be written: it is closed; hint: "),
+        ("<&- >&-", "error: stdout: cannot be written: it is closed; hint: "),
+        ("2>/dev/full", ""),
+        ("2>&-", ""),
+        (">/dev/full 2>/dev/full", ""),
+        (">&- 2>&-", ""),
+    ],
+)
+@pytest.mark.parametrize("command", ["--help", "config", "run {log} -o {out}"])
+def test_streams_that_are_full_or_closed_end_the_speaking_but_not_the_work(
+    command: str, redirection: str, reason: str, tmp_path: Path
+) -> None:
+    log = SAMPLE.parents[1] / "examples" / "archive" / "dives" / "lost_beam.mcap"
+    words = f"{sys.executable} -m insdvl_replay {command.format(log=log, out=tmp_path)} {redirection}"
+    done = subprocess.run(words, shell=True, capture_output=True, text=True, timeout=120, check=False)
+    is_heard = redirection.startswith("2>") and not command.startswith("run")
+    assert done.returncode == (0 if is_heard else 2)
+    assert "Traceback" not in done.stderr
+    assert (done.stderr.splitlines() or [""])[-1].startswith(reason)
+    assert bool(done.stdout) == redirection.startswith("2>")
+    assert (tmp_path / "lost_beam").exists() == command.startswith("run")

@@ -276,9 +276,13 @@ def write_result(
     target: Path, word: str, *, force: bool = False, interruption: type[BaseException] | None = None
 ) -> None:
     with result_folder(target, force=force) as folder:
-        (folder / COMPLETE).write_text(word)
+        (folder / COMPLETE).write_text(json.dumps({"tool": {"name": "insdvl-replay"}, "word": word}))
         if interruption:
             raise interruption
+
+
+def word_of(target: Path) -> str:
+    return str(json.loads((target / COMPLETE).read_bytes())["word"])
 
 
 def write_file(target: Path, word: str, *, force: bool = False, fail: bool = False) -> None:
@@ -291,9 +295,9 @@ def write_file(target: Path, word: str, *, force: bool = False, fail: bool = Fal
 def test_folder_appears_when_complete(tmp_path: Path) -> None:
     target = tmp_path / "new" / "dive"
     with result_folder(target) as folder:
-        (folder / COMPLETE).write_text("done")
+        (folder / COMPLETE).write_text('{"tool": {}}')
         assert not target.exists()
-    assert (target / COMPLETE).read_text() == "done"
+    assert json.loads((target / COMPLETE).read_bytes())["tool"] == {}
     assert list(target.parent.iterdir()) == [target]
 
 
@@ -304,7 +308,7 @@ def test_folder_leaves_nothing_behind_and_the_old_one_alone(tmp_path: Path, inte
     with pytest.raises(interruption):
         write_result(target, "half", force=True, interruption=interruption)
     assert list(tmp_path.iterdir()) == [target]
-    assert (target / COMPLETE).read_text() == "old"
+    assert word_of(target) == "old"
 
 
 def test_folder_is_replaced_only_when_asked_to(tmp_path: Path) -> None:
@@ -313,7 +317,7 @@ def test_folder_is_replaced_only_when_asked_to(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="dive: exists"):
         write_result(target, "new")
     write_result(target, "new", force=True)
-    assert (target / COMPLETE).read_text() == "new"
+    assert word_of(target) == "new"
     assert list(tmp_path.iterdir()) == [target]
 
 

@@ -12,6 +12,7 @@ import warnings
 from types import FrameType
 from typing import NoReturn
 
+from insdvl_replay.cli.streams import open_outlets, unsaid
 from insdvl_replay.memory import collect_rarely, use_small_pages
 
 INTERRUPTED = 130
@@ -23,11 +24,12 @@ def main() -> NoReturn:
     """Run the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _interrupt)
     sys.unraisablehook = _interrupt_again
+    out, err = open_outlets()
     collect_rarely()
     use_small_pages()
     # numpy's word on overflows would point to lines of ours; what is not finite is told by notes and status words.
     warnings.filterwarnings("ignore", category=RuntimeWarning)
-    code = run_command_line(sys.argv[1:])
+    code = max(run_command_line(sys.argv[1:]), unsaid(out, err))
     if code == INTERRUPTED:
         # On its way out the interpreter waits for threads, and they, without end, for a worker that was ended while it
         # sent its result.

@@ -130,7 +130,7 @@ def outcomes(
     Outcome
         In the order of the tasks.
     """
-    known = known_reports(tasks, force=force, rerun=rerun)
+    known = known_reports(tasks, force=force, rerun=rerun, tell=lambda note: tell_notes([note], verbose=True))
     changed = [task for task in tasks if task.target not in known]
     workers = local_workers(max(1, min(jobs, len(changed)))) if scheduler is None else cluster_workers(scheduler)
     if len(changed) == 1:

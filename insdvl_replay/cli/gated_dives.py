@@ -20,12 +20,13 @@ from insdvl_replay.cli.messages import emit, tell, tell_failure
 from insdvl_replay.config import Config
 from insdvl_replay.config_file import load_config
 from insdvl_replay.dive_paths import find_dives
-from insdvl_replay.errors import ConfigError
+from insdvl_replay.errors import ConfigError, about
 from insdvl_replay.gate_file import Gates, load_gates
 from insdvl_replay.gate_names import refuse_unknown_names
 from insdvl_replay.gates import CheckResult
 from insdvl_replay.report.check_json import check_json
 from insdvl_replay.report.check_pages import baseline_text, check_markdown, check_sentence, check_text
+from insdvl_replay.report.destination import replaceable_file
 from insdvl_replay.report.folder import COMPLETE, result_file
 from insdvl_replay.report.github import github_annotations
 from insdvl_replay.report.junit import junit_xml
@@ -133,12 +134,14 @@ def check_dives(
 
 
 def _refuse_to_overwrite(told: Told, inputs: Sequence[Path]) -> None:
-    """Refuse, before any work, to write where something is read."""
+    """Refuse, before any work, to write where nothing can be written, or something is read."""
     for option, path in (("--output", told.output), ("--summary-file", told.summary)):
-        if path is not None and path.resolve() in {read.resolve() for read in inputs}:
-            raise ConfigError(f"{option} {path}: is what is checked", "give it another name")
-        if path is not None and path.is_dir():
-            raise ConfigError(f"{option} {path}: is a folder", "give the name of a file")
+        if path is None:
+            continue
+        with about(option):
+            replaceable_file(path)
+            if path.resolve() in {read.resolve() for read in inputs}:
+                raise ConfigError(f"{path}: is what is checked", "give it another name")
 
 
 def _settings(gates: Gates, config: Path | None, settings: Sequence[str]) -> Config:

@@ -1,13 +1,12 @@
 """What the tool says: results to stdout, everything else to stderr."""
 
-import os
 import sys
 import traceback
 from collections.abc import Iterable
 
 import typer
 
-from insdvl_replay.errors import ConfigError, Note, UserError
+from insdvl_replay.errors import Note, UserError
 
 OUR_MISTAKE = 4
 
@@ -16,27 +15,9 @@ UsageError = typer.BadParameter.__mro__[1]
 
 
 def emit(text: str) -> None:
-    """Write a result to stdout. A reader that went away (``| head``) ends the printing, not the work.
-
-    Parameters
-    ----------
-    text : str
-
-    Raises
-    ------
-    ConfigError
-        Stdout cannot be written, as on a full disk.
-    """
-    if sys.stdout is None:  # closed by whoever started the program
-        return
-    try:
-        sys.stdout.write(text)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise ConfigError(f"stdout: cannot be written: {error.strerror}", "the results are in the folder") from error
+    """Write a result to stdout."""
+    sys.stdout.write(text)
+    sys.stdout.flush()
 
 
 def tell(text: str) -> None:

@@ -26,6 +26,16 @@ NUMERICAL_PACKAGES: Final = ("numpy", "numba", "pandas", "scipy", "mcap")
 """Packages whose version may move a number."""
 
 
+Files = Annotated[
+    dict[str, str],
+    Meta(
+        description="SHA-256 of each file of the result; of report.json, without the time of day and its own. Early "
+        "reports lack it"
+    ),
+]
+"""As `file_list` writes it when all files are there."""
+
+
 class ImprovementRow(Struct, frozen=True):
     """What a candidate believes of one state at the end of the dive, beside the baseline."""
 
@@ -171,6 +181,7 @@ class Report(Struct, frozen=True):
     tables: Tables
     notes: Annotated[list[Note], Meta(description="what was dropped, assumed or found odd")]
     config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
+    files: Files = {}
 
 
 def build_report(

@@ -6,7 +6,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from insdvl_replay.errors import Note
-from insdvl_replay.report.json_report import Tool, as_json, package_versions, records, this_tool
+from insdvl_replay.report.json_report import Files, Tool, as_json, package_versions, records, this_tool
 
 if TYPE_CHECKING:
     # Only its type is needed, and whoever asks for the schema must not wait for pandas.
@@ -26,6 +26,7 @@ class StudyResult(Struct, frozen=True):
     ]
     notes: Annotated[list[Note], Meta(description="what was dropped, assumed or found odd")]
     config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
+    files: Files = {}
 
 
 def study_json(report: "StudyReport") -> bytes:
