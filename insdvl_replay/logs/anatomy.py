@@ -80,7 +80,9 @@ def _lose_beyond_budget(data: memoryview, anatomy: Anatomy) -> None:
     for chunk in list(anatomy.chunks.values()):
         total += opened_size(data, chunk)
         if total > most:
-            found = f"the chunks up to here say they open to {total} bytes, of which a file of {len(data)} may hold {most}"
+            found = (
+                f"the chunks up to here say they open to {total} bytes, of which a file of {len(data)} may hold {most}"
+            )
             anatomy.lose(chunk, DamageError(chunk.offset, found))
 
 

@@ -97,8 +97,15 @@ def content_of(data: memoryview, chunk: Chunk, buffer: memoryview) -> Content:
     -------
     Content
         As `read_chunk` gives it.
+
+    Raises
+    ------
+    DamageError
+        No record is in it.
     """
     records, passed = _find_all(buffer)
+    if passed and not len(records):
+        raise DamageError(chunk.offset, f"in the chunk no record is found: {passed[0][2]}")
     damages = [Damage(chunk.offset, f"in the chunk, {stop} bytes on, {reason}") for stop, _, reason in passed]
     holes = [(start, stop) for start, stop, _ in passed] + [(len(buffer),) * 2] * (chunk.kind == "cut")
     span_ns = _lost_span(data, chunk, buffer, records, holes) if holes else None
