@@ -80,9 +80,7 @@ def _lose_beyond_budget(data: memoryview, anatomy: Anatomy) -> None:
     for chunk in list(anatomy.chunks.values()):
         total += opened_size(data, chunk)
         if total > most:
-            found = (
-                f"the chunks up to here say they open to {total} bytes, of which a file of {len(data)} may hold {most}"
-            )
+            found = f"the chunks up to here open to {total} bytes, where a file of {len(data)} may hold {most}"
             anatomy.lose(chunk, DamageError(chunk.offset, found))
 
 
@@ -142,7 +140,7 @@ def _drop_copies(data: memoryview, anatomy: Anatomy) -> None:
     """Leave out chunks that are copies of another one."""
     seen: dict[bytes, Chunk] = {}
     for chunk in [chunk for chunk in anatomy.chunks.values() if chunk.kind == "whole"]:
-        header = bytes(data[chunk.offset : chunk.offset + 64])
+        header = bytes(data[chunk.offset : chunk.offset + min(chunk.length, 64)])
         first = seen.setdefault(header, chunk)
         if first is not chunk and _bytes_of(data, first) == _bytes_of(data, chunk):
             anatomy.mark(Damage(chunk.offset, f"the chunk is a copy of the one at byte {first.offset}"))

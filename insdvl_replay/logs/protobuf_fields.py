@@ -130,6 +130,8 @@ def _message_class(type_name: str, schema_data: bytes, place: str) -> Any:
             f"{place}: the schema of {type_name} is no complete protobuf FileDescriptorSet ({error})",
             "record the log again with the descriptors of all files that the type uses",
         ) from error
+    except RecursionError as error:
+        raise too_large(f"{place}: {type_name}") from error
     return type(decode(b"")) if decode else None
 
 

@@ -183,7 +183,8 @@ def _check_complete(type_name: str, definitions: Mapping[str, Definition]) -> No
 
 def _check_size(type_name: str, definitions: Mapping[str, Definition], inner_first: Sequence[str]) -> None:
     """Refuse a type with too many fields, which are counted type by type and not by going to each."""
-    paths, levels = {}, {}
+    paths: dict[str, int] = {}
+    levels: dict[str, int] = {}
     for name in inner_first:
         fields = definitions[name].fields if name in definitions else ()
         paths[name] = sum(1 + (field.kind != "single") + paths[field.type_name] for field in fields)
