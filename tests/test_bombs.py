@@ -3,28 +3,39 @@
 import json
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import bombs
+import numpy as np
 import pytest
+import small_logs
 import zstandard
 from bombs import START_NS, channel, chunk, index, log, lz4_zeros, message, record, schema, write, zstd_zeros
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
+from insdvl_replay.columns import ImuColumns
 from insdvl_replay.config import Config
-from insdvl_replay.errors import LogError, most_like
+from insdvl_replay.errors import LogError, Note, most_like
 from insdvl_replay.inspection import inspect_log
-from insdvl_replay.logs import container
+from insdvl_replay.logs import container, read_dive, write_dive
 from insdvl_replay.logs.channel import LogChannel
 from insdvl_replay.logs.container import Log
 from insdvl_replay.logs.damage import Damage
+from insdvl_replay.logs.gyro_comparison import turned_by
 from insdvl_replay.logs.layout import dynamic_lengths
 from insdvl_replay.logs.message_encodings import channel_paths
 from insdvl_replay.logs.packed import LARGEST_CHUNK, Chunk, most_opened, open_chunk
+from insdvl_replay.logs.reference_motion import _legs, _Ways
 from insdvl_replay.logs.ros2msg import definition_text, parse_definitions
 from insdvl_replay.logs.summary import Summary
 from insdvl_replay.logs.walk import Anatomy
+from insdvl_replay.sim.dive import exact_dive
 
 MB = 1 << 20
 IMU = "sensor_msgs/msg/Imu"
@@ -244,3 +255,66 @@ def test_a_message_of_many_keys_is_looked_at_in_steps_that_grow_with_their_numbe
     inspect_log(write(tmp_path / "wide.mcap", log(body)), Config())
     assert len(looked) == 3
     assert all(one != other for one, other in pairwise(looked))
+
+
+@pytest.mark.parametrize("kind", ["zstd", "no chunks", "no message index"])
+def test_late_log_times_are_told_and_no_damage(kind: str, tmp_path: Path) -> None:
+    late_ns = 2**63 - small_logs.START_NS
+    seen = Log(write(tmp_path / "late.mcap", _with_later_log_times(kind, late_ns)))
+    assert [note.code for note in seen.notes] == ["log_times_late"]
+    inventory = inspect_log(seen.path, Config())
+    assert inventory.log.start_utc is None
+    assert inventory.log.duration_s == pytest.approx(small_logs.SPAN_S, abs=1e-9)
+
+
+def _with_later_log_times(kind: str, later_ns: int) -> bytes:
+    stream = BytesIO()
+    writer = Writer(stream, **small_logs.CONTAINERS[kind])
+    writer.start()
+    channels: dict[str, int] = {}
+    for given, channel_, message_ in make_reader(BytesIO(small_logs.written())).iter_messages():
+        assert given
+        if channel_.topic not in channels:
+            number = writer.register_schema(given.name, given.encoding, given.data)
+            channels[channel_.topic] = writer.register_channel(channel_.topic, "cdr", number)
+        writer.add_message(channels[channel_.topic], message_.log_time + later_ns, message_.data, 0)
+    writer.finish()
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("years", [1.0, 53.9])
+def test_a_clock_that_is_set_takes_no_memory_and_is_told(years: float, tmp_path: Path) -> None:
+    dive = exact_dive("figure-eight", imu_rate_hz=20.0, reference_rate_hz=1.0)
+    middle_ns, earlier_ns = int(dive.imu.time_ns.mean()), round(years * 365.25 * 86400e9)
+
+    def until_set(columns: Any) -> Any:
+        time_ns = columns.time_ns
+        return replace(columns, time_ns=np.where(time_ns < middle_ns, time_ns - earlier_ns, time_ns))
+
+    path = tmp_path / "set.mcap"
+    parts = {name: until_set(getattr(dive, name)) for name in ("imu", "dvl", "reference")}
+    write_dive(path, replace(dive, truth=None, **parts))
+    read_dive(path, Config())  # so that what is compiled is loaded
+    found: list[Note] = []
+    assert peak_mb(lambda: found.extend(read_dive(path, Config()).notes)) < 30
+    assert "imu_clock_set" in {note.code for note in found}
+    assert "reference_constant" not in {note.code for note in found}
+
+
+def test_turns_in_a_pause_are_not_made_up() -> None:
+    time_ns = np.array([0, 1, 2, 1_000_000, 1_000_001], np.int64) * 1_000_000_000
+    imu = ImuColumns(time_ns, np.zeros((5, 3)), np.full((5, 3), 0.01))
+    at_s = np.array([0.0, 2.0, 1_000_001.0])
+    np.testing.assert_allclose(turned_by(imu, at_s, 2.5)[:, 0], [0.0, 0.02, 0.03], atol=1e-12)
+    np.testing.assert_allclose(turned_by(imu, at_s)[:, 0], [0.0, 0.02, 10000.01], atol=1e-6)
+
+
+def test_legs_begin_where_a_grid_in_time_would_begin_them() -> None:
+    rng = np.random.default_rng(3)
+    for step_s in (0.5, 1.0, 7.0, 23.0):
+        time_s = np.append(0.0, np.cumsum(rng.choice([step_s, 3.0 * step_s], 300)))
+        way = rng.normal(size=300) + 1j * rng.normal(size=300)
+        rows = np.unique(np.searchsorted(time_s, np.arange(0.0, time_s[-1], 10.0)))
+        whole = np.diff(time_s[rows]) < 20.0
+        expected = np.diff(np.append(0.0, np.cumsum(way))[rows])[whole]
+        np.testing.assert_array_equal(_legs(_Ways(time_s, way, way))[0], expected)

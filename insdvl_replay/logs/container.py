@@ -30,6 +30,8 @@ from insdvl_replay.logs.packed import Chunk, chunk_header, open_chunk, opened_si
 from insdvl_replay.logs.records import parsed
 from insdvl_replay.logs.refusal import refused
 
+_END_OF_TIME_NS: Final = 2**63
+"""Times are signed in numpy as in ROS, and unsigned in the format."""
 _AHEAD: Final = 3
 """Chunks that are opened while the one before is read."""
 _MOST_OPEN: Final = 256 << 20
@@ -145,9 +147,23 @@ class Log:
             text = f"the summary of {self.path.name} announces {missing:+d} messages against what the log holds"
             hint = "copy the log again from the recorder if it still has it"
             notes.append(Note("log_summary", text, abs(missing), "warning", hint))
+        if (last_ns := self._last_ns()) >= _END_OF_TIME_NS:
+            text = (
+                f"the log times of {self.path.name} go on to {last_ns} ns since 1970; from 2^63 ns on, which is in the "
+                "year 2262, they are no times that can be shown or compared with stamps"
+            )
+            hint = "the messages' own stamps are used where they have any; the recorder's clock was wrong"
+            notes.append(Note("log_times_late", text, 1, "warning", hint))
         if private := self._anatomy.private:
             notes.append(Note("unknown_records", f"{private} records are of kinds that are not MCAP's own", private))
         return tuple(notes)
+
+    def _last_ns(self) -> int:
+        """Give the last log time as the statistics or else the chunks say, which count from 0 to 2^64."""
+        if (stated := self._anatomy.announced.statistics) is not None:
+            return int(stated.message_end_time)
+        chunks = [chunk for chunk in self._anatomy.chunks.values() if chunk.kind != "loose"]
+        return max((chunk_header(self._data, chunk.offset, chunk.length).last_ns for chunk in chunks), default=0)
 
     def digests(self) -> list[Digest]:
         """Go over all bytes of the file. It changes nothing here, so that another thread can do it meanwhile.
