@@ -19,6 +19,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from insdvl_replay.cli.messages import tell_failure
 from insdvl_replay.columns import ImuColumns
 from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError, Note, most_like
@@ -318,3 +319,8 @@ def test_legs_begin_where_a_grid_in_time_would_begin_them() -> None:
         whole = np.diff(time_s[rows]) < 20.0
         expected = np.diff(np.append(0.0, np.cumsum(way))[rows])[whole]
         np.testing.assert_array_equal(_legs(_Ways(time_s, way, way))[0], expected)
+
+
+def test_want_of_memory_is_no_mistake_of_the_program(capsys: pytest.CaptureFixture[str]) -> None:
+    assert tell_failure(MemoryError("Unable to allocate 8 GiB"), 0) == 3
+    assert "error: there is not enough memory: Unable to allocate 8 GiB; hint:" in capsys.readouterr().err

@@ -195,7 +195,7 @@ def _decompressed(packed: memoryview, compression: str, size: int, offset: int) 
             return memoryview(zstandard.ZstdDecompressor().decompress(packed, max_output_size=size))
         if compression == "lz4":
             return _unpacked_lz4(packed, size, offset)
-    except (zstandard.ZstdError, RuntimeError, MemoryError, OverflowError) as error:
+    except (zstandard.ZstdError, RuntimeError, OverflowError) as error:
         raise DamageError(offset, f"a {compression} chunk cannot be decompressed ({error})") from error
     raise DamageError(offset, f"a chunk is compressed with '{compression}', which is none of zstd, lz4 and nothing")
 
@@ -207,7 +207,7 @@ def _decompressed_start(packed: memoryview, header: ChunkHeader, offset: int) ->
         if header.compression == "lz4":
             return _unpacked_lz4(packed, size, offset)
         content = zstandard.ZstdDecompressor().stream_reader(packed).read(size + 1)
-    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
+    except (zstandard.ZstdError, RuntimeError) as error:
         raise DamageError(offset, f"a {header.compression} chunk cannot be decompressed ({error})") from error
     _require_end(len(content) <= size, size, offset)
     return memoryview(content)
