@@ -29,7 +29,7 @@ class LogFacts:
     has_summary : bool
         Whether the file closes with a summary.
     start_utc : str or None
-        Log time of the first message, ISO 8601; None without messages.
+        Log time of the first message, ISO 8601; None without messages, or where it lies behind 2262.
     duration_s : float
         From the first to the last message.
     metadata, attachments : tuple of str

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import typer
 
-from insdvl_replay.errors import Note, UserError
+from insdvl_replay.errors import LogError, Note, UserError
 
 OUR_MISTAKE = 4
 
@@ -69,6 +69,9 @@ def _explained(error: Exception) -> tuple[int, str, str]:
         return error.exit_code, error.message, error.hint
     if isinstance(error, UsageError):
         return _explained_usage(error)
+    if isinstance(error, MemoryError):
+        found = f"there is not enough memory{f': {error}' if str(error) else ''}"
+        return LogError.exit_code, found, "run it where a process may have more; `ulimit -v` shows a limit"
     return (
         OUR_MISTAKE,
         f"this is a mistake in insdvl-replay: {type(error).__name__}: {error}",

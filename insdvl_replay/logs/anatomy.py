@@ -4,6 +4,7 @@ Nothing is taken from the summary that the records do not confirm, and a chunk s
 what is in it.
 """
 
+from bisect import bisect_left, insort
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +13,7 @@ from mcap import records
 from insdvl_replay.logs.chunks import read_chunk
 from insdvl_replay.logs.damage import Damage, DamageError
 from insdvl_replay.logs.message_index import index_count
-from insdvl_replay.logs.packed import Chunk, chunk_header
+from insdvl_replay.logs.packed import LARGEST_CHUNK, Chunk, chunk_header, most_opened, opened_size
 from insdvl_replay.logs.records import DATA_END_SIZE, MAGIC, RECORD_HEADER_SIZE
 from insdvl_replay.logs.summary import read_summary, summary_behind
 from insdvl_replay.logs.walk import Anatomy, Walk, file_definition
@@ -33,19 +34,20 @@ def anatomy_of(data: memoryview, release: Callable[[int, int], None]) -> Anatomy
     Anatomy
     """
     summary = read_summary(data)
-    anatomy = Anatomy(summary, damages=list(summary.damages))
+    anatomy = Anatomy(summary, damages=dict.fromkeys(summary.damages))
     if (opening := bytes(data[: len(MAGIC)])) != MAGIC:
         anatomy.mark(Damage(0, f"the opening bytes are '{opening.hex(' ')}', not those of an MCAP file"))
     Walk(data, anatomy, release).run()
     if anatomy.data_end is not None and summary.message_count is None:
         anatomy.displaced = summary_behind(data, anatomy.data_end[0] + DATA_END_SIZE)
-    for chunk in list(anatomy.chunks):
+    for chunk in list(anatomy.chunks.values()):
         _count_by_index(data, anatomy, chunk)
+    _lose_beyond_budget(data, anatomy)
     _compare_chunks(data, anatomy)
     _drop_copies(data, anatomy)
     anatomy.schemas |= _agreed(anatomy, anatomy.schemas, anatomy.announced.schemas)
     anatomy.channels |= _agreed(anatomy, anatomy.channels, anatomy.announced.channels)
-    for chunk in list(anatomy.chunks):
+    for chunk in list(anatomy.chunks.values()):
         if chunk.kind != "loose" and not _is_vouched_for(anatomy, chunk):
             _look_into(data, anatomy, chunk)
             release(chunk.offset, chunk.offset + chunk.length)
@@ -72,35 +74,50 @@ def _count_by_index(data: memoryview, anatomy: Anatomy, chunk: Chunk) -> None:
         anatomy.lose(chunk, damage)
 
 
+def _lose_beyond_budget(data: memoryview, anatomy: Anatomy) -> None:
+    """Leave closed what would make the whole file larger than any that was recorded: it would take hours to read."""
+    most, total = most_opened(len(data), LARGEST_CHUNK), 0
+    for chunk in list(anatomy.chunks.values()):
+        total += opened_size(data, chunk)
+        if total > most:
+            found = f"the chunks up to here open to {total} bytes, where a file of {len(data)} may hold {most}"
+            anatomy.lose(chunk, DamageError(chunk.offset, found))
+
+
 def _compare_chunks(data: memoryview, anatomy: Anatomy) -> None:
     """Hold the chunks against those that the summary names, and find those that the walk passed over."""
     named = anatomy.summary.chunks
     if not named:
         return
-    walked = {chunk.offset - RECORD_HEADER_SIZE: chunk for chunk in anatomy.chunks if chunk.kind != "loose"}
+    walked = {chunk.offset - RECORD_HEADER_SIZE: chunk for chunk in anatomy.chunks.values() if chunk.kind != "loose"}
+    places = sorted(anatomy.chunks)
     for start, index in named.items():
         chunk = walked.get(start)
         if chunk is None:
             anatomy.mark(Damage(start, "the summary names a chunk where none is found"))
-            _add_passed_over(data, anatomy, start, index)
+            _add_passed_over(data, anatomy, places, start, index)
         elif difference := _difference(data, chunk, index):
             anatomy.mark(Damage(start, f"the summary does not agree with a chunk about {difference}"))
     for start in walked.keys() - named.keys():
         anatomy.mark(Damage(start, "a chunk stands here that the summary does not name"))
+    anatomy.chunks = {place: anatomy.chunks[place] for place in places}
 
 
-def _add_passed_over(data: memoryview, anatomy: Anatomy, start: int, index: records.ChunkIndex) -> None:
+def _add_passed_over(
+    data: memoryview, anatomy: Anatomy, places: list[int], start: int, index: records.ChunkIndex
+) -> None:
+    """Add a chunk that only the summary names, and its place to the sorted ones of all, where it overlaps no other."""
     offset, end = start + RECORD_HEADER_SIZE, start + index.chunk_length
-    overlaps = any(chunk.offset < end and start < chunk.offset + chunk.length for chunk in anatomy.chunks)
-    if end > anatomy.summary.end or overlaps:
+    before = [anatomy.chunks[place] for place in places[: bisect_left(places, end)][-1:]]
+    if end > anatomy.summary.end or any(start < chunk.offset + chunk.length for chunk in before):
         return
     try:
         header = chunk_header(data, offset, end - offset)
     except DamageError:
         return
     if header.packed_start + header.packed_size == end and header.size == index.uncompressed_size:
-        anatomy.chunks.append(Chunk(offset, end - offset))
-        anatomy.chunks.sort(key=lambda chunk: chunk.offset)
+        anatomy.add(Chunk(offset, end - offset))
+        insort(places, offset)
 
 
 def _difference(data: memoryview, chunk: Chunk, index: records.ChunkIndex) -> str:
@@ -122,12 +139,12 @@ def _difference(data: memoryview, chunk: Chunk, index: records.ChunkIndex) -> st
 def _drop_copies(data: memoryview, anatomy: Anatomy) -> None:
     """Leave out chunks that are copies of another one."""
     seen: dict[bytes, Chunk] = {}
-    for chunk in [chunk for chunk in anatomy.chunks if chunk.kind == "whole"]:
-        header = bytes(data[chunk.offset : chunk.offset + 64])
+    for chunk in [chunk for chunk in anatomy.chunks.values() if chunk.kind == "whole"]:
+        header = bytes(data[chunk.offset : chunk.offset + min(chunk.length, 64)])
         first = seen.setdefault(header, chunk)
         if first is not chunk and _bytes_of(data, first) == _bytes_of(data, chunk):
             anatomy.mark(Damage(chunk.offset, f"the chunk is a copy of the one at byte {first.offset}"))
-            anatomy.chunks.remove(chunk)
+            del anatomy.chunks[chunk.offset]
 
 
 def _bytes_of(data: memoryview, chunk: Chunk) -> memoryview:
@@ -162,7 +179,7 @@ def _look_into(data: memoryview, anatomy: Anatomy, chunk: Chunk) -> None:
         anatomy.lose(chunk, damage)
         return
     anatomy.accept(chunk, content)
-    for opcode, start, length in content.others:
+    for opcode, start, length in content.definitions.rows():
         try:
             file_definition(anatomy, content.buffer, opcode, start, length)
         except DamageError as damage:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.errors import LogError
+from insdvl_replay.errors import LogError, about
 from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.cdr_numbers import LITTLE_ENDIAN, Numbers, Places, read_bits
 from insdvl_replay.logs.field_errors import check_path
@@ -146,7 +146,8 @@ class CdrReader:
 
     def _numbers_of(self, layout: Layout) -> Numbers:
         if layout.lengths not in self._numbers:
-            self._numbers[layout.lengths] = Numbers(layout, self._paths)
+            with about(self._place):
+                self._numbers[layout.lengths] = Numbers(layout, self._paths)
         return self._numbers[layout.lengths]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.compiled import is_loaded
+from insdvl_replay.errors import LogError
 from insdvl_replay.logs.blocks import gather
 from insdvl_replay.logs.field_paths import Columns
 from insdvl_replay.logs.layout import ENCAPSULATION, Layout
@@ -36,6 +37,9 @@ class Places(NamedTuple):
     signed: NDArray[np.bool_]
 
 
+MOST_NUMBERS: Final = 1 << 16
+"""Numbers that are read of one message; a sensor gives some hundreds."""
+
 _Run = tuple[slice, np.dtype[Any]]
 """Numbers of one kind that stand side by side."""
 
@@ -47,6 +51,11 @@ class Numbers:
     ----------
     layout : Layout
     paths : sequence of str
+
+    Raises
+    ------
+    LogError
+        They mean more than `MOST_NUMBERS`.
     """
 
     def __init__(self, layout: Layout, paths: Sequence[str]) -> None:
@@ -58,6 +67,8 @@ class Numbers:
         for path, runs in self._runs.items():
             for dtype, start in _leaves(layout.dtype, path):
                 count, size = math.prod(dtype.shape), dtype.base.itemsize
+                if end + count > MOST_NUMBERS:
+                    raise LogError(f"'{path}' means more than {MOST_NUMBERS} numbers of a message", "name fewer")
                 starts.append(start + size * np.arange(count))
                 sizes.append(np.full(count, size))
                 signed.append(np.full(count, dtype.base.kind == "i"))

@@ -33,8 +33,8 @@ class Content:
         Bytes of the open chunk.
     blocks : dict of int to Block
         The messages by channel.
-    others : list of (int, int, int)
-        Kind, start and size of the content of every other record.
+    definitions : Records
+        Of schemas and channels.
     damages : list of Damage
         What is wrong although the chunk can be read.
     lost_span_ns : (int, int) or None
@@ -43,7 +43,7 @@ class Content:
 
     buffer: memoryview
     blocks: dict[int, Block]
-    others: list[tuple[int, int, int]]
+    definitions: Records
     damages: list[Damage]
     lost_span_ns: Span | None = None
 
@@ -97,24 +97,27 @@ def content_of(data: memoryview, chunk: Chunk, buffer: memoryview) -> Content:
     -------
     Content
         As `read_chunk` gives it.
+
+    Raises
+    ------
+    DamageError
+        No record is in it.
     """
     records, passed = _find_all(buffer)
+    if passed and not len(records):
+        raise DamageError(chunk.offset, f"in the chunk no record is found: {passed[0][2]}")
     damages = [Damage(chunk.offset, f"in the chunk, {stop} bytes on, {reason}") for stop, _, reason in passed]
     holes = [(start, stop) for start, stop, _ in passed] + [(len(buffer),) * 2] * (chunk.kind == "cut")
     span_ns = _lost_span(data, chunk, buffer, records, holes) if holes else None
-    content = Content(buffer, by_channel(buffer, records), _other_records(records), damages, span_ns)
+    definitions = records.where(records.opcodes < Opcode.MESSAGE)
+    content = Content(buffer, by_channel(buffer, records), definitions, damages, span_ns)
     if chunk.indexes and chunk.kind == "whole":
         damages += _index_damages(data, chunk, content.blocks)
     return content
 
 
-def _other_records(records: Records) -> list[tuple[int, int, int]]:
-    """Give kind, start and size of the content of every record that is no message."""
-    return list(records.where(records.opcodes != Opcode.MESSAGE).rows())
-
-
 def _find_all(buffer: memoryview) -> tuple[Records, list[tuple[int, int, str]]]:
-    """Find all records of a chunk.
+    """Find the messages of a chunk and the definitions before them; others, which nobody reads, are passed over.
 
     Parameters
     ----------
@@ -136,7 +139,8 @@ def _find_all(buffer: memoryview) -> tuple[Records, list[tuple[int, int, str]]]:
             broken, reason = stop, what_stands(buffer, stop, end)
             batch, stop = go_on(buffer, batch, stop, end)
             passed.append((broken, stop, reason))
-        batches.append(batch)
+        read = batch.opcodes <= Opcode.MESSAGE
+        batches.append(batch if read.all() else batch.where(read))
         place = stop
     return batches[0] if len(batches) == 1 else joined(batches), passed
 

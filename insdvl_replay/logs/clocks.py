@@ -42,7 +42,9 @@ def measure_clock(role: str, topic: str, stamp: str, time_ns: TimeNs, log_time_n
     -------
     Clock
     """
-    first_ns, behind_ns = int(log_time_ns[0] - time_ns[0]), log_time_ns - time_ns
+    # As arrays, whose sums go round at 2^64: log times behind 2^63 still give what they are behind.
+    behind_ns = log_time_ns - time_ns
+    first_ns = int(behind_ns[0])
     behind_ns -= first_ns
     low, median, high = (_percentile(behind_ns, percent) for percent in (5, 50, 95))
     # Each such array of a long log is much new memory; this one has done its duty.

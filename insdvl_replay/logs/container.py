@@ -26,12 +26,18 @@ from insdvl_replay.logs.damage import DamageError, Span
 from insdvl_replay.logs.loss import chunk_span, damage_note
 from insdvl_replay.logs.message_index import index_entries
 from insdvl_replay.logs.opening import mapped
-from insdvl_replay.logs.packed import Chunk, chunk_header, open_chunk
+from insdvl_replay.logs.packed import Chunk, chunk_header, open_chunk, opened_size
 from insdvl_replay.logs.records import parsed
 from insdvl_replay.logs.refusal import refused
 
+_END_OF_TIME_NS: Final = 2**63
+"""Times are signed in numpy as in ROS, and unsigned in the format."""
 _AHEAD: Final = 3
 """Chunks that are opened while the one before is read."""
+_MOST_OPEN: Final = 256 << 20
+"""Bytes that they open to together, if they are more than one."""
+_KEPT: Final = 16 << 20
+"""Bytes of chunks that stay open, since samples of many topics are read from the same ones."""
 
 
 class Log:
@@ -63,6 +69,7 @@ class Log:
         self._anatomy = anatomy_of(self._data, self._release)
         self._release(0, len(self._data))
         self._opened: set[int] = set()
+        self._kept: dict[int, Content] = {}
         self._judge()
         self.channels = tuple(
             described(channel, self._anatomy.schemas.get(channel.schema_id), self._anatomy.counts[channel.id])
@@ -87,14 +94,14 @@ class Log:
     @property
     def chunk_count(self) -> int:
         """How many chunks there are."""
-        return sum(chunk.kind != "loose" for chunk in self._anatomy.chunks)
+        return sum(chunk.kind != "loose" for chunk in self._anatomy.chunks.values())
 
     @property
     def compression(self) -> tuple[str, ...]:
         """The ways in which chunks are compressed, ``none`` for those that are not."""
         headers = [
             chunk_header(self._data, chunk.offset, chunk.length)
-            for chunk in self._anatomy.chunks
+            for chunk in self._anatomy.chunks.values()
             if chunk.kind != "loose"
         ]
         return tuple(sorted({header.compression or "none" for header in headers}))
@@ -107,7 +114,7 @@ class Log:
     @property
     def span_ns(self) -> Span | None:
         """First and last log time; None without messages."""
-        spans = [span for chunk in self._anatomy.chunks if (span := chunk_span(self._data, chunk))]
+        spans = [span for chunk in self._anatomy.chunks.values() if (span := chunk_span(self._data, chunk))]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     @property
@@ -140,9 +147,23 @@ class Log:
             text = f"the summary of {self.path.name} announces {missing:+d} messages against what the log holds"
             hint = "copy the log again from the recorder if it still has it"
             notes.append(Note("log_summary", text, abs(missing), "warning", hint))
+        if (last_ns := self._last_ns()) >= _END_OF_TIME_NS:
+            text = (
+                f"the log times of {self.path.name} go on to {last_ns} ns since 1970; from 2^63 ns on, which is in the "
+                "year 2262, they are no times that can be shown or compared with stamps"
+            )
+            hint = "the messages' own stamps are used where they have any; the recorder's clock was wrong"
+            notes.append(Note("log_times_late", text, 1, "warning", hint))
         if private := self._anatomy.private:
             notes.append(Note("unknown_records", f"{private} records are of kinds that are not MCAP's own", private))
         return tuple(notes)
+
+    def _last_ns(self) -> int:
+        """Give the last log time as the statistics or else the chunks say, which count from 0 to 2^64."""
+        if (stated := self._anatomy.announced.statistics) is not None:
+            return int(stated.message_end_time)
+        chunks = [chunk for chunk in self._anatomy.chunks.values() if chunk.kind != "loose"]
+        return max((chunk_header(self._data, chunk.offset, chunk.length).last_ns for chunk in chunks), default=0)
 
     def digests(self) -> list[Digest]:
         """Go over all bytes of the file. It changes nothing here, so that another thread can do it meanwhile.
@@ -195,7 +216,7 @@ class Log:
         LogError
             A chunk is damaged or compressed in an unknown way.
         """
-        wanted = [chunk for chunk in self._anatomy.chunks if not chunk.counts.keys().isdisjoint(channel_ids)]
+        wanted = [chunk for chunk in self._anatomy.chunks.values() if not chunk.counts.keys().isdisjoint(channel_ids)]
         for content in self._contents(wanted):
             self._judge()
             yield from content.of(channel_ids)
@@ -209,7 +230,7 @@ class Log:
         LogError
             One is damaged.
         """
-        unopened = [chunk for chunk in self._anatomy.chunks if chunk.offset not in self._opened]
+        unopened = [chunk for chunk in self._anatomy.chunks.values() if chunk.offset not in self._opened]
         for _ in self._contents([chunk for chunk in unopened if self._has_checksum(chunk)]):
             self._judge()
         self._judge()
@@ -231,11 +252,11 @@ class Log:
             An index, or a chunk without one, is damaged.
         """
         parts: dict[int, list[TimeNs]] = {channel.id: [np.empty(0, np.int64)] for channel in self.channels}
-        for chunk in self._anatomy.chunks:
+        for chunk in self._anatomy.chunks.values():
             for place in chunk.indexes:
                 channel_id, entries = index_entries(self._data, *place)
                 parts.setdefault(channel_id, []).append(entries["log_time"])
-        for content in self._contents([chunk for chunk in self._anatomy.chunks if not chunk.indexes]):
+        for content in self._contents([chunk for chunk in self._anatomy.chunks.values() if not chunk.indexes]):
             for block in content.of(parts):
                 parts[block.channel_id].append(block.log_time)
         self._judge()
@@ -243,17 +264,24 @@ class Log:
 
     def _contents(self, chunks: Sequence[Chunk]) -> Iterator[Content]:
         """Go through chunks, of which the next ones are opened in another thread; lost ones are marked."""
-        ahead: deque[tuple[Chunk, Future[memoryview]]] = deque()
+        ahead: deque[tuple[Chunk, Future[memoryview] | Content]] = deque()
+        sizes: deque[int] = deque()
         with ThreadPoolExecutor(1) as opener:
             for chunk in chunks:
-                ahead.append((chunk, opener.submit(open_chunk, self._data, chunk)))
-                if len(ahead) > _AHEAD:
+                sizes.append(opened_size(self._data, chunk))
+                while ahead and (len(ahead) > _AHEAD or sum(sizes) > _MOST_OPEN):
                     yield from self._content(*ahead.popleft())
+                    sizes.popleft()
+                kept = self._kept.get(chunk.offset)
+                ahead.append((chunk, kept or opener.submit(open_chunk, self._data, chunk)))
             while ahead:
                 yield from self._content(*ahead.popleft())
 
-    def _content(self, chunk: Chunk, opened: Future[memoryview]) -> Iterator[Content]:
+    def _content(self, chunk: Chunk, opened: Future[memoryview] | Content) -> Iterator[Content]:
         self._opened.add(chunk.offset)
+        if isinstance(opened, Content):
+            yield opened
+            return
         try:
             content = content_of(self._data, chunk, opened.result())
         except DamageError as damage:
@@ -261,10 +289,17 @@ class Log:
             return
         if content.damages:
             self._anatomy.accept(chunk, content)
+        self._keep(chunk, content)
         yield content
         self._release(
             chunk.offset, max(start + length for start, length in [(chunk.offset, chunk.length), *chunk.indexes])
         )
+
+    def _keep(self, chunk: Chunk, content: Content) -> None:
+        """Keep a chunk open, and close those that were kept before it for want of room."""
+        self._kept[chunk.offset] = content
+        while sum(len(one.buffer) for one in self._kept.values()) > _KEPT:
+            del self._kept[next(iter(self._kept))]
 
     def complaints(self) -> list[str]:
         """Give a sentence for each damaged place found so far."""
@@ -273,7 +308,7 @@ class Log:
     def saved_times(self) -> Iterator[TimeNs]:
         """Read all that can be read and give the log times, a block of messages at a time; ns."""
         ids = self._anatomy.channels.keys()
-        for content in self._contents(list(self._anatomy.chunks)):
+        for content in self._contents(list(self._anatomy.chunks.values())):
             yield from (block.log_time for block in content.of(ids))
 
     def refusal(self) -> LogError | None:

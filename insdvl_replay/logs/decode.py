@@ -10,7 +10,7 @@ from insdvl_replay.config import Imu
 from insdvl_replay.errors import ConfigError, Note
 from insdvl_replay.logs.cleaning import Cleaner
 from insdvl_replay.logs.order import Mask
-from insdvl_replay.logs.pauses import note_bursts, note_gaps
+from insdvl_replay.logs.pauses import note_bursts, note_clock_set, note_gaps
 from insdvl_replay.logs.spikes import drop_spikes
 from insdvl_replay.logs.tables import Table
 from insdvl_replay.states import DEG, MG
@@ -112,6 +112,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     drop_spikes(cleaner, specific_force_b, angular_rate_b)
     steps_ns = np.diff(cleaner.times)
     note_gaps(cleaner, steps_ns, settings.max_gap_s)
+    note_clock_set(cleaner, steps_ns)
     note_bursts(cleaner, steps_ns, "noise.accel_white_mps_rts and noise.gyro_white_rad_rts")
     imu = ImuColumns(cleaner.times, cleaner.kept(specific_force_b), cleaner.kept(angular_rate_b))
     return imu, cleaner.notes

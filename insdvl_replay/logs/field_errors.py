@@ -1,10 +1,9 @@
 """What to tell a user whose field path leads nowhere: which fields there are, and how to join them."""
 
-import difflib
 import re
 from typing import Final
 
-from insdvl_replay.errors import LogError, nearest
+from insdvl_replay.errors import LogError, most_like, nearest
 from insdvl_replay.logs.field_paths import TEXTS, Kinds, find_path
 
 _LISTED: Final = 24
@@ -55,7 +54,7 @@ def fields_hint(known: Kinds, path: str) -> str:
     numbers = {name: kind for name, kind in known.items() if kind not in TEXTS and f"{name}[*]" not in known}
     if not numbers:
         return "the type has no fields of numbers"
-    near = set(difflib.get_close_matches(path, numbers, n=_LISTED, cutoff=0.0))
+    near = set(most_like(path, numbers, _LISTED))
     shortest_first = sorted(
         (name for name in numbers if name in near), key=lambda name: len(re.findall(r"[.\[]", name))
     )

@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.errors import LogError
 from insdvl_replay.logs.blocks import Block
 
 Columns = dict[str, NDArray[Any]]
@@ -26,6 +27,11 @@ NUMBER: Final = "number"
 """Kind of a `Shape` that is one number."""
 TEXT: Final = "text"
 """Kind of a `Shape` that holds no numbers."""
+
+MOST_PATHS: Final = 1 << 16
+"""Paths that a type may have: those of real types are hundreds, and a short schema can mean billions."""
+MOST_LEVELS: Final = 64
+"""Structures within structures that a type may have; those of real types are less than ten."""
 
 TEXTS: Final = (TEXT, "string", "wstring")
 """Kinds of what holds no numbers."""
@@ -125,6 +131,21 @@ def find_path(path: str, known: Kinds) -> str | None:
     str or None
     """
     return known.get(re.sub(r"\[\d+\]", "[*]", path))
+
+
+def too_large(type_name: str) -> LogError:
+    """Make the error with which a type is refused that has more than `MOST_PATHS` or `MOST_LEVELS`.
+
+    Parameters
+    ----------
+    type_name : str
+
+    Returns
+    -------
+    LogError
+    """
+    text = f"{type_name}: the schema means more than {MOST_PATHS} fields, or more than {MOST_LEVELS} within each other"
+    return LogError(text, "leave its topic out of the roles")
 
 
 def known_paths(shape: Shape, prefix: str = "") -> Iterator[tuple[str, str]]:

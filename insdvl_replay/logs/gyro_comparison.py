@@ -118,7 +118,7 @@ def gyro_by_gravity(imu: ImuColumns) -> float | None:
     return power / product
 
 
-def turned_by(imu: ImuColumns, at_s: Floats) -> Floats:
+def turned_by(imu: ImuColumns, at_s: Floats, longest_s: float = np.inf) -> Floats:
     """Add up the angular rate from the first sample on.
 
     Parameters
@@ -126,6 +126,8 @@ def turned_by(imu: ImuColumns, at_s: Floats) -> Floats:
     imu : ImuColumns
     at_s : ndarray, shape (k,)
         Times in seconds from the first sample.
+    longest_s : float
+        In longer pauses nothing is added, since nobody saw what turned in them.
 
     Returns
     -------
@@ -134,6 +136,7 @@ def turned_by(imu: ImuColumns, at_s: Floats) -> Floats:
     """
     sample_s = seconds(imu.time_ns, imu.time_ns[0])
     step_s = np.diff(sample_s)
+    step_s[step_s > longest_s] = 0.0
     columns = []
     for rate in imu.angular_rate_b.T:
         total = np.zeros(len(rate))

@@ -8,6 +8,7 @@ four bytes of the encapsulation header. Source: OMG, "DDS Interoperability Wire 
 "Extensible and Dynamic Topic Types for DDS", version 1.3, section 7.4.1.
 """
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -21,6 +22,8 @@ from insdvl_replay.logs.ros2msg import PRIMITIVES, Definition, Field, full_name
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """The header of a little-endian XCDR1 message."""
 
+MOST_PLACES: Final = 1 << 18
+"""Fields that a message may hold, each element of a list of structures for itself."""
 _SIZES: Final = {name: np.dtype(format_).itemsize for name, format_ in PRIMITIVES.items()}
 
 
@@ -156,29 +159,28 @@ def dynamic_lengths(
 
     def next_length(path: str) -> int:
         length = int.from_bytes(data[walk.offset : walk.offset + 4], "little")
-        _require(length <= len(data) - walk.offset - 4, type_name, data)
+        walk.require(walk.offset + 4 + length)
         return length
 
-    walk = _Walk(definitions, next_length)
+    walk = _Walk(definitions, next_length, type_name, len(data))
     walk.message("", full_name(type_name))
-    _require(walk.offset <= len(data), type_name, data)
     return tuple(walk.lengths)
-
-
-def _require(fits: bool, type_name: str, data: bytes) -> None:
-    if not fits:
-        raise LogError(
-            f"{type_name}: a message of {len(data)} bytes is shorter than its schema and lengths say",
-            "the log is damaged, or its schema is not that of its messages",
-        )
 
 
 class _Walk:
     """One pass over the fields of a message in the order of the bytes."""
 
-    def __init__(self, definitions: Mapping[str, Definition], next_length: Callable[[str], int]) -> None:
+    def __init__(
+        self,
+        definitions: Mapping[str, Definition],
+        next_length: Callable[[str], int],
+        type_name: str = "",
+        room: int = sys.maxsize,
+    ) -> None:
         self.definitions = definitions
         self.next_length = next_length
+        self.type_name = type_name
+        self.room = room
         self.offset = len(ENCAPSULATION)
         self.names: list[str] = []
         self.formats: list[Any] = []
@@ -238,12 +240,24 @@ class _Walk:
         self.offset += 4
         return length
 
+    def require(self, end: int) -> None:
+        """Refuse a message that is shorter than where its fields end, before many more of them are named."""
+        if end > self.room:
+            raise LogError(
+                f"{self.type_name}: a message of {self.room} bytes is shorter than its schema and lengths say",
+                "the log is damaged, or its schema is not that of its messages",
+            )
+
     def align(self, size: int) -> None:
         """Skip padding."""
         self.offset += -(self.offset - len(ENCAPSULATION)) % size
 
     def place(self, path: str, format_: Any, size: int) -> None:
         """Note where a field stands and go behind it."""
+        self.require(self.offset + size)
+        if len(self.names) == MOST_PLACES:
+            text = f"{self.type_name}: a message holds more than {MOST_PLACES} fields, with those in its lists"
+            raise LogError(text, "leave its topic out of the roles")
         self.names.append(path)
         self.formats.append(format_)
         self.offsets.append(self.offset)

@@ -127,7 +127,7 @@ class _Spans:
 
     def __init__(self, data: memoryview, anatomy: Anatomy) -> None:
         self._data = data
-        self._chunks = sorted(anatomy.chunks, key=_offset)
+        self._chunks = sorted(anatomy.chunks.values(), key=_offset)
         self._whole = anatomy.announced.span_ns
 
     def of(self, chunk: Chunk) -> Span | None:
@@ -187,7 +187,7 @@ def _of_lost_chunks(data: memoryview, anatomy: Anatomy, spans: _Spans) -> Iterat
     for chunk in anatomy.lost:
         span = _stated_span(data, chunk) or spans.between(chunk.offset, chunk.offset + chunk.length)
         yield Loss(chunk.counts.total() or None, span)
-    met = [chunk for chunk in (*anatomy.chunks, *anatomy.lost) if chunk.kind != "loose"]
+    met = [chunk for chunk in (*anatomy.chunks.values(), *anatomy.lost) if chunk.kind != "loose"]
     # Where bytes were put in or taken out, chunks are not where the index says, and are known by what they say.
     starts = {chunk.offset - RECORD_HEADER_SIZE for chunk in met} if anatomy.displaced is None else set()
     identities = {_identity(data, chunk) for chunk in met}
@@ -208,7 +208,7 @@ def _identity(data: memoryview, chunk: Chunk) -> tuple[int, int, int] | None:
 
 def _of_unknown_channels(data: memoryview, anatomy: Anatomy) -> Iterator[Loss]:
     """Go through the messages that no definition can be found for."""
-    for chunk in anatomy.chunks:
+    for chunk in anatomy.chunks.values():
         unknown = [channel_id for channel_id in chunk.counts if channel_id not in anatomy.channels]
         if unknown:
             times = read_chunk(data, chunk).log_times(unknown)
@@ -220,7 +220,7 @@ def _of_passed_bytes(data: memoryview, anatomy: Anatomy, spans: _Spans) -> Itera
 
     Where all messages stood in chunks that an index names, that index has told already what is missing.
     """
-    if anatomy.announced.chunks and all(chunk.kind != "loose" for chunk in anatomy.chunks):
+    if anatomy.announced.chunks and all(chunk.kind != "loose" for chunk in anatomy.chunks.values()):
         return
     for start, end in anatomy.passed:
         yield Loss(None, spans.between(start, end))

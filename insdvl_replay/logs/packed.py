@@ -14,13 +14,31 @@ from zlib_ng import zlib_ng
 
 from insdvl_replay.logs.damage import DamageError, Span, plausible_span
 
-_CHUNK: Final = struct.Struct("<qqQII")
+_CHUNK: Final = struct.Struct("<QQQII")
 COMPRESSED: Final = ("zstd", "lz4")
 """The ways of compression that the format knows."""
 
+LARGEST_CHUNK: Final = 1 << 30
+"""Bytes to which a chunk may open; recorders write some megabytes, and several chunks are open at a time."""
 _USUAL_SIZE: Final = 64 << 20
 _MOST_COMPRESSED: Final = 256
 """Chunks larger than usual are taken at their word only if they are not packed more densely than this."""
+
+
+def most_opened(packed_size: int, usual: int = _USUAL_SIZE) -> int:
+    """Give the bytes to which compressed bytes may open: what is usual, or more where there are more of them.
+
+    Parameters
+    ----------
+    packed_size : int
+    usual : int
+        What the fewest may open to.
+
+    Returns
+    -------
+    int
+    """
+    return max(usual, _MOST_COMPRESSED * packed_size)
 
 
 @dataclass
@@ -106,6 +124,29 @@ def chunk_header(data: memoryview, offset: int, room: int) -> ChunkHeader:
     return ChunkHeader(first_ns, last_ns, size, crc, name, offset + name_end + 8, packed_size)
 
 
+def opened_size(data: memoryview, chunk: Chunk) -> int:
+    """Give the bytes that an open chunk takes: none where it is not compressed, or says more than can be.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    chunk : Chunk
+        With a header that can be read.
+
+    Returns
+    -------
+    int
+    """
+    if chunk.kind == "loose":
+        return 0
+    header = chunk_header(data, chunk.offset, chunk.length)
+    most = _room(chunk.offset + chunk.length - header.packed_start)
+    if chunk.kind == "cut":
+        return _size_of_cut(header, most)
+    return header.size if header.compression and header.size <= most else 0
+
+
 def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
     """Decompress a chunk, and check its length and checksum.
 
@@ -130,7 +171,7 @@ def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
     header = chunk_header(data, chunk.offset, chunk.length)
     packed = data[header.packed_start : chunk.offset + chunk.length]
     if chunk.kind == "cut":
-        return _decompressed_start(packed, header.compression, chunk.offset)
+        return _decompressed_start(packed, header, chunk.offset)
     if len(packed) != header.packed_size:
         found = f"a chunk says it has {header.packed_size} compressed bytes; there are {len(packed)}"
         raise DamageError(chunk.offset, found)
@@ -143,7 +184,7 @@ def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
 
 
 def _decompressed(packed: memoryview, compression: str, size: int, offset: int) -> memoryview:
-    if compression and size > max(_USUAL_SIZE, _MOST_COMPRESSED * len(packed)):
+    if compression and size > _room(len(packed)):
         raise DamageError(offset, f"a chunk of {len(packed)} compressed bytes says it opens to {size}")
     try:
         if compression == "":
@@ -153,17 +194,43 @@ def _decompressed(packed: memoryview, compression: str, size: int, offset: int) 
                 raise DamageError(offset, f"a zstd chunk does not open to the {size} bytes that it announces")
             return memoryview(zstandard.ZstdDecompressor().decompress(packed, max_output_size=size))
         if compression == "lz4":
-            return memoryview(lz4.frame.decompress(packed))
-    except (zstandard.ZstdError, RuntimeError, MemoryError, OverflowError) as error:
+            return _unpacked_lz4(packed, size, offset)
+    except (zstandard.ZstdError, RuntimeError, OverflowError) as error:
         raise DamageError(offset, f"a {compression} chunk cannot be decompressed ({error})") from error
     raise DamageError(offset, f"a chunk is compressed with '{compression}', which is none of zstd, lz4 and nothing")
 
 
-def _decompressed_start(packed: memoryview, compression: str, offset: int) -> memoryview:
+def _decompressed_start(packed: memoryview, header: ChunkHeader, offset: int) -> memoryview:
     """Decompress as much as the bytes that are left give."""
+    size = _size_of_cut(header, _room(len(packed)))
     try:
-        if compression == "zstd":
-            return memoryview(zstandard.ZstdDecompressor().decompressobj().decompress(packed))
-        return memoryview(lz4.frame.LZ4FrameDecompressor().decompress(packed))
-    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
-        raise DamageError(offset, f"a {compression} chunk cannot be decompressed ({error})") from error
+        if header.compression == "lz4":
+            return _unpacked_lz4(packed, size, offset)
+        content = zstandard.ZstdDecompressor().stream_reader(packed).read(size + 1)
+    except (zstandard.ZstdError, RuntimeError) as error:
+        raise DamageError(offset, f"a {header.compression} chunk cannot be decompressed ({error})") from error
+    _require_end(len(content) <= size, size, offset)
+    return memoryview(content)
+
+
+def _room(packed_size: int) -> int:
+    """Give the bytes to which those of one chunk may open."""
+    return min(most_opened(packed_size), LARGEST_CHUNK)
+
+
+def _size_of_cut(header: ChunkHeader, most: int) -> int:
+    """Give the bytes to which a cut chunk opens at most; some recorders write last of all what it is."""
+    return min(header.size, most) if header.size else most
+
+
+def _unpacked_lz4(packed: memoryview, size: int, offset: int) -> memoryview:
+    """Decompress a frame, or the start of one that is cut, to at most a size."""
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    content = decompressor.decompress(packed, max_length=size)
+    _require_end(decompressor.eof or decompressor.needs_input, size, offset)
+    return memoryview(content)
+
+
+def _require_end(is_all: bool, size: int, offset: int) -> None:
+    if not is_all:
+        raise DamageError(offset, f"a chunk opens to more than {size} bytes")

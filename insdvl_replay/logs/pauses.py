@@ -9,6 +9,8 @@ from insdvl_replay.logs.cleaning import Cleaner
 
 GAP_STEPS: Final = 5.0
 """A pause of this many steps is more than the jitter of stamps that come in bursts."""
+LONGEST_PAUSE_NS: Final = 86_400 * NS_PER_S
+"""No recorder waits for a day in the middle of a dive."""
 BURST_STEP: Final = 0.2
 """Share of the usual step below which two samples came together, and were not taken so."""
 PAUSES: Final = 0.95
@@ -42,6 +44,27 @@ def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
     )
     hint = f"{cleaner.role}.max_gap_s says which are harmless" if long else ""
     cleaner.note("gaps", text, gaps.size, "warning" if long else "info", hint, first=cleaner.rows[gaps])
+
+
+def note_clock_set(cleaner: Cleaner, steps_ns: TimeNs) -> None:
+    """Note steps that are no pause of a dive: a recorder without a clock of its own begins in 1970 until it is told.
+
+    Parameters
+    ----------
+    cleaner : Cleaner
+    steps_ns : ndarray
+        From one of its times to the next.
+    """
+    if not steps_ns.size or steps_ns.max() <= LONGEST_PAUSE_NS:
+        return
+    steps = np.flatnonzero(steps_ns > LONGEST_PAUSE_NS)
+    before, after = (np.datetime64(int(cleaner.times[steps[0] + i]), "ns").astype("M8[s]") for i in (0, 1))
+    text = (
+        f"steps are longer than a day, the first from {before} to {after} UTC: the clock was set while the log was "
+        "recorded, or two dives are in it"
+    )
+    hint = "--start and --end choose what is before or behind"
+    cleaner.note("clock_set", text, steps.size, "warning", hint, first=cleaner.rows[steps])
 
 
 def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:

@@ -3,7 +3,8 @@
 Source: https://protobuf.dev/programming-guides/encoding/ and the MCAP registry, https://mcap.dev/spec/registry#protobuf.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import count
 from typing import Any
 
 from google.protobuf.message import DecodeError, Message
@@ -11,10 +12,12 @@ from mcap.exceptions import McapError
 from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
 
-from insdvl_replay.errors import LogError
+from insdvl_replay.errors import LogError, about
 from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.field_errors import check_path
 from insdvl_replay.logs.field_paths import (
+    MOST_LEVELS,
+    MOST_PATHS,
     NUMBER,
     TEXT,
     Columns,
@@ -22,6 +25,7 @@ from insdvl_replay.logs.field_paths import (
     known_paths,
     numbers_at,
     rows_as_columns,
+    too_large,
 )
 
 
@@ -112,7 +116,9 @@ def protobuf_shape(type_name: str, schema_data: bytes, place: str) -> Shape:
     LogError
         The schema cannot be read.
     """
-    return _structure(_message_class(type_name, schema_data, place).DESCRIPTOR, ())
+    descriptor = _message_class(type_name, schema_data, place).DESCRIPTOR
+    with about(place):
+        return _structure(descriptor, (), count())
 
 
 def _message_class(type_name: str, schema_data: bytes, place: str) -> Any:
@@ -124,20 +130,26 @@ def _message_class(type_name: str, schema_data: bytes, place: str) -> Any:
             f"{place}: the schema of {type_name} is no complete protobuf FileDescriptorSet ({error})",
             "record the log again with the descriptors of all files that the type uses",
         ) from error
+    except RecursionError as error:
+        raise too_large(f"{place}: {type_name}") from error
     return type(decode(b"")) if decode else None
 
 
-def _structure(descriptor: Any, above: tuple[str, ...]) -> Shape:
+def _structure(descriptor: Any, above: tuple[str, ...], numbers: Iterator[int]) -> Shape:
     """Describe a message type; a type within itself and maps, whose keys no path can name, are left out."""
     above = (*above, descriptor.full_name)
+    if len(above) > MOST_LEVELS:
+        raise too_large(above[0])
     fields = {}
     for field in descriptor.fields:
         inner = field.message_type
         if inner is not None and (inner.full_name in above or inner.GetOptions().map_entry):
             continue
+        if next(numbers) == MOST_PATHS:
+            raise too_large(above[0])
         fields[field.name] = Shape(
             kind=inner.full_name if inner else _kind(field),
-            fields=_structure(inner, above).fields if inner else {},
+            fields=_structure(inner, above, numbers).fields if inner else {},
             is_list=field.is_repeated,
             may_be_absent=field.has_presence and not field.has_default_value,
         )

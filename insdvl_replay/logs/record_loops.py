@@ -56,6 +56,8 @@ def walk(
 def resume(data: NDArray[np.uint8], start: int, end: int) -> int:
     """Search for a place where a record can stand with another one, or the end, right behind it."""
     for place in range(start, end):
+        if not 0 < data[place] <= LAST_KNOWN:
+            continue  # most bytes are done with here
         opcode, length = _fitting(data, place, end)
         if 0 < opcode <= LAST_KNOWN:
             after = place + RECORD_HEADER_SIZE + length

@@ -8,7 +8,7 @@ import numpy as np
 from insdvl_replay.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.errors import Note
 from insdvl_replay.logs.dvl_health import median_speed_mps
-from insdvl_replay.logs.gyro_comparison import turned_by
+from insdvl_replay.logs.gyro_comparison import LONGEST_STEP_S, turned_by
 from insdvl_replay.logs.imu_health import Check
 from insdvl_replay.logs.reference_motion import motion_checks
 from insdvl_replay.states import DEG
@@ -68,4 +68,4 @@ def _is_constant(rows: Floats) -> bool:
 
 def _turns(imu: ImuColumns) -> bool:
     at_s = seconds(imu.time_ns, imu.time_ns[0])
-    return bool(np.ptp(turned_by(imu, at_s), axis=0).max() > TURNED)
+    return bool(np.ptp(turned_by(imu, at_s, LONGEST_STEP_S), axis=0).max() > TURNED)

@@ -134,7 +134,10 @@ def _legs(ways: _Ways) -> tuple[Complex, Complex]:
     """Add steps up to legs, of which each has to be known whole and not much longer than it is meant to be."""
     if not len(ways.time_s):
         return ways.gone_m, ways.said_m
-    rows = np.unique(np.searchsorted(ways.time_s, np.arange(0.0, ways.time_s[-1], _LEG_S)))
+    # Each leg begins with the first row at or behind a multiple of its length, of which the last row ends one.
+    legs = np.floor(ways.time_s / _LEG_S)
+    legs[-1] = np.ceil(ways.time_s[-1] / _LEG_S) - 1.0
+    rows = np.append(0, np.flatnonzero(np.diff(legs) > 0.0) + 1)
     gone_m, said_m = (
         np.diff(np.append(0.0, np.cumsum(way_m))[rows]) for way_m in (ways.gone_m, np.nan_to_num(ways.said_m))
     )

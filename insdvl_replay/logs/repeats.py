@@ -3,12 +3,16 @@
 Each of them stands for one that was written over or pushed aside, as far as the number of messages tells.
 """
 
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.logs.blocks import MESSAGE, gather
-from insdvl_replay.logs.chunks import Content, read_chunk
+from insdvl_replay.logs.chunks import read_chunk
 from insdvl_replay.logs.damage import DamageError
-from insdvl_replay.logs.packed import Chunk
 from insdvl_replay.logs.walk import Anatomy
 
 
@@ -27,19 +31,18 @@ def repeated_messages(data: memoryview, anatomy: Anatomy) -> int:
         0 where every byte is part of a record, or all messages stand in chunks: these are copied as a whole or not
         readable.
     """
-    if not anatomy.passed or all(chunk.kind != "loose" for chunk in anatomy.chunks):
+    if not anatomy.passed or all(chunk.kind != "loose" for chunk in anatomy.chunks.values()):
         return 0
-    contents = [content for chunk in anatomy.chunks for content in _contents(data, chunk)]
-    blocks = [block for content in contents for block in content.blocks.values()]
-    headers = np.concatenate([np.empty(0, MESSAGE), *(gather(block.buffer, block.starts, MESSAGE) for block in blocks)])
+    headers = np.concatenate([np.empty(0, MESSAGE), *_headers(data, anatomy)])
     _, first, count = np.unique(headers["log_time"], return_inverse=True, return_counts=True)
     # Few messages share their log time, and only these are compared as a whole, which takes longer.
     suspected = headers[count[first] > 1]
     return len(suspected) - len(np.unique(suspected))
 
 
-def _contents(data: memoryview, chunk: Chunk) -> list[Content]:
-    try:
-        return [read_chunk(data, chunk)]
-    except DamageError:
-        return []
+def _headers(data: memoryview, anatomy: Anatomy) -> Iterator[NDArray[Any]]:
+    """Go through what stands in front of the payloads; no chunk stays open for it."""
+    for chunk in anatomy.chunks.values():
+        with suppress(DamageError):
+            for block in read_chunk(data, chunk).blocks.values():
+                yield gather(block.buffer, block.starts, MESSAGE)

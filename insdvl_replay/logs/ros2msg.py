@@ -7,7 +7,7 @@ well-known schema encodings, https://mcap.dev/spec/registry.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from insdvl_replay.errors import LogError
+from insdvl_replay.logs.field_paths import MOST_LEVELS, MOST_PATHS, too_large
 
 PRIMITIVES: Final[dict[str, str]] = {
     "bool": "?",
@@ -33,6 +34,8 @@ PRIMITIVES: Final[dict[str, str]] = {
 }
 """Numpy formats of the primitive types of fixed size."""
 
+_LONGEST_ARRAY: Final = 2**32 - 1
+"""CDR counts elements in words of four bytes."""
 _SEPARATOR: Final = "=" * 80
 _ANY_SEPARATOR: Final = re.compile(r"^={3,}[ \t]*$", re.MULTILINE)
 _SECTION_NAME: Final = re.compile(r"\s*MSG:\s*(\S+)[^\n]*\n?")
@@ -104,7 +107,8 @@ def parse_definitions(type_name: str, text: str) -> dict[str, Definition]:
     Raises
     ------
     LogError
-        A line is no field, a section has no name, a type is used and not defined, or a type contains itself.
+        A line is no field, a section has no name, a type is used and not defined, contains itself, or means more
+        fields than any real one.
     """
     definitions: dict[str, Definition] = {}
     for name, section in _sections(type_name, text):
@@ -171,9 +175,22 @@ def _check_complete(type_name: str, definitions: Mapping[str, Definition]) -> No
         for missing in (other for other in used if "/" in other and other not in definitions):
             raise LogError(f"{type_name}: the schema uses {missing} in {name} and does not define it", _RECORD_AGAIN)
     try:
-        TopologicalSorter(graph).prepare()
+        inner_first = tuple(TopologicalSorter(graph).static_order())
     except CycleError as error:
         raise LogError(f"{type_name}: the schema's type {error.args[1][0]} contains itself", _RECORD_AGAIN) from error
+    _check_size(type_name, definitions, inner_first)
+
+
+def _check_size(type_name: str, definitions: Mapping[str, Definition], inner_first: Sequence[str]) -> None:
+    """Refuse a type with too many fields, which are counted type by type and not by going to each."""
+    paths: dict[str, int] = {}
+    levels: dict[str, int] = {}
+    for name in inner_first:
+        fields = definitions[name].fields if name in definitions else ()
+        paths[name] = sum(1 + (field.kind != "single") + paths[field.type_name] for field in fields)
+        levels[name] = 1 + max((levels[field.type_name] for field in fields), default=-1)
+        if paths[name] > MOST_PATHS or levels[name] > MOST_LEVELS:
+            raise too_large(type_name)
 
 
 def _fields(type_name: str, section: str) -> Iterator[Field]:
@@ -195,7 +212,12 @@ def _field(package: str, match: re.Match[str]) -> Field:
         return Field(match["name"], type_name, "single", 1)
     if match["bounded"] or not match["length"]:
         return Field(match["name"], type_name, "sequence", 0)
-    return Field(match["name"], type_name, "array", int(match["length"]))
+    # Python makes no number of thousands of digits.
+    length = int(match["length"]) if len(match["length"]) <= len(str(_LONGEST_ARRAY)) else 0
+    if not 0 < length <= _LONGEST_ARRAY:
+        array = f"{match['base']}[{match['length'][:12]}]"
+        raise LogError(f"{package}: the schema has an array '{array}', which is none or too long", _RECORD_AGAIN)
+    return Field(match["name"], type_name, "array", length)
 
 
 def _resolved(package: str, base: str) -> str:

@@ -22,6 +22,9 @@ from insdvl_replay.logs.vectors import scalar_paths, vector_paths
 _BLOCKS: Final = 2
 _MESSAGES: Final = 1000
 _LARGEST_BYTES: Final = 1_000_000
+_MOST_WORK: Final = 1 << 18
+"""Fields that are gone over in one topic: to look at one costs as much as the type has, which may be thousands."""
+_MOST_WORK_OF_ALL: Final = 1 << 21
 _WIDTHS: Final = range(3, 9)
 _NEVER: Final = re.compile(r"cov|var|std|bias|offset|magn|time|stamp|ang\w*acc|quat|orient")
 _WORDS: Final = {
@@ -139,16 +142,20 @@ def see_topics(log: Recording, channels: Sequence[LogChannel]) -> list[SeenTopic
     list of SeenTopic
         Those with any.
     """
-    seen = []
+    seen: list[SeenTopic] = []
+    work = 0
     for channel in channels:
         # What cannot be read cannot be proposed; it is no error before someone asks for it.
         with suppress(LogError):
-            if channel.messages:
-                seen.append(_see(log, channel))
+            if channel.messages and work < _MOST_WORK_OF_ALL:
+                topic, looks = _see(log, channel)
+                seen.append(topic)
+                work += looks * len(topic.known)
     return [topic for topic in seen if topic.candidates or topic.scalars]
 
 
-def _see(log: Recording, channel: LogChannel) -> SeenTopic:
+def _see(log: Recording, channel: LogChannel) -> tuple[SeenTopic, int]:
+    """Look at a topic; tell at how many fields."""
     place = f"{log.path}: {channel.topic}"
     check_encoding(channel, str(log.path))
     blocks = [_first_of(block) for block in islice(log.blocks({channel.id}), _BLOCKS)]
@@ -159,7 +166,8 @@ def _see(log: Recording, channel: LogChannel) -> SeenTopic:
     candidates: dict[str, Candidate] = {}
     scalars: dict[str, float] = {}
     # Read one by one, since one field that is not what it seems would spoil the others.
-    for path in (*vector_paths(reader.known), *scalar_paths(reader.known)):
+    paths = [*vector_paths(reader.known), *scalar_paths(reader.known)][: _MOST_WORK // max(len(reader.known), 1)]
+    for path in paths:
         values = _values(channel, path, blocks, place)
         finite = values[np.isfinite(values).all(axis=1)]
         sizes = np.linalg.norm(finite, axis=1)
@@ -167,7 +175,7 @@ def _see(log: Recording, channel: LogChannel) -> SeenTopic:
             candidates[path] = Candidate(path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max()))
         elif len(finite) and values.shape[1] == 1:
             scalars[path] = float(np.median(finite))
-    return SeenTopic(channel, reader.known, tuple(candidates.values()), scalars)
+    return SeenTopic(channel, reader.known, tuple(candidates.values()), scalars), len(paths)
 
 
 def _first_of(block: Block) -> Block:

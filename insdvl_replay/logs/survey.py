@@ -89,7 +89,7 @@ def _log_facts(log: Recording, log_times: Mapping[int, TimeNs]) -> LogFacts:
         chunks=sum(part.chunk_count for part in parts),
         messages=sum(part.size for part in times),
         has_summary=all(part.has_summary for part in parts),
-        start_utc=_utc(first_ns) if times else None,
+        start_utc=_utc(first_ns) if times and first_ns >= 0 else None,
         duration_s=(last_ns - first_ns) * 1e-9,
         metadata=tuple(record.name for part in parts for record in part.metadata),
         attachments=tuple(attachment.name for part in parts for attachment in part.attachments),

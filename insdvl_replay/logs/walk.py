@@ -43,8 +43,8 @@ class Anatomy:
     summary : Summary
     header : Header or None
         Profile and library of the recorder.
-    chunks : list of Chunk
-        Also the messages that stand in none.
+    chunks : dict of int to Chunk
+        By their places; also the messages that stand in none.
     schemas, channels : dict of int
         By id.
     attachments, metadata : list of (int, int)
@@ -53,7 +53,8 @@ class Anatomy:
         Where the data section ends, and the checksum of the bytes before.
     private : int
         Records of kinds that the format leaves to others.
-    damages : list of Damage
+    damages : dict of Damage to None
+        Each once, in the order in which they are found.
     lost : list of Chunk
         Those that cannot be opened.
     passed : list of (int, int)
@@ -66,14 +67,14 @@ class Anatomy:
 
     summary: Summary
     header: records.Header | None = None
-    chunks: list[Chunk] = field(default_factory=list)
+    chunks: dict[int, Chunk] = field(default_factory=dict)
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
     attachments: list[tuple[int, int]] = field(default_factory=list)
     metadata: list[tuple[int, int]] = field(default_factory=list)
     data_end: tuple[int, int] | None = None
     private: int = 0
-    damages: list[Damage] = field(default_factory=list)
+    damages: dict[Damage, None] = field(default_factory=dict)
     lost: list[Chunk] = field(default_factory=list)
     passed: list[tuple[int, int]] = field(default_factory=list)
     losses: dict[int, Loss] = field(default_factory=dict)
@@ -83,7 +84,7 @@ class Anatomy:
     def counts(self) -> Counter[int]:
         """Messages by channel."""
         total = Counter[int]()
-        for chunk in self.chunks:
+        for chunk in self.chunks.values():
             total.update(chunk.counts)
         return total
 
@@ -106,8 +107,11 @@ class Anatomy:
 
     def mark(self, damage: Damage) -> None:
         """Note a damaged place, once."""
-        if damage not in self.damages:
-            self.damages.append(damage)
+        self.damages.setdefault(damage)
+
+    def add(self, chunk: Chunk) -> None:
+        """File a chunk."""
+        self.chunks[chunk.offset] = chunk
 
     def accept(self, chunk: Chunk, content: Content) -> None:
         """Believe the content of a chunk more than its index."""
@@ -124,7 +128,7 @@ class Anatomy:
     def lose(self, chunk: Chunk, damage: DamageError) -> None:
         """Note a chunk that cannot be read, and do without it."""
         self.mark(Damage(damage.offset, damage.found))
-        self.chunks.remove(chunk)
+        del self.chunks[chunk.offset]
         self.lost.append(chunk)
 
 
@@ -137,6 +141,7 @@ class Walk:
         self.anatomy = anatomy
         self.signposts = sorted(anatomy.summary.chunks)
         self.latest = 0
+        self.latest_chunk = Chunk(0, 0)
 
     def run(self) -> None:
         """Go from the first record to the end of the data section."""
@@ -174,7 +179,7 @@ class Walk:
     def with_chunk(self, batch: Records, chunk: Chunk) -> tuple[Records, int]:
         """File a chunk behind the records of a batch, and go on behind it."""
         self.take(batch)
-        self.anatomy.chunks.append(chunk)
+        self._add(chunk)
         self.latest = Opcode.CHUNK
         return batch.where(slice(0)), chunk.offset + chunk.length
 
@@ -208,7 +213,7 @@ class Walk:
         stop = int(batch.starts[rows[-1]] + batch.lengths[rows[-1]]) + RECORD_HEADER_SIZE
         ids, counts = np.unique(message_field(self.data, batch.starts[rows], "channel_id"), return_counts=True)
         counted = Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
-        self.anatomy.chunks.append(Chunk(start, stop - start, "loose", counts=counted))
+        self.anatomy.add(Chunk(start, stop - start, "loose", counts=counted))
         self.latest = Opcode.MESSAGE
 
     def _others(self, batch: Records) -> None:
@@ -224,17 +229,21 @@ class Walk:
     def _file(self, opcode: int, start: int, length: int) -> None:
         anatomy = self.anatomy
         if opcode == Opcode.CHUNK:
-            anatomy.chunks.append(Chunk(start, length))
+            self._add(Chunk(start, length))
         elif opcode == Opcode.MESSAGE_INDEX:
             if self.latest not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
                 raise DamageError(start, "an index stands behind no chunk")
-            anatomy.chunks[-1].indexes.append((start, length))
+            self.latest_chunk.indexes.append((start, length))
         elif opcode in _SUMMARY_ONLY:
             raise DamageError(start, f"a record of kind {opcode} stands among the messages")
         elif opcode > Opcode.DATA_END:
             anatomy.private += 1
         else:
             self._file_other(opcode, start, length)
+
+    def _add(self, chunk: Chunk) -> None:
+        self.anatomy.add(chunk)
+        self.latest_chunk = chunk
 
     def _file_other(self, opcode: int, start: int, length: int) -> None:
         anatomy = self.anatomy
