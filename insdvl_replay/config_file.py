@@ -16,6 +16,7 @@ from msgspec import Struct
 
 from insdvl_replay.config import Config, Filter
 from insdvl_replay.errors import ConfigError, nearest
+from insdvl_replay.plain_text import visible
 
 Section = TypeVar("Section", Config, Filter)
 
@@ -275,7 +276,7 @@ def toml_value(value: object) -> str:
         return "true" if value else "false"
     if isinstance(value, str):
         # A JSON string is one in TOML too, but for the one control character that JSON leaves as it is.
-        return msgspec.json.encode(value).decode().replace("\x7f", "\\u007f")
+        return visible(msgspec.json.encode(value).decode().replace("\x7f", "\\u007f"))
     if isinstance(value, tuple | list):
         return f"[{', '.join(toml_value(item) for item in value)}]"
     return repr(value)

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import typer
 
 from insdvl_replay.errors import ConfigError, Note, UserError
+from insdvl_replay.plain_text import visible, visible_lines, without_commands
 
 OUR_MISTAKE = 4
 
@@ -15,12 +16,15 @@ OUR_MISTAKE = 4
 UsageError = typer.BadParameter.__mro__[1]
 
 
-def emit(text: str) -> None:
+def emit(text: str, *, commands: bool = False) -> None:
     """Write a result to stdout. A reader that went away (``| head``) ends the printing, not the work.
 
     Parameters
     ----------
     text : str
+        What stands in it from elsewhere is plain already, see `plain_text`.
+    commands : bool
+        Lines may begin as commands to a job runner do.
 
     Raises
     ------
@@ -30,7 +34,7 @@ def emit(text: str) -> None:
     if sys.stdout is None:  # closed by whoever started the program
         return
     try:
-        sys.stdout.write(text)
+        sys.stdout.write(text if commands else without_commands(text))
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -40,8 +44,8 @@ def emit(text: str) -> None:
 
 
 def tell(text: str) -> None:
-    """Say something that is not a result."""
-    print(text, file=sys.stderr, flush=True)
+    """Say something that is not a result, on one line."""
+    print(without_commands(visible(text)), file=sys.stderr, flush=True)
 
 
 def tell_notes(notes: Iterable[Note], *, verbose: bool) -> None:
@@ -66,7 +70,8 @@ def tell_failure(error: Exception, verbosity: int) -> int:
         The exit code that belongs to it.
     """
     if verbosity >= 2:
-        traceback.print_exception(error)
+        told = "".join(traceback.format_exception(error))
+        print(without_commands(visible_lines(told)), end="", file=sys.stderr)
     code, message, hint = _explained(error)
     tell(f"error: {message}{_hinted(hint)}")
     return code

@@ -10,6 +10,7 @@ from typing import Final
 
 from insdvl_replay.columns import ImuColumns
 from insdvl_replay.config import Config, Initial
+from insdvl_replay.config_file import toml_value
 from insdvl_replay.errors import LogError
 from insdvl_replay.inventory import Clock, Obstacle
 from insdvl_replay.logs.clocks import clock_notes
@@ -86,7 +87,7 @@ def _choices(findings: Sequence[Finding]) -> Iterator[Setting]:
     for finding in findings:
         if finding.error and finding.candidates:
             first, *others = (source.topic for source in finding.candidates)
-            lines = tuple(f'topic = "{topic}"' for topic in others)
+            lines = tuple(f"topic = {toml_value(topic)}" for topic in others)
             yield Setting(f"{finding.role}.topic", first, open="each of these could be it", others=lines)
 
 
