@@ -72,6 +72,24 @@ def without_commands(text: str) -> str:
     return _COMMAND.sub(r"\1\\u003a", text)
 
 
+def is_writable(text: str) -> bool:
+    """Tell whether a text can be written as UTF-8: a file's name of other bytes cannot, as Python reads it.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    bool
+    """
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def _shown(character: str) -> str:
     if unicodedata.category(character) not in _ACTING:
         return character

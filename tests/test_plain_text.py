@@ -14,6 +14,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from insdvl_replay.cli import run_command_line
 from insdvl_replay.config_file import toml_value
 from insdvl_replay.gates import CheckResult, Judgement
 from insdvl_replay.plain_text import visible, visible_lines, without_commands
@@ -198,3 +199,21 @@ def test_the_last_line_of_stderr_is_the_reason(hostile: Path) -> None:
         assert_plain(told)
         assert told.startswith("error: ")
         assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("dive", "reason"),
+    [
+        ("\udcff.mcap", r"\udcff.mcap: its name is not UTF-8, so no result could bear it"),
+        ("a" * 5000, "cannot be looked for: File name too long"),
+        ("a\0b", r"a\x00b: cannot be looked for: embedded null"),
+    ],
+)
+@pytest.mark.parametrize("command", ["run", "inspect"])
+def test_a_name_that_no_dive_can_have_is_a_mistake_of_the_user(
+    command: str, dive: str, reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command_line([command, dive]) == 2
+    told = capsys.readouterr().err
+    assert reason in told
+    assert told.count("\n") == 1
