@@ -54,8 +54,8 @@ def dive() -> Dive:
 
 def some(columns: Any, share: float) -> Any:
     keep = kept(columns.time_ns.size, share)
-    rows = {name: value[keep] for name, value in vars(columns).items() if isinstance(value, np.ndarray)}
-    return replace(columns, **{name: value for name, value in rows.items() if value.shape[0] == int(keep.sum())})
+    arrays = {name: value for name, value in vars(columns).items() if isinstance(value, np.ndarray)}
+    return replace(columns, **{name: value[keep] for name, value in arrays.items() if len(value) == keep.size})
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
