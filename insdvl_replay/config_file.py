@@ -16,9 +16,15 @@ from msgspec import Struct
 
 from insdvl_replay.config import Config, Filter
 from insdvl_replay.errors import ConfigError, nearest
+from insdvl_replay.plain_text import is_writable, visible
+from insdvl_replay.toml_text import parsed_toml
 
+_SHOWN = 80
+"""Letters of a wrong value that a message repeats."""
 Section = TypeVar("Section", Config, Filter)
 
+LARGEST = 1e30
+"""Nothing that is measured is larger, and powers of what is smaller are still numbers."""
 PRESETS = ("levy-klein", "fog", "tactical", "mems")
 
 
@@ -87,7 +93,7 @@ def _read_preset(name: str) -> dict[str, Any]:
 
 def _read_toml(file: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(file.read_text("utf-8"))
+        return parsed_toml(file.read_text("utf-8"))
     except OSError as error:
         raise ConfigError(f"{file}: cannot be read: {error.strerror}", "check the path given to -c") from error
     except UnicodeDecodeError as error:
@@ -103,8 +109,10 @@ def _parse_override(text: str) -> dict[str, Any]:
     keys = path.strip().split(".")
     if not equals or not all(keys) or len(keys) < 2:
         raise ConfigError(f"--set {text}: is not of the form section.key=value", "for example --set dvl.scale=1.01")
+    if not is_writable(text):
+        raise ConfigError(f"--set {text}: is not UTF-8 text", "for example --set dvl.scale=1.01")
     try:
-        parsed: Any = tomllib.loads(f"value = {value.strip()}")["value"]
+        parsed: Any = parsed_toml(f"value = {value.strip()}")["value"]
     except tomllib.TOMLDecodeError:
         parsed = value.strip()
     for key in reversed(keys):
@@ -182,12 +190,16 @@ def _found(section: object, place: str) -> str:
     value: Any = section
     for part in re.findall(r"\w+", place):
         value = value[int(part)] if isinstance(value, list | tuple) else value[part]
-    return f", found {value!r}" if place else ""
+    return f", found {_short(repr(value))}" if place else ""
 
 
 def _check_finite(value: object, where: str, path: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{where}: {path} must be a finite number, found {value}", "leave out what is not limited")
+    if isinstance(value, float | int) and abs(value) > LARGEST:
+        raise ConfigError(
+            f"{where}: {path} must be at most {LARGEST:.0e}, found {value}", "`insdvl-replay config` prints its unit"
+        )
     entries: Iterable[tuple[object, object]] = ()
     if isinstance(value, Mapping):
         entries = ((f"{path}.{key}".lstrip("."), entry) for key, entry in value.items())
@@ -195,6 +207,10 @@ def _check_finite(value: object, where: str, path: str) -> None:
         entries = ((f"{path}[{index}]", entry) for index, entry in enumerate(value))
     for entry_path, entry in entries:
         _check_finite(entry, where, str(entry_path))
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def _check_filters(config: Config, where: str) -> None:
@@ -275,7 +291,7 @@ def toml_value(value: object) -> str:
         return "true" if value else "false"
     if isinstance(value, str):
         # A JSON string is one in TOML too, but for the one control character that JSON leaves as it is.
-        return msgspec.json.encode(value).decode().replace("\x7f", "\\u007f")
+        return visible(msgspec.json.encode(value).decode().replace("\x7f", "\\u007f"))
     if isinstance(value, tuple | list):
         return f"[{', '.join(toml_value(item) for item in value)}]"
     return repr(value)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from insdvl_replay.errors import ConfigError
+from insdvl_replay.plain_text import is_writable
 from insdvl_replay.report.folder import is_result
 
 LOG_SUFFIX: Final = ".mcap"
@@ -42,12 +43,20 @@ def find_dives(names: Sequence[str], beside: Path = Path(), *, results: bool = F
     Raises
     ------
     ConfigError
-        A pattern, folder or list without any dive, or a list that cannot be read.
+        A pattern, folder or list without any dive, a list that cannot be read, or a name that no file can have or that
+        is not UTF-8.
     """
     found: dict[Path, Path] = {}
     for name in names:
-        for dive in _meant(name, beside, results=results):
-            found.setdefault(dive.resolve(), dive)
+        try:
+            for dive in _meant(name, beside, results=results):
+                found.setdefault(dive.resolve(), dive)
+        except (OSError, ValueError, RuntimeError) as error:  # too long, NUL in it, links in a circle
+            reason = getattr(error, "strerror", None) or error
+            raise ConfigError(f"{name}: cannot be looked for: {reason}", "check the path") from error
+    for dive in found.values():
+        if not is_writable(str(dive)):
+            raise ConfigError(f"{dive}: its name is not UTF-8, so no result could bear it", "rename it")
     return list(found.values())
 
 

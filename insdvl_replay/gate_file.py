@@ -13,6 +13,8 @@ from msgspec import Struct
 
 from insdvl_replay.errors import ConfigError, about, refuse_unknown
 from insdvl_replay.gates import LOG, Gate, GateFile, Level
+from insdvl_replay.plain_text import is_writable
+from insdvl_replay.toml_text import parsed_toml
 
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
 _HEADER: Final = re.compile(r"\s*\[\[\s*gate\s*\]\]")
@@ -59,7 +61,7 @@ def load_gates(path: Path) -> Gates:
     """
     text = _read(path)
     try:
-        raw = tomllib.loads(text)
+        raw = parsed_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: is not valid TOML: {error}", f"[[gate]] {EXAMPLE}") from error
     lines = _gate_lines(text, raw)
@@ -78,6 +80,8 @@ def load_gates(path: Path) -> Gates:
 
 
 def _read(path: Path) -> str:
+    if not is_writable(str(path)):
+        raise ConfigError(f"{path}: its name is not UTF-8, so no result could tell it", "rename it")
     try:
         return path.read_text("utf-8")
     except OSError as error:

@@ -33,7 +33,7 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     column : str
     min, max : float, optional
         Limits that may be reached.
-    equals : str, bool, number or tuple of them, optional
+    equals : str, number or tuple of them, optional
         The value, or those that it may have.
     baseline : str, optional
         Path of a stored result, seen from the gate file; ``{log}`` stands for the dive's name.
@@ -52,7 +52,7 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     column: str
     min: float | None = None
     max: float | None = None
-    equals: str | bool | int | float | tuple[str | bool | int | float, ...] | None = None
+    equals: str | int | float | tuple[str | int | float, ...] | None = None
     baseline: str | None = None
     max_worse_pct: Allowance | None = None
     max_worse_abs: Allowance | None = None

@@ -223,6 +223,22 @@ def test_a_result_that_cannot_be_read_is_3(tmp_path: Path) -> None:
     assert done.stdout.startswith("NO RESULT  dive: ba_z converges\n    dive/report.json: is not a report")
 
 
+@pytest.mark.parametrize("column", ["filter", "state"])
+def test_a_result_with_a_row_without_a_name_does_not_stop_the_others(column: str, tmp_path: Path) -> None:
+    report = content("broken")
+    del report["tables"]["improvement"][1][column]
+    write(tmp_path / "broken", report)
+    write(tmp_path / "dive", content())
+    done = check(tmp_path, PASSING.replace("ba_z", "ba_x"), "broken", "dive")
+    assert done.returncode == 3
+    place = f"broken/report.json: table improvement, row 2: has no column {column}"
+    assert done.stdout.startswith(f"NO RESULT  broken: ba_x converges\n    {place}\n")
+    assert done.stdout.endswith("1 gate on 2 dives: 1 without a result, 1 passed\n")
+    (tmp_path / "baselines").mkdir()
+    shutil.copy(tmp_path / "broken" / "report.json", tmp_path / "baselines" / "dive.json")
+    assert "baselines/dive.json: is not a result that can be read" in check(tmp_path, BASELINE, "dive").stdout
+
+
 # --- Baselines.
 
 
@@ -329,7 +345,7 @@ def test_junit_is_valid_and_counts_each_kind() -> None:
     assert [[child.tag for child in case] for case in suite] == [
         ["error"], ["failure"], ["failure"], ["skipped"], ["skipped"], [],
     ]  # fmt: skip
-    assert suite[1][0].text == "a < b & \ufffd[0m\nc"
+    assert suite[1][0].text == "a < b & \\x1b[0m\nc"
 
 
 def test_junit_has_a_case_for_each_dive_and_gate(team: Path) -> None:

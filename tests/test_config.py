@@ -164,3 +164,24 @@ def test_unreadable_files_are_told(tmp_path: Path) -> None:
     (tmp_path / "image.toml").write_bytes(b"\x89PNG\xff")
     with pytest.raises(ConfigError, match="is not UTF-8 text"):
         load_config(file=tmp_path / "image.toml")
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        (f"dvl.scale={'9' * 5000}", "dvl.scale: expected `float`, got `str`, found '999"),
+        (f"dvl.scale={'9' * 4000}", "dvl.scale: "),
+        (f"dvl.scale={'[' * 5000}", r"dvl.scale: expected `float`, got `str`, found '\[\[\["),
+        ("dvl.velocity_sd_mps=1e308", r"dvl.velocity_sd_mps must be at most 1e\+30, found 1e\+308"),
+        ("dvl.topic=\udcff", "is not UTF-8"),
+    ],
+)
+def test_numbers_and_words_beyond_all_measure_are_mistakes_of_the_user(setting: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        load_config(overrides=[setting])
+
+
+@pytest.mark.parametrize("value", ["9" * 5000, "[" * 5000])
+def test_a_file_beyond_all_measure_is_not_valid(value: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"vehicle.toml: is not valid TOML: (A number|Too many)"):
+        load_config(file=written(tmp_path, f"[dvl]\nscale = {value}\n"))

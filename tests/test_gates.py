@@ -61,6 +61,9 @@ def why(gate_: Gate, report: StoredReport, baseline: StoredReport | None = None)
             "{log} stands for the dive's name",
         ),
         ("dives = []", "", "no gate is active", "add [[gate]]"),
+        (GATE + "equals = true", ":5: gate 1: ", "equals: expected `int | float | str | array | null`, got `bool`", ""),
+        (GATE + f"max = {'9' * 5000}", "", "is not valid TOML: A number has too many digits", ""),
+        (GATE + f"max = {'[' * 5000}", "", "is not valid TOML: Too many brackets inside each other", ""),
         ("gate = 3", ":1: ", "gate: expected `array`, got `int`", ""),
     ],
 )
@@ -290,6 +293,35 @@ def test_a_row_that_the_baseline_lacks_does_not_pass() -> None:
     baseline = stored()
     baseline.tables["improvement"].clear()
     assert "has no number in the baseline" in why(gate(baseline="b", max_worse_pct=1e9), stored(), baseline)
+
+
+@pytest.mark.parametrize("keys", [{}, {"filter": "aided"}, {"row": "ba_x"}, {"table": "*"}])
+def test_a_row_that_the_baseline_alone_has_does_not_pass(keys: dict[str, Any]) -> None:
+    report = stored()
+    del report.tables["improvement"][0]
+    meant = gate(baseline="b", max_worse_pct=1e9, **keys)
+    assert passes(meant, stored(), stored())
+    told = why(meant, report, stored())
+    assert told == "improvement aided ba_x: sd is gone with its row, the baseline has 1"
+    assert passes(gate(baseline="b", max_worse_pct=1e9, row="bg_z"), report, stored())
+
+
+def test_a_filter_that_the_baseline_alone_has_does_not_pass_where_it_is_meant() -> None:
+    keys = {"table": "filters", "column": "mean_improvement_pct", "baseline": "b", "max_worse_pct": 1e9}
+    both = stored()
+    both.filters["other"] = both.filters["aided"]
+    assert why(gate(**keys), stored(), both).startswith("filters other: mean_improvement_pct is gone with its row")
+    assert passes(gate(**keys, filter="aided"), stored(), both)
+
+
+@pytest.mark.parametrize("keys", [{"min": 0}, {"max": 2}, {"equals": 1}, {"baseline": "b", "max_worse_pct": 1e9}])
+@pytest.mark.parametrize("value", [True, False])
+def test_true_and_false_are_no_numbers(value: bool, keys: dict[str, Any]) -> None:
+    report = stored()
+    report.tables["improvement"][0]["sd"] = value
+    assert not passes(gate(row="ba_x", **keys), report, stored())
+    if "baseline" in keys:
+        assert not passes(gate(row="ba_x", **keys), stored(), report)
 
 
 @pytest.mark.parametrize("share", [1e-10, -1e-10])

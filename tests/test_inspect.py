@@ -9,6 +9,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer as RawWriter
 from mcap_ros2.writer import Writer
 from rich.console import Console
 from unknown_logs import decided
@@ -491,3 +493,43 @@ def test_two_million_messages_are_surveyed_in_a_second(tmp_path: Path) -> None:
         needed_s.append(time.process_time() - start_s)
     assert min(needed_s) < 1.0
     assert inventory.log.messages == count + count // 80
+
+
+# --- What has no answer.
+
+
+@pytest.mark.parametrize("deep", [False, True])
+def test_an_imu_of_zeros_is_told_and_no_axes_are_proposed(deep: bool, tmp_path: Path) -> None:
+    dive = simulate_dive("straight", seed=1, duration_s=20.0)
+    none = np.zeros_like(dive.imu.specific_force_b)
+    write_dive(tmp_path / "dive.mcap", replace(dive, imu=replace(dive.imu, specific_force_b=none, angular_rate_b=none)))
+    inventory = inspect_log(tmp_path / "dive.mcap", load_config(), deep=deep)
+    assert "the specific force is zero in all" in obstacles(inventory)
+    assert "imu.axes" in inventory.decisions
+    assert "\naxes =" not in inventory.configuration
+
+
+@pytest.mark.parametrize("deep", [False, True])
+def test_two_topics_of_true_biases_are_an_obstacle(deep: bool, tmp_path: Path) -> None:
+    dive = simulate_dive("straight", seed=1, duration_s=5.0)
+    for name in ("a", "b"):
+        write_dive(tmp_path / f"{name}.mcap", dive)
+    with (tmp_path / "dive.mcap").open("wb") as file:
+        writer = RawWriter(file)
+        writer.start(profile="ros2", library="tests")
+        for name in ("a", "b"):
+            channels: dict[str, int] = {}
+            with (tmp_path / f"{name}.mcap").open("rb") as source:
+                for schema, channel, message in make_reader(source).iter_messages():
+                    assert schema is not None
+                    if name == "b" and not channel.topic.startswith("/truth"):
+                        continue
+                    if channel.topic not in channels:
+                        known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                        topic = channel.topic + ("/again" if name == "b" else "")
+                        channels[channel.topic] = writer.register_channel(topic, "cdr", known)
+                    number = channels[channel.topic]
+                    writer.add_message(number, message.log_time, message.data, message.publish_time)
+        writer.finish()
+    inventory = inspect_log(tmp_path / "dive.mcap", load_config(), deep=deep)
+    assert "/truth/biases and /truth/biases/again could each be the truth | keep one of them" in obstacles(inventory)

@@ -6,6 +6,7 @@ from tempfile import TemporaryDirectory
 
 from insdvl_replay.cli.messages import emit
 from insdvl_replay.cli.options import Verbose
+from insdvl_replay.plain_text import visible
 
 _SHORT_S = 10.0
 
@@ -35,7 +36,7 @@ def compile_(verbose: Verbose = 0) -> None:
     with TemporaryDirectory() as name:
         _replay_something(Path(name) / "dive.mcap")
     took_s = time.perf_counter() - start_s
-    emit(f"was compiled already: {folder}\n" if was_warm else f"compiled in {took_s:.1f} s: {folder}\n")
+    emit(visible(f"was compiled already: {folder}" if was_warm else f"compiled in {took_s:.1f} s: {folder}") + "\n")
 
 
 def _replay_something(log: Path) -> None:

@@ -179,7 +179,7 @@ def _update(gates: Gates, checked: Sequence[Checked]) -> None:
 def _tell(result: CheckResult, told: Told) -> None:
     written = WRITTEN[told.format](result)
     if told.output is None:
-        emit(written)
+        emit(written, commands=told.format is CheckFormat.GITHUB)
     else:
         with result_file(told.output, force=True) as file:
             file.write_text(written, "utf-8")

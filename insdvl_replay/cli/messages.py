@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import typer
 
 from insdvl_replay.errors import LogError, Note, UserError
+from insdvl_replay.plain_text import visible, visible_lines, without_commands
 
 OUR_MISTAKE = 4
 
@@ -14,15 +15,23 @@ OUR_MISTAKE = 4
 UsageError = typer.BadParameter.__mro__[1]
 
 
-def emit(text: str) -> None:
-    """Write a result to stdout."""
-    sys.stdout.write(text)
+def emit(text: str, *, commands: bool = False) -> None:
+    """Write a result to stdout.
+
+    Parameters
+    ----------
+    text : str
+        What stands in it from elsewhere is plain already, see `plain_text`.
+    commands : bool
+        Lines may begin as commands to a job runner do.
+    """
+    sys.stdout.write(text if commands else without_commands(text))
     sys.stdout.flush()
 
 
 def tell(text: str) -> None:
-    """Say something that is not a result."""
-    print(text, file=sys.stderr, flush=True)
+    """Say something that is not a result, on one line."""
+    print(without_commands(visible(text)), file=sys.stderr, flush=True)
 
 
 def tell_notes(notes: Iterable[Note], *, verbose: bool) -> None:
@@ -47,7 +56,8 @@ def tell_failure(error: Exception, verbosity: int) -> int:
         The exit code that belongs to it.
     """
     if verbosity >= 2:
-        traceback.print_exception(error)
+        told = "".join(traceback.format_exception(error))
+        print(without_commands(visible_lines(told)), end="", file=sys.stderr)
     code, message, hint = _explained(error)
     tell(f"error: {message}{_hinted(hint)}")
     return code

@@ -8,7 +8,7 @@ from rich.console import Console, RenderableType
 
 from insdvl_replay.compiled import is_warm
 from insdvl_replay.report.json_report import Report
-from insdvl_replay.report.terminal import terminal_report
+from insdvl_replay.report.terminal import spoken, terminal_report
 from insdvl_replay.stages import told_to
 
 PIPED_COLUMNS = 10_000
@@ -35,7 +35,7 @@ def patience(text: str) -> Iterator[None]:
     if not console.is_terminal:
         yield
         return
-    with console.status(text) as status, told_to(lambda stage: status.update(f"{text}: {stage}")):
+    with console.status(spoken(text)) as status, told_to(lambda stage: status.update(spoken(f"{text}: {stage}"))):
         yield
 
 

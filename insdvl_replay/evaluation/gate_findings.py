@@ -3,6 +3,7 @@
 import difflib
 import math
 from collections.abc import Iterator
+from typing import TypeGuard
 
 from insdvl_replay.evaluation.cell_change import agree, rounding, rounding_pct, size, size_change_pct, within
 from insdvl_replay.evaluation.row_changes import rows_of
@@ -11,6 +12,8 @@ from insdvl_replay.result_tables import CANDIDATES, NOT_JUDGED, PARTLY_COVERED, 
 from insdvl_replay.stored_result import Cell, Row, StoredReport
 
 LAYOUTS = (*TABLES, CANDIDATES)
+_Named = dict[tuple[str, str], Row]
+"""Rows by filter and key."""
 
 
 def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> tuple[Finding, ...]:
@@ -26,7 +29,8 @@ def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | Non
     Returns
     -------
     tuple of Finding
-        One for each cell that is meant; one that is not passed if there is none.
+        One for each cell that is meant, and one that is not passed for each that the baseline has and the result lacks;
+        one that is not passed if there is none.
     """
     findings = tuple(_findings(gate, report, baseline))
     if findings:
@@ -39,11 +43,11 @@ def _findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -
     for layout in LAYOUTS:
         if gate.table not in (ANY, layout.name):
             continue
-        before = {(row["filter"], row[layout.key]): row for row in rows_of(baseline, layout)} if baseline else {}
+        before = {_name(row, layout): row for row in rows_of(baseline, layout)} if baseline else {}
         for row in rows_of(report, layout):
             if not _is_meant(gate, layout, row):
                 continue
-            was = before.get((row["filter"], row[layout.key]))
+            was = before.get(_name(row, layout))
             complaint = _complaint(gate, layout, row, was, _is_unjudged(layout, row, gate, report))
             yield Finding(
                 layout.name,
@@ -55,6 +59,21 @@ def _findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -
                 f"{_cell(gate, layout, row)} {complaint or _told(layout, row, gate.column, was)}",
                 passed=not complaint,
             )
+        yield from _gone(gate, layout, before, report)
+
+
+def _gone(gate: Gate, layout: TableLayout, before: _Named, report: StoredReport) -> Iterator[Finding]:
+    """Find the rows that the baseline has and the result lacks: a star in the gate means them, too."""
+    left = {_name(row, layout) for row in rows_of(report, layout)}
+    for (filter_, key), was in before.items():
+        if (filter_, key) not in left and _is_meant(gate, layout, was):
+            value = was.get(gate.column)
+            sentence = f"{_cell(gate, layout, was)} is gone with its row, the baseline has {shown(value)}"
+            yield Finding(layout.name, filter_, key, gate.column, value, None, sentence, passed=False)
+
+
+def _name(row: Row, layout: TableLayout) -> tuple[str, str]:
+    return str(row["filter"]), str(row[layout.key])
 
 
 def _is_meant(gate: Gate, layout: TableLayout, row: Row) -> bool:
@@ -94,14 +113,14 @@ def _of_equality(gate: Gate, value: Cell) -> Iterator[str]:
     if gate.equals is None:
         return
     wanted = gate.equals if isinstance(gate.equals, tuple) else (gate.equals,)
-    if value not in wanted and not any(_agree(value, one, gate.column) for one in wanted):
+    if (value not in wanted or isinstance(value, bool)) and not any(_agree(value, one, gate.column) for one in wanted):
         yield f"is {shown(value)}, {' or '.join(map(shown, wanted))} is wanted"
 
 
 def _of_limits(gate: Gate, value: Cell, unit: str) -> Iterator[str]:
     if gate.min is None and gate.max is None:
         return
-    if not isinstance(value, float | int):
+    if not _is_number(value):
         yield f"is the word {value!r}, a number is wanted"
         return
     if gate.min is not None and not (value >= gate.min or agree(value, gate.min, gate.column)):
@@ -116,7 +135,7 @@ def _of_baseline(gate: Gate, layout: TableLayout, row: Row, was: Row | None) -> 
         return
     was = was or {}
     old, new, better, dofs = was.get(gate.column), row[gate.column], layout.better[gate.column], (_dof(was), _dof(row))
-    if not isinstance(old, float | int) or not isinstance(new, float | int):
+    if not _is_number(old) or not _is_number(new):
         yield "has no number in the baseline to compare with"
         return
     if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
@@ -134,8 +153,13 @@ def _of_baseline(gate: Gate, layout: TableLayout, row: Row, was: Row | None) -> 
     yield f"{_told(layout, row, gate.column, was)}: worse {amount}, {_allowed(gate)} is allowed"
 
 
-def _agree(value: Cell, wanted: str | bool | int | float, column: str) -> bool:
+def _agree(value: Cell, wanted: str | int | float, column: str) -> bool:
     return isinstance(value, float) and isinstance(wanted, float | int) and agree(value, wanted, column)
+
+
+def _is_number(value: Cell) -> TypeGuard[float | int]:
+    """Tell a number from a word, and from ``true`` and ``false``, which Python counts among them."""
+    return isinstance(value, float | int) and not isinstance(value, bool)
 
 
 def _allowed(gate: Gate) -> str:

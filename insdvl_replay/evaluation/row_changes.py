@@ -40,7 +40,7 @@ def compare_tables(
     Raises
     ------
     ResultError
-        A row has no name, or two have the same.
+        Two rows have the same name.
     """
     changes = []
     for layout in layouts:
@@ -64,7 +64,7 @@ def rows_of(report: StoredReport, layout: TableLayout) -> list[Row]:
     Returns
     -------
     list of dict
-        Those of a result that was stored whole have the columns ``filter`` and the layout's key.
+        They have the columns ``filter`` and the layout's key, without which no result is read.
     """
     if layout is CANDIDATES:
         return [{"filter": name, **row} for name, row in report.filters.items()]
@@ -87,14 +87,11 @@ def named_rows(result: StoredResult, layout: TableLayout) -> dict[_Key, Row]:
     Raises
     ------
     ResultError
-        A row has no name, or two have the same.
+        Two rows have the same name.
     """
     rows: dict[_Key, Row] = {}
     for number, row in enumerate(rows_of(result.report, layout), 1):
         place = f"{result.folder}: table {layout.name}, row {number}"
-        for column in ("filter", layout.key):
-            if column not in row:
-                raise ResultError(f"{place}: has no column {column}", "replay the log again")
         key = str(row["filter"]), str(row[layout.key]), str(row.get("unit") or "")
         if key in rows:
             raise ResultError(f"{place}: is the second one of {key[0]}, {key[1]}", "replay the log again")

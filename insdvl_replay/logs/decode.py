@@ -9,6 +9,7 @@ from insdvl_replay.columns import Floats, ImuColumns, TruthColumns
 from insdvl_replay.config import Imu
 from insdvl_replay.errors import ConfigError, Note
 from insdvl_replay.logs.cleaning import Cleaner
+from insdvl_replay.logs.lost_samples import note_lost_samples
 from insdvl_replay.logs.order import Mask
 from insdvl_replay.logs.pauses import note_bursts, note_clock_set, note_gaps
 from insdvl_replay.logs.spikes import drop_spikes
@@ -102,6 +103,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     specific_force_b = in_frd(_measured(table, "specific_force"), force_axes, force_key, force_unit)
     angular_rate_b = in_frd(_measured(table, "angular_rate"), axes, "imu.axes", rate_unit)
     cleaner = Cleaner(table)
+    note_lost_samples(cleaner)
     possible = _is_possible(specific_force_b, angular_rate_b)
     if not possible.all():  # what is not finite is not possible either
         cleaner.keep_finite(specific_force_b, angular_rate_b, hint=_LOST_HINT)

@@ -201,6 +201,8 @@ def _gravity(reference: ReferenceColumns | None) -> float:
 
 
 def _force_hint(ratio: float, settings: Imu) -> str:
+    if not ratio:
+        return 'imu.specific_force = "field.path" names another field'
     for wrong, unit in _UNIT_BY_RATIO:
         if abs(ratio / wrong - 1.0) < 0.1:
             return f'imu.specific_force_unit = "{unit}"'

@@ -112,7 +112,7 @@ def judged_rates(imu: ImuColumns, settings: Imu, judged: Sequence[Setting]) -> I
     -------
     ImuColumns
     """
-    values = {setting.key: setting.value for setting in judged}
+    values = {setting.key: setting.value for setting in judged if setting.value is not None}
     read_in = settings.angular_rate_unit or "rad/s"
     unit = ANGULAR_RATE_UNITS[values.get("imu.angular_rate_unit", read_in)] / ANGULAR_RATE_UNITS[read_in]
     rate_b = in_frd(imu.angular_rate_b, values.get("imu.axes", FRD), "imu.axes", unit)
@@ -185,6 +185,9 @@ class _Axes:
 
 def _axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[Setting]:
     force = np.median(imu.specific_force_b, axis=0)
+    if not force.any():
+        yield Setting("imu.axes", None, open="the accelerometers feel nothing, so that nothing tells where down is")
+        return
     strongest = int(np.argmax(np.abs(force)))
     felt = f"gravity is felt along {'+' if force[strongest] > 0.0 else '-'}{'xyz'[strongest]}"
     upright = [_Axes(axes, axes) for axes in level_axes(force)]

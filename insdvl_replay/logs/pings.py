@@ -13,6 +13,7 @@ from insdvl_replay.errors import ConfigError, LogError, Note
 from insdvl_replay.logs.beams import beam_vectors, note_contradiction
 from insdvl_replay.logs.cleaning import Cleaner, is_few, same_rows
 from insdvl_replay.logs.decode import FASTEST_MPS, FRD, VELOCITY_UNITS, in_frd
+from insdvl_replay.logs.lost_samples import note_lost_samples
 from insdvl_replay.logs.order import Mask
 from insdvl_replay.logs.pauses import note_bursts
 from insdvl_replay.logs.runs import find_runs
@@ -51,6 +52,7 @@ def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
     """
     settings = table.source.completed(settings)
     cleaner = Cleaner(table)
+    note_lost_samples(cleaner)
     _keep_bottom_track(table, cleaner)
     if _reads_beams(table, settings, cleaner):
         return _beams(table, settings, cleaner)

@@ -10,6 +10,7 @@ from typing import Final
 
 from insdvl_replay.columns import ImuColumns
 from insdvl_replay.config import Config, Initial
+from insdvl_replay.config_file import toml_value
 from insdvl_replay.errors import LogError
 from insdvl_replay.inventory import Clock, Obstacle
 from insdvl_replay.logs.clocks import clock_notes
@@ -82,11 +83,11 @@ def propose(
 
 
 def _choices(findings: Sequence[Finding]) -> Iterator[Setting]:
-    """Choose between topics that could each play a role."""
+    """Choose between topics that could each play a role, as far as settings can: none names that of the true biases."""
     for finding in findings:
-        if finding.error and finding.candidates:
+        if finding.error and finding.candidates and finding.role in Config.__struct_fields__:
             first, *others = (source.topic for source in finding.candidates)
-            lines = tuple(f'topic = "{topic}"' for topic in others)
+            lines = tuple(f"topic = {toml_value(topic)}" for topic in others)
             yield Setting(f"{finding.role}.topic", first, open="each of these could be it", others=lines)
 
 

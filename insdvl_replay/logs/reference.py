@@ -10,6 +10,7 @@ from insdvl_replay.config import Reference
 from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.cleaning import Cleaner, is_few
 from insdvl_replay.logs.known_types import BLUEYE_GNSS
+from insdvl_replay.logs.lost_samples import note_lost_samples
 from insdvl_replay.logs.tables import Table
 from insdvl_replay.logs.wishes import BOW_DOWN
 from insdvl_replay.rotation import mat_from_quat, mat_from_rpy, wrap_angle
@@ -59,6 +60,7 @@ def decode_reference(tables: list[Table], settings: Reference) -> tuple[Referenc
 def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     settings = table.source.completed(settings)
     cleaner = Cleaner(table)
+    note_lost_samples(cleaner)
     position = _position(table, settings) if "latitude" in table else None
     told = None if position is None else position.copy()
     if position is not None:

@@ -14,6 +14,7 @@ import msgspec
 
 from insdvl_replay.config import Config
 from insdvl_replay.config_file import toml_value
+from insdvl_replay.plain_text import visible
 
 _WIDTH: Final = 79
 _DECIDE: Final = "decide: "
@@ -143,7 +144,7 @@ def _lines(setting: Setting) -> Iterator[str]:
         yield from _comment(setting.seen)
     if setting.open:
         yield from _comment(f"{_DECIDE}{setting.open}")
-    yield from (f"#   {line}" for line in setting.listed)
+    yield from (f"#   {visible(line)}" for line in setting.listed)
     if setting.value is None:
         yield f"# {setting.name} ="
     else:
@@ -151,11 +152,11 @@ def _lines(setting: Setting) -> Iterator[str]:
     for other in setting.others:
         value, _, seen = other.partition("  # ")
         yield from _comment(seen)
-        yield f"# or {value}"
+        yield f"# or {visible(value)}"
 
 
 def _comment(text: str) -> Iterator[str]:
     """Fold a comment at words."""
     folder = textwrap.TextWrapper(_WIDTH, break_long_words=False, break_on_hyphens=False)
     folder.initial_indent, folder.subsequent_indent = "# ", "#   "
-    yield from folder.wrap(text)
+    yield from folder.wrap(visible(text))

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from insdvl_replay.gates import CheckResult, Finding, Judgement, Status
+from insdvl_replay.plain_text import visible
 from insdvl_replay.report.markup import markdown_page
 from insdvl_replay.report.shown import MISSING, ShownTable, counted
 from insdvl_replay.stored_result import Cell
@@ -49,7 +50,7 @@ def check_text(result: CheckResult) -> str:
     if lines:
         lines.append("")
     lines += [f"{name}: {passed}" for name, passed in _passed(result)]
-    return "".join(f"{line}\n" for line in (*lines, "", check_sentence(result)))
+    return "".join(f"{visible(line)}\n" for line in (*lines, "", check_sentence(result)))
 
 
 def check_markdown(result: CheckResult) -> str:
@@ -87,7 +88,7 @@ def baseline_text(changes: Sequence[tuple[str, Finding]]) -> str:
     moved = [(dive, finding) for dive, finding in changes if _shown(finding.was) != _shown(finding.value)]
     lines = [f"{dive}: {_movement(finding)}" for dive, finding in moved]
     return "".join(
-        f"{line}\n"
+        f"{visible(line)}\n"
         for line in (*lines, f"{counted(len(moved), 'value')} new or moved, {len(changes) - len(moved)} as before")
     )
 

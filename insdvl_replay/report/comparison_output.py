@@ -17,7 +17,7 @@ from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.report.json_report import as_json
 from insdvl_replay.report.markup import latex_page, markdown_page
 from insdvl_replay.report.page import Lead, Part, page
-from insdvl_replay.report.terminal import dressed
+from insdvl_replay.report.terminal import dressed, spoken
 
 
 def comparison_json(comparison: Comparison) -> bytes:
@@ -85,11 +85,11 @@ def comparison_html(comparison: Comparison) -> bytes:
 def comparison_terminal(comparison: Comparison) -> Group:
     """Dress a comparison for a terminal, to be printed by a rich console."""
     parts: list[RenderableType] = [
-        Text(comparison_heading(comparison), style="bold"),
-        *map(Text, opening_lines(comparison)),
+        spoken(comparison_heading(comparison), "bold"),
+        *map(spoken, opening_lines(comparison)),
     ]
     for table in comparison_tables(comparison):
         # On a line of its own, so that it is not folded to the width of a narrow table.
-        parts += [Text(), Text(table.title, style="bold"), dressed(replace(table, title=""))]
+        parts += [Text(), spoken(table.title, "bold"), dressed(replace(table, title=""))]
     closing = closing_lines(comparison)
-    return Group(*parts, *([Text(), *map(Text, closing)] if closing else []))
+    return Group(*parts, *([Text(), *map(spoken, closing)] if closing else []))

@@ -1,18 +1,25 @@
-"""Tables as CSV: UTF-8, LF, numbers in full, empty for what is missing."""
+"""Tables as CSV: UTF-8, LF, numbers in full, empty for what is missing, a row a line.
+
+Text is shown as everywhere (`plain_text`), and what a spreadsheet would run is kept from it by an apostrophe.
+"""
 
 import csv
 import io
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, get_args, get_type_hints
+from typing import TYPE_CHECKING, Final, get_args, get_type_hints
 
 import msgspec
 
+from insdvl_replay.plain_text import visible
 from insdvl_replay.report.json_report import Report, Tables
 
 if TYPE_CHECKING:
     # Only its type is needed, and whoever compares stored results must not wait for it.
     import pandas as pd
+
+_FORMULA: Final = ("=", "+", "-", "@")
+"""What a cell begins with that a spreadsheet takes for a formula; blanks before it are escapes by then."""
 
 
 def table_csv(table: "pd.DataFrame") -> bytes:
@@ -57,7 +64,8 @@ def rows_csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     ----------
     header : sequence of str
     rows : iterable of sequences
-        None and NaN become empty.
+        None and NaN become empty. A text that begins with ``=``, ``+``, ``-`` or ``@`` and is no number, as the name of
+        a dive may, gets an apostrophe before it: spreadsheets take it for a formula.
 
     Returns
     -------
@@ -66,8 +74,24 @@ def rows_csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
-    writer.writerows([None if _is_missing(value) else value for value in row] for row in rows)
+    writer.writerows(map(_cell, row) for row in rows)
     return text.getvalue()
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, str):
+        text = visible(value)
+        return f"'{text}" if text.startswith(_FORMULA) and not _is_number(text) else text
+    return None if _is_missing(value) else value
+
+
+def _is_number(text: str) -> bool:
+    """Tell whether a text is a number, as values of settings are."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _is_missing(value: object) -> bool:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from insdvl_replay.gates import CheckResult, Judgement
+from insdvl_replay.plain_text import visible
 from insdvl_replay.report.check_pages import check_sentence
 
 SHOWN: Final = 10
@@ -33,15 +34,19 @@ def github_annotations(result: CheckResult) -> str:
 
 def _commands(level: str, file: str, judgements: Sequence[Judgement]) -> list[str]:
     shown = judgements if len(judgements) <= SHOWN else judgements[: SHOWN - 1]
-    lines = [_command(level, file, item.line, f"{item.dive}: {item.gate}", "\n".join(item.reasons)) for item in shown]
+    lines = [_of_judgement(level, file, item) for item in shown]
     if hidden := len(judgements) - len(shown):
         lines.append(_command(level, file, 0, "more", f"{hidden} more gates were not passed; the log lists them"))
     return lines
 
 
+def _of_judgement(level: str, file: str, item: Judgement) -> str:
+    return _command(level, file, item.line, f"{item.dive}: {item.gate}", "\n".join(map(visible, item.reasons)))
+
+
 def _command(level: str, file: str, line: int, title: str, message: str) -> str:
-    place = f"file={_property(file)}" + (f",line={line}" if line else "")
-    return f"::{level} {place},title={_property(title)}::{_data(message)}"
+    place = f"file={_property(visible(file))}" + (f",line={line}" if line else "")
+    return f"::{level} {place},title={_property(visible(title))}::{_data(message)}"
 
 
 def _data(text: str) -> str:

@@ -7,11 +7,12 @@ from rich.padding import Padding
 from rich.text import Text
 
 from insdvl_replay.inventory import Inventory
+from insdvl_replay.plain_text import visible
 from insdvl_replay.report.inspection_sentences import PROPOSAL, Finding, findings, open_points, opening_lines
 from insdvl_replay.report.inspection_tables import inventory_tables
 from insdvl_replay.report.json_report import as_json
-from insdvl_replay.report.markup import latex_page, markdown_page
-from insdvl_replay.report.terminal import dressed
+from insdvl_replay.report.markup import latex_page, markdown_code, markdown_page, markdown_text
+from insdvl_replay.report.terminal import dressed, spoken
 
 
 def encode_inventory(inventory: Inventory | Sequence[Inventory]) -> bytes:
@@ -30,9 +31,13 @@ def encode_inventory(inventory: Inventory | Sequence[Inventory]) -> bytes:
 
 def markdown_inventory(inventory: Inventory) -> str:
     """Dress an inventory in Markdown, the proposed settings as a block of code."""
-    proposal = [PROPOSAL, f"```toml\n{inventory.configuration.rstrip()}\n```"] if inventory.configuration else []
-    closing = [*_lines(findings(inventory)), *proposal, *_lines(open_points(inventory))]
-    return markdown_page(inventory.log.name, opening_lines(inventory), inventory_tables(inventory), closing)
+    page = markdown_page(
+        inventory.log.name, opening_lines(inventory), inventory_tables(inventory), _lines(findings(inventory))
+    )
+    if not inventory.configuration:
+        return page
+    proposal = [PROPOSAL, markdown_code(inventory.configuration, "toml")]
+    return "\n\n".join([page.rstrip("\n"), *proposal, *map(markdown_text, _lines(open_points(inventory)))]) + "\n"
 
 
 def latex_inventory(inventory: Inventory) -> str:
@@ -54,7 +59,7 @@ def terminal_inventory(inventory: Inventory) -> Group:
         To be printed by a rich console, which decides about width and colour; only settings that can be copied into a
         file are lines of their own, however long.
     """
-    parts: list[RenderableType] = [Text(line) for line in opening_lines(inventory)]
+    parts: list[RenderableType] = [spoken(line) for line in opening_lines(inventory)]
     for table in inventory_tables(inventory):
         parts += [Text(), dressed(table)]
     return Group(*parts, Text(), *_hinted(findings(inventory)), *_proposal(inventory))
@@ -66,16 +71,16 @@ def _proposal(inventory: Inventory) -> Iterator[RenderableType]:
         return
     yield Text(f"\n{PROPOSAL}\n")
     for line in inventory.configuration.splitlines():
-        yield Text(line, no_wrap=True, overflow="ignore")
+        yield Text(visible(line), no_wrap=True, overflow="ignore")
     yield Text()
     yield from _hinted(open_points(inventory))
 
 
 def _hinted(found: Iterable[Finding]) -> Iterator[RenderableType]:
     for finding in found:
-        yield Text(finding.sentence)
+        yield spoken(finding.sentence)
         if finding.hint:
-            yield Padding(Text(f"hint: {finding.hint}"), (0, 0, 0, 2))
+            yield Padding(spoken(f"hint: {finding.hint}"), (0, 0, 0, 2))
 
 
 def _lines(found: Iterable[Finding]) -> list[str]:

@@ -3,7 +3,7 @@
 import msgspec
 
 from insdvl_replay.inventory import Inventory, TopicFacts
-from insdvl_replay.report.shown import MISSING, ShownTable, number
+from insdvl_replay.report.shown import MISSING, CellText, ShownTable, number
 
 
 def inventory_tables(inventory: Inventory) -> list[ShownTable]:
@@ -37,7 +37,7 @@ def _conventions(inventory: Inventory) -> ShownTable:
         ("topic", "key and value"),
         "ll",
         tuple(
-            (topic, "\n".join(f"{key} = {msgspec.json.encode(value).decode()}" for key, value in keys.items()))
+            (topic, tuple(f"{key} = {msgspec.json.encode(value).decode()}" for key, value in keys.items()))
             for topic, keys in inventory.conventions.items()
         ),
     )
@@ -54,11 +54,11 @@ def _topics(inventory: Inventory) -> ShownTable:
     )
 
 
-def _topic(topic: TopicFacts) -> tuple[str, ...]:
+def _topic(topic: TopicFacts) -> tuple[CellText, ...]:
     # Some recorders name a topic after its type; once is enough.
     type_name = "" if topic.type_name == topic.topic else f"{topic.type_name or 'no type'}, "
     return (
-        f"{topic.topic}\n  {type_name}{topic.encoding or 'no encoding'}",
+        (topic.topic, f"  {type_name}{topic.encoding or 'no encoding'}"),
         topic.role,
         str(topic.messages),
         *(MISSING if value is None else f"{value:.3g}" for value in (topic.rate_hz, topic.longest_gap_s)),

@@ -9,6 +9,7 @@ from typing import Final
 from xml.etree import ElementTree
 
 from insdvl_replay.gates import CheckResult, Judgement, Status
+from insdvl_replay.plain_text import visible, visible_lines
 
 _ELEMENTS: Final[dict[Status, str]] = {
     "unusable": "error",
@@ -53,12 +54,12 @@ def _add_case(suite: ElementTree.Element, judgement: Judgement) -> None:
     names = {"classname": _clean(judgement.dive), "name": _clean(judgement.gate)}
     case = ElementTree.SubElement(suite, "testcase", names)
     if element := _ELEMENTS.get(judgement.status):
-        message = {"message": _clean("; ".join(judgement.reasons) or judgement.status)}
+        message = {"message": _clean("; ".join(map(visible, judgement.reasons)) or judgement.status)}
         kind = {} if element == "skipped" else {"type": judgement.status}
         told = ElementTree.SubElement(case, element, {**message, **kind})
-        told.text = _clean("\n".join(judgement.reasons))
+        told.text = _clean("\n".join(map(visible, judgement.reasons)))
 
 
 def _clean(text: str) -> str:
-    """Leave out control characters, which XML cannot hold."""
-    return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", text)
+    """Show control characters, which XML cannot hold, and leave out what else it cannot."""
+    return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", visible_lines(text))

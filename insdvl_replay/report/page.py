@@ -4,13 +4,14 @@ from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
-from html import escape
+from html import escape as html_escape
 from importlib.resources import files
 from typing import Final
 
+from insdvl_replay.plain_text import visible_lines
 from insdvl_replay.report.plots.panel import Figure
 from insdvl_replay.report.plots.svg import panel_svg
-from insdvl_replay.report.shown import ShownTable
+from insdvl_replay.report.shown import ShownTable, cell_lines
 
 _POINTS: Final = ("rejected",)
 _SHORT: Final = 20
@@ -118,7 +119,7 @@ def table_html(table: ShownTable, links: Sequence[str] = ()) -> str:
     header = "".join(f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, table.header, strict=True))
     rows = []
     for row, link in zip(table.rows, links or [""] * len(table.rows), strict=True):
-        cells = [escape(cell).replace("\n", "<br>") for cell in row]
+        cells = ["<br>".join(map(escape, cell_lines(cell))) for cell in row]
         if link:
             cells[0] = f'<a href="{escape(link)}">{cells[0]}</a>'
         rows.append("".join(f"<td{_kind(cell, kind)}>{cell}</td>" for kind, cell in zip(kinds, cells, strict=True)))
@@ -180,6 +181,11 @@ def _part_html(part: Part) -> str:
             return figure_html(part)
         case text:
             return f"<p>{escape(text)}</p>"
+
+
+def escape(text: str) -> str:
+    """Write text as HTML."""
+    return html_escape(visible_lines(text))
 
 
 def _key(style: str) -> str:

@@ -2,11 +2,10 @@
 
 import re
 from collections.abc import Iterable, Mapping
-from html import escape
 from typing import Final
 
 from insdvl_replay.errors import Note
-from insdvl_replay.report.page import Html, Part
+from insdvl_replay.report.page import Html, Part, escape
 from insdvl_replay.report.shown import ShownTable
 
 _THEME: Final = {

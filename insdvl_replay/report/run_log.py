@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from insdvl_replay.plain_text import visible
 from insdvl_replay.report.json_report import Report
 from insdvl_replay.result_tables import is_whole
 
@@ -18,7 +19,7 @@ def run_log(report: Report) -> str:
     str
         One line for each channel, filter and note.
     """
-    return "".join(f"{line}\n" for line in _lines(report))
+    return "".join(f"{visible(line)}\n" for line in _lines(report))
 
 
 def _lines(report: Report) -> Iterator[str]:

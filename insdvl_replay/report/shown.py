@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from insdvl_replay.plain_text import visible
 from insdvl_replay.states import STATES
 
 MISSING: Final = "-"
@@ -22,6 +23,10 @@ _QUANTITIES: Final = {
 }
 
 
+CellText = str | tuple[str, ...]
+"""What stands in a cell: one line, or several."""
+
+
 @dataclass(frozen=True)
 class ShownTable:
     """A table ready to be dressed.
@@ -34,7 +39,7 @@ class ShownTable:
         Column names with units; a line break is a good place to fold.
     alignment : str
         One letter for each column: l for words, r for numbers.
-    rows : tuple of tuples of str
+    rows : tuple of tuples of str, or of tuples of str for cells of several lines
     footnote : str
         What the rows cannot say.
     """
@@ -42,8 +47,13 @@ class ShownTable:
     title: str
     header: tuple[str, ...]
     alignment: str
-    rows: tuple[tuple[str, ...], ...]
+    rows: tuple[tuple[CellText, ...], ...]
     footnote: str = ""
+
+
+def cell_lines(cell: CellText) -> list[str]:
+    """Give the lines of a cell as they can be shown anywhere."""
+    return [visible(line) for line in ([cell] if isinstance(cell, str) else cell)]
 
 
 def row_label(name: str) -> str:

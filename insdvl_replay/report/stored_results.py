@@ -10,6 +10,7 @@ import msgspec
 from insdvl_replay import __version__
 from insdvl_replay.errors import ConfigError, Note, ResultError
 from insdvl_replay.report.folder import COMPLETE
+from insdvl_replay.result_tables import TABLES
 from insdvl_replay.stored_result import StoredReport, StoredResult
 
 
@@ -84,7 +85,9 @@ def _read_report(file: Path) -> StoredReport | None:
     try:
         data = file.read_bytes()
         label = msgspec.json.decode(data, type=_Label)
-        return None if label.study is not None else msgspec.json.decode(data, type=StoredReport)
+        if label.study is not None:
+            return None
+        report = msgspec.json.decode(data, type=StoredReport)
     except OSError as error:
         _refuse(error)
     except msgspec.ValidationError as error:
@@ -97,6 +100,18 @@ def _read_report(file: Path) -> StoredReport | None:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         hint = "name a result folder or its report.json; a broken one is replaced by replaying its log with --force"
         raise ResultError(f"{file}: is not JSON: {error}", hint) from error
+    _refuse_nameless_rows(file, report)
+    return report
+
+
+def _refuse_nameless_rows(file: Path, report: StoredReport) -> None:
+    """Refuse a result with a row of which nobody knows what it is about."""
+    for layout in TABLES:
+        for number, row in enumerate(report.tables.get(layout.name, []), 1):
+            for column in ("filter", layout.key):
+                if column not in row:
+                    place = f"{file}: table {layout.name}, row {number}"
+                    raise ResultError(f"{place}: has no column {column}", "replay the log again")
 
 
 def _made_by(data: bytes) -> str:

@@ -20,7 +20,7 @@ from insdvl_replay.report.pictures import picture_bytes
 from insdvl_replay.report.shown import ShownTable
 from insdvl_replay.report.study_json import study_json
 from insdvl_replay.report.study_page import study_page
-from insdvl_replay.report.terminal import dressed
+from insdvl_replay.report.terminal import dressed, spoken
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def study_latex(report: StudyReport) -> str:
 
 def study_terminal(report: StudyReport) -> Group:
     """Dress a study for a terminal, to be printed by a rich console."""
-    parts: list[RenderableType] = [Text(report.title, style="bold"), *map(Text, report.sentences)]
+    parts: list[RenderableType] = [spoken(report.title, "bold"), *map(spoken, report.sentences)]
     for table in report.shown:
         parts += [Text(), dressed(table)]
     return Group(*parts)

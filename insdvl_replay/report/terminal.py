@@ -7,10 +7,11 @@ from rich.console import Group, JustifyMethod, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from insdvl_replay.plain_text import visible, visible_lines
 from insdvl_replay.report.dive_sentences import closing_lines, heading, verdict_lines
 from insdvl_replay.report.dive_tables import shown_tables
 from insdvl_replay.report.json_report import Report
-from insdvl_replay.report.shown import ShownTable
+from insdvl_replay.report.shown import ShownTable, cell_lines
 
 _JUSTIFY: Final[dict[str, JustifyMethod]] = {"l": "left", "r": "right"}
 
@@ -27,11 +28,26 @@ def terminal_report(report: Report) -> Group:
     rich.console.Group
         To be printed by a rich console, which decides about width and colour.
     """
-    parts: list[RenderableType] = [Text(heading(report), style="bold"), *map(Text, verdict_lines(report))]
+    parts: list[RenderableType] = [spoken(heading(report), "bold"), *map(spoken, verdict_lines(report))]
     for table in shown_tables(report):
         parts += [Text(), dressed(table)]
-    parts += [Text(), *(Text(line) for line in closing_lines(report))]
+    parts += [Text(), *map(spoken, closing_lines(report))]
     return Group(*parts)
+
+
+def spoken(sentence: str, style: str = "") -> Text:
+    """Dress a sentence for a terminal, which must not act on what it says.
+
+    Parameters
+    ----------
+    sentence : str
+    style : str
+
+    Returns
+    -------
+    rich.text.Text
+    """
+    return Text(visible(sentence), style=style)
 
 
 def dressed(table: ShownTable) -> Table:
@@ -46,8 +62,8 @@ def dressed(table: ShownTable) -> Table:
     rich.table.Table
     """
     cloth = Table(
-        title=Text(table.title, style="bold"),
-        caption=Text(table.footnote) if table.footnote else None,
+        title=spoken(table.title, "bold"),
+        caption=spoken(table.footnote) if table.footnote else None,
         title_justify="left",
         caption_justify="left",
         box=box.SIMPLE_HEAD,
@@ -56,7 +72,7 @@ def dressed(table: ShownTable) -> Table:
         padding=(0, 1, 0, 0),
     )
     for name, letter in zip(table.header, table.alignment, strict=True):
-        cloth.add_column(Text(name), justify=_JUSTIFY[letter], overflow="fold")
+        cloth.add_column(Text(visible_lines(name)), justify=_JUSTIFY[letter], overflow="fold")
     for row in table.rows:
-        cloth.add_row(*(Text(cell) for cell in row))
+        cloth.add_row(*(Text("\n".join(cell_lines(cell))) for cell in row))
     return cloth
