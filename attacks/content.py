@@ -49,10 +49,8 @@ class Content:
 def content_of(log: bytes) -> Content:
     """Take the records out of a log that is whole."""
     found = Content(records.Header("", ""))
-    for record in StreamReader(BytesIO(log), emit_chunks=True).records:
-        if isinstance(record, records.Chunk):
-            found.compression = record.compression
-            break
+    packed = StreamReader(BytesIO(log), emit_chunks=True).records
+    found.compression = next((one.compression for one in packed if isinstance(one, records.Chunk)), "zstd")
     for record in StreamReader(BytesIO(log)).records:
         match record:
             case records.Header():

@@ -20,6 +20,7 @@ from victim import DEFECTS, HARMLESS, Ended, Result, ready, result_of, run_forke
 
 CLEAN = ("run", "inspect --deep")
 """What is tried on clean logs; `--allow-damaged` changes nothing there."""
+COLUMNS = ("", "raw", "raw, no checksums", "fixed", "fixed, no checksums")
 HARMED = {"raw": raw_harm.harmed, "fixed": fixed_harm.harmed}
 
 

@@ -20,7 +20,7 @@ from insdvl_replay.report.folder import DIVE_FILES
 LIMIT_S = 30
 BEYOND_MB = 400.0
 """Memory that a damaged log may take beyond what the clean one took."""
-ADDRESS_SPACE = 8 << 30
+ADDRESS_SPACE = 6 << 30
 """Protects the machine, not the verdict: what takes more has failed already."""
 OUR_MISTAKE = 4
 DEFECTS = (
@@ -73,26 +73,27 @@ def ready(commands: list[list[str]]) -> None:
             raise SystemExit(f"the clean log fails: {' '.join(command)}: {said.getvalue()}")
 
 
-def run_forked(command: list[str], said: Path) -> Ended:
+def run_forked(command: list[str], said: Path, printed: Path = Path(os.devnull)) -> Ended:
     """Run a command in a forked child; an alarm ends it after the time limit."""
     sys.stdout.flush()
     sys.stderr.flush()
     child = os.fork()
     if child == 0:
-        _live(command, said)
+        _live(command, said, printed)
     _, status, usage = os.wait4(child, 0)
     return Ended(os.waitstatus_to_exitcode(status), usage.ru_maxrss / 1024, said.read_text("utf-8", "replace"))
 
 
-def _live(command: list[str], said: Path) -> None:
+def _live(command: list[str], said: Path, printed: Path) -> None:
     """Be the child."""
     signal.alarm(LIMIT_S)
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
     try:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
+        for number, path in ((1, printed), (2, said)):
+            os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
         sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
         code = run_command_line(command)
+        sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
     finally:
