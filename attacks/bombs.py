@@ -54,8 +54,8 @@ def cut(compression: str) -> bytes:
 
 def many_chunks() -> bytes:
     """Have a hundred chunks, each of what one may hold."""
-    chunk = _chunk("zstd", 64 << 20, _packed("zstd", 4))
-    return _bare(*[chunk] * 100)
+    record = b"\x80" + ((64 << 20) - 9).to_bytes(8, "little") + bytes((64 << 20) - 9)
+    return _bare(*[_chunk("zstd", len(record), zstandard.ZstdCompressor().compress(record))] * 100)
 
 
 def empty_chunks() -> bytes:
@@ -65,9 +65,8 @@ def empty_chunks() -> bytes:
 
 def private_records() -> bytes:
     """Fill a chunk with records of nobody."""
-    record = b"\x80" + bytes(8)
-    size = len(record) * (64 << 20) // 9
-    return _bare(_chunk("zstd", size, zstandard.ZstdCompressor().compress(record * (size // 9))))
+    many = (b"\x80" + bytes(8)) * ((64 << 20) // 9)
+    return _bare(_chunk("zstd", len(many), zstandard.ZstdCompressor().compress(many)))
 
 
 def _imu_log(
@@ -105,7 +104,7 @@ def deep_ros() -> bytes:
 
 def long_array(length: str) -> bytes:
     """Describe an array of structures that no message could hold."""
-    return _imu_log(f"V[{length}] v\n{'=' * 80}\nMSG: a/V\nfloat64 x\n".encode())
+    return _imu_log(f"a/V[{length}] v\n{'=' * 80}\nMSG: a/V\nfloat64 x\n".encode())
 
 
 def long_numbers() -> bytes:

@@ -18,6 +18,9 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.report.folder import DIVE_FILES
 
 LIMIT_S = 30
+"""Processor time that a command may take; others may use the machine, too."""
+PATIENCE_S = 180
+"""After which a command is taken to wait for what never comes."""
 BEYOND_MB = 400.0
 """Memory that a damaged log may take beyond what the clean one took."""
 ADDRESS_SPACE = 6 << 30
@@ -74,7 +77,7 @@ def ready(commands: list[list[str]]) -> None:
 
 
 def run_forked(command: list[str], said: Path, printed: Path = Path(os.devnull)) -> Ended:
-    """Run a command in a forked child; an alarm ends it after the time limit."""
+    """Run a command in a forked child; limits of the system end it in time."""
     sys.stdout.flush()
     sys.stderr.flush()
     child = os.fork()
@@ -86,7 +89,8 @@ def run_forked(command: list[str], said: Path, printed: Path = Path(os.devnull))
 
 def _live(command: list[str], said: Path, printed: Path) -> None:
     """Be the child."""
-    signal.alarm(LIMIT_S)
+    signal.alarm(PATIENCE_S)
+    resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_S, LIMIT_S + 1))
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
     try:
         for number, path in ((1, printed), (2, said)):
@@ -116,7 +120,7 @@ def result_of(folder: Path) -> Result | None:
 
 def verdict(ended: Ended, clean_mb: float) -> str:
     """Judge how a command ended, whatever it left."""
-    if ended.code == -signal.SIGALRM:
+    if ended.code in (-signal.SIGALRM, -signal.SIGXCPU, -signal.SIGKILL):
         return "hang"
     if ended.peak_mb > clean_mb + BEYOND_MB:
         return "memory"
