@@ -64,8 +64,8 @@ def mutate(arguments: argparse.Namespace, folder: Path) -> bool:
     text = (
         f"{count} mutants of {len(bases)} logs, from seed {arguments.seed}; each replayed with and without "
         "`--allow-damaged`, a third inspected with `--deep`. *raw*: bytes damaged in place. *fixed*: content changed, "
-        f"with all lengths, offsets and checksums right. A hang takes {LIMIT_S} s of processor time, memory {BEYOND_MB:.0f} MB more than "
-        f"the clean log. The first {len(DEFECTS)} classes are defects."
+        f"with all lengths, offsets and checksums right. A hang takes {LIMIT_S} s of processor time, memory "
+        f"{BEYOND_MB:.0f} MB more than the clean log. The first {len(DEFECTS)} classes are defects."
     )
     _told(arguments, "damaged logs", text, table(COLUMNS, rows(outcomes)))
     return any(outcome.verdict in DEFECTS for outcome in outcomes)
@@ -95,7 +95,7 @@ def bombs(arguments: argparse.Namespace, folder: Path) -> bool:
         if verdict != "ok":
             sys.stdout.write(f"{verdict}: {name}, {command}: {ended.peak_mb:.0f} MB, {ended.said[-300:].rstrip()}\n")
             sys.stdout.flush()
-    text = f"Ends within {LIMIT_S} s of processor time, and with {BEYOND_MB:.0f} MB more than a clean log takes, or is a defect."
+    text = f"What takes {LIMIT_S} s of processor time, or {BEYOND_MB:.0f} MB more than a clean log, is a defect."
     columns = ("bomb", "kB", "`run`", "`run --allow-damaged`", "`inspect`")
     _told(
         arguments, "bombs", text, table(columns, [f"| {' | '.join([name, *cells])} |" for name, cells in rows.items()])

@@ -26,7 +26,7 @@ def _judged(ended: Ended, printed: str, clean_mb: float, strangers: set[str]) ->
     judged = verdict(ended, clean_mb)
     if strangers:
         return "outside"
-    if judged == "ok" and any(line.startswith("::") for line in ended.said.splitlines()):
+    if any(line.startswith("::") for line in (ended.said + printed).splitlines()):
         return "a command for the build"
     if judged == "ok" and CONTROL.search(ended.said + printed):
         return "control characters"
