@@ -89,7 +89,7 @@ def bombs(arguments: argparse.Namespace, folder: Path) -> bool:
     _, clean_mb = _clean(folder)
     rows: dict[str, list[str]] = {}
     failed = False
-    for name, command, verdict, ended, size in attacker.attack(folder, clean_mb):
+    for name, command, verdict, ended, size in attacker.attack(folder, clean_mb, arguments.only):
         failed |= verdict != "ok"
         rows.setdefault(name, [f"{size / 1e3:.0f}"]).append(f"{verdict}, {ended.peak_mb - clean_mb:.0f} MB")
         if verdict != "ok":
@@ -107,7 +107,7 @@ def names(arguments: argparse.Namespace, folder: Path) -> bool:
     """Read logs with names that mean something elsewhere."""
     import hostile_names
 
-    found = hostile_names.attack(folder, *_clean(folder))
+    found = hostile_names.attack(folder, *_clean(folder), arguments.only)
     outcomes = (
         (f"{what.partition(' ')[0]}, `{command}`", verdict, f"{what}, {command}: {ended.said[-200:]!r}")
         for what, command, verdict, ended in found
@@ -156,6 +156,7 @@ def main() -> None:
     parser.add_argument("attack", choices=[*ATTACKS, "all"])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, help="how many; each attack has its own number")
+    parser.add_argument("--only", default="", metavar="TEXT", help="bombs and names whose name has this in it")
     parser.add_argument("--jobs", type=int, default=2, help="of mutate")
     parser.add_argument("--short", action="store_true", help="damage only short logs")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the mutants that show defects")

@@ -12,6 +12,8 @@ from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSe
 from mcap import records
 from victim import Ended, run_forked, verdict
 
+from insdvl_replay.logs.ros2msg import definition_text
+
 PIECE = bytes(16 << 20)
 UNPACKED = 3 << 30
 START_NS = 1_700_000_000_000_000_000
@@ -103,8 +105,8 @@ def deep_ros() -> bytes:
 
 
 def long_array(length: str) -> bytes:
-    """Describe an array of structures that no message could hold."""
-    return _imu_log(f"a/V[{length}] v\n{'=' * 80}\nMSG: a/V\nfloat64 x\n".encode())
+    """Describe an array of structures that no message could hold, in front of all that an IMU has."""
+    return _imu_log(f"geometry_msgs/Vector3[{length}] v\n{definition_text('sensor_msgs/msg/Imu')}".encode())
 
 
 def long_numbers() -> bytes:
@@ -170,7 +172,7 @@ BOMBS: dict[str, Callable[[], bytes]] = {
 }
 
 
-def attack(folder: Path, clean_mb: float) -> Iterator[tuple[str, str, str, Ended, Any]]:
+def attack(folder: Path, clean_mb: float, only: str) -> Iterator[tuple[str, str, str, Ended, Any]]:
     """Try each bomb with each command.
 
     Yields
@@ -182,8 +184,8 @@ def attack(folder: Path, clean_mb: float) -> Iterator[tuple[str, str, str, Ended
         Bytes of the file.
     """
     log = folder / "bomb.mcap"
-    for name, make in BOMBS.items():
-        log.write_bytes(make())
+    for name in filter(lambda name: only in name, BOMBS):
+        log.write_bytes(BOMBS[name]())
         size = log.stat().st_size
         run = ["run", str(log), "-o", str(folder / "results")]
         for command in (run, [*run, "--allow-damaged"], ["inspect", str(log)]):

@@ -63,9 +63,11 @@ def _named(clean: bytes, what: str, text: str) -> Content:
     return content
 
 
-def attack(folder: Path, clean: bytes, clean_mb: float) -> Iterator[tuple[str, str, str, Ended]]:
+def attack(folder: Path, clean: bytes, clean_mb: float, only: str) -> Iterator[tuple[str, str, str, Ended]]:
     """Try each name with `run`, `inspect` and `check`; nothing may appear but results where they belong."""
     for what, name, data in _logs(clean):
+        if only not in what:
+            continue
         place = folder / "names"
         (place / "logs").mkdir(parents=True)
         (place / "logs" / "gates.toml").write_text(GATES, "utf-8")
