@@ -2,17 +2,20 @@
 
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import lz4.frame
 import zstandard
-from content import MAGIC, Content, file_of, record_bytes
+from content import MAGIC, Content, content_of, file_of, record_bytes
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from mcap import records
 from victim import Ended, run_forked, verdict
 
-from insdvl_replay.logs.ros2msg import definition_text
+from insdvl_replay.logs import write_dive
+from insdvl_replay.sim.dive import simulate_dive
 
 PIECE = bytes(16 << 20)
 UNPACKED = 3 << 30
@@ -105,8 +108,16 @@ def deep_ros() -> bytes:
 
 
 def long_array(length: str) -> bytes:
-    """Describe an array of structures that no message could hold, in front of all that an IMU has."""
-    return _imu_log(f"geometry_msgs/Vector3[{length}] v\n{definition_text('sensor_msgs/msg/Imu')}".encode())
+    """Describe an array of structures that no message could hold, in the type of the IMU of a whole dive."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "dive.mcap"
+        write_dive(path, simulate_dive("straight", seed=1, duration_s=8.0))
+        content = content_of(path.read_bytes())
+    place = next(place for place, schema in enumerate(content.schemas) if schema.name == "sensor_msgs/msg/Imu")
+    schema = content.schemas[place]
+    more = f"geometry_msgs/Vector3[{length}] v\n".encode()
+    content.schemas[place] = replace(schema, data=more + schema.data)
+    return file_of(content)
 
 
 def long_numbers() -> bytes:
