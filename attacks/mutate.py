@@ -141,6 +141,7 @@ def campaign(bases: list[Base], seeds: range, jobs: int, folder: Path, keep: Pat
             for outcome in outcomes:
                 if outcome.verdict in DEFECTS:
                     sys.stdout.write(outcome.line() + "\n")
+                    sys.stdout.flush()
                     _kept(outcome, keep)
             if number % 20 == 19:
                 spent_s = time.monotonic() - start_s
