@@ -5,7 +5,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: demo test extras quick processors check lint bench samples schemas pictures readme reproduce clean
+.PHONY: demo test extras quick processors check lint bench attack lock samples schemas pictures readme reproduce clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
@@ -42,6 +42,14 @@ bench: .venv/bench.stamp
 	$(BIN)/python benchmarks/outages.py
 	$(BIN)/python benchmarks/archive.py
 	$(BIN)/python benchmarks/whole_run.py
+
+# Damaged logs, bombs, hostile names, kills, swaps; takes some hour, and fails if there is a defect.
+attack: .venv/test.stamp
+	$(BIN)/python attacks/attack.py all --write
+
+# The wheels of constraints.txt, with their digests.
+lock: .venv/run.stamp
+	$(BIN)/python pages/lock.py
 
 # Made anew only when the simulation or the writer changes; tests hold them to SHA256SUMS.
 samples: .venv/run.stamp

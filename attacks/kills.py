@@ -1,0 +1,118 @@
+"""Signals at random moments: nothing is half written, nothing lives on, and the next run succeeds."""
+
+import json
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from random import Random
+
+from base_logs import ROOT
+from living import PATIENCE_S, half_written, hidden, started, waited
+
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+INTERRUPTED = 130
+GATES = (ROOT / "examples" / "archive" / "gates.toml").read_text("utf-8")
+
+
+def commands(folder: Path) -> dict[str, list[str]]:
+    """Give the commands that are tried, by name."""
+    gates, results = str(folder / "gates.toml"), str(folder / "results")
+    return {
+        "run": ["run", str(folder / "dives" / "lost_beam.mcap"), "-o", results],
+        "run --force": ["run", str(folder / "dives" / "lost_beam.mcap"), "-o", results, "--force", "--rerun"],
+        "check --jobs 2": ["check", gates, "--results", results, "--jobs", "2", "--rerun"],
+        "check --update": ["check", gates, "--results", results, "--update"],
+    }
+
+
+def fresh(folder: Path) -> None:
+    """Make an archive of two dives."""
+    shutil.rmtree(folder, ignore_errors=True)
+    archive = ROOT / "examples" / "archive"
+    (folder / "dives").mkdir(parents=True)
+    for name in ("lost_beam", "transit"):
+        shutil.copy(archive / "dives" / f"{name}.mcap", folder / "dives")
+    shutil.copytree(archive / "baselines", folder / "baselines")
+    (folder / "gates.toml").write_text(GATES, "utf-8")
+
+
+def durations(folder: Path) -> dict[str, float]:
+    """Measure how long each command takes that nobody disturbs."""
+    fresh(folder)
+    taken_s = {}
+    for name, command in commands(folder).items():
+        start_s = time.monotonic()
+        started(command, folder / "said").wait(PATIENCE_S)
+        taken_s[name] = time.monotonic() - start_s
+    return taken_s
+
+
+def attack(folder: Path, seeds: range) -> Iterator[tuple[str, str, str, str]]:
+    """Kill commands.
+
+    Yields
+    ------
+    str, str, str, str
+        Which command, which signal, the verdict, and what was seen.
+    """
+    taken_s = durations(folder)
+    for seed in seeds:
+        rng = Random(seed)
+        name, number = rng.choice(sorted(taken_s)), rng.choice(SIGNALS)
+        delay_s = rng.uniform(0.0, taken_s[name])
+        judged, seen = _killed(folder, name, number, delay_s)
+        yield name, number.name, judged, f"--seed {seed} --count 1: {name}, {number.name} after {delay_s:.2f} s: {seen}"
+
+
+def _killed(folder: Path, name: str, number: signal.Signals, delay_s: float) -> tuple[str, str]:
+    fresh(folder)
+    if name == "run --force":
+        started(commands(folder)["run"], folder / "said").wait(PATIENCE_S)
+    process = started(commands(folder)[name], folder / "said")
+    time.sleep(delay_s)
+    process.send_signal(number)
+    try:
+        code = process.wait(PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return "hang", "still there"
+    left = waited(process)
+    said = (folder / "said").read_text("utf-8", "replace").rstrip().rpartition("\n")[2][:160]
+    return _judged(folder, name, number, code, left), f"exit {code}, {len(left)} processes left: {said}"
+
+
+def _judged(folder: Path, name: str, number: signal.Signals, code: int, left: list[int]) -> str:
+    if left:
+        return "processes left"
+    if half_written(folder / "results") or not all(map(_whole, (folder / "baselines").glob("*.json"))):
+        return "half written"
+    if name == "run --force" and not (folder / "results" / "lost_beam").is_dir() and not hidden(folder):
+        return "older result lost"
+    if number == signal.SIGKILL:
+        return _again(folder, name)
+    if "Traceback (most recent call last)" in (folder / "said").read_text("utf-8", "replace"):
+        return "traceback"
+    if hidden(folder):
+        return "leftovers"
+    return {4: "exit 4", -number: "ended by the bare signal"}.get(
+        code, "ok" if code in (0, INTERRUPTED) else "other code"
+    )
+
+
+def _again(folder: Path, name: str) -> str:
+    """Run the same again after a kill that nobody can answer."""
+    left = bool(hidden(folder))
+    code = started([*commands(folder)[name]], folder / "said").wait(PATIENCE_S)
+    if code:
+        return "the next run fails"
+    return "hidden folder left" if left and hidden(folder) else "ok"
+
+
+def _whole(path: Path) -> bool:
+    try:
+        return bool(json.loads(path.read_text("utf-8")))
+    except ValueError:
+        return False
