@@ -297,4 +297,6 @@ def log_digest(task: Task) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     from insdvl_replay.logs.recording import open_recording  # which knows the order of the parts
 
-    return open_recording(task.logs, allow_damaged=task.order.allow_damaged).sha256()
+    log = open_recording(task.logs, allow_damaged=task.order.allow_damaged)
+    with log.watched():
+        return log.sha256()
