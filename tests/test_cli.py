@@ -19,6 +19,7 @@ DOCUMENTED = {
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--format <table|json|csv|md|latex>",
         "--allow-damaged", "--one-dive", "--control", "--tum", "--strict", "--jobs N", "--scheduler ADDR",
+        "--scheduler-patience S",
         "--rerun", "--force", "-v, --verbose", "--help",
     ],
     "compare": [
@@ -29,6 +30,7 @@ DOCUMENTED = {
     "check": [
         "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--set KEY=VALUE",
         "--format <text|md|json|junit|github>", "--output FILE", "--summary-file FILE", "--jobs N", "--scheduler ADDR",
+        "--scheduler-patience S",
         "--rerun", "-v, --verbose", "--help",
     ],
     "inspect": [
