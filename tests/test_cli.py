@@ -298,9 +298,9 @@ class Finder:
     def find_spec(self, name, path, target=None):
         if name == "insdvl_replay.cli.SOMETHING":
             try:
-                signal.raise_signal(signal.SIGNAL)
+                exec("signal.raise_signal(signal.SIGNAL)")
             except KeyboardInterrupt:
-                raise SyntaxError("from inside the compiler")
+                RAISED
 
 sys.meta_path.insert(0, Finder())
 sys.argv = ["insdvl-replay", "run", "absent.mcap"]
@@ -310,8 +310,13 @@ main()
 
 @pytest.mark.parametrize("signal_", ["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("module", ["app", "dives"])
-def test_an_import_that_fails_since_it_is_interrupted_is_an_interruption(module: str, signal_: str) -> None:
-    script = INTERRUPTED_AS_IT_IS_IMPORTED.replace("SOMETHING", module).replace("SIGNAL", signal_)
+@pytest.mark.parametrize("raised", ['raise SyntaxError("from inside the compiler")', "raise"])
+def test_an_import_that_fails_since_it_is_interrupted_is_an_interruption(
+    module: str, signal_: str, raised: str
+) -> None:
+    script = (
+        INTERRUPTED_AS_IT_IS_IMPORTED.replace("SOMETHING", module).replace("SIGNAL", signal_).replace("RAISED", raised)
+    )
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20.0, check=False)
     assert (result.returncode, result.stderr) == (130, "error: interrupted\n")
 

@@ -78,8 +78,12 @@ def run_command_line(arguments: list[str]) -> int:
         raise
 
 
-class _Interruption:
-    """Whether the user, or the system, has wanted the work to end."""
+class _Interruption(KeyboardInterrupt):
+    """The user, or the system, wants the work to end.
+
+    A type of its own: where Python's passes through ``exec`` or ``eval``, as in the making of a dataclass, the
+    interpreter remembers it, and ends by SIGINT although it was caught.
+    """
 
     came = False
 
@@ -100,7 +104,7 @@ def _listen_no_more() -> None:
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> NoReturn:
     _Interruption.came = True
-    raise KeyboardInterrupt
+    raise _Interruption
 
 
 def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:
