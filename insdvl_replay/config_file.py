@@ -16,6 +16,7 @@ from msgspec import Struct
 
 from insdvl_replay.config import Config, Filter
 from insdvl_replay.errors import ConfigError, nearest
+from insdvl_replay.text_files import read_text
 
 Section = TypeVar("Section", Config, Filter)
 
@@ -87,7 +88,7 @@ def _read_preset(name: str) -> dict[str, Any]:
 
 def _read_toml(file: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(file.read_text("utf-8"))
+        return tomllib.loads(read_text(file))
     except OSError as error:
         raise ConfigError(f"{file}: cannot be read: {error.strerror}", "check the path given to -c") from error
     except UnicodeDecodeError as error:

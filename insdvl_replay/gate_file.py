@@ -13,6 +13,7 @@ from msgspec import Struct
 
 from insdvl_replay.errors import ConfigError, about, refuse_unknown
 from insdvl_replay.gates import LOG, Gate, GateFile, Level
+from insdvl_replay.text_files import read_text
 
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
 _HEADER: Final = re.compile(r"\s*\[\[\s*gate\s*\]\]")
@@ -79,7 +80,7 @@ def load_gates(path: Path) -> Gates:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text("utf-8")
+        return read_text(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}", "name a file of gates") from error
     except UnicodeDecodeError as error:

@@ -1,5 +1,6 @@
 """Replay what has changed, hold all dives against the gates, and tell it in the form that is wanted."""
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -136,7 +137,7 @@ def check_dives(
 def _refuse_to_overwrite(told: Told, inputs: Sequence[Path]) -> None:
     """Refuse, before any work, to write where something is read."""
     for option, path in (("--output", told.output), ("--summary-file", told.summary)):
-        if path is not None and path.resolve() in {read.resolve() for read in inputs}:
+        if path is not None and os.path.realpath(path) in map(os.path.realpath, inputs):
             raise ConfigError(f"{option} {path}: is what is checked", "give it another name")
         if path is not None and path.is_dir():
             raise ConfigError(f"{option} {path}: is a folder", "give the name of a file")

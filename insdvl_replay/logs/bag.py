@@ -1,9 +1,11 @@
 """A bag: a folder in which a recorder that split its recording left several MCAP files."""
 
+import os
 from pathlib import Path
 from typing import Any, Final
 
 from insdvl_replay.errors import LogError
+from insdvl_replay.text_files import read_text
 
 METADATA: Final = "metadata.yaml"
 """File in which rosbag2 lists the parts of a bag."""
@@ -50,12 +52,17 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
 def _unpacked(part: Path) -> Path:
     """Give the part that the user has unpacked, where the metadata lists it as it was packed."""
     plain = part.with_suffix("") if part.suffix == _PACKED else part
-    return plain if plain.is_file() else part
+    return plain if _is_file(plain) else part
+
+
+def _is_file(path: Path) -> bool:
+    """Tell whether a file is there; a name that cannot be one is none."""
+    return os.path.isfile(path)  # noqa: PTH113  # a Path raises where the name is too long
 
 
 def _require_all(metadata: Path, parts: tuple[Path, ...], found: list[Path]) -> None:
     for part in parts:
-        if not part.is_file():
+        if not _is_file(part):
             raise LogError(
                 f"{metadata}: lists {part.name}, which is not there",
                 f"copy the whole bag, or read the parts that are there: {_by_name(metadata)}",
@@ -80,14 +87,20 @@ def _listed(metadata: Path) -> list[str] | None:
     # Imported here, since few logs are bags and it takes a while.
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.events import AliasEvent
 
     by_name = f"read the .mcap files beside it: {_by_name(metadata)}"
     try:
-        content: Any = YAML(typ="safe", pure=True).load(metadata.read_text("utf-8"))
-    except (YAMLError, UnicodeDecodeError) as error:
+        text, yaml = read_text(metadata), YAML(typ="safe", pure=True)
+        if any(isinstance(event, AliasEvent) for event in yaml.parse(text)):
+            raise LogError(f"{metadata}: repeats parts of itself by aliases, which no recorder does", by_name)
+        content: Any = yaml.load(text)
+    except OSError as error:
+        raise LogError(f"{metadata}: cannot be read: {error.strerror}", by_name) from error
+    except (YAMLError, ValueError, RecursionError) as error:  # also a day or a number that cannot be
         raise LogError(f"{metadata}: is no YAML", by_name) from error
     information = content.get(_INFORMATION) if isinstance(content, dict) else None
     names = information.get("relative_file_paths") if isinstance(information, dict) else None
-    if not isinstance(names, list) or not names:
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise LogError(f"{metadata}: lists no files", by_name)
-    return [str(name) for name in names]
+    return names

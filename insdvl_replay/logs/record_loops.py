@@ -56,6 +56,8 @@ def walk(
 def resume(data: NDArray[np.uint8], start: int, end: int) -> int:
     """Search for a place where a record can stand with another one, or the end, right behind it."""
     for place in range(start, end):
+        if data[place] == 0:  # gigabytes of which a disk may make up
+            continue
         opcode, length = _fitting(data, place, end)
         if 0 < opcode <= LAST_KNOWN:
             after = place + RECORD_HEADER_SIZE + length
