@@ -57,10 +57,10 @@ def bomb() -> str:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (bomb(), "repeats parts of itself by aliases"),
+        (bomb(), "has aliases"),
         ("a: 2020-99-99", "is no YAML"),
         (f"a: {'9' * 5000}", "is no YAML|lists no files"),
-        ("[" * 5000, "is no YAML"),
+        ("[" * 5000, "has aliases or deep nesting"),
         ("a: " * 5000, "is no YAML"),
         ("rosbag2_bagfile_information: {relative_file_paths: [[a.mcap]]}", "lists no files"),
         (f"rosbag2_bagfile_information: {{relative_file_paths: [{'a' * 5000}]}}", "lists a+, which is not there"),

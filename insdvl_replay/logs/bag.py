@@ -1,6 +1,7 @@
 """A bag: a folder in which a recorder that split its recording left several MCAP files."""
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,6 +12,7 @@ METADATA: Final = "metadata.yaml"
 """File in which rosbag2 lists the parts of a bag."""
 
 _INFORMATION: Final = "rosbag2_bagfile_information"
+_DEEPEST: Final = 50
 _PACKED: Final = ".zstd"
 """Ending of parts that rosbag2 compressed as a whole."""
 
@@ -80,6 +82,18 @@ def _by_name(metadata: Path) -> str:
     return f"{metadata.parent / '*.mcap'} --one-dive"
 
 
+def _is_plain(events: Iterable[Any]) -> bool:
+    """Tell whether a YAML text is about as large as what it stands for: aliases multiply it."""
+    from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
+
+    depth = 0
+    for event in events:
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if depth > _DEEPEST or isinstance(event, AliasEvent):
+            return False
+    return True
+
+
 def _listed(metadata: Path) -> list[str] | None:
     """Read which parts the metadata names; None where there is none."""
     if not metadata.is_file():
@@ -87,13 +101,12 @@ def _listed(metadata: Path) -> list[str] | None:
     # Imported here, since few logs are bags and it takes a while.
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
-    from ruamel.yaml.events import AliasEvent
 
     by_name = f"read the .mcap files beside it: {_by_name(metadata)}"
     try:
         text, yaml = read_text(metadata), YAML(typ="safe", pure=True)
-        if any(isinstance(event, AliasEvent) for event in yaml.parse(text)):
-            raise LogError(f"{metadata}: repeats parts of itself by aliases, which no recorder does", by_name)
+        if not _is_plain(yaml.parse(text)):
+            raise LogError(f"{metadata}: has aliases or deep nesting, which no recorder writes", by_name)
         content: Any = yaml.load(text)
     except OSError as error:
         raise LogError(f"{metadata}: cannot be read: {error.strerror}", by_name) from error
