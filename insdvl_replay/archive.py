@@ -9,7 +9,7 @@ import hashlib
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -70,12 +70,16 @@ class Task:
     target : Path
         Its result folder, which bears the dive's name.
     order : Order
+    sha256 : str or None
+        Of the logs, where the one who asks for the replay may see other files than the one who does it; empty if they
+        cannot be read there.
     """
 
     logs: tuple[Path, ...]
     name: Path
     target: Path
     order: Order
+    sha256: str | None = None
 
 
 @dataclass(frozen=True)
@@ -195,7 +199,8 @@ def replay_archive(
     """
     todo = [task for task in tasks if task.target not in known]
     done: dict[Path, Outcome] = {}
-    with closing(do_each(replay_into, todo, workers)) as replays:
+    sent = list(each(_for_elsewhere, todo)) if workers.are_elsewhere else todo
+    with closing(do_each(replay_into, sent, workers)) as replays:
         for task in tasks:
             if task.target in known:
                 yield Outcome(task, known.pop(task.target), unchanged=True)
@@ -206,6 +211,16 @@ def replay_archive(
                 after_dive(outcome)
                 done[outcome.task.target] = outcome
             yield done.pop(task.target)
+
+
+def _for_elsewhere(task: Task) -> Task:
+    """Say which files are meant to a worker that may stand in another folder or on another machine."""
+    try:
+        digest = log_digest(task)
+    except (OSError, LogError):  # the replay tells it
+        digest = ""
+    logs = tuple(log.absolute() for log in task.logs)
+    return replace(task, logs=logs, name=task.name.absolute(), target=task.target.absolute(), sha256=digest)
 
 
 def _result_of(task: Task, result: bytes | Exception) -> Report | Exception:
@@ -231,7 +246,7 @@ def replay_into(task: Task) -> bytes:
     Raises
     ------
     LogError, ConfigError
-        As of `replay.replay_log`; or this worker has another version of the tool.
+        As of `replay.replay_log`; or this worker has another version of the tool, or another file.
     """
     wanted, here = f"{task.order.version} ({task.order.sources})", f"{__version__} ({sources_digest()})"
     if wanted != here:
@@ -247,6 +262,12 @@ def replay_into(task: Task) -> bytes:
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     run = replay_with_control if task.order.control else replay_log
     replay = run(task.logs, task.order.config, allow_damaged=task.order.allow_damaged, name=task.target.name)
+    if task.sha256 is not None and replay.dive.sha256 != task.sha256:
+        raise LogError(
+            f"{task.name}: the worker has another file there: its SHA-256 is {replay.dive.sha256}, where the replay "
+            f"was asked for it is {task.sha256 or 'not to be had'}",
+            "--scheduler needs workers that see the same files under the same paths",
+        )
     with result_folder(task.target, force=True) as folder:
         save_replay(replay, folder)
         if task.order.trajectories:
@@ -318,4 +339,6 @@ def log_digest(task: Task) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     from insdvl_replay.logs.recording import open_recording  # which knows the order of the parts
 
-    return open_recording(task.logs, allow_damaged=task.order.allow_damaged).sha256()
+    log = open_recording(task.logs, allow_damaged=task.order.allow_damaged)
+    with log.watched():
+        return log.sha256()

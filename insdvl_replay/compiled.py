@@ -7,13 +7,15 @@ Environment
 -----------
 INSDVL_REPLAY_CACHE : folder for compiled code; default ``~/.cache/insdvl-replay``. What ``insdvl-replay compile`` left
     there is used even where nothing can be written, as in a container; if nothing is there, each process compiles for
-    itself.
+    itself. The files are code: who can write them runs what he likes in every process that loads them. A folder that
+    others than the user and root own or can write is not used.
 NUMBA_DISABLE_JIT=1 : run the same functions as plain Python, to step through them with a debugger.
 """
 
 import atexit
 import os
 import shutil
+import stat
 import sys
 import tempfile
 import threading
@@ -28,7 +30,7 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 
-_SOURCES: Final = ("nav/*.py", "earth.py", "logs/records.py", "logs/*_loops.py", "compiled.py")
+_SOURCES: Final = ("nav/*.py", "earth.py", "logs/records.py", "logs/*_loops.py", "compiled.py", "kept_code.py")
 """Where compiled functions, what they are made of, and how they are compiled, stand."""
 
 
@@ -53,7 +55,10 @@ def _cache_folder() -> Path | None:
         folder = usual_folder()
     except RuntimeError:
         return None
-    if can_write(folder):
+    writable = can_write(folder)
+    if not (_is_trusted(folder) and _is_trusted(folder.parent)):
+        return None
+    if writable:
         return folder
     return copied(folder) if _holds_code(folder) else None
 
@@ -61,11 +66,23 @@ def _cache_folder() -> Path | None:
 def can_write(folder: Path) -> bool:
     """Tell whether files can be made in a folder, which is made if need be."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=stat.S_IRWXU, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return True
     except OSError:
         return False
+
+
+def _is_trusted(folder: Path) -> bool:
+    """Tell whether nobody but the user and root can put files into a folder, or folders where theirs stand."""
+    if not folder.is_dir() or not hasattr(os, "geteuid"):
+        return True
+    found = folder.stat()
+    by_all = found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX
+    # Many systems give each user a group of his own, and let it write.
+    by_others = found.st_mode & stat.S_IWGRP and found.st_gid not in (0, os.getegid())
+    return found.st_uid in (0, os.geteuid()) and not by_all and not by_others
 
 
 def copied(folder: Path) -> Path | None:
@@ -104,7 +121,12 @@ def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
         before = settings.CACHE_DIR
         settings.CACHE_DIR = str(_FOLDER or before)
         try:
-            return cast(Callable[_P, _T], numba.njit(cache=_FOLDER is not None, **_OPTIONS)(function))
+            dispatcher = numba.njit(**_OPTIONS)(function)
+            if _FOLDER is not None and not settings.DISABLE_JIT:
+                from insdvl_replay.kept_code import keep
+
+                keep(dispatcher, function)
+            return cast(Callable[_P, _T], dispatcher)
         finally:
             settings.CACHE_DIR = before
 

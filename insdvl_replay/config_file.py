@@ -17,6 +17,7 @@ from msgspec import Struct
 from insdvl_replay.config import Config, Filter
 from insdvl_replay.errors import ConfigError, nearest
 from insdvl_replay.plain_text import is_writable, visible
+from insdvl_replay.text_files import read_text
 from insdvl_replay.toml_text import parsed_toml
 
 _SHOWN = 80
@@ -93,7 +94,7 @@ def _read_preset(name: str) -> dict[str, Any]:
 
 def _read_toml(file: Path) -> dict[str, Any]:
     try:
-        return parsed_toml(file.read_text("utf-8"))
+        return parsed_toml(read_text(file))
     except OSError as error:
         raise ConfigError(f"{file}: cannot be read: {error.strerror}", "check the path given to -c") from error
     except UnicodeDecodeError as error:

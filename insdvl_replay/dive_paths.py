@@ -9,6 +9,7 @@ from typing import Final
 from insdvl_replay.errors import ConfigError
 from insdvl_replay.plain_text import is_writable
 from insdvl_replay.report.folder import is_result
+from insdvl_replay.text_files import read_text
 
 LOG_SUFFIX: Final = ".mcap"
 LIST_SUFFIX: Final = ".txt"
@@ -46,11 +47,11 @@ def find_dives(names: Sequence[str], beside: Path = Path(), *, results: bool = F
         A pattern, folder or list without any dive, a list that cannot be read, or a name that no file can have or that
         is not UTF-8.
     """
-    found: dict[Path, Path] = {}
+    found: dict[str, Path] = {}
     for name in names:
         try:
             for dive in _meant(name, beside, results=results):
-                found.setdefault(dive.resolve(), dive)
+                found.setdefault(_real(dive), dive)
         except (OSError, ValueError, RuntimeError) as error:  # too long, NUL in it, links in a circle
             reason = getattr(error, "strerror", None) or error
             raise ConfigError(f"{name}: cannot be looked for: {reason}", "check the path") from error
@@ -85,7 +86,15 @@ def _matched(path: Path, *, results: bool) -> Iterator[Path]:
         yield path
 
 
-def _in_folder(folder: Path, *, results: bool) -> Iterator[Path]:
+def _real(path: Path) -> str:
+    """Follow links; one that leads to itself stays as it is, and is told when it is read."""
+    return os.path.realpath(path)
+
+
+def _in_folder(folder: Path, *, results: bool, above: frozenset[str] = frozenset()) -> Iterator[Path]:
+    real = _real(folder)
+    if real in above:  # a link leads back up
+        return
     if is_result(folder):
         if results:
             yield folder
@@ -97,14 +106,14 @@ def _in_folder(folder: Path, *, results: bool) -> Iterator[Path]:
     folders = [Path(entry) for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith(".")]
     for path in sorted([*logs, *folders]):
         if path.is_dir():
-            yield from _in_folder(path, results=results)
+            yield from _in_folder(path, results=results, above=above | {real})
         else:
             yield path
 
 
 def _lines(path: Path) -> list[str]:
     try:
-        lines = path.read_text("utf-8").splitlines()
+        lines = read_text(path).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read as a list of dives: {error}", "one path a line, UTF-8") from error
     return [line.strip() for line in lines if line.strip() and not line.strip().startswith("#")]

@@ -5,9 +5,12 @@ the one that kills its worker is told from those that stood beside it.
 """
 
 import importlib
+import logging
 import multiprocessing
 import os
 import signal
+import threading
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -30,7 +33,9 @@ _GRACE_S: Final = 3
 """How long a worker gets to remove what it has half written."""
 
 _REACHED_WITHIN_S: Final = 10.0
-"""How long a cluster may take to answer."""
+"""How long a cluster may take to answer at first."""
+_LOOK_EVERY_S: Final = 2.0
+_LEFT_WITHIN_S: Final = 2.0
 
 
 class WorkerLostError(LogError):
@@ -46,10 +51,16 @@ class Pool:
     executor : Executor
     in_flight : int
         How many items they hold at a time; more than there are workers, so that none waits.
+    require_alive : callable
+        Raises an error when nothing more is to be expected of them.
+    look_every_s : float or None
+        How often it is asked while no item gets done; None for never.
     """
 
     executor: Executor
     in_flight: int
+    require_alive: Callable[[], None] = lambda: None
+    look_every_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -62,10 +73,13 @@ class Workers:
         Gives a fresh `Pool`, of a single worker if asked to.
     lost : tuple of exception types
         How a future says that its worker died.
+    are_elsewhere : bool
+        They may stand in other folders, on other machines.
     """
 
     open: Callable[[bool], AbstractContextManager[Pool]]
     lost: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
+    are_elsewhere: bool = False
 
 
 def local_workers(jobs: int) -> Workers:
@@ -85,13 +99,28 @@ def local_workers(jobs: int) -> Workers:
     return Workers(lambda alone: _processes(1 if alone else jobs))
 
 
-def cluster_workers(address: str) -> Workers:
-    """Work on a dask.distributed cluster that runs already.
+@dataclass(frozen=True)
+class Cluster:
+    """A dask.distributed cluster that runs already.
 
-    Parameters
+    Attributes
     ----------
     address : str
         Of its scheduler, such as ``tcp://host:8786``.
+    patience_s : float
+        How long it may be without a worker or an answer.
+    """
+
+    address: str
+    patience_s: float
+
+
+def cluster_workers(cluster: Cluster) -> Workers:
+    """Work on a cluster.
+
+    Parameters
+    ----------
+    cluster : Cluster
 
     Returns
     -------
@@ -106,11 +135,21 @@ def cluster_workers(address: str) -> Workers:
         distributed = importlib.import_module("distributed")
     except ImportError as error:
         raise ConfigError(
-            f"--scheduler {address}: dask.distributed is not installed", "pip install 'insdvl-replay[cluster]'"
+            f"--scheduler {cluster.address}: dask.distributed is not installed", "pip install 'insdvl-replay[cluster]'"
         ) from error
+    _silence("distributed", "tornado", "asyncio")
     return Workers(
-        lambda alone: _cluster(distributed, address, alone=alone), (CancelledError, distributed.KilledWorker)
+        lambda alone: _cluster(distributed, cluster, alone=alone),
+        (CancelledError, distributed.KilledWorker),
+        are_elsewhere=True,
     )
+
+
+def _silence(*libraries: str) -> None:
+    """Keep libraries from telling on stderr, with tracebacks, what is told here in a sentence."""
+    for name in [*libraries, *logging.root.manager.loggerDict]:
+        if name.partition(".")[0] in libraries:
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
 def do_each(
@@ -136,7 +175,7 @@ def do_each(
     Raises
     ------
     ConfigError
-        The cluster cannot be reached.
+        The cluster cannot be reached, or has no workers and gets none.
     """
     suspects = {}
     for place, outcome in _pass(work, dict(enumerate(items)), workers, alone=False):
@@ -160,7 +199,9 @@ def _pass(
                 while waiting and whole and len(running) < pool.in_flight:
                     place, item = waiting.popleft()
                     running[_submitted(pool.executor, work, item)] = place
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                done, _ = wait(running, pool.look_every_s, return_when=FIRST_COMPLETED)
+                if not done:
+                    pool.require_alive()
                 for future in done:
                     outcome = _outcome(future, workers.lost)
                     whole = whole and not isinstance(outcome, WorkerLostError)
@@ -231,12 +272,23 @@ def _begin() -> None:
         os.environ.setdefault(name, "1")  # the other cores belong to the other processes
     collect_rarely()
     _obey_the_parent_alone()
+    threading.Thread(target=_end_with_the_parent, daemon=True).start()
 
 
 def _obey_the_parent_alone() -> None:
     """Leave Ctrl-C, which a terminal sends to all processes, to the parent, and let its word end the work tidily."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
+
+
+def _end_with_the_parent() -> None:
+    """Wait until the parent is gone, however it ended, and end this worker: nobody would ever again."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(_GRACE_S)
+        os._exit(1)  # compiled code may leave Python no moment for its handler
 
 
 class _Leaving(SystemExit):
@@ -257,16 +309,52 @@ def _do(work: Callable[[Item], Result], item: Item) -> Result:
 
 
 @contextmanager
-def _cluster(distributed: Any, address: str, *, alone: bool) -> Iterator[Pool]:
+def _cluster(distributed: Any, cluster: Cluster, *, alone: bool) -> Iterator[Pool]:
     try:
-        client = distributed.Client(address, timeout=_REACHED_WITHIN_S, set_as_default=False)
+        client = distributed.Client(cluster.address, timeout=_REACHED_WITHIN_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ConfigError(
-            f"--scheduler {address}: cannot be reached: {error}", "`dask scheduler` prints the address it listens on"
+            f"--scheduler {cluster.address}: cannot be reached: {error}",
+            "`dask scheduler` prints the address it listens on",
         ) from error
-    with client:
-        executor = client.get_executor(pure=False)
+    health = _Health(client, cluster)
+    executor = client.get_executor(pure=False)
+    try:
+        yield Pool(executor, 1 if alone else 2 * max(1, health.threads()), health.require, _LOOK_EVERY_S)
+    finally:
+        executor.shutdown(wait=False)
+        client.close(timeout=_LEFT_WITHIN_S)
+
+
+class _Health:
+    """Tells a cluster that takes long from one that will never be done.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    cluster : Cluster
+    """
+
+    def __init__(self, client: Any, cluster: Cluster) -> None:
+        self.client = client
+        self.cluster = cluster
+        self.well_at_s = time.monotonic()
+
+    def threads(self) -> int:
+        """Ask how many items can be done at a time; -1 where there is no answer."""
         try:
-            yield Pool(executor, 1 if alone else 2 * max(1, sum(client.nthreads().values())))
-        finally:
-            executor.shutdown(wait=False)
+            return sum(self.client.sync(self.client.scheduler.ncores, callback_timeout=_LOOK_EVERY_S).values())
+        except (OSError, TimeoutError):
+            return -1
+
+    def require(self) -> None:
+        """Raise a ConfigError if there has been no worker, or no answer, for too long."""
+        threads = self.threads()
+        if threads > 0:
+            self.well_at_s = time.monotonic()
+        elif time.monotonic() - self.well_at_s > self.cluster.patience_s:
+            found = "has no workers" if threads == 0 else "does not answer"
+            raise ConfigError(
+                f"--scheduler {self.cluster.address}: {found}, for {self.cluster.patience_s:g} s",
+                "`dask worker` adds one; --scheduler-patience waits longer",
+            )

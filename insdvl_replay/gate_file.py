@@ -14,6 +14,7 @@ from msgspec import Struct
 from insdvl_replay.errors import ConfigError, about, refuse_unknown
 from insdvl_replay.gates import LOG, Gate, GateFile, Level
 from insdvl_replay.plain_text import is_writable
+from insdvl_replay.text_files import read_text
 from insdvl_replay.toml_text import parsed_toml
 
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
@@ -83,7 +84,7 @@ def _read(path: Path) -> str:
     if not is_writable(str(path)):
         raise ConfigError(f"{path}: its name is not UTF-8, so no result could tell it", "rename it")
     try:
-        return path.read_text("utf-8")
+        return read_text(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}", "name a file of gates") from error
     except UnicodeDecodeError as error:

@@ -19,6 +19,7 @@ DOCUMENTED = {
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--format <table|json|csv|md|latex>",
         "--allow-damaged", "--one-dive", "--control", "--tum", "--strict", "--jobs N", "--scheduler ADDR",
+        "--scheduler-patience S",
         "--rerun", "--force", "-v, --verbose", "--help",
     ],
     "compare": [
@@ -29,6 +30,7 @@ DOCUMENTED = {
     "check": [
         "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--set KEY=VALUE",
         "--format <text|md|json|junit|github>", "--output FILE", "--summary-file FILE", "--jobs N", "--scheduler ADDR",
+        "--scheduler-patience S",
         "--rerun", "-v, --verbose", "--help",
     ],
     "inspect": [
@@ -286,6 +288,60 @@ def test_an_interruption_is_not_lost_where_python_cannot_be_interrupted() -> Non
     command = [sys.executable, "-c", INTERRUPTED_AS_AN_OBJECT_GOES]
     result = subprocess.run(command, capture_output=True, text=True, timeout=20.0)
     assert (result.returncode, result.stderr) == (130, "error: interrupted\n")
+
+
+INTERRUPTED_AS_IT_IS_IMPORTED = """
+import signal, sys
+from insdvl_replay.cli import main
+
+class Finder:
+    def find_spec(self, name, path, target=None):
+        if name == "insdvl_replay.cli.SOMETHING":
+            try:
+                exec("signal.raise_signal(signal.SIGNAL)")
+            except KeyboardInterrupt:
+                RAISED
+
+sys.meta_path.insert(0, Finder())
+sys.argv = ["insdvl-replay", "run", "absent.mcap"]
+main()
+"""
+
+
+@pytest.mark.parametrize("signal_", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("module", ["app", "dives"])
+@pytest.mark.parametrize("raised", ['raise SyntaxError("from inside the compiler")', "raise"])
+def test_an_import_that_fails_since_it_is_interrupted_is_an_interruption(
+    module: str, signal_: str, raised: str
+) -> None:
+    script = (
+        INTERRUPTED_AS_IT_IS_IMPORTED.replace("SOMETHING", module).replace("SIGNAL", signal_).replace("RAISED", raised)
+    )
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20.0, check=False)
+    assert (result.returncode, result.stderr) == (130, "error: interrupted\n")
+
+
+INTERRUPTED_AT_THE_END = """
+import atexit, os, signal, sys
+from insdvl_replay.cli import main
+
+class Last:
+    def __del__(self, kill=os.kill, pid=os.getpid()):
+        kill(pid, signal.SIGNAL)
+
+signal.last = Last()
+atexit.register(os.kill, os.getpid(), signal.SIGNAL)
+sys.argv = ["insdvl-replay", "--version"]
+main()
+"""
+
+
+@pytest.mark.parametrize("signal_", ["SIGINT", "SIGTERM"])
+def test_an_interruption_after_all_is_done_changes_nothing(signal_: str) -> None:
+    script = INTERRUPTED_AT_THE_END.replace("signal.SIGNAL", str(int(getattr(signal, signal_))))
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20.0, check=False)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout == f"insdvl-replay {__version__}\n"
 
 
 @pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])

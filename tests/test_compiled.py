@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numba
@@ -85,3 +86,82 @@ def test_code_in_a_folder_that_cannot_be_written_is_used_from_a_copy(
     assert copy is not None
     assert copy != folder
     assert (copy / "filter.nbc").read_bytes() == b"code"
+
+
+# Code on a disk that is not to be relied on
+
+SQUARES = """
+import sys
+from insdvl_replay.compiled import cache_folder, compiled
+
+@compiled
+def square(number):
+    return number * number
+
+assert square(3.0) == 9.0
+print(sum(square.stats.cache_hits.values()), cache_folder())
+"""
+
+
+def squares(cache: Path, script: Path) -> tuple[int, str]:
+    """Compile a small function in a process of its own: how often it came from the disk, and where that is."""
+    if not script.exists():
+        script.write_text(SQUARES)
+    environment = os.environ | {"INSDVL_REPLAY_CACHE": str(cache)}
+    done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    hits, folder = done.stdout.split()
+    return int(hits), folder
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:50])
+
+
+def garble(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[-20] ^= 1
+    path.write_bytes(data)
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", [cut, garble, empty, Path.unlink])
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_damaged_code_is_compiled_again_and_mended(damage: Callable[[Path], None], ending: str, tmp_path: Path) -> None:
+    cache, script = tmp_path / "cache", tmp_path / "script.py"
+    assert squares(cache, script)[0] == 0
+    (file,) = cache.rglob(f"*.{ending}")
+    damage(file)
+    assert squares(cache, script)[0] == 0
+    assert squares(cache, script)[0] == 1
+
+
+@pytest.mark.slow
+def test_a_full_disk_costs_the_time_to_compile(tmp_path: Path) -> None:
+    """No file can be larger than nothing."""
+    script = tmp_path / "script.py"
+    script.write_text("import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n" + SQUARES)
+    assert squares(tmp_path / "cache", script)[0] == 0
+    assert not list((tmp_path / "cache").rglob("*.nb*"))
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770])
+def test_a_folder_in_which_others_can_write_is_not_used(
+    mode: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("INSDVL_REPLAY_CACHE", str(tmp_path))
+    folder = compiled._cache_folder()
+    assert folder is not None
+    assert folder.stat().st_mode & 0o777 == 0o700
+    monkeypatch.setattr(os, "getegid", lambda: 12345)
+    os.chown(folder, -1, os.getgid() if os.getuid() else 4242)
+    folder.chmod(mode)
+    assert compiled._cache_folder() is None
+    folder.chmod(0o755)
+    assert compiled._cache_folder() == folder
+    monkeypatch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
+    assert (compiled._cache_folder() is None) == (folder.stat().st_uid != 0)

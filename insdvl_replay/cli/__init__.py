@@ -1,7 +1,7 @@
 """The door: it parses, calls, prints and exits. Nothing else prints, and exit codes are made here alone.
 
 0 done; 1 a limit is exceeded; 2 usage or configuration; 3 a log or a stored result cannot be used; 4 a mistake of ours;
-130 interrupted.
+130 interrupted. An interruption after the code is decided, as the interpreter ends, does not change it.
 """
 
 import os
@@ -22,21 +22,25 @@ AGAIN_S = 0.02
 
 def main() -> NoReturn:
     """Run the command line and leave with its exit code."""
-    signal.signal(signal.SIGTERM, _interrupt)
-    sys.unraisablehook = _interrupt_again
-    out, err = open_outlets()
-    collect_rarely()
-    use_small_pages()
-    # numpy's word on overflows would point to lines of ours; what is not finite is told by notes and status words.
-    warnings.filterwarnings("ignore", category=RuntimeWarning)
-    code = max(run_command_line(sys.argv[1:]), unsaid(out, err))
+    code, (out, err) = INTERRUPTED, open_outlets()
+    try:
+        _listen()
+        collect_rarely()
+        use_small_pages()
+        # numpy's word on overflows would point to lines of ours; what is not finite is told by notes and status words.
+        warnings.filterwarnings("ignore", category=RuntimeWarning)
+        code = run_command_line(sys.argv[1:])
+        _listen_no_more()
+    except KeyboardInterrupt:  # a second one, or one between two lines
+        _listen_no_more()
     if code == INTERRUPTED:
+        print("error: interrupted", file=sys.stderr, flush=True)
         # On its way out the interpreter waits for threads, and they, without end, for a worker that was ended while it
         # sent its result.
         impatience = threading.Timer(LONGEST_FAREWELL_S, os._exit, (code,))
         impatience.daemon = True
         impatience.start()
-    sys.exit(code)
+    sys.exit(max(code, unsaid(out, err)))
 
 
 def run_command_line(arguments: list[str]) -> int:
@@ -58,21 +62,50 @@ def run_command_line(arguments: list[str]) -> int:
         from insdvl_replay.cli.messages import tell_failure, typed_verbosity
 
         try:
-            code = int(app(arguments, prog_name="insdvl-replay", standalone_mode=False) or 0)
+            return int(app(arguments, prog_name="insdvl-replay", standalone_mode=False) or 0)
         except Exception as error:
+            if _Interruption.came:
+                return INTERRUPTED
             return tell_failure(error, typed_verbosity(arguments))
     except SystemExit as leaving:
         # The completion of the shell leaves in this way.
         return int(leaving.code or 0)
     except KeyboardInterrupt:
-        code = INTERRUPTED
-    if code == INTERRUPTED:
-        print("error: interrupted", file=sys.stderr, flush=True)
-    return code
+        return INTERRUPTED
+    except Exception:
+        # What is interrupted as it is imported, or in a library that catches all, fails in ways of its own.
+        if _Interruption.came:
+            return INTERRUPTED
+        raise
+
+
+class _Interruption(KeyboardInterrupt):
+    """The user, or the system, wants the work to end.
+
+    A type of its own: where Python's passes through ``exec`` or ``eval``, as in the making of a dataclass, the
+    interpreter remembers it, and ends by SIGINT although it was caught.
+    """
+
+    came = False
+
+
+def _listen() -> None:
+    """Let Ctrl-C and SIGTERM interrupt, but for a Ctrl-C that whoever started the program lets it ignore."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
+    sys.unraisablehook = _interrupt_again
+
+
+def _listen_no_more() -> None:
+    """Leave with the code that is decided: all is written, and the interpreter alone has yet to end."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt
+    _Interruption.came = True
+    raise _Interruption
 
 
 def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.options import Jobs, Rerun, Scheduler, Settings, Verbose
+from insdvl_replay.cli.options import Jobs, Rerun, Scheduler, SchedulerPatience, Settings, Verbose
 
 
 class CheckFormat(StrEnum):
@@ -44,6 +44,7 @@ def check(
     ] = None,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
+    scheduler_patience: SchedulerPatience = 60.0,
     rerun: Rerun = False,
     verbose: Verbose = 0,
 ) -> int:
@@ -60,6 +61,8 @@ def check(
       insdvl-replay check gates.toml replay/dive
     """
     from insdvl_replay.cli.gated_dives import Replaying, Told, check_dives
+    from insdvl_replay.executors import Cluster
 
-    replaying = Replaying(results, jobs, scheduler, rerun, update)
+    cluster = None if scheduler is None else Cluster(scheduler, scheduler_patience)
+    replaying = Replaying(results, jobs, cluster, rerun, update)
     return check_dives(gates, dives, config, settings, replaying, Told(format_, output, summary, verbose))

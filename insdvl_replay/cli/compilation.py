@@ -29,7 +29,7 @@ def compile_(verbose: Verbose = 0) -> None:
     folder, start_s = cache_folder(), time.perf_counter()
     if folder is None:
         raise ConfigError(
-            "compiled code cannot be kept: its folder cannot be written",
+            "compiled code cannot be kept: its folder cannot be written, or others can write there, too",
             "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile",
         )
     was_warm = is_warm()

@@ -12,7 +12,7 @@ from insdvl_replay.cli.run import Format
 from insdvl_replay.cli.screen import DivesBar, compiling, patience, rendered
 from insdvl_replay.dive_paths import find_dives
 from insdvl_replay.errors import ConfigError, LogError
-from insdvl_replay.executors import Workers, cluster_workers, local_workers
+from insdvl_replay.executors import Cluster, Workers, cluster_workers, local_workers
 from insdvl_replay.report.csv_tables import report_csv
 from insdvl_replay.report.folder import refuse_existing_file, result_file
 from insdvl_replay.report.index_page import index_page
@@ -51,8 +51,8 @@ class Manner:
         Replay also what is unchanged.
     jobs : int
         Dives at the same time.
-    scheduler : str, optional
-        Address of a cluster that takes the place of this machine.
+    cluster : Cluster, optional
+        In place of this machine.
     verbosity : int
         1: say all notes, not the warnings alone; 2: also where in the code an error arose.
     """
@@ -63,7 +63,7 @@ class Manner:
     force: bool
     rerun: bool
     jobs: int
-    scheduler: str | None
+    cluster: Cluster | None
     verbosity: int
 
 
@@ -95,7 +95,7 @@ def replay_dives(names: Sequence[str], output: Path, order: Order, manner: Manne
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
     together = manner.format is Format.JSON and len(tasks) > 1
-    for outcome in outcomes(tasks, manner.jobs, manner.scheduler, force=manner.force, rerun=manner.rerun):
+    for outcome in outcomes(tasks, manner.jobs, manner.cluster, force=manner.force, rerun=manner.rerun):
         name = outcome.task.target.name
         if isinstance(outcome.result, Exception):
             reports.append(Failure(name, str(outcome.result)))
@@ -111,7 +111,7 @@ def replay_dives(names: Sequence[str], output: Path, order: Order, manner: Manne
 
 
 def outcomes(
-    tasks: Sequence[Task], jobs: int, scheduler: str | None, *, force: bool, rerun: bool
+    tasks: Sequence[Task], jobs: int, cluster: Cluster | None, *, force: bool, rerun: bool
 ) -> Generator[Outcome, None, None]:
     """Replay what has changed, and say on a terminal how far it is.
 
@@ -120,8 +120,7 @@ def outcomes(
     tasks : sequence of Task
     jobs : int
         Dives at the same time.
-    scheduler : str, optional
-        Address of a cluster.
+    cluster : Cluster, optional
     force, rerun : bool
         As of `archive.known_reports`.
 
@@ -132,7 +131,7 @@ def outcomes(
     """
     known = known_reports(tasks, force=force, rerun=rerun, tell=lambda note: tell_notes([note], verbose=True))
     changed = [task for task in tasks if task.target not in known]
-    workers = local_workers(max(1, min(jobs, len(changed)))) if scheduler is None else cluster_workers(scheduler)
+    workers = local_workers(max(1, min(jobs, len(changed)))) if cluster is None else cluster_workers(cluster)
     if len(changed) == 1:
         with patience(f"replaying {changed[0].name.name}{compiling()}"):
             finished = list(replay_archive(tasks, known, workers, after_dive=lambda _: None))

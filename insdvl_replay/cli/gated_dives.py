@@ -21,6 +21,7 @@ from insdvl_replay.config import Config
 from insdvl_replay.config_file import load_config
 from insdvl_replay.dive_paths import find_dives
 from insdvl_replay.errors import ConfigError, about
+from insdvl_replay.executors import Cluster
 from insdvl_replay.gate_file import Gates, load_gates
 from insdvl_replay.gate_names import refuse_unknown_names
 from insdvl_replay.gates import CheckResult
@@ -71,7 +72,7 @@ class Replaying:
     results : Path
         The folder above the result folders.
     jobs : int
-    scheduler : str, optional
+    cluster : Cluster, optional
     rerun : bool
     update : bool
         Make the results the baselines.
@@ -79,7 +80,7 @@ class Replaying:
 
     results: Path
     jobs: int
-    scheduler: str | None
+    cluster: Cluster | None
     rerun: bool
     update: bool
 
@@ -159,7 +160,7 @@ def _is_result(path: Path) -> bool:
 def _checked(paths: Sequence[Path], order: Order, replaying: Replaying) -> Iterator[Checked]:
     """Replay the logs among the dives, and read the results among them."""
     tasks = plan_tasks([path for path in paths if not _is_result(path)], replaying.results, order)
-    replays = outcomes(tasks, replaying.jobs, replaying.scheduler, force=True, rerun=replaying.rerun)
+    replays = outcomes(tasks, replaying.jobs, replaying.cluster, force=True, rerun=replaying.rerun)
     with closing(replays):
         for path in paths:
             if _is_result(path):

@@ -6,7 +6,18 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.options import Force, Jobs, Logs, OneDive, Preset, Rerun, Scheduler, Settings, Verbose
+from insdvl_replay.cli.options import (
+    Force,
+    Jobs,
+    Logs,
+    OneDive,
+    Preset,
+    Rerun,
+    Scheduler,
+    SchedulerPatience,
+    Settings,
+    Verbose,
+)
 
 
 class Format(StrEnum):
@@ -47,6 +58,7 @@ def run(
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
+    scheduler_patience: SchedulerPatience = 60.0,
     rerun: Rerun = False,
     force: Force = False,
     verbose: Verbose = 0,
@@ -70,12 +82,14 @@ def run(
     from insdvl_replay.archive import Order
     from insdvl_replay.cli.dives import Manner, replay_dives
     from insdvl_replay.config_file import load_config
+    from insdvl_replay.executors import Cluster
 
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
     resolved = load_config(preset, config, [*settings, *spans])
+    cluster = None if scheduler is None else Cluster(scheduler, scheduler_patience)
     return replay_dives(
         logs,
         output,
         Order(resolved, allow_damaged=allow_damaged, control=control, trajectories=tum),
-        Manner(format_, one_dive, strict, force, rerun, jobs, scheduler, verbose),
+        Manner(format_, one_dive, strict, force, rerun, jobs, cluster, verbose),
     )

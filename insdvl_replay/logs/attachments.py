@@ -4,7 +4,7 @@ import hashlib
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from io import FileIO
 from typing import Final, NamedTuple
 
 from zlib_ng import zlib_ng
@@ -114,12 +114,13 @@ class Digest(NamedTuple):
     damages: list[Damage]
 
 
-def checked_digest(path: Path, section_end: int, section_crc: int) -> Digest:
+def checked_digest(file: FileIO, section_end: int, section_crc: int) -> Digest:
     """Digest a log, and check the checksum of all its messages on the way.
 
     Parameters
     ----------
-    path : Path
+    file : FileIO
+        From its start.
     section_end, section_crc : int
         Where the messages end, and their checksum; 0 if there is none.
 
@@ -127,22 +128,21 @@ def checked_digest(path: Path, section_end: int, section_crc: int) -> Digest:
     -------
     Digest
     """
-    sha256, crc = _digest(path, section_end if section_crc else 0)
+    sha256, crc = _digest(file, section_end if section_crc else 0)
     if crc == section_crc:
         return Digest(sha256, [])
     damage = Damage(section_end, "the checksum of all messages is not that of their bytes; some may be wrong")
     return Digest(sha256, [damage])
 
 
-def _digest(path: Path, section_end: int) -> tuple[str, int]:
+def _digest(file: FileIO, section_end: int) -> tuple[str, int]:
     """Read the file once in pieces, which takes no memory and leaves other threads alone."""
     digest, crc, place = hashlib.sha256(), 0, 0
     piece = bytearray(_PIECE)
-    with path.open("rb", buffering=0) as file:
-        while count := file.readinto(piece):
-            part = memoryview(piece)[:count]
-            digest.update(part)
-            if place < section_end:
-                crc = zlib_ng.crc32(part[: section_end - place], crc)
-            place += count
+    while count := file.readinto(piece):
+        part = memoryview(piece)[:count]
+        digest.update(part)
+        if place < section_end:
+            crc = zlib_ng.crc32(part[: section_end - place], crc)
+        place += count
     return digest.hexdigest(), crc

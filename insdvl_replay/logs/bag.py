@@ -1,14 +1,18 @@
 """A bag: a folder in which a recorder that split its recording left several MCAP files."""
 
+import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
 from insdvl_replay.errors import LogError
+from insdvl_replay.text_files import read_text
 
 METADATA: Final = "metadata.yaml"
 """File in which rosbag2 lists the parts of a bag."""
 
 _INFORMATION: Final = "rosbag2_bagfile_information"
+_DEEPEST: Final = 50
 _PACKED: Final = ".zstd"
 """Ending of parts that rosbag2 compressed as a whole."""
 
@@ -50,12 +54,17 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
 def _unpacked(part: Path) -> Path:
     """Give the part that the user has unpacked, where the metadata lists it as it was packed."""
     plain = part.with_suffix("") if part.suffix == _PACKED else part
-    return plain if plain.is_file() else part
+    return plain if _is_file(plain) else part
+
+
+def _is_file(path: Path) -> bool:
+    """Tell whether a file is there; a name that cannot be one is none."""
+    return os.path.isfile(path)  # noqa: PTH113  # a Path raises where the name is too long
 
 
 def _require_all(metadata: Path, parts: tuple[Path, ...], found: list[Path]) -> None:
     for part in parts:
-        if not part.is_file():
+        if not _is_file(part):
             raise LogError(
                 f"{metadata}: lists {part.name}, which is not there",
                 f"copy the whole bag, or read the parts that are there: {_by_name(metadata)}",
@@ -73,6 +82,18 @@ def _by_name(metadata: Path) -> str:
     return f"{metadata.parent / '*.mcap'} --one-dive"
 
 
+def _is_plain(events: Iterable[Any]) -> bool:
+    """Tell whether a YAML text is about as large as what it stands for: aliases multiply it."""
+    from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
+
+    depth = 0
+    for event in events:
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if depth > _DEEPEST or isinstance(event, AliasEvent):
+            return False
+    return True
+
+
 def _listed(metadata: Path) -> list[str] | None:
     """Read which parts the metadata names; None where there is none."""
     if not metadata.is_file():
@@ -83,11 +104,16 @@ def _listed(metadata: Path) -> list[str] | None:
 
     by_name = f"read the .mcap files beside it: {_by_name(metadata)}"
     try:
-        content: Any = YAML(typ="safe", pure=True).load(metadata.read_text("utf-8"))
-    except (YAMLError, UnicodeDecodeError) as error:
+        text, yaml = read_text(metadata), YAML(typ="safe", pure=True)
+        if not _is_plain(yaml.parse(text)):
+            raise LogError(f"{metadata}: has aliases or deep nesting, which no recorder writes", by_name)
+        content: Any = yaml.load(text)
+    except OSError as error:
+        raise LogError(f"{metadata}: cannot be read: {error.strerror}", by_name) from error
+    except (YAMLError, ValueError, RecursionError) as error:  # also a day or a number that cannot be
         raise LogError(f"{metadata}: is no YAML", by_name) from error
     information = content.get(_INFORMATION) if isinstance(content, dict) else None
     names = information.get("relative_file_paths") if isinstance(information, dict) else None
-    if not isinstance(names, list) or not names:
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise LogError(f"{metadata}: lists no files", by_name)
-    return [str(name) for name in names]
+    return names

@@ -5,10 +5,10 @@ as far as its bytes can be believed.
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
-import mmap
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -64,10 +64,11 @@ class Log:
     def __init__(self, path: Path, *, allow_damaged: bool = False) -> None:
         self.path = path
         self.allow_damaged = allow_damaged
-        self._map = mapped(path)
-        self._data = memoryview(self._map)
-        self._anatomy = anatomy_of(self._data, self._release)
-        self._release(0, len(self._data))
+        self._file = mapped(path)
+        self._data = self._file.data
+        with self._file.watched():
+            self._anatomy = anatomy_of(self._data, self._file.release)
+        self._file.release(0, len(self._data))
         self._opened: set[int] = set()
         self._kept: dict[int, Content] = {}
         self._judge()
@@ -174,7 +175,7 @@ class Log:
             One.
         """
         section_end, section_crc = self._anatomy.data_end or (0, 0)
-        sha256, damages = checked_digest(self.path, section_end, section_crc)
+        sha256, damages = checked_digest(self._file.reopened(), section_end, section_crc)
         return [Digest(sha256, damages + attachment_damages(self._data, self._anatomy.attachments))]
 
     def sha256(self, digests: Sequence[Digest] | None = None) -> str:
@@ -199,6 +200,17 @@ class Log:
             self._anatomy.mark(damage)
         self._judge()
         return digest.sha256
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Refuse the log if it has changed by the end since it was opened, above all if that made something fail.
+
+        Raises
+        ------
+        ChangedLogError
+        """
+        with self._file.watched():
+            yield
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the messages of some channels, a chunk at a time; chunks without them stay closed.
@@ -291,7 +303,7 @@ class Log:
             self._anatomy.accept(chunk, content)
         self._keep(chunk, content)
         yield content
-        self._release(
+        self._file.release(
             chunk.offset, max(start + length for start, length in [(chunk.offset, chunk.length), *chunk.indexes])
         )
 
@@ -318,10 +330,5 @@ class Log:
 
     def _judge(self) -> None:
         if not self.allow_damaged and (error := self.refusal()) is not None:
+            self._file.require_unchanged()
             raise error
-
-    def _release(self, start: int, end: int) -> None:
-        """Keep what was read from counting as memory of this process; the system reads it again if need be."""
-        if hasattr(mmap, "MADV_DONTNEED"):
-            page = start - start % mmap.PAGESIZE
-            self._map.madvise(mmap.MADV_DONTNEED, page, end - page)

@@ -1,6 +1,5 @@
 """Opening a file as an MCAP file; what is none is refused by name."""
 
-import mmap
 import struct
 from pathlib import Path
 from typing import Final
@@ -8,6 +7,7 @@ from typing import Final
 from mcap.opcode import Opcode
 
 from insdvl_replay.errors import LogError
+from insdvl_replay.logs.mapped_file import MappedFile, UnusableFileError
 from insdvl_replay.logs.records import MAGIC, RECORD_HEADER_SIZE, can_be_record
 
 _HEADER_CONTENT: Final = len(MAGIC) + RECORD_HEADER_SIZE
@@ -19,11 +19,7 @@ _OTHER_FORMATS: Final = {
 }
 
 
-class UnusableFileError(LogError):
-    """A file of which neither the first bytes nor the last are those of an MCAP file."""
-
-
-def mapped(path: Path) -> mmap.mmap:
+def mapped(path: Path) -> MappedFile:
     """Map an MCAP file into memory, also one of which the opening bytes are damaged.
 
     Parameters
@@ -32,7 +28,7 @@ def mapped(path: Path) -> mmap.mmap:
 
     Returns
     -------
-    mmap
+    MappedFile
 
     Raises
     ------
@@ -41,25 +37,18 @@ def mapped(path: Path) -> mmap.mmap:
     LogError
         It cannot be opened.
     """
-    try:
-        with path.open("rb") as file:
-            start = file.read(16)
-            if not start:
-                hint = "the recording never began, or the copy failed"
-                raise UnusableFileError(f"{path}: is empty (0 bytes)", hint)
-            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}", "check the path") from error
-    if not start.startswith(MAGIC) and not _goes_on_like_mcap(data):
+    file = MappedFile(path)
+    start = bytes(file.data[:16])
+    if not start.startswith(MAGIC) and not _goes_on_like_mcap(file.data):
         raise _not_mcap(path, start)
-    return data
+    return file
 
 
-def _goes_on_like_mcap(data: mmap.mmap) -> bool:
+def _goes_on_like_mcap(data: memoryview) -> bool:
     """Tell whether a header stands behind the opening bytes, or the closing ones are there."""
-    opcode, length = struct.unpack("<BQ", data[len(MAGIC) : _HEADER_CONTENT].ljust(RECORD_HEADER_SIZE, b"\0"))
+    opcode, length = struct.unpack("<BQ", bytes(data[len(MAGIC) : _HEADER_CONTENT]).ljust(RECORD_HEADER_SIZE, b"\0"))
     is_header = opcode == Opcode.HEADER and can_be_record(opcode, length) and length <= len(data) - _HEADER_CONTENT
-    return is_header or data[-len(MAGIC) :] == MAGIC
+    return is_header or bytes(data[-len(MAGIC) :]) == MAGIC
 
 
 def _not_mcap(path: Path, start: bytes) -> LogError:

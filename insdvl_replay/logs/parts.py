@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
@@ -12,7 +13,7 @@ from insdvl_replay.errors import LogError, Note
 from insdvl_replay.logs.attachments import Digest
 from insdvl_replay.logs.blocks import Block
 from insdvl_replay.logs.container import Log
-from insdvl_replay.logs.opening import UnusableFileError
+from insdvl_replay.logs.mapped_file import UnusableFileError
 from insdvl_replay.logs.refusal import refused
 
 CHANNELS_OF_A_PART: Final = 1 << 16
@@ -116,7 +117,7 @@ class Parts:
         list of Digest
         """
         of_parts = [digest for part in self.parts for digest in part.digests()]
-        return of_parts + [Digest(hashlib.sha256(file.read_bytes()).hexdigest(), []) for file in self._unusable]
+        return of_parts + [Digest(_sha256(file), []) for file in self._unusable]
 
     def sha256(self, digests: Sequence[Digest] | None = None) -> str:
         """Give the digest of all digests, and note wrong checksums, as `Log.sha256`."""
@@ -125,6 +126,14 @@ class Parts:
             part.sha256([digest])
         self._judge()
         return hashlib.sha256("".join(digest.sha256 for digest in digests).encode()).hexdigest()
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Refuse the parts if one has changed by the end, as `Log.watched`."""
+        with ExitStack() as all_parts:
+            for part in self.parts:
+                all_parts.enter_context(part.watched())
+            yield
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the messages of some channels, part by part.
@@ -166,6 +175,13 @@ class Parts:
     def _judge(self) -> None:
         if not self.allow_damaged and (error := self.refusal()) is not None:
             raise error
+
+
+def _sha256(file: Path) -> str:
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError as error:
+        raise LogError(f"{file}: cannot be read any more: {error.strerror}", "read a copy of the recording") from error
 
 
 def _start(part: Log) -> tuple[float, str]:

@@ -41,8 +41,8 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     Raises
     ------
     LogError
-        The file cannot be read or is damaged, has no IMU or DVL, is not clear about which topic is which, mixes clocks,
-        or holds what cannot be so.
+        The file cannot be read, changes meanwhile or is damaged, has no IMU or DVL, is not clear about which topic is
+        which, mixes clocks, or holds what cannot be so.
     ConfigError
         The axes or the beam geometry of the configuration cannot be.
     """
@@ -52,7 +52,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     log = open_recording(path, allow_damaged=allow_damaged)
     place = str(log.path)
     roles = assign_roles(place, log.channels, config)
-    with ThreadPoolExecutor(1) as checker:
+    with log.watched(), ThreadPoolExecutor(1) as checker:
         digests = checker.submit(log.digests)
         tables = read_tables(log, roles.sources)
         log.check_unopened()

@@ -1,5 +1,6 @@
 """What can be read: a log, a bag, or several files that are one dive."""
 
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -36,7 +37,7 @@ def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) 
         return Log(given[0], allow_damaged=allow_damaged)
     files = [file for one in given for file in (bag_parts(one) if one.is_dir() else (one,))]
     # A file that is named twice is read once.
-    unique = {file.resolve(): file for file in files}
+    unique = {os.path.realpath(file): file for file in files}
     return Parts(name_giver(given), unique.values(), allow_damaged=allow_damaged)
 
 

@@ -44,9 +44,14 @@ def survey_log(
     Raises
     ------
     LogError
-        The file cannot be read at all.
+        The file cannot be read at all, or changes meanwhile.
     """
     log = open_recording(path, allow_damaged=True)
+    with log.watched():
+        return _surveyed(log, config, deep=deep, allow_damaged=allow_damaged)
+
+
+def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool) -> Inventory:
     findings = explain_roles(str(log.path), log.channels, config)
     seen = Examination(log, config, deep)
     seen.examine(findings)
