@@ -41,7 +41,7 @@ def _counted(outcomes: Iterable[tuple[str, str, str]]) -> tuple[list[str], bool]
     for what, verdict, seen in outcomes:
         counts.setdefault(what, Counter())[verdict] += 1
         if verdict not in TIDY:
-            sys.stdout.write(f"{verdict}: {seen}\n")
+            sys.stdout.write(f"{verdict}: {seen!r}\n")
             sys.stdout.flush()
     rows = [
         f"| {what} | {found.total()} | {', '.join(f'{number} {name}' for name, number in found.most_common())} |"

@@ -50,7 +50,7 @@ class Outcome:
         """Say it in one line that can be searched and repeated."""
         last = self.said.rstrip("\n").rpartition("\n")[2][:160]
         what = f"{self.base}, {self.kind} {self.harms}, {self.command}"
-        return f"{self.verdict}: --seed {self.seed} --count 1: {what}: {last}"
+        return f"{self.verdict}: --seed {self.seed} --count 1: {what}: {last!r}"
 
 
 def commands(log: Path, base: Base, output: Path) -> dict[str, list[str]]:
