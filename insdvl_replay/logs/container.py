@@ -38,6 +38,8 @@ _MOST_OPEN: Final = 256 << 20
 """Bytes that they open to together, if they are more than one."""
 _KEPT: Final = 16 << 20
 """Bytes of chunks that stay open, since samples of many topics are read from the same ones."""
+_SAMPLED: Final = 2
+"""Chunks with which a sample begins; were more kept, a long reading would not use the same memory again and again."""
 
 
 class Log:
@@ -276,20 +278,23 @@ class Log:
 
     def _contents(self, chunks: Sequence[Chunk]) -> Iterator[Content]:
         """Go through chunks, of which the next ones are opened in another thread; lost ones are marked."""
+        first = {chunk.offset for chunk in chunks[:_SAMPLED]}
         ahead: deque[tuple[Chunk, Future[memoryview] | Content]] = deque()
         sizes: deque[int] = deque()
         with ThreadPoolExecutor(1) as opener:
             for chunk in chunks:
                 sizes.append(opened_size(self._data, chunk))
                 while ahead and (len(ahead) > _AHEAD or sum(sizes) > _MOST_OPEN):
-                    yield from self._content(*ahead.popleft())
+                    yield from self._content(*ahead.popleft(), first)
                     sizes.popleft()
                 kept = self._kept.get(chunk.offset)
                 ahead.append((chunk, kept or opener.submit(open_chunk, self._data, chunk)))
             while ahead:
-                yield from self._content(*ahead.popleft())
+                yield from self._content(*ahead.popleft(), first)
 
-    def _content(self, chunk: Chunk, opened: Future[memoryview] | Content) -> Iterator[Content]:
+    def _content(
+        self, chunk: Chunk, opened: Future[memoryview] | Content, sampled: Collection[int]
+    ) -> Iterator[Content]:
         self._opened.add(chunk.offset)
         if isinstance(opened, Content):
             yield opened
@@ -301,7 +306,8 @@ class Log:
             return
         if content.damages:
             self._anatomy.accept(chunk, content)
-        self._keep(chunk, content)
+        if chunk.offset in sampled:
+            self._keep(chunk, content)
         yield content
         self._file.release(
             chunk.offset, max(start + length for start, length in [(chunk.offset, chunk.length), *chunk.indexes])
