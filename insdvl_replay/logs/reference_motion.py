@@ -81,11 +81,12 @@ def _scale_notes(reference: ReferenceColumns) -> list[Note]:
         )
         hint = "reference.axes, reference.angle_unit, or the fields reference.latitude, longitude and velocity_n"
         return [Note("reference_contradiction", text, count, "warning", hint)]
-    scale = float(product / power)
+    # Noise of the velocity makes the one too small, noise of the positions the other too large: the scale lies between.
+    scale, at_most = float(product / power), float(np.vdot(gone_m, gone_m).real / product)
     # Each leg's own residual stands for its noise, whatever its length.
     scale_sd = float(np.linalg.norm((said_m.conj() * (gone_m - scale * said_m)).real)) / power
-    off = abs(scale - 1.0)
-    if len(gone_m) < _LEGS_OF_SCALE or off < max(_SCALE_OFF, _SIGNIFICANT * scale_sd):
+    off, surely_off = abs(scale - 1.0), max(scale - 1.0, 1.0 - at_most)
+    if len(gone_m) < _LEGS_OF_SCALE or surely_off < max(_SCALE_OFF, _SIGNIFICANT * scale_sd):
         return []
     text = (
         f"the positions of the reference go {100.0 * off:.2f} +- {100.0 * scale_sd:.2f} % "
