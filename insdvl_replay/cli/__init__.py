@@ -35,6 +35,9 @@ def main() -> NoReturn:
         _listen_no_more()
     if code == INTERRUPTED:
         print("error: interrupted", file=sys.stderr, flush=True)
+        # A pool of workers that was interrupted may find its own pipes closed as the interpreter ends: no word on that
+        # stands behind the reason.
+        sys.unraisablehook = lambda _: None
         # On its way out the interpreter waits for threads, and they, without end, for a worker that was ended while it
         # sent its result.
         impatience = threading.Timer(LONGEST_FAREWELL_S, os._exit, (code,))
