@@ -28,11 +28,12 @@ from insdvl_replay.config_file import load_config
 from insdvl_replay.dive_names import unique_names
 from insdvl_replay.dive_paths import find_dives
 from insdvl_replay.errors import ConfigError, LogError
-from insdvl_replay.executors import Pool, WorkerLostError, Workers, do_each, local_workers
+from insdvl_replay.executors import Pool, WorkerLostError, Workers, do_each
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.report.json_report import decode_report, encode_report
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sources import sources_digest
+from insdvl_replay.worker_processes import local_workers
 
 TOOL = [sys.executable, "-m", "insdvl_replay"]
 CLUSTER = """

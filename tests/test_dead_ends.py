@@ -14,16 +14,18 @@ import pytest
 from insdvl_replay.archive import Order, plan_tasks, replay_archive
 from insdvl_replay.config import Config
 from insdvl_replay.errors import LogError
-from insdvl_replay.executors import Pool, Workers, _InThisProcess
+from insdvl_replay.executors import Pool, Workers
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.worker_processes import _InThisProcess
 
 TESTS = Path(__file__).resolve().parent
 TOOL = [sys.executable, "-m", "insdvl_replay"]
 PARENT = """
 import sys
 from dying_work import asleep
-from insdvl_replay.executors import do_each, local_workers
+from insdvl_replay.executors import do_each
+from insdvl_replay.worker_processes import local_workers
 
 if __name__ == "__main__":
     for _, name in do_each(asleep, [0.0, 0.0, 600.0], local_workers(2)):
@@ -119,10 +121,9 @@ def test_a_worker_answers_only_for_the_bytes_that_are_meant(
 
     class Elsewhere(_InThisProcess):
         def submit(self, fn, /, *arguments):  # type: ignore[no-untyped-def]
-            (work, task) = arguments
-            seen.append(task)
+            seen.extend(arguments)
             write_dive(log_there, simulate_dive("straight", seed=len(seen) + 1, duration_s=20.0))
-            return super().submit(fn, work, task)
+            return super().submit(fn, *arguments)
 
     log_there = tmp_path / "dive.mcap"
     log_there.write_bytes(log.read_bytes())

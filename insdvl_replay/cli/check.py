@@ -61,7 +61,7 @@ def check(
       insdvl-replay check gates.toml replay/dive
     """
     from insdvl_replay.cli.gated_dives import Replaying, Told, check_dives
-    from insdvl_replay.executors import Cluster
+    from insdvl_replay.cluster import Cluster
 
     cluster = None if scheduler is None else Cluster(scheduler, scheduler_patience)
     replaying = Replaying(results, jobs, cluster, rerun, update)

@@ -17,11 +17,11 @@ from insdvl_replay.checking import (
 from insdvl_replay.cli.check import CheckFormat
 from insdvl_replay.cli.dives import outcomes
 from insdvl_replay.cli.messages import emit, tell, tell_failure
+from insdvl_replay.cluster import Cluster
 from insdvl_replay.config import Config
 from insdvl_replay.config_file import load_config
 from insdvl_replay.dive_paths import find_dives
 from insdvl_replay.errors import ConfigError, about
-from insdvl_replay.executors import Cluster
 from insdvl_replay.gate_file import Gates, load_gates
 from insdvl_replay.gate_names import refuse_unknown_names
 from insdvl_replay.gates import CheckResult

@@ -81,8 +81,8 @@ def run(
     """
     from insdvl_replay.archive import Order
     from insdvl_replay.cli.dives import Manner, replay_dives
+    from insdvl_replay.cluster import Cluster
     from insdvl_replay.config_file import load_config
-    from insdvl_replay.executors import Cluster
 
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
     resolved = load_config(preset, config, [*settings, *spans])
