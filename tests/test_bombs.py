@@ -258,6 +258,20 @@ def test_a_message_of_many_keys_is_looked_at_in_steps_that_grow_with_their_numbe
     assert all(one != other for one, other in pairwise(looked))
 
 
+def test_topics_beyond_what_is_looked_at_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from insdvl_replay.logs import sightings
+
+    monkeypatch.setattr(sightings, "_MOST_WORK_OF_ALL", 1)
+    channels = b"".join(channel(number, 1, f"/topic{number}", "json") for number in (1, 2))
+    messages = b"".join(message(number, json.dumps({"depth": 1.5}).encode()) for number in (1, 2))
+    inventory = inspect_log(
+        write(tmp_path / "two.mcap", log(schema(1, "any", b"", "") + channels + messages)), Config()
+    )
+    [note] = [note for note in inventory.notes if note.code == "topics_not_looked_at"]
+    assert note.count == 1
+    assert note.text.endswith("for a proposal: /topic2")
+
+
 @pytest.mark.parametrize("kind", ["zstd", "no chunks", "no message index"])
 def test_late_log_times_are_told_and_no_damage(kind: str, tmp_path: Path) -> None:
     late_ns = 2**63 - small_logs.START_NS

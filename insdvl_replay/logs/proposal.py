@@ -11,7 +11,7 @@ from typing import Final
 from insdvl_replay.columns import ImuColumns
 from insdvl_replay.config import Config, Initial
 from insdvl_replay.config_file import toml_value
-from insdvl_replay.errors import LogError
+from insdvl_replay.errors import LogError, Note, listed
 from insdvl_replay.inventory import Clock, Obstacle
 from insdvl_replay.logs.clocks import clock_notes
 from insdvl_replay.logs.dvl_proposal import dvl_settings, dvl_topic, judged_dvl
@@ -43,11 +43,14 @@ class Proposal:
         Keys in it about which a person must decide.
     obstacles : tuple of Obstacle
         What stops a replay with these settings too.
+    notes : tuple of Note
+        What was not looked at.
     """
 
     configuration: str = ""
     decisions: tuple[str, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
+    notes: tuple[Note, ...] = ()
 
 
 def propose(
@@ -72,14 +75,15 @@ def propose(
     """
     if not obstacles and not list(_start(findings, config.initial)):
         return Proposal()
-    settings = [*_choices(findings), *not_yet_set(_fields(log, findings, config), config)]
+    fields, notes = _fields(log, findings, config)
+    settings = [*_choices(findings), *not_yet_set(fields, config)]
     settings += _judged(log, with_settings(config, settings), settings, deep=deep)
     draft = with_settings(config, settings)
     found = explain_roles(str(log.path), log.channels, draft)
     settings += _start(found, draft.initial)
     last = Examination(log, with_settings(config, settings), deep=False)
     last.examine(found)
-    return Proposal(settings_toml(settings), decisions(settings), tuple(last.obstacles))
+    return Proposal(settings_toml(settings), decisions(settings), tuple(last.obstacles), notes)
 
 
 def _choices(findings: Sequence[Finding]) -> Iterator[Setting]:
@@ -91,15 +95,15 @@ def _choices(findings: Sequence[Finding]) -> Iterator[Setting]:
             yield Setting(f"{finding.role}.topic", first, open="each of these could be it", others=lines)
 
 
-def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> list[Setting]:
-    """Find topics of unknown types for the roles that no topic of a known type plays."""
+def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> tuple[list[Setting], tuple[Note, ...]]:
+    """Find topics of unknown types for the roles that no topic of a known type plays; note what was not looked at."""
     wanted = {finding.role for finding in findings if not finding.sources and not finding.candidates}
     if config.initial.source == "level":
         wanted -= {"reference"}
     if not wanted:
-        return []
+        return [], ()
     taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
-    seen = see_topics(log, [channel for channel in log.channels if channel.topic not in taken])
+    seen, unseen = see_topics(log, [channel for channel in log.channels if channel.topic not in taken])
     settings: list[Setting] = []
     if "imu" in wanted:
         felt = _named([topic for topic in seen if topic.topic != config.dvl.topic], config.imu.topic)
@@ -113,7 +117,13 @@ def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> list
         seen = [topic for topic in seen if topic is not dvl]
     if "reference" in wanted and (reference := reference_topic(_named(seen, config.reference.topic))):
         settings += reference_settings(log, reference)
-    return settings
+    return settings, tuple(_unseen_notes(unseen))
+
+
+def _unseen_notes(unseen: Sequence[str]) -> Iterator[Note]:
+    if unseen:
+        text = f"the log has so many fields that topics were not looked at for a proposal: {listed(unseen)}"
+        yield Note("topics_not_looked_at", text, len(unseen), hint="name the topic of each role in the configuration")
 
 
 def _named(seen: Sequence[SeenTopic], topic: str | None) -> Sequence[SeenTopic]:

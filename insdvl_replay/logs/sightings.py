@@ -128,7 +128,7 @@ class SeenTopic:
         return [candidate for candidate in named if candidate.is_beams == quantity.startswith("beam")]
 
 
-def see_topics(log: Recording, channels: Sequence[LogChannel]) -> list[SeenTopic]:
+def see_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[SeenTopic], list[str]]:
     """Look at the first messages of some topics for vectors, beams and single numbers.
 
     Parameters
@@ -141,17 +141,24 @@ def see_topics(log: Recording, channels: Sequence[LogChannel]) -> list[SeenTopic
     -------
     list of SeenTopic
         Those with any.
+    list of str
+        Topics that were not looked at, since there are so many fields.
     """
     seen: list[SeenTopic] = []
+    unseen: list[str] = []
     work = 0
     for channel in channels:
+        if not channel.messages:
+            continue
+        if work >= _MOST_WORK_OF_ALL:
+            unseen.append(channel.topic)
+            continue
         # What cannot be read cannot be proposed; it is no error before someone asks for it.
         with suppress(LogError):
-            if channel.messages and work < _MOST_WORK_OF_ALL:
-                topic, looks = _see(log, channel)
-                seen.append(topic)
-                work += looks * len(topic.known)
-    return [topic for topic in seen if topic.candidates or topic.scalars]
+            topic, looks = _see(log, channel)
+            seen.append(topic)
+            work += looks * len(topic.known)
+    return [topic for topic in seen if topic.candidates or topic.scalars], unseen
 
 
 def _see(log: Recording, channel: LogChannel) -> tuple[SeenTopic, int]:

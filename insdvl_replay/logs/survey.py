@@ -72,7 +72,7 @@ def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool
         pings=seen.pings,
         reference=seen.reference,
         obstacles=(*(Obstacle(error.message, error.hint) for error in refusals), *seen.obstacles),
-        notes=(*log.notes, *seen.notes),
+        notes=(*log.notes, *seen.notes, *proposal.notes),
         configuration=proposal.configuration,
         decisions=proposal.decisions,
         remaining=proposal.obstacles,
