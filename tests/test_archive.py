@@ -19,7 +19,7 @@ import pytest
 from counting_work import threads_with_numpy
 from dying_work import die_always, die_at_first
 from msgspec.structs import replace
-from test_parts import write_part
+from recorded_parts import write_part
 
 import insdvl_replay
 from insdvl_replay.archive import Order, Task, known_reports, log_digest, plan_tasks, replay_archive, replay_into

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 from small_results import content, nudged, write
-from test_html import Document
+from taken_apart import Document
 
 from insdvl_replay.changes import Change, Comparison
 from insdvl_replay.cli import run_command_line

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import typer.main
-from test_parts import write_part
+from recorded_parts import write_part
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.cli.app import app

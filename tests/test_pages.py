@@ -5,7 +5,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pandas as pd
-from test_html import Document
+from taken_apart import Document
 from test_report import report
 
 from insdvl_replay.config import Config

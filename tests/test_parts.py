@@ -1,7 +1,6 @@
 """Several files are one dive: the parts of a bag, and files named together, whole or damaged, in any order."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from recorded_parts import Choice, write_part
 from small_logs import DVL_MESSAGES, IMU_MESSAGES, START_NS, changed, small_log, written
 
 from insdvl_replay.cli import run_command_line
@@ -20,26 +20,6 @@ from insdvl_replay.inspection import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.bag import bag_parts
 from insdvl_replay.logs.recording import open_recording
-
-Choice = Callable[[str, float], bool]
-
-
-def write_part(path: Path, chosen: Choice, remark: bytes = b"", log: bytes = b"") -> Path:
-    """Write those messages of the dive, or of another log, that are chosen, with a remark in their schemas."""
-    stream = BytesIO()
-    writer = Writer(stream, chunk_size=15_000)
-    writer.start(profile="ros2")
-    ids: dict[str, int] = {}
-    for schema, channel, message in make_reader(BytesIO(log or written())).iter_messages():
-        assert schema
-        if chosen(channel.topic, (message.log_time - START_NS) * 1e-9):
-            if channel.topic not in ids:
-                schema_id = writer.register_schema(schema.name, schema.encoding, remark + schema.data)
-                ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schema_id)
-            writer.add_message(ids[channel.topic], message.log_time, message.data, message.publish_time)
-    writer.finish()
-    path.write_bytes(stream.getvalue())
-    return path
 
 
 def between(start_s: float, end_s: float) -> Choice:
