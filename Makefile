@@ -23,7 +23,7 @@ quick: .venv/test.stamp
 
 # All tests on each of three emulated processors, which takes three times as long as on this one.
 processors: .venv/test.stamp
-	$(BIN)/python tests/processors.py -m pytest --numprocesses 2 --dist worksteal --ignore tests/test_processors.py
+	$(BIN)/python tests/processors.py -m pytest --numprocesses 2 --dist worksteal --ignore tests/replay/test_processors.py
 
 # The example archive against its gates, as a team's own job does it.
 check: .venv/run.stamp

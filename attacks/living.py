@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from insdvl_replay.report.folder import DIVE_FILES
+from insdvl_replay.results.folder import DIVE_FILES
 
 PATIENCE_S = 60.0
 FAREWELL_S = 5.0

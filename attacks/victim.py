@@ -15,7 +15,7 @@ from io import StringIO
 from pathlib import Path
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.report.folder import DIVE_FILES
+from insdvl_replay.results.folder import DIVE_FILES
 
 LIMIT_S = 30
 """Processor time that a command may take; others may use the machine, too."""

@@ -14,11 +14,11 @@ from gtsam.symbol_shorthand import B, V, X
 from instants import Instants, instants
 from plain_filter import Inputs
 
-from insdvl_replay.columns import Floats
-from insdvl_replay.earth import EARTH_RATE, normal_gravity
-from insdvl_replay.nav.start import Start
-from insdvl_replay.rotation import skew
-from insdvl_replay.states import BA, BG, DV, PHI
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.states import BA, BG, DV, PHI
+from insdvl_replay.geometry.earth import EARTH_RATE, normal_gravity
+from insdvl_replay.geometry.rotation import skew
+from insdvl_replay.nav.initial_state import Start
 
 POSITION_SD_M = 1e-3
 """The origin is where the vehicle starts."""

@@ -13,12 +13,12 @@ import msgspec
 import numpy as np
 from results import machine, table, write_part
 
-from insdvl_replay.columns import Floats
-from insdvl_replay.config_file import load_config
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.threads import each
 from insdvl_replay.evaluation.ensemble import RunErrors
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.studies.simulated_run import make_world, run_seed, simulated_run
-from insdvl_replay.studies.workers import each
 
 RUNS, SEED = 40, 1
 SCENARIO = "lawnmower"

@@ -22,11 +22,11 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from results import machine, table, write_part
 
-from insdvl_replay.columns import Dive, DvlColumns, ImuColumns
-from insdvl_replay.config import Config
+from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.memory import collect_rarely, use_small_pages
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.logs.container import Log
-from insdvl_replay.memory import collect_rarely, use_small_pages
+from insdvl_replay.logs.container.mcap_file import Log
 
 PER_IMU = 1.01
 """Messages for each one of the IMU."""

@@ -1,4 +1,4 @@
-"""The hall: read a dive, run every configured filter over it, and lay what they believe beside what is so."""
+"""Read a dive, run every configured filter over it, and lay what they believe beside what is so."""
 
 import math
 from collections.abc import Sequence
@@ -10,9 +10,12 @@ import numpy as np
 import pandas as pd
 
 from insdvl_replay import logs
-from insdvl_replay.columns import Dive, TimeNs
-from insdvl_replay.config import Config
-from insdvl_replay.errors import Note
+from insdvl_replay.core.columns import Dive, TimeNs
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.history import History
+from insdvl_replay.core.memory import return_freed_memory
+from insdvl_replay.core.progress import begin
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table
 from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table, update_notes
 from insdvl_replay.evaluation.coverage import reference_coverage_notes, truth_coverage_notes
@@ -22,15 +25,12 @@ from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_
 from insdvl_replay.evaluation.reference_rate import reference_rate_notes
 from insdvl_replay.evaluation.state_errors import state_errors
 from insdvl_replay.evaluation.verdicts import Verdict, verdicts
-from insdvl_replay.history import History
-from insdvl_replay.memory import return_freed_memory
-from insdvl_replay.nav.aiding import filter_measurements, filter_noise
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.outages import outage_notes
 from insdvl_replay.nav.timeline import build_timeline
-from insdvl_replay.preparation import Prepared, prepare_dive, with_reference_at_imu
-from insdvl_replay.stages import begin
+from insdvl_replay.preparation.aiding import filter_measurements, filter_noise
+from insdvl_replay.preparation.outages import outage_notes
+from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 
 MOST_COVARIANCES = 20_000
 """So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times."""
@@ -197,7 +197,7 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, cov_ns: TimeNs |
     ----------
     dive : Dive
     start : Prepared
-        From `preparation.prepare_dive`.
+        From `prepared.prepare_dive`.
     config : Config
     cov_ns : ndarray, shape (c,), optional
         Times of the reference at which the histories keep all of P.

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from insdvl_replay.core.history import History
+from insdvl_replay.core.states import STATES
 from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.evaluation.ensemble import Ensemble
-from insdvl_replay.history import History
 from insdvl_replay.replay import Replay
-from insdvl_replay.report.study import StudyReport
-from insdvl_replay.states import STATES
+from insdvl_replay.studies.study_report import StudyReport
 
 REPEATED = "repeated"
 NOT_REPEATED = "**not repeated**"

@@ -9,16 +9,16 @@ from functools import partial
 
 from written import PROJECT
 
-from insdvl_replay.config_file import load_config
+from insdvl_replay.core.config_file import load_config
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.replay import Replay, replay_dive, replay_log
-from insdvl_replay.replay_figures import replay_figures
 from insdvl_replay.report.pictures import draw_ensemble, picture_bytes
-from insdvl_replay.report.plots.sheet import sheet_svg
-from insdvl_replay.report.study import StudyReport
-from insdvl_replay.report.window_picture import draw_windows
+from insdvl_replay.report.plots.multi_panel import sheet_svg
+from insdvl_replay.results.dive_figures import replay_figures
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.studies.montecarlo import PICTURES as ENSEMBLE_PICTURES
+from insdvl_replay.studies.study_report import StudyReport
+from insdvl_replay.studies.window_picture import draw_windows
 
 EVERY = 5
 """Of the pings in an ensemble, so many make one point of a curve."""

@@ -18,14 +18,14 @@ import pictures
 from written import PROJECT, markdown_table, renewed
 
 from insdvl_replay import logs
-from insdvl_replay.config import Config
-from insdvl_replay.config_file import load_config
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.states import NINE
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.replay import Replay, replay_dive, replay_log
-from insdvl_replay.report.study import StudyReport
-from insdvl_replay.states import NINE
 from insdvl_replay.studies.montecarlo import study_montecarlo
 from insdvl_replay.studies.observability import study_observability
+from insdvl_replay.studies.study_report import StudyReport
 from insdvl_replay.studies.window import study_window
 
 PAGE = PROJECT / "REPRODUCTION.md"

@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 
-from insdvl_replay.logs.blocks import Block
+from insdvl_replay.logs.container.blocks import Block
 
 CHANNEL = 1
 

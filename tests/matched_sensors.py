@@ -1,6 +1,6 @@
 """Sensors of which the filters are told the truth."""
 
-from insdvl_replay.config import Acceleration, Config, Dvl, Filter, Initial, Noise
+from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Initial, Noise
 
 SENSORS = Config(
     noise=Noise(

@@ -6,16 +6,16 @@ import numpy as np
 from instants import instants
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.columns import Dive, Floats
-from insdvl_replay.config import Config
-from insdvl_replay.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
-from insdvl_replay.nav.aiding import filter_measurements, filter_noise
+from insdvl_replay.core.columns import Dive, Floats
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.states import BA, BG, DV, PHI
+from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
+from insdvl_replay.geometry.rotation import skew
+from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.start import Start
 from insdvl_replay.nav.timeline import Timeline, build_timeline
-from insdvl_replay.preparation import prepare_dive
-from insdvl_replay.rotation import skew
-from insdvl_replay.states import BA, BG, DV, PHI
+from insdvl_replay.preparation.aiding import filter_measurements, filter_noise
+from insdvl_replay.preparation.prepared import prepare_dive
 
 
 class Inputs(NamedTuple):

@@ -17,14 +17,14 @@ from pyins.transform import mat_from_rph, mat_to_rph
 from pyins.util import ACCEL_COLS, GYRO_COLS, TRAJECTORY_COLS
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.columns import Dive, Floats, ReferenceColumns, seconds
-from insdvl_replay.config import Config, Dvl, Filter, Initial, Noise, Span, Vector
-from insdvl_replay.earth import EARTH_RATE
-from insdvl_replay.history import History
+from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
+from insdvl_replay.core.config import Config, Dvl, Filter, Initial, Noise, Span, Vector
+from insdvl_replay.core.history import History
+from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, MG
+from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.sim.dive import START_NS, simulate_dive
 from insdvl_replay.sim.dvl_errors import DvlErrors, LostBeam
 from insdvl_replay.sim.imu_errors import ImuErrors
-from insdvl_replay.states import BA, BG, DEG, DEG_PER_HOUR, MG
 
 START_S, END_S = 93.0, 153.0  # level at the start, so that roll, pitch and heading are as sure as phi; two turns
 BEAM_SD_MPS = 0.0042

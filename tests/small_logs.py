@@ -11,9 +11,9 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from insdvl_replay.columns import Dive, DvlColumns, ImuColumns
+from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.logs import write_dive
-from insdvl_replay.logs.container import Log
+from insdvl_replay.logs.container.mcap_file import Log
 
 START_NS = 1_700_000_000_000_000_000
 IMU_MESSAGES, DVL_MESSAGES = 500, 25

@@ -15,11 +15,11 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.writer import Writer as RosWriter
 
-from insdvl_replay.columns import Dive
-from insdvl_replay.inventory import Inventory
+from insdvl_replay.core.columns import Dive
+from insdvl_replay.core.states import DEG
+from insdvl_replay.inspection.inventory import Inventory
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.states import DEG
 
 MS = 1_000_000
 G_MPS2 = 9.80665

@@ -60,8 +60,8 @@ def check(
       insdvl-replay check gates.toml --jobs 4 --format junit --output gates.xml
       insdvl-replay check gates.toml replay/dive
     """
+    from insdvl_replay.batch.cluster import Cluster
     from insdvl_replay.cli.gated_dives import Replaying, Told, check_dives
-    from insdvl_replay.cluster import Cluster
 
     cluster = None if scheduler is None else Cluster(scheduler, scheduler_patience)
     replaying = Replaying(results, jobs, cluster, rerun, update)

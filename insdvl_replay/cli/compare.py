@@ -71,12 +71,12 @@ def compare(
       insdvl-replay compare before after --table reference_error --column rmse --fail-on worse:5%
     """
     from insdvl_replay.cli.comparison_results import print_comparison
-    from insdvl_replay.comparison import Selection, compare_results
-    from insdvl_replay.errors import LimitError
-    from insdvl_replay.evaluation.arrangement import arranged
-    from insdvl_replay.evaluation.filter_pairs import parse_pairs
-    from insdvl_replay.evaluation.limits import breach, parse_limit, parse_percentage
-    from insdvl_replay.report.comparison import breach_sentence
+    from insdvl_replay.comparison.comparison import Selection, compare_results
+    from insdvl_replay.comparison.document import breach_sentence
+    from insdvl_replay.comparison.fail_on import breach, parse_limit, parse_percentage
+    from insdvl_replay.comparison.filter_pairs import parse_pairs
+    from insdvl_replay.comparison.sort_order import arranged
+    from insdvl_replay.core.errors import LimitError
 
     limit = None if fail_on is None else parse_limit(fail_on)
     tolerance_pct = None if tolerance is None else parse_percentage(tolerance, "--tolerance ")

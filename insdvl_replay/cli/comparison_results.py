@@ -3,11 +3,10 @@
 from collections.abc import Callable
 from typing import Final
 
-from insdvl_replay.changes import Comparison
 from insdvl_replay.cli.compare import ComparisonFormat
 from insdvl_replay.cli.messages import emit
 from insdvl_replay.cli.screen import printed
-from insdvl_replay.report.comparison_output import (
+from insdvl_replay.comparison.output import (
     comparison_csv,
     comparison_html,
     comparison_json,
@@ -15,6 +14,7 @@ from insdvl_replay.report.comparison_output import (
     comparison_markdown,
     comparison_terminal,
 )
+from insdvl_replay.core.changes import Comparison
 
 PRINTED: Final[dict[ComparisonFormat, Callable[[Comparison], str]]] = {
     ComparisonFormat.TABLE: lambda comparison: printed(comparison_terminal(comparison)),

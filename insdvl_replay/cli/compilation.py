@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 
 from insdvl_replay.cli.messages import emit
 from insdvl_replay.cli.options import Verbose
-from insdvl_replay.plain_text import visible
+from insdvl_replay.core.plain_text import visible
 
 _SHORT_S = 10.0
 
@@ -23,8 +23,8 @@ def compile_(verbose: Verbose = 0) -> None:
       insdvl-replay compile
       INSDVL_REPLAY_CACHE=/opt/insdvl-replay insdvl-replay compile
     """
-    from insdvl_replay.compiled import cache_folder, is_warm
-    from insdvl_replay.errors import ConfigError
+    from insdvl_replay.core.compiled import cache_folder, is_warm
+    from insdvl_replay.core.errors import ConfigError
 
     folder, start_s = cache_folder(), time.perf_counter()
     if folder is None:
@@ -41,7 +41,7 @@ def compile_(verbose: Verbose = 0) -> None:
 
 def _replay_something(log: Path) -> None:
     """Go through all that a run compiles."""
-    from insdvl_replay.config import Config
+    from insdvl_replay.core.config import Config
     from insdvl_replay.logs import write_dive
     from insdvl_replay.replay import replay_log
     from insdvl_replay.sim.dive import simulate_dive

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 def preset_names(incomplete: str) -> list[str]:
     """Give the presets that begin with what is typed."""
-    from insdvl_replay.config_file import PRESETS
+    from insdvl_replay.core.config_file import PRESETS
 
     return _beginning(incomplete, PRESETS)
 

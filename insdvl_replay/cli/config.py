@@ -26,6 +26,6 @@ def config(
       insdvl-replay config --preset fog > vehicle.toml
       insdvl-replay config --from vehicle.toml --set dvl.scale=1.01
     """
-    from insdvl_replay.config_file import load_config, render_toml
+    from insdvl_replay.core.config_file import load_config, render_toml
 
     emit(render_toml(load_config(preset, file, settings)))

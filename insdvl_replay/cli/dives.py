@@ -6,22 +6,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from insdvl_replay.archive import Order, Outcome, Task, known_reports, plan_tasks, replay_archive
+from insdvl_replay.batch.cluster import Cluster, cluster_workers
+from insdvl_replay.batch.dive_paths import find_dives
+from insdvl_replay.batch.executors import Workers
+from insdvl_replay.batch.jobs import Order, Outcome, Task, known_reports, plan_tasks, replay_archive
+from insdvl_replay.batch.worker_processes import local_workers
 from insdvl_replay.cli.messages import emit, tell, tell_failure, tell_notes
 from insdvl_replay.cli.run import Format
 from insdvl_replay.cli.screen import DivesBar, compiling, patience, rendered
-from insdvl_replay.cluster import Cluster, cluster_workers
-from insdvl_replay.dive_paths import find_dives
-from insdvl_replay.errors import ConfigError, LogError
-from insdvl_replay.executors import Workers
+from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.report.csv_tables import report_csv
-from insdvl_replay.report.folder import refuse_existing_file, result_file
-from insdvl_replay.report.index_page import index_page
-from insdvl_replay.report.json_report import Report, encode_report
 from insdvl_replay.report.markup import latex_report, markdown_report
 from insdvl_replay.report.page import is_page
-from insdvl_replay.report.summary import Failure, is_summary, summary_csv
-from insdvl_replay.worker_processes import local_workers
+from insdvl_replay.results.folder import refuse_existing_file, result_file
+from insdvl_replay.results.index_page import index_page
+from insdvl_replay.results.json_report import Report, encode_report
+from insdvl_replay.results.summary import Failure, is_summary, summary_csv
 
 OVERVIEWS: Final = {"summary.csv": (summary_csv, is_summary), "index.html": (index_page, is_page)}
 """What lays several dives beside each other, and tells it from somebody else's work, by the name of its file."""
@@ -124,7 +124,7 @@ def outcomes(
         Dives at the same time.
     cluster : Cluster, optional
     force, rerun : bool
-        As of `archive.known_reports`.
+        As of `jobs.known_reports`.
 
     Yields
     ------

@@ -5,8 +5,18 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from insdvl_replay.archive import Order, plan_tasks
-from insdvl_replay.checking import (
+from insdvl_replay.batch.cluster import Cluster
+from insdvl_replay.batch.dive_paths import find_dives
+from insdvl_replay.batch.jobs import Order, plan_tasks
+from insdvl_replay.cli.check import CheckFormat
+from insdvl_replay.cli.dives import outcomes
+from insdvl_replay.cli.messages import emit, tell, tell_failure
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.errors import ConfigError, about
+from insdvl_replay.gates.check_json import check_json
+from insdvl_replay.gates.check_pages import baseline_text, check_markdown, check_sentence, check_text
+from insdvl_replay.gates.checking import (
     Checked,
     checked_outcome,
     checked_results,
@@ -14,23 +24,13 @@ from insdvl_replay.checking import (
     judge_dives,
     write_baselines,
 )
-from insdvl_replay.cli.check import CheckFormat
-from insdvl_replay.cli.dives import outcomes
-from insdvl_replay.cli.messages import emit, tell, tell_failure
-from insdvl_replay.cluster import Cluster
-from insdvl_replay.config import Config
-from insdvl_replay.config_file import load_config
-from insdvl_replay.dive_paths import find_dives
-from insdvl_replay.errors import ConfigError, about
-from insdvl_replay.gate_file import Gates, load_gates
-from insdvl_replay.gate_names import refuse_unknown_names
-from insdvl_replay.gates import CheckResult
-from insdvl_replay.report.check_json import check_json
-from insdvl_replay.report.check_pages import baseline_text, check_markdown, check_sentence, check_text
-from insdvl_replay.report.destination import replaceable_file
-from insdvl_replay.report.folder import COMPLETE, result_file
-from insdvl_replay.report.github import github_annotations
-from insdvl_replay.report.junit import junit_xml
+from insdvl_replay.gates.gate_file import Gates, load_gates
+from insdvl_replay.gates.gate_names import refuse_unknown_names
+from insdvl_replay.gates.github import github_annotations
+from insdvl_replay.gates.junit import junit_xml
+from insdvl_replay.gates.model import CheckResult
+from insdvl_replay.results.destination import replaceable_file
+from insdvl_replay.results.folder import COMPLETE, result_file
 
 GATE_FAILED = 1
 

@@ -11,7 +11,7 @@ from insdvl_replay.cli.options import Logs, OneDive, Preset, Settings, Verbose
 from insdvl_replay.cli.run import Format
 
 if TYPE_CHECKING:
-    from insdvl_replay.inventory import Inventory
+    from insdvl_replay.inspection.inventory import Inventory
 
 
 def inspect(
@@ -43,11 +43,11 @@ def inspect(
       insdvl-replay inspect dives/*.mcap --format json
       insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
+    from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.cli.screen import patience
-    from insdvl_replay.config_file import load_config
-    from insdvl_replay.dive_paths import find_dives
-    from insdvl_replay.inspection import inspect_log
-    from insdvl_replay.report.inspection import encode_inventory
+    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.inspection.inspection import inspect_log
+    from insdvl_replay.inspection.output import encode_inventory
 
     resolved, code = load_config(preset, config, settings), 0
     found = find_dives(logs)
@@ -71,8 +71,8 @@ def inspect(
 
 def _print(inventory: "Inventory", format_: Format, *, is_first: bool) -> None:
     from insdvl_replay.cli.screen import printed
-    from insdvl_replay.report.inspection import latex_inventory, markdown_inventory, terminal_inventory
-    from insdvl_replay.report.inspection_csv import inventory_csv
+    from insdvl_replay.inspection.csv_blocks import inventory_csv
+    from insdvl_replay.inspection.output import latex_inventory, markdown_inventory, terminal_inventory
 
     writers: dict[Format, Callable[[Inventory], str]] = {
         Format.TABLE: lambda inventory: printed(terminal_inventory(inventory)),

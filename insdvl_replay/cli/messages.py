@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import typer
 
-from insdvl_replay.errors import LogError, Note, UserError
-from insdvl_replay.plain_text import visible, visible_lines, without_commands
+from insdvl_replay.core.errors import LogError, Note, UserError
+from insdvl_replay.core.plain_text import visible, visible_lines, without_commands
 
 OUR_MISTAKE = 4
 

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from insdvl_replay.cli.completion import preset_names, scenario_names
-from insdvl_replay.errors import ConfigError
+from insdvl_replay.core.errors import ConfigError
 
 Preset = Annotated[
     str | None,

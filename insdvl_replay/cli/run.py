@@ -79,10 +79,10 @@ def run(
       insdvl-replay run dive.mcap --tum
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
     """
-    from insdvl_replay.archive import Order
+    from insdvl_replay.batch.cluster import Cluster
+    from insdvl_replay.batch.jobs import Order
     from insdvl_replay.cli.dives import Manner, replay_dives
-    from insdvl_replay.cluster import Cluster
-    from insdvl_replay.config_file import load_config
+    from insdvl_replay.core.config_file import load_config
 
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
     resolved = load_config(preset, config, [*settings, *spans])

@@ -25,7 +25,7 @@ def schema(
       insdvl-replay schema report
       insdvl-replay schema insdvl_msgs/msg/NavSolution
     """
-    from insdvl_replay.report.json_schemas import SCHEMAS
+    from insdvl_replay.cli.json_schemas import SCHEMAS
 
     if name is None:
         emit("".join(f"{known}\n" for known in SCHEMAS))
@@ -36,8 +36,8 @@ def schema(
 
 
 def _message_definition(name: str, others: str) -> str:
-    from insdvl_replay.errors import ConfigError, LogError
-    from insdvl_replay.logs.ros2msg import definition_text
+    from insdvl_replay.core.errors import ConfigError, LogError
+    from insdvl_replay.logs.encoding.ros2msg import definition_text
 
     try:
         return definition_text(name)

@@ -6,10 +6,10 @@ from contextlib import contextmanager
 
 from rich.console import Console, RenderableType
 
-from insdvl_replay.compiled import is_warm
-from insdvl_replay.report.json_report import Report
+from insdvl_replay.core.compiled import is_warm
+from insdvl_replay.core.progress import told_to
 from insdvl_replay.report.terminal import spoken, terminal_report
-from insdvl_replay.stages import told_to
+from insdvl_replay.results.json_report import Report
 
 PIPED_COLUMNS = 10_000
 """Wide enough that nothing is ever folded where no terminal limits the width."""

@@ -8,7 +8,7 @@ import typer
 from insdvl_replay.cli.completion import grade_names
 from insdvl_replay.cli.messages import tell
 from insdvl_replay.cli.options import Force, Outages, Scenario, Verbose, outage_spans
-from insdvl_replay.errors import ConfigError
+from insdvl_replay.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from insdvl_replay.sim.dvl_errors import LostBeam
@@ -44,8 +44,8 @@ def simulate(
       insdvl-replay simulate figure-eight -o dive.mcap --imu tactical --seed 7
       insdvl-replay simulate straight -o dive.mcap --outage 60:90 --lost-beam 2:120:180
     """
-    from insdvl_replay.logs.dive_log import write_dive
-    from insdvl_replay.report.folder import result_file
+    from insdvl_replay.logs.writing.dive_log import write_dive
+    from insdvl_replay.results.folder import result_file
     from insdvl_replay.sim.dive import simulate_dive
 
     with result_file(output, force=force) as path:

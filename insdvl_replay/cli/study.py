@@ -71,8 +71,8 @@ def montecarlo(
     from insdvl_replay.cli.messages import tell
     from insdvl_replay.cli.screen import compiling, progress
     from insdvl_replay.cli.study_results import print_study
-    from insdvl_replay.config_file import load_config
-    from insdvl_replay.report.folder import refuse_existing_folder, result_folder
+    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.results.folder import refuse_existing_folder, result_folder
     from insdvl_replay.studies.montecarlo import repeat_run, save_montecarlo, study_montecarlo
 
     resolved, target = load_config(preset, config, settings), output / f"montecarlo-{scenario}"
@@ -130,9 +130,9 @@ def window(
     from insdvl_replay.cli.messages import tell, tell_notes
     from insdvl_replay.cli.screen import patience
     from insdvl_replay.cli.study_results import print_study
-    from insdvl_replay.config_file import load_config
-    from insdvl_replay.errors import LogError
-    from insdvl_replay.report.folder import refuse_existing_folder, result_folder
+    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.core.errors import LogError
+    from insdvl_replay.results.folder import refuse_existing_folder, result_folder
     from insdvl_replay.studies.window import LEFT_OUT, save_window, study_window
 
     resolved, target = load_config(preset, config, settings), output / "window"
@@ -180,9 +180,9 @@ def observability(
     from insdvl_replay.cli.messages import tell, tell_notes
     from insdvl_replay.cli.screen import compiling, patience
     from insdvl_replay.cli.study_results import print_study
-    from insdvl_replay.config_file import load_config
-    from insdvl_replay.dive_names import dive_name
-    from insdvl_replay.report.folder import refuse_existing_folder, result_folder
+    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.core.dive_names import dive_name
+    from insdvl_replay.results.folder import refuse_existing_folder, result_folder
     from insdvl_replay.studies.observability import save_observability, study_observability
 
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]

@@ -3,14 +3,14 @@
 from insdvl_replay.cli.messages import emit
 from insdvl_replay.cli.run import Format
 from insdvl_replay.cli.screen import printed
-from insdvl_replay.report.study import (
+from insdvl_replay.studies.study_json import study_json
+from insdvl_replay.studies.study_report import (
     StudyReport,
     study_csv,
     study_latex,
     study_markdown,
     study_terminal,
 )
-from insdvl_replay.report.study_json import study_json
 
 PRINTED = {
     Format.TABLE: lambda report: printed(study_terminal(report)),

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, seconds
 
 POOLED = "*"
 """Stands for the log in rows that pool several."""

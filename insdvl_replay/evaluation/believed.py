@@ -8,9 +8,9 @@ time would measure the time since the last ping. The end of the dive is its last
 import numpy as np
 import pandas as pd
 
-from insdvl_replay.columns import Floats, seconds
-from insdvl_replay.history import History
-from insdvl_replay.states import NINE, STATES
+from insdvl_replay.core.columns import Floats, seconds
+from insdvl_replay.core.history import History
+from insdvl_replay.core.states import NINE, STATES
 
 SAME_PCT = 0.05
 """A smaller change of a standard deviation is called ``same``; shown with one digit it would read 0.0 %."""

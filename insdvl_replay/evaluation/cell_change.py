@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from insdvl_replay.changes import Word
-from insdvl_replay.result_tables import PERCENTAGE, Better
-from insdvl_replay.stored_result import Cell
+from insdvl_replay.core.changes import Word
+from insdvl_replay.core.result_tables import PERCENTAGE, Better
+from insdvl_replay.core.stored_result import Cell
 
 PRINTED_DIGITS: Final = 4
 """Significant digits of a printed number."""
@@ -150,7 +150,7 @@ class Moved:
     Attributes
     ----------
     change, change_pct : float or None
-        As in `insdvl_replay.changes.Change`.
+        As in `insdvl_replay.core.changes.Change`.
     word : str
     """
 

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 from scipy.special import chdtri
 
-from insdvl_replay.columns import NS_PER_S, Floats
-from insdvl_replay.errors import Note
+from insdvl_replay.core.columns import NS_PER_S, Floats
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.result_tables import AXES, axis_of
 from insdvl_replay.evaluation.whiteness import autocorrelation, whiteness
-from insdvl_replay.history import History, Innovations
-from insdvl_replay.result_tables import AXES, axis_of
 
 CONFIDENCE = 0.95
 """Share of consistent filters whose mean lies inside the interval."""

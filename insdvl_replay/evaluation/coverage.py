@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import ReferenceColumns, TimeNs, TruthColumns, nanoseconds
-from insdvl_replay.errors import Note
+from insdvl_replay.core.columns import ReferenceColumns, TimeNs, TruthColumns, nanoseconds
+from insdvl_replay.core.errors import Note
 
 WELL_COVERED: Final = 0.9
 """Share of a replay that has to be covered before errors are taken for those of the whole."""

@@ -12,7 +12,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import betainc, chdtr
 
-from insdvl_replay.columns import Floats
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.result_tables import CREDIBILITY_QUANTITIES, JOINT
+from insdvl_replay.core.states import BA, PHI
 from insdvl_replay.evaluation.consistency import (
     CONFIDENCE,
     FEWEST_UPDATES,
@@ -22,8 +24,6 @@ from insdvl_replay.evaluation.consistency import (
 )
 from insdvl_replay.evaluation.effective_samples import effective_samples
 from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
-from insdvl_replay.result_tables import CREDIBILITY_QUANTITIES, JOINT
-from insdvl_replay.states import BA, PHI
 
 FAR_SMALLER: Final = 0.25
 """Share of the expected NEES, half of the believed size, below which errors count as small. A filter starts at the

@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc
 
-from insdvl_replay.columns import NS_PER_S
+from insdvl_replay.core.columns import NS_PER_S
+from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejections
-from insdvl_replay.history import History, Innovations
 
 MANY_REOPENED = 0.01
 """Share of the pings; each comes after several that were rejected."""

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import Floats
+from insdvl_replay.core.columns import Floats
 
 WINDOW_TIMES: Final = 5.0
 """The sum stops at the first lag beyond this many correlation times: what follows is noise."""

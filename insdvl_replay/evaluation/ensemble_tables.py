@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from insdvl_replay.core.states import STATES
 from insdvl_replay.evaluation.believed import improvement_pct
 from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, mean_interval, verdict
 from insdvl_replay.evaluation.ensemble import Ensemble, RunErrors, Tally
-from insdvl_replay.states import STATES
 
 DOF: Final = len(STATES)
 """Degrees of freedom of one NEES."""

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs, seconds
-from insdvl_replay.earth import meridian_radius_m, transverse_radius_m
+from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.history import History
+from insdvl_replay.core.result_tables import PARTLY_COVERED, REFERENCE_QUANTITIES
+from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.believed import improvement_pct
 from insdvl_replay.evaluation.coverage import WELL_COVERED, covered_share
-from insdvl_replay.history import History
-from insdvl_replay.result_tables import PARTLY_COVERED, REFERENCE_QUANTITIES
-from insdvl_replay.rotation import rpy_from_mat, vector_from_mat, wrap_angle
-from insdvl_replay.states import DEG
+from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
+from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat, wrap_angle
 
 DEAD_RECKONED = ("position_h", "depth", "position_h_pct")
 """Quantities that keep what went wrong in a gap of the IMU: nothing brings position and its heading back."""

@@ -4,10 +4,10 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import Floats, TimeNs, seconds
-from insdvl_replay.errors import Note
-from insdvl_replay.history import History
-from insdvl_replay.states import DEG
+from insdvl_replay.core.columns import Floats, TimeNs, seconds
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.history import History
+from insdvl_replay.core.states import DEG
 
 SMALL_TURN: Final = 10.0 * DEG
 """Through a smaller turn a straight line between two samples misses less than 0.4 % of the speed, 1 - cos(5 deg)."""

@@ -3,11 +3,11 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from insdvl_replay.changes import Change
-from insdvl_replay.errors import ResultError
+from insdvl_replay.core.changes import Change
+from insdvl_replay.core.errors import ResultError
+from insdvl_replay.core.result_tables import CANDIDATES, TableLayout
+from insdvl_replay.core.stored_result import Cell, Row, StoredReport, StoredResult
 from insdvl_replay.evaluation.cell_change import Moved, agree, judge_number, rank_word
-from insdvl_replay.result_tables import CANDIDATES, TableLayout
-from insdvl_replay.stored_result import Cell, Row, StoredReport, StoredResult
 
 NAMES: Final = frozenset(("log", "filter", "unit"))
 """Columns that name a row, with its key."""

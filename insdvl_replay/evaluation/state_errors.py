@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from insdvl_replay.columns import Floats, ReferenceColumns, TimeNs, TruthColumns
-from insdvl_replay.history import History
-from insdvl_replay.rotation import rpy_from_mat, vector_from_mat
-from insdvl_replay.states import BA, BG, DV, PHI
+from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, TruthColumns
+from insdvl_replay.core.history import History
+from insdvl_replay.core.states import BA, BG, DV, PHI
+from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from insdvl_replay.core.result_tables import JOINT, NOT_JUDGED, PARTLY_COVERED, VERDICTS_BEST_FIRST, is_whole
 from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.result_tables import JOINT, NOT_JUDGED, PARTLY_COVERED, VERDICTS_BEST_FIRST, is_whole
 
 NOTABLE_PCT: Final = 5.0
 """A smaller change, believed or real, is not spoken of as an improvement."""

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats
+from insdvl_replay.core.columns import Floats
 
 FEWEST_PAIRS: Final = 10
 """With fewer neighbours the word is ``too few``."""

@@ -4,21 +4,21 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from insdvl_replay.channel import Channel
-from insdvl_replay.columns import Dive
-from insdvl_replay.config import Config
-from insdvl_replay.dive_names import dive_name
-from insdvl_replay.logs.channel import LogChannel
-from insdvl_replay.logs.clocks import clock_notes
-from insdvl_replay.logs.decode import decode_imu, decode_truth
-from insdvl_replay.logs.pings import decode_dvl
-from insdvl_replay.logs.plausibility import plausibility_notes
-from insdvl_replay.logs.recording import open_recording
-from insdvl_replay.logs.reference import decode_reference
-from insdvl_replay.logs.roles import Roles, assign_roles
-from insdvl_replay.logs.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
-from insdvl_replay.logs.table_reading import read_tables
-from insdvl_replay.stages import begin
+from insdvl_replay.checks.plausibility import plausibility_notes
+from insdvl_replay.core.channel import Channel
+from insdvl_replay.core.columns import Dive
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_names import dive_name
+from insdvl_replay.core.progress import begin
+from insdvl_replay.logs.columns.clocks import clock_notes
+from insdvl_replay.logs.columns.decode import decode_imu, decode_truth
+from insdvl_replay.logs.columns.pings import decode_dvl
+from insdvl_replay.logs.columns.reference import decode_reference
+from insdvl_replay.logs.columns.roles import Roles, assign_roles
+from insdvl_replay.logs.columns.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
+from insdvl_replay.logs.columns.table_reading import read_tables
+from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.container.recording import open_recording
 
 
 def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:
@@ -47,7 +47,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         The axes or the beam geometry of the configuration cannot be.
     """
     begin("reading the log")
-    import insdvl_replay.logs.record_loops  # noqa: F401  all records are walked here: with the compiled loops
+    import insdvl_replay.logs.container.record_loops  # noqa: F401  all records are walked here: with the compiled loops
 
     log = open_recording(path, allow_damaged=allow_damaged)
     place = str(log.path)

@@ -13,8 +13,8 @@ takes the difference between the old and the new v for a sight of the heading.
 Source: Barrau and Bonnabel, "The Invariant Extended Kalman Filter as a Stable Observer"; see EQUATIONS.md.
 """
 
-from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import inlined
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.compiled import inlined
 from insdvl_replay.nav.strapdown import NavState
 from insdvl_replay.nav.vector_algebra import (
     Vector,

@@ -10,11 +10,11 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import Floats
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.states import BA, BG, DV, PHI
+from insdvl_replay.nav.local_earth import normal_gravity, place_at, transport_curvature, transport_rate_n
 from insdvl_replay.nav.observability import Observability
-from insdvl_replay.nav.place import normal_gravity, place_at, transport_curvature, transport_rate_n
 from insdvl_replay.nav.vector_algebra import vector
-from insdvl_replay.states import BA, BG, DV, PHI
 
 _AXES: Final = ("north", "east", "down")
 _ACROSS: Final = {"north": "east", "east": "north"}

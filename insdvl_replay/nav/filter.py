@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats, TimeNs
-from insdvl_replay.compiled import compiled, inlined
-from insdvl_replay.history import History
+from insdvl_replay.core.columns import Floats, TimeNs
+from insdvl_replay.core.compiled import compiled, inlined
+from insdvl_replay.core.history import History
 from insdvl_replay.nav.correction import correct
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
 from insdvl_replay.nav.gate import locks_out, open_state
 from insdvl_replay.nav.gravity_height import GravityHeight, followed
+from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import (
     cholesky,
@@ -23,9 +24,9 @@ from insdvl_replay.nav.kalman import (
     transposed_gain,
     update_cov,
 )
+from insdvl_replay.nav.local_earth import gravity_at, place_about, place_at
 from insdvl_replay.nav.measurements import VELOCITY, Measurement
-from insdvl_replay.nav.place import gravity_at, place_about, place_at
-from insdvl_replay.nav.recording import (
+from insdvl_replay.nav.state_log import (
     Records,
     Updates,
     history_of,
@@ -34,7 +35,6 @@ from insdvl_replay.nav.recording import (
     write_record,
     write_update,
 )
-from insdvl_replay.nav.start import Start
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import Timeline, first_node, is_event, is_last, mean, next_node
 from insdvl_replay.nav.vector_algebra import (

@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats, TimeNs, nanoseconds, seconds
-from insdvl_replay.config import Imu
-from insdvl_replay.errors import LogError, Note
-from insdvl_replay.rotation import skew
-from insdvl_replay.states import DEG, DV, PHI, STATES
+from insdvl_replay.core.columns import Floats, TimeNs, nanoseconds, seconds
+from insdvl_replay.core.config import Imu
+from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.states import DEG, DV, PHI, STATES
+from insdvl_replay.geometry.rotation import skew
 
 LONGEST_BRIDGE_S: Final = 3600.0
 """Through a longer gap the line between two readings says nothing; the dive has to be split there."""

@@ -9,9 +9,9 @@ of the error over before the gate closed, they are opened, too.
 import math
 from typing import Final
 
-from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import inlined
-from insdvl_replay.nav.recording import Updates
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.compiled import inlined
+from insdvl_replay.nav.state_log import Updates
 from insdvl_replay.nav.vector_algebra import Vector, dot
 
 RUN_PAUSE_S: Final = 60.0

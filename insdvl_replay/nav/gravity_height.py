@@ -7,7 +7,7 @@ bias. Twelve states have no height in which that uncertainty could stand. A vehi
 
 from typing import Final, NamedTuple
 
-from insdvl_replay.compiled import inlined
+from insdvl_replay.core.compiled import inlined
 
 HOLD_AFTER_S: Final = 300.0
 """Without a velocity for so long, an acceleration error a has moved the height by a T^2 / 2, and gravity there by 14 %

@@ -14,8 +14,8 @@ F; see EQUATIONS.md.
 
 from typing import Final, NamedTuple
 
-from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import inlined
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.compiled import inlined
 from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, Measurement
 from insdvl_replay.nav.vector_algebra import (
     Matrix,

@@ -15,11 +15,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats, ImuColumns, TimeNs, distinct, nanoseconds, seconds
-from insdvl_replay.earth import EARTH_RATE
-from insdvl_replay.errors import LogError
+from insdvl_replay.core.columns import Floats, ImuColumns, TimeNs, distinct, nanoseconds, seconds
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.geometry.earth import EARTH_RATE
+from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, skew
 from insdvl_replay.nav.dvl import DvlVelocities
-from insdvl_replay.rotation import mat_from_rpy, mat_from_vector, skew
 
 LEVELLING_S: Final = 10.0
 """Longest time over which gravity is looked for: pings of 1 Hz and 2 cm/s tell it to 0.013 deg, far below any bias."""

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import compiled, inlined
-from insdvl_replay.history import History
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.compiled import compiled, inlined
+from insdvl_replay.core.history import History
 from insdvl_replay.nav.error_model import add_noise, propagate_cov, propagate_errors
 from insdvl_replay.nav.kalman import multiply
-from insdvl_replay.nav.place import gravity_at, normal_gravity, place_about, place_at
+from insdvl_replay.nav.local_earth import gravity_at, normal_gravity, place_about, place_at
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import Timeline, first_node, is_event, is_last, mean, next_node
 from insdvl_replay.nav.vector_algebra import (

@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import compiled
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.compiled import compiled
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.nominal_motion import NominalPings

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats
-from insdvl_replay.compiled import compiled, inlined
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.compiled import compiled, inlined
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, multiply, transposed_gain, update_cov
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.nominal_motion import NominalPings

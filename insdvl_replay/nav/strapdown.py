@@ -5,8 +5,8 @@ Source: equations (24) and (25) of Levy and Klein; Groves, chapter 5.
 
 from typing import NamedTuple
 
-from insdvl_replay.compiled import inlined
-from insdvl_replay.nav.place import Place, curvatures, transport_curvature, transport_rate_n
+from insdvl_replay.core.compiled import inlined
+from insdvl_replay.nav.local_earth import Place, curvatures, transport_curvature, transport_rate_n
 from insdvl_replay.nav.vector_algebra import (
     Matrix,
     Vector,
@@ -54,7 +54,7 @@ class Motion(NamedTuple):
     mat_nb : tuple of 3 rows
         Attitude at the end.
     curvature : tuple of 3 float
-        Of the Earth under the vehicle, see `place.transport_curvature`, 1/m.
+        Of the Earth under the vehicle, see `local_earth.transport_curvature`, 1/m.
     """
 
     rate_ie_n: Vector

@@ -10,8 +10,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.columns import Floats, ImuColumns, TimeNs, distinct
-from insdvl_replay.compiled import inlined
+from insdvl_replay.core.columns import Floats, ImuColumns, TimeNs, distinct
+from insdvl_replay.core.compiled import inlined
 from insdvl_replay.nav.gaps import NO_GAPS, Gaps
 from insdvl_replay.nav.vector_algebra import Vector, add, row_vector, scale, subtract
 

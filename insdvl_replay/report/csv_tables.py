@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final, get_args, get_type_hints
 
 import msgspec
 
-from insdvl_replay.plain_text import visible
-from insdvl_replay.report.json_report import Report, Tables
+from insdvl_replay.core.plain_text import visible
+from insdvl_replay.results.json_report import Report, Tables
 
 if TYPE_CHECKING:
     # Only its type is needed, and whoever compares stored results must not wait for it.

@@ -8,11 +8,11 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
-from insdvl_replay.plain_text import visible, visible_lines
-from insdvl_replay.report.dive_sentences import closing_lines, heading, verdict_lines
-from insdvl_replay.report.dive_tables import shown_tables
-from insdvl_replay.report.json_report import Report
-from insdvl_replay.report.shown import CellText, ShownTable, cell_lines
+from insdvl_replay.core.plain_text import visible, visible_lines
+from insdvl_replay.report.display_table import CellText, ShownTable, cell_lines
+from insdvl_replay.results.dive_sentences import closing_lines, heading, verdict_lines
+from insdvl_replay.results.dive_tables import shown_tables
+from insdvl_replay.results.json_report import Report
 
 _LATEX: Final = {
     "\\": r"\textbackslash{}",

@@ -8,10 +8,10 @@ from html import escape as html_escape
 from importlib.resources import files
 from typing import Final
 
-from insdvl_replay.plain_text import visible_lines
+from insdvl_replay.core.plain_text import visible_lines
+from insdvl_replay.report.display_table import ShownTable, cell_lines
 from insdvl_replay.report.plots.panel import Figure
 from insdvl_replay.report.plots.svg import panel_svg
-from insdvl_replay.report.shown import ShownTable, cell_lines
 
 _POINTS: Final = ("rejected",)
 _SHORT: Final = 20

@@ -4,9 +4,9 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Final
 
-from insdvl_replay.errors import Note
+from insdvl_replay.core.errors import Note
+from insdvl_replay.report.display_table import ShownTable
 from insdvl_replay.report.page import Html, Part, escape
-from insdvl_replay.report.shown import ShownTable
 
 _THEME: Final = {
     "#ffffff": "var(--paper)", "#000000": "var(--ink)", "#808080": "var(--soft)",

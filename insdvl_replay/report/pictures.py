@@ -10,8 +10,8 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from insdvl_replay.columns import Floats
-from insdvl_replay.states import State
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.states import State
 
 # Nobody's own style, text as text, identifiers from the salt, and no date or version of the drawing program.
 _OWN_STYLE: Final[dict[str, Any]] = {

@@ -7,11 +7,11 @@ from rich.console import Group, JustifyMethod, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from insdvl_replay.plain_text import visible, visible_lines
-from insdvl_replay.report.dive_sentences import closing_lines, heading, verdict_lines
-from insdvl_replay.report.dive_tables import shown_tables
-from insdvl_replay.report.json_report import Report
-from insdvl_replay.report.shown import ShownTable, cell_lines
+from insdvl_replay.core.plain_text import visible, visible_lines
+from insdvl_replay.report.display_table import ShownTable, cell_lines
+from insdvl_replay.results.dive_sentences import closing_lines, heading, verdict_lines
+from insdvl_replay.results.dive_tables import shown_tables
+from insdvl_replay.results.json_report import Report
 
 _JUSTIFY: Final[dict[str, JustifyMethod]] = {"l": "left", "r": "right"}
 

@@ -6,17 +6,17 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from insdvl_replay import janus
-from insdvl_replay.columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, TimeNs, TruthColumns, seconds
-from insdvl_replay.config import Vector
-from insdvl_replay.errors import ConfigError, refuse_unknown
-from insdvl_replay.rotation import mat_from_sines, turned
+from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, TimeNs, TruthColumns, seconds
+from insdvl_replay.core.config import Vector
+from insdvl_replay.core.errors import ConfigError, refuse_unknown
+from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry import janus
+from insdvl_replay.geometry.rotation import mat_from_sines, turned
 from insdvl_replay.sim.dvl_errors import DvlErrors, LostBeam, add_dvl_errors, beam_vectors_d
 from insdvl_replay.sim.imu_errors import GRADES, ImuErrors, add_imu_errors
 from insdvl_replay.sim.motion import Course
 from insdvl_replay.sim.sines import sine_and_cosine
 from insdvl_replay.sim.trajectories import SCENARIOS
-from insdvl_replay.states import DEG
 
 LONGEST_S: Final = 7 * 86400.0
 """No simulated dive is longer: a week at 100 Hz already fills 10 GB."""

@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from insdvl_replay import janus
-from insdvl_replay.columns import DvlColumns, Floats
-from insdvl_replay.rotation import turned
+from insdvl_replay.core.columns import DvlColumns, Floats
+from insdvl_replay.geometry import janus
+from insdvl_replay.geometry.rotation import turned
 from insdvl_replay.sim.imu_errors import quantise
 
 

@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import Floats, ImuColumns, TruthColumns
-from insdvl_replay.states import DEG, DEG_PER_HOUR, MG
+from insdvl_replay.core.columns import Floats, ImuColumns, TruthColumns
+from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 
 DEG_PER_RT_HOUR: Final = DEG / 60.0
 """One deg/sqrt(h), the unit of angular random walk on data sheets, in rad/sqrt(s)."""

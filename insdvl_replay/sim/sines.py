@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import Floats
+from insdvl_replay.core.columns import Floats
 
 QUARTER_TURN: Final = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
 """Half of pi as a sum. The first two have 33 bits, so that their multiples up to 2^20 are exact.

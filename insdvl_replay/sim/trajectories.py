@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import Floats
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.states import DEG
 from insdvl_replay.sim.sines import sine_and_cosine
-from insdvl_replay.states import DEG
 
 HEADING_DEG: Final = 30.0
 """Heading at the start of every scenario."""

@@ -5,7 +5,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from insdvl_replay.config import Config
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.states import STATES
+from insdvl_replay.core.threads import each
 from insdvl_replay.evaluation.ensemble import Ensemble, Tally
 from insdvl_replay.evaluation.ensemble_tables import (
     ensemble_table,
@@ -16,12 +18,10 @@ from insdvl_replay.evaluation.ensemble_tables import (
     runs_table,
     verdict_table,
 )
-from insdvl_replay.report.montecarlo import montecarlo_sentences, run_sentences, shown_montecarlo, shown_run
 from insdvl_replay.report.pictures import draw_ensemble, draw_nees
-from insdvl_replay.report.study import StudyReport, write_study
-from insdvl_replay.states import STATES
+from insdvl_replay.studies.montecarlo_document import montecarlo_sentences, run_sentences, shown_montecarlo, shown_run
 from insdvl_replay.studies.simulated_run import MATCHED, World, make_world, run_seed, simulated_run
-from insdvl_replay.studies.workers import each
+from insdvl_replay.studies.study_report import StudyReport, write_study
 
 PICTURES: Final = {"navigation": STATES[:6], "biases": STATES[6:]}
 """What the two pictures of a filter show."""

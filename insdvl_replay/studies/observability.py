@@ -7,11 +7,10 @@ import msgspec
 import numpy as np
 
 from insdvl_replay import logs
-from insdvl_replay.columns import Dive
-from insdvl_replay.config import Acceleration, Config, Filter, Initial
-from insdvl_replay.errors import ConfigError
-from insdvl_replay.history import History
-from insdvl_replay.nav.aiding import filter_measurements, filter_noise
+from insdvl_replay.core.columns import Dive
+from insdvl_replay.core.config import Acceleration, Config, Filter, Initial
+from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.history import History
 from insdvl_replay.nav.error_directions import named_directions
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.measurements import Measurement
@@ -19,13 +18,14 @@ from insdvl_replay.nav.nominal_motion import NominalPings, nominal_pings
 from insdvl_replay.nav.observability import TOLERANCE, analyse, whitened_rows
 from insdvl_replay.nav.remaining import remaining_cov
 from insdvl_replay.nav.timeline import build_timeline
-from insdvl_replay.preparation import Prepared, prepare_dive, with_reference_at_imu
-from insdvl_replay.report.observability import observability_sentences, shown_observability
-from insdvl_replay.report.observability_picture import draw_singular_values
-from insdvl_replay.report.study import StudyReport, write_study
+from insdvl_replay.preparation.aiding import filter_measurements, filter_noise
+from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS
+from insdvl_replay.studies.observability_document import observability_sentences, shown_observability
+from insdvl_replay.studies.observability_picture import draw_singular_values
 from insdvl_replay.studies.observability_tables import observability_tables
+from insdvl_replay.studies.study_report import StudyReport, write_study
 
 AIDING: Final = {
     "velocity": ("velocity",),

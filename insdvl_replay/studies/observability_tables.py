@@ -5,10 +5,10 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from insdvl_replay.columns import Floats
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.states import STATES
 from insdvl_replay.nav.error_directions import ErrorDirection, name_unobservable
 from insdvl_replay.nav.observability import Observability
-from insdvl_replay.states import STATES
 
 _FACTORS = np.array([state.factor for state in STATES])
 

@@ -7,22 +7,22 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.columns import Dive, DvlColumns
-from insdvl_replay.config import Config
+from insdvl_replay.core.columns import Dive, DvlColumns
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.states import BA, BG, DEG, DV, PHI
 from insdvl_replay.evaluation.consistency import chi_square_quantile
 from insdvl_replay.evaluation.ensemble import RunErrors, run_errors
-from insdvl_replay.nav.aiding import dvl_noise, filter_measurements, filter_noise, inertial_noise
-from insdvl_replay.nav.alignment import initial_sd
+from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.start import Start
+from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.nav.vector_algebra import rotation_from_vector, vector
-from insdvl_replay.rotation import mat_from_rpy
+from insdvl_replay.preparation.aiding import dvl_noise, filter_measurements, filter_noise, inertial_noise
+from insdvl_replay.preparation.alignment import initial_sd
 from insdvl_replay.sim.dive import add_errors, exact_dive, named
 from insdvl_replay.sim.dvl_errors import DvlErrors
 from insdvl_replay.sim.imu_errors import GRADES, ImuErrors
-from insdvl_replay.states import BA, BG, DEG, DV, PHI
 
 MATCHED: Final = "matched"
 """The grade of an IMU, and of the DVL beside it, that errs exactly as the first filter believes."""

@@ -10,10 +10,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from insdvl_replay import logs
-from insdvl_replay.columns import Dive, Floats, ReferenceColumns, seconds
-from insdvl_replay.config import Acceleration, Config
-from insdvl_replay.dive_names import dive_name
-from insdvl_replay.errors import ConfigError, LogError, Note
+from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
+from insdvl_replay.core.config import Acceleration, Config
+from insdvl_replay.core.dive_names import dive_name
+from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.evaluation.acceleration import (
     WINDOW_COLUMNS,
     acceleration_at,
@@ -25,11 +25,11 @@ from insdvl_replay.evaluation.acceleration import (
 )
 from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
 from insdvl_replay.nav.gaps import Gaps
-from insdvl_replay.nav.lever_arm import reference_at_imu
-from insdvl_replay.preparation import prepare_dive
-from insdvl_replay.report.study import StudyReport, write_study
-from insdvl_replay.report.window import shown_windows, window_sentences
-from insdvl_replay.report.window_picture import draw_windows
+from insdvl_replay.preparation.lever_arm import reference_at_imu
+from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.studies.study_report import StudyReport, write_study
+from insdvl_replay.studies.window_document import shown_windows, window_sentences
+from insdvl_replay.studies.window_picture import draw_windows
 
 COMPENSATED: Final = "compensated"
 IGNORED: Final = "ignored"

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.columns import Floats
+from insdvl_replay.core.columns import Floats
 from insdvl_replay.report.plots.panel import Scale
 
 _STEPS: Final = (1, 2, 2.5, 5, 10)

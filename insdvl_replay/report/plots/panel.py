@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from insdvl_replay.columns import Floats
+from insdvl_replay.core.columns import Floats
 
 Scale = Literal["linear", "log"]
 

@@ -1,0 +1,176 @@
+"""The control: the baseline with its noise fitted to the dive, so that one sees what tuning alone would have given.
+
+The fit takes the noise under which the baseline's own innovations are most likely. It knows nothing of the reference.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from insdvl_replay import logs
+from insdvl_replay.core.columns import Dive, Floats, ImuColumns
+from insdvl_replay.core.config import Config, Filter
+from insdvl_replay.core.errors import ConfigError, Note
+from insdvl_replay.evaluation.consistency import log_likelihood
+from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.preparation.aiding import dvl_noise, inertial_noise
+from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
+from insdvl_replay.replay import Replay, replay_dive, run_filters
+
+NAME = "tuned"
+"""Name of the control among the filters."""
+INERTIAL: Final = ("accel_white_mps_rts", "gyro_white_rad_rts")
+"""What is fitted of the inertial sensors."""
+GEOMETRY_FIRST: Final = (
+    "what is wrong in geometry and time ends in the noise: check dvl.lever_arm_m, dvl.mounting_rpy_deg, dvl.scale and "
+    "dvl.latency_s before you compare with the control"
+)
+"""The hint to fitted noise that cannot be a sensor's."""
+FIT_S = 1800.0
+"""The fit reads this much of a dive from its first ping on, which on the way down of a deep one may be long in coming;
+noise does not change so much that more would say more."""
+LOWEST, HIGHEST = 1e-3, 1e3
+"""Factors of the baseline's noise between which the fit looks."""
+STARTS: Final = tuple(product((1.0, 0.1, 0.01), (1.0, 10.0, 100.0), (1.0, 0.3)))
+"""Factors of which the likeliest is the start: innovations can have several likely causes, a quiet DVL on a restless
+IMU among them, and a search from one place finds the nearest. Order as of `_noise`."""
+
+LIKELIHOOD_DIGITS: Final = 3
+"""Decimals of a log-likelihood that count. Where innovations tell nothing of a noise, its further ones differ from
+processor to processor, and the search would go where they point."""
+
+
+def replay_with_control(
+    path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False, name: str | None = None
+) -> Replay:
+    """Replay the dive in a log, with the control beside the configured filters.
+
+    Parameters
+    ----------
+    path : Path or sequence of Path
+    config : Config
+    allow_damaged : bool
+    name : str, optional
+        As of `replay.replay_log`.
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    LogError, ConfigError
+        As of `replay.replay_log` and `with_control`.
+    """
+    dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
+    config, notes = with_control(dive, config)
+    return replay_dive(replace(dive, name=name or dive.name, notes=(*dive.notes, *notes)), config)
+
+
+def with_control(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:
+    """Add the control to the filters.
+
+    Parameters
+    ----------
+    dive : Dive
+    config : Config
+
+    Returns
+    -------
+    Config
+        With the filter ``tuned`` at the end, which repeats the result without another fit.
+    tuple of Note
+        The fitted values, ready to be pasted, and a warning if one of them cannot be its sensor's.
+
+    Raises
+    ------
+    ConfigError
+        A filter bears the control's name already, or the baseline is not aided by velocity.
+    LogError
+        The dive cannot be replayed.
+    """
+    baseline = config.filters[config.baseline]
+    if NAME in config.filters:
+        raise ConfigError(f"filter '{NAME}' is configured already", f"rename [filters.{NAME}], or leave --control out")
+    if baseline.aiding != ("velocity",):
+        raise ConfigError(
+            f"--control tunes a baseline aided by velocity alone, found {list(baseline.aiding)}",
+            "name such a filter first in the configuration",
+        )
+    dive = with_reference_at_imu(dive, config)
+    start = _first_part(prepare_dive(dive, config))
+    before = _noise(config, baseline, from_beams=start.velocities.from_beams)
+    tuned = _fitted(dive, start, config, baseline, before)
+    values = {key: getattr(tuned, key) for key in before}
+    edges = [key for key, value in values.items() if _at_the_edge(value, before[key])]
+    read = dive.imu.within(start.alignment.start_ns, start.end_ns)
+    notes = (_fitted_note(values, edges), *_beyond_their_sensors(values, read))
+    return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), notes
+
+
+def _fitted_note(values: Mapping[str, float], edges: Sequence[str]) -> Note:
+    pasted = ", ".join(f"{key} = {value:.4g}" for key, value in values.items())
+    text = f"noise of the control, fitted to the baseline's innovations: [filters.{NAME}] {pasted}"
+    classes = {SENSORS[key].name: sensor_class(key, values[key]) for key in INERTIAL if key not in edges}
+    if named := [f"{sensors} of class {best}" for sensors, best in classes.items() if best]:
+        text += f" ({', '.join(named)})"
+    if edges:
+        text += f"; at the edge of what is looked at, where the innovations tell no more: {', '.join(edges)}"
+    return Note("control_fitted", text, len(values))
+
+
+def _beyond_their_sensors(values: Mapping[str, float], imu: ImuColumns) -> Iterator[Note]:
+    """Warn of fitted noise that stands for something else than the noise of a sensor."""
+    readings = (imu.specific_force_b, imu.angular_rate_b)
+    scatter = {key: readings_scatter(of_one, imu.usual_step_s) for key, of_one in zip(INERTIAL, readings, strict=True)}
+    judged = {key: beyond_the_sensor(key, value, scatter.get(key, 0.0)) for key, value in values.items()}
+    if found := [f"{key} = {values[key]:.4g} is {reason}" for key, reason in judged.items() if reason]:
+        text = f"the control has fitted noise that cannot be the sensors': {'; '.join(found)}"
+        yield Note("control_out_of_class", text, len(found), "warning", GEOMETRY_FIRST)
+
+
+def _noise(config: Config, baseline: Filter, *, from_beams: bool) -> dict[str, float]:
+    """Give what is fitted, by key, as the baseline has it. The DVL's noise stands in one of two keys."""
+    inertial, dvl = inertial_noise(baseline, config), dvl_noise(baseline, config, from_beams=from_beams)
+    return {key: getattr(inertial, key) for key in INERTIAL} | {dvl.key: dvl.sd_mps}
+
+
+def _first_part(start: Prepared) -> Prepared:
+    """Cut off what the fit does not read."""
+    end_ns = min(start.end_ns, int(start.velocities.time_ns[0]) + int(FIT_S * 1e9))
+    return replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)
+
+
+def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, before: Mapping[str, float]) -> Filter:
+    def filter_with(logarithms: Floats) -> Filter:
+        factors = np.exp(np.clip(logarithms, np.log(LOWEST), np.log(HIGHEST)))
+        values = {key: float(value * factor) for (key, value), factor in zip(before.items(), factors, strict=True)}
+        return msgspec.structs.replace(baseline, **values)
+
+    from scipy.optimize import minimize  # a third of a second, which a replay without the control must not wait
+
+    def unlikelihood(logarithms: Floats) -> float:
+        alone = msgspec.structs.replace(config, filters={NAME: filter_with(logarithms)})
+        (history,) = run_filters(dive, start, alone)
+        return -round(log_likelihood(history.innovations[0]), LIKELIHOOD_DIGITS)
+
+    best = min(np.log(STARTS), key=unlikelihood)
+    for step in (-2.0, 0.5):  # the second search frees what fell flat against an edge
+        simplex = best + np.vstack([np.zeros(3), step * np.eye(3)])
+        found = minimize(
+            unlikelihood,
+            best,
+            method="Nelder-Mead",
+            options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.1, "maxfev": 150},
+        )
+        best = np.clip(found.x, np.log(LOWEST), np.log(HIGHEST))
+    return filter_with(best)
+
+
+def _at_the_edge(value: float, before: float) -> bool:
+    return not 1.01 * LOWEST * before < value < HIGHEST / 1.01 * before

@@ -1,0 +1,180 @@
+"""Whether a DVL can be what its log says: in its unit, alive, and moving as the reference does.
+
+What would make the tables wrong ends the work with the key that puts it right; what may make them wrong is a warning.
+"""
+
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.checks.dvl_comparison import Fit, axes_by_velocity, dvl_by_velocity
+from insdvl_replay.checks.gyro_comparison import ENOUGH
+from insdvl_replay.checks.imu import AXES, Check
+from insdvl_replay.core.columns import DvlColumns, ReferenceColumns, seconds
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.rotation import wrap_angle
+from insdvl_replay.logs.columns.decode import FASTEST_MPS
+
+SCALE_DOUBT: Final = 0.1
+"""Share of a speed or a rate beyond what temperature, sound speed and lever arm explain."""
+DIRECTION_DOUBT: Final = 10.0 * DEG
+"""Beyond what lever arm and sideslip turn a velocity on average."""
+FACTOR_OF_UNITS: Final = 5.0
+"""A scale that is off by more is no calibration but another unit."""
+COHERENT: Final = 0.97
+"""Only what follows the reference this well can be measured by it."""
+INCOHERENT: Final = 0.95
+"""What follows the reference worse than this contradicts it."""
+OPPOSITE: Final = -0.5
+"""Correlation below which a velocity has the opposite sign; that of sound logs is above 0.7."""
+UNIT_HINT: Final = 'dvl.velocity_unit = "mm/s", or "cm/s"; a wrong beam geometry is never that wrong'
+
+
+def dvl_checks(place: str, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> tuple[Check, ...]:
+    """List what has to be looked at in the pings of a DVL.
+
+    Parameters
+    ----------
+    place : str
+        The file, for messages to the user.
+    dvl : DvlColumns
+    reference : ReferenceColumns or None
+    config : Config
+
+    Returns
+    -------
+    tuple of Check
+        They find a DVL in another unit, without a lock, or whose axes are not those of the configuration.
+    """
+    return (
+        partial(_speed_notes, place, dvl),
+        partial(_zero_notes, dvl),
+        partial(_constant_notes, dvl),
+        partial(_velocity_notes, place, dvl, reference, config),
+    )
+
+
+def median_speed_mps(dvl: DvlColumns) -> float:
+    """Give the largest component of a ping in the median, 0 without any."""
+    values = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
+    if values is None or not np.isfinite(values).any():
+        return 0.0
+    return float(np.median(np.abs(values).max(axis=1, initial=0.0, where=np.isfinite(values))))
+
+
+def scale_notes(place: str, scale: float, dvl: DvlColumns, config: Config) -> list[Note]:
+    """Doubt the scale of a DVL, and refuse what must be another unit.
+
+    Parameters
+    ----------
+    place : str
+        The file, for messages to the user.
+    scale : float
+        Measured over true velocity.
+    dvl : DvlColumns
+    config : Config
+
+    Returns
+    -------
+    list of Note
+
+    Raises
+    ------
+    LogError
+        The velocity is in another unit.
+    """
+    if abs(scale - 1.0) <= SCALE_DOUBT:
+        return []
+    text = f"the DVL's velocity is {scale:.3f} times the reference's, from the first ping on"
+    if not 1.0 / FACTOR_OF_UNITS < scale < FACTOR_OF_UNITS:
+        raise LogError(f"{place}: {text}", UNIT_HINT)
+    hint = f"dvl.scale = {scale * config.dvl.scale:.3f}, or dvl.beam_tilt_deg"
+    return [Note("dvl_scale", text, len(dvl.time_ns), "warning", hint)]
+
+
+def _speed_notes(place: str, dvl: DvlColumns) -> list[Note]:
+    """Refuse speeds that no vehicle has for long."""
+    speed_mps = median_speed_mps(dvl)
+    if speed_mps > FASTEST_MPS:
+        raise LogError(
+            f"{place}: the DVL's largest component is {speed_mps:g} m/s in the median of its pings", UNIT_HINT
+        )
+    return []
+
+
+def _zero_notes(dvl: DvlColumns) -> list[Note]:
+    """Find pings that are exactly zero, as some instruments report without a lock."""
+    values = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
+    if values is None:
+        return []
+    zero = np.flatnonzero((values == 0.0).all(axis=1))
+    if not zero.size:
+        return []
+    first_s = float(seconds(dvl.time_ns[zero[:1]], dvl.time_ns[0])[0])
+    text = (
+        f"{zero.size} of {len(values)} pings are exactly zero, the first {first_s:.1f} s after the first ping: "
+        "the instrument may have had no lock"
+    )
+    return [Note("dvl_zero", text, int(zero.size), "warning", 'dvl.valid = "field.path" names what marks good pings')]
+
+
+def _constant_notes(dvl: DvlColumns) -> list[Note]:
+    """Find beams or components that never change while others do."""
+    columns = {}
+    if dvl.velocity_d is not None:
+        columns = dict(zip(AXES, dvl.velocity_d.T, strict=True))
+    elif dvl.beam_velocity_mps is not None:
+        columns = {f"along beam {i}": column for i, column in enumerate(dvl.beam_velocity_mps.T, start=1)}
+    notes = []
+    for name, column in columns.items():
+        given = column[np.isfinite(column)]
+        if len(given) >= ENOUGH and np.all(given == given[0]):
+            always_mps = given[0] + 0.0  # which is never a negative zero
+            text = (
+                f"the velocity {name} is {always_mps:g} m/s in all {len(given)} pings that have it, from the first on"
+            )
+            hint = "dvl.velocity or dvl.beam_velocity names other fields"
+            notes.append(Note("dvl_constant", text, len(given), "warning", hint))
+    return notes
+
+
+def _velocity_notes(place: str, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> list[Note]:
+    if reference is None:
+        return []
+    opposite = axes_by_velocity(dvl, reference, config)[1:] < OPPOSITE
+    found = dvl_by_velocity(dvl, reference, config)
+    if found is not None and found.coherence >= COHERENT and abs(found.turn) > DIRECTION_DOUBT:
+        return [*scale_notes(place, found.scale, dvl, config), _direction_note(found, dvl, config)]
+    if opposite.any():
+        return [_axes_note([axis for axis, turned in zip(AXES[1:], opposite, strict=True) if turned], dvl)]
+    if found is None or found.coherence >= COHERENT:
+        return [] if found is None else scale_notes(place, found.scale, dvl, config)
+    return [_contradiction_note(found, dvl)] if found.coherence < INCOHERENT else []
+
+
+def _direction_note(found: Fit, dvl: DvlColumns, config: Config) -> Note:
+    roll, pitch, heading = config.dvl.mounting_rpy_deg
+    right = float(wrap_angle(np.asarray(heading * DEG - found.turn))) / DEG
+    text = f"the DVL's velocity is turned by {found.turn / DEG:.0f} deg from the reference's, from the first ping on"
+    hint = f"dvl.mounting_rpy_deg = [{roll:g}, {pitch:g}, {right:.0f}], or another reference.axes"
+    return Note("dvl_direction", text, len(dvl.time_ns), "warning", hint)
+
+
+def _axes_note(axes: list[str], dvl: DvlColumns) -> Note:
+    text = (
+        f"the DVL's velocity has the opposite sign of the reference's along {' and '.join(axes)}, "
+        "from the first ping on"
+    )
+    hint = 'dvl.axes = "flu" where it is "frd" now, or the reverse; for beams, dvl.beam_azimuth_deg'
+    return Note("dvl_axes", text, len(dvl.time_ns), "warning", hint)
+
+
+def _contradiction_note(found: Fit, dvl: DvlColumns) -> Note:
+    text = (
+        f"the DVL's velocity does not follow the reference's, from the first ping on (coherence {found.coherence:.2f})"
+    )
+    hint = "dvl.beam_azimuth_deg, dvl.axes, reference.axes, or dvl.stamp and reference.stamp"
+    return Note("dvl_contradiction", text, len(dvl.time_ns), "warning", hint)

@@ -1,0 +1,108 @@
+"""One cell over many dives: the median of its changes, the worst, and the share of dives in which it improved."""
+
+import math
+from collections.abc import Iterable, Sequence
+from statistics import median
+from typing import Final
+
+from insdvl_replay.core.changes import Aggregate, Change, Counts, Tally, Word
+from insdvl_replay.core.result_tables import LAYOUTS
+
+_CHIEF: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.chief, *layout.words)}
+"""Columns that a reader looks at first, and words with a rank, which sum up numbers."""
+_ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
+
+
+def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
+    r"""Gather the changes of each cell over the dives.
+
+    With :math:`p_i` the change in percent of dive i and n dives that have the row on both sides:
+
+    * median: :math:`\operatorname{median}(p_i)` over the dives that have a percentage; with an even number the mean of
+      the middle two
+    * worst: the dive with the largest loss, which is :math:`|p_i|` if the word is ``worse``, :math:`-|p_i|` if it is
+      ``better``, 0 if it is ``same``; a number that was lost or grew from zero exceeds every other
+    * share improved: :math:`100\,n_\mathrm{better} / n`
+
+    Parameters
+    ----------
+    changes : iterable of Change
+        Of all dives.
+
+    Returns
+    -------
+    tuple of Aggregate
+        For the cells whose word is better, worse or same in some dive, table by table.
+    """
+    cells: dict[tuple[str, str, str, str, str], list[Change]] = {}
+    for change in changes:
+        if change.word in {"better", "worse", "same"}:
+            key = change.table, change.filter, change.row, change.unit, change.column
+            cells.setdefault(key, []).append(change)
+    gathered = [_aggregate(key, together) for key, together in cells.items()]
+    return tuple(sorted(gathered, key=lambda aggregate: _ORDER[aggregate.table]))
+
+
+def tally(changes: Sequence[Change]) -> Tally:
+    """Count cells by word, and name the largest loss and gain."""
+    counts: Counts = {"better": 0, "worse": 0, "same": 0, "changed": 0, "new": 0, "gone": 0}
+    for change in changes:
+        counts[change.word] += 1
+    losses = [change for change in changes if loss_of(change) > 0.0]
+    gains = [change for change in changes if loss_of(change) < 0.0]
+    return Tally(
+        counts, worst_of(losses), max(gains, key=lambda change: (_is_chief(change), -loss_of(change)), default=None)
+    )
+
+
+def worst_of(changes: Iterable[Change]) -> Change | None:
+    """Name the largest loss, in the chief column of a table before all others; the first of equals."""
+    return max(changes, key=lambda change: (_is_chief(change), loss_of(change)), default=None)
+
+
+def loss(word: Word, change_pct: float | None) -> float:
+    """Say how much a cell lost, in percent.
+
+    Parameters
+    ----------
+    word : str
+    change_pct : float or None
+
+    Returns
+    -------
+    float
+        Positive where it is worse or gone, negative where it is better, zero otherwise; infinite where there is no
+        percentage.
+    """
+    if word not in {"better", "worse", "gone"}:
+        return 0.0
+    amount = math.inf if change_pct is None else abs(change_pct)
+    return -amount if word == "better" else amount
+
+
+def loss_of(change: Change) -> float:
+    """Say how much a cell lost, as `loss` does."""
+    return loss(change.word, change.change_pct)
+
+
+def _is_chief(change: Change) -> bool:
+    """Say whether a cell is what a reader looks at first. Words with a rank are: they sum up all numbers."""
+    return (change.table, change.column) in _CHIEF
+
+
+def _aggregate(key: tuple[str, str, str, str, str], changes: Sequence[Change]) -> Aggregate:
+    words = [change.word for change in changes]
+    percentages = [change.change_pct for change in changes if change.change_pct is not None]
+    worst = max(changes, key=loss_of)
+    return Aggregate(
+        *key,
+        dives=len(changes),
+        better=words.count("better"),
+        worse=words.count("worse"),
+        same=words.count("same"),
+        share_better_pct=100.0 * words.count("better") / len(words),
+        median_change_pct=median(percentages) if percentages else None,
+        worst_log=worst.log,
+        worst_change_pct=worst.change_pct,
+        worst_word=worst.word,
+    )

@@ -1,0 +1,148 @@
+"""A comparison as sentences and tables for people: what differs, where it moved, then row by row."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+from insdvl_replay.comparison.cells import described, growth, place
+from insdvl_replay.comparison.rows import aggregate_tables, change_tables
+from insdvl_replay.core.changes import Breach, Comparison, Difference, DiveComparison, Limit, Tally, Word
+from insdvl_replay.report.display_table import MISSING, ShownTable, counted
+
+WORDS: Final[tuple[Word, ...]] = ("better", "worse", "same", "changed", "new", "gone")
+_HASH_SHOWN: Final = 12
+_NAMED_DIVES: Final = 2
+
+
+def comparison_heading(comparison: Comparison) -> str:
+    """Say in one line what was compared."""
+    dives = _matched(comparison)
+    what = dives[0].log if len(dives) == 1 else f"{len(dives)} dives"
+    return f"{what}: {comparison.new} against {comparison.old}"
+
+
+def opening_lines(comparison: Comparison) -> list[str]:
+    """Say how many values moved, and which of them most."""
+    counts = comparison.total.counts
+    number = sum(counts.values())
+    words = ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word] and word != "same")
+    limit = "the last printed digit" if comparison.tolerance_pct is None else f"{comparison.tolerance_pct:g} %"
+    lines = [f"{words or 'nothing moved'}; {counts['same']} of {number} values are the same up to {limit}"]
+    for name, change in (("worst", comparison.total.worst), ("best", comparison.total.best)):
+        if change is not None:
+            lines.append(f"{name}: {described(change)}")
+    if not comparison.differences:
+        lines.append("tool, settings and log do not differ")
+    return lines
+
+
+def comparison_tables(comparison: Comparison) -> list[ShownTable]:
+    """Turn a comparison into tables for people.
+
+    Parameters
+    ----------
+    comparison : Comparison
+
+    Returns
+    -------
+    list of ShownTable
+        What differs beside the tables; where values moved; then the values of one dive, or their medians over several.
+    """
+    matched = len(_matched(comparison))
+    tables = list(_differences(comparison.differences, matched))
+    if len(comparison.dives) > 1:
+        tables.append(_dives(comparison.dives))
+    tables.append(_by_table(comparison.by_table))
+    return [*tables, *(aggregate_tables(comparison.aggregates) if matched > 1 else change_tables(comparison.changes))]
+
+
+def closing_lines(comparison: Comparison) -> list[str]:
+    """Say where the rest is."""
+    if len(_matched(comparison)) > 1:
+        return ["the values of one dive: --dive NAME; those of all: --format csv or --format json"]
+    return []
+
+
+def breach_sentence(breach: Breach) -> str:
+    """Say how much is worse than allowed, and what most."""
+    reasons = []
+    if breach.worst is not None:
+        verb = "are" if breach.count > 1 else "is"
+        much = f"{counted(breach.count, 'value')} {_too_far(breach.limit, verb)}"
+        reasons.append(f"{much}; worst: {described(breach.worst)}")
+    if breach.dives:
+        reasons.append(f"{counted(len(breach.dives), 'dive')} without counterpart: {', '.join(breach.dives)}")
+    return "; ".join(reasons)
+
+
+def _too_far(limit: Limit, verb: str) -> str:
+    if limit.word == "changed":
+        return "changed"
+    return f"{verb} worse by more than {limit.above_pct:g} %" if limit.above_pct else f"{verb} worse"
+
+
+def _matched(comparison: Comparison) -> list[DiveComparison]:
+    return [dive for dive in comparison.dives if dive.tally is not None]
+
+
+def _differences(differences: Sequence[Difference], dives: int) -> Iterator[ShownTable]:
+    if not differences:
+        return
+    of_all = all(len(difference.logs) == dives for difference in differences)
+    yield ShownTable(
+        "What differs beside the tables" + (" (in all dives)" if of_all and dives > 1 else ""),
+        ("what", "old", "new") if of_all else ("what", "old", "new", "dives"),
+        "lll" if of_all else "llll",
+        tuple(
+            (
+                f"{difference.block} {difference.key}",
+                _shown(difference, difference.old),
+                _shown(difference, difference.new),
+                *(() if of_all else (_where(difference.logs, dives),)),
+            )
+            for difference in differences
+        ),
+    )
+
+
+def _shown(difference: Difference, value: str | None) -> str:
+    if value is None:
+        return MISSING
+    return value[:_HASH_SHOWN] if difference.key == "sha256" else value
+
+
+def _where(logs: Sequence[str], dives: int) -> str:
+    """Say which dives it is: all, a few by name, or how many."""
+    if len(logs) == dives:
+        return "all"
+    return ", ".join(logs) if len(logs) <= _NAMED_DIVES else f"{len(logs)} of {dives}"
+
+
+def _dives(dives: Sequence[DiveComparison]) -> ShownTable:
+    """Show the dives in which something moved, and count the others."""
+    moved = [dive for dive in dives if dive.tally is None or _has_moved(dive.tally)]
+    table = _tallies("Dives", "dive", [(dive.log, dive.tally, "gone" if dive.new is None else "new") for dive in moved])
+    still = len(dives) - len(moved)
+    return replace(table, footnote=f"and {counted(still, 'dive')} in which nothing moved") if still else table
+
+
+def _has_moved(tally: Tally) -> bool:
+    return tally.counts["same"] < sum(tally.counts.values())
+
+
+def _by_table(tables: Mapping[str, Tally]) -> ShownTable:
+    return _tallies("Tables", "table", [(name, tally, "") for name, tally in tables.items()])
+
+
+def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]]) -> ShownTable:
+    """Show counts by word, those that occur, and the largest loss; of what has no tally, a word instead."""
+    words = [word for word in WORDS if any(tally is not None and tally.counts[word] for _, tally, _ in named)]
+    rows = []
+    for name, tally, otherwise in named:
+        counts = [MISSING if tally is None else str(tally.counts[word]) for word in words]
+        rows.append((name, *counts, otherwise if tally is None else _worst(tally)))
+    return ShownTable(title, (key, *words, "worst"), f"l{'r' * len(words)}l", tuple(rows))
+
+
+def _worst(tally: Tally) -> str:
+    return MISSING if tally.worst is None else f"{place(tally.worst)} {growth(tally.worst)}"

@@ -1,0 +1,142 @@
+"""The rows of a comparison as tables for people: the cells of one dive, or each cell over many dives."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final, TypeVar
+
+from insdvl_replay.comparison.cells import change_text, growth, is_percentage, old_and_new, percent_text
+from insdvl_replay.core.changes import Aggregate, Change
+from insdvl_replay.core.result_tables import CANDIDATES, LAYOUTS
+from insdvl_replay.report.display_table import MISSING, ShownTable, row_label
+
+_BETTER: Final = {(layout.name, column): better for layout in LAYOUTS for column, better in layout.better.items()}
+_KEYS: Final = {layout.name: layout.key for layout in LAYOUTS}
+_MEANING: Final = {
+    "lower": "lower is better",
+    "higher": "higher is better",
+    "nearer zero": "nearer zero is better; % of the magnitude",
+    "nearer dof": "nearer dof is better; % of their ratio",
+}
+_FEW_ROWS: Final = 3
+"""Up to here the rows of several filters share a table."""
+Item = TypeVar("Item", Change, Aggregate)
+Columns = list[tuple[str, str, Callable[[Item], str]]]
+"""Name, alignment, and what stands there."""
+
+
+def change_tables(changes: Iterable[Change]) -> list[ShownTable]:
+    """Show the cells of one dive, a table for each column; what is said of the candidates is one table.
+
+    Parameters
+    ----------
+    changes : iterable of Change
+        Their order is kept, that of the tables too: the first cell of each decides. What is neither better nor worse
+        comes last.
+
+    Returns
+    -------
+    list of ShownTable
+    """
+    groups = sorted(_grouped(changes), key=lambda group: all(change.word == "changed" for change in group))
+    return [_table(group, _value_columns(group)) for group in groups]
+
+
+def aggregate_tables(aggregates: Iterable[Aggregate]) -> list[ShownTable]:
+    """Show each cell over many dives, a table for each column; what is said of the candidates is one table.
+
+    Parameters
+    ----------
+    aggregates : iterable of Aggregate
+        Their order is kept.
+
+    Returns
+    -------
+    list of ShownTable
+    """
+    return [_table(group, _share_columns(group)) for group in _grouped(aggregates)]
+
+
+def _grouped(items: Iterable[Item]) -> Iterator[list[Item]]:
+    """Put together what stands in one column, filters apart where they have many rows."""
+    by_column: dict[tuple[str, str], list[Item]] = {}
+    for item in items:
+        column = "" if item.table == CANDIDATES.name else item.column
+        by_column.setdefault((item.table, column), []).append(item)
+    for group in by_column.values():
+        rows = Counter(item.filter for item in group)
+        if max(rows.values()) <= _FEW_ROWS or group[0].table == CANDIDATES.name:
+            yield group
+        else:
+            yield from ([item for item in group if item.filter == name] for name in rows)
+
+
+def _table(items: Sequence[Item], value_columns: Columns[Item]) -> ShownTable:
+    columns: Columns[Item] = _naming_columns(items) + value_columns
+    return ShownTable(
+        _title(items),
+        tuple(name for name, _, _ in columns),
+        "".join(alignment for _, alignment, _ in columns),
+        tuple(tuple(text(item) for _, _, text in columns) for item in items),
+    )
+
+
+def _naming_columns(items: Sequence[Item]) -> Columns[Item]:
+    """Give the columns that name a row: its filter and its unit only where they are not the same for all."""
+    columns: Columns[Item] = []
+    if len({item.filter for item in items}) > 1 or items[0].table == CANDIDATES.name:
+        columns.append(("filter", "l", lambda item: item.filter))
+    if items[0].table == CANDIDATES.name:
+        return [*columns, ("what", "l", lambda item: _spoken(item.column))]
+    columns.append((_KEYS[items[0].table], "l", lambda item: row_label(item.row)))
+    if len({item.unit for item in items}) > 1:
+        columns.append(("unit", "l", lambda item: item.unit))
+    return columns
+
+
+def _value_columns(changes: Sequence[Change]) -> Columns[Change]:
+    words = any(isinstance(value, str) for change in changes for value in (change.old, change.new))
+    columns: Columns[Change] = [
+        ("old", "l" if words else "r", lambda change: old_and_new(change)[0]),
+        ("new", "l" if words else "r", lambda change: old_and_new(change)[1]),
+    ]
+    if changes[0].table == CANDIDATES.name:
+        columns.append(("change", "r", lambda change: growth(change) if change.change is not None else MISSING))
+    elif not words:
+        columns.append(("points" if is_percentage(changes[0]) else "change", "r", change_text))
+        if not is_percentage(changes[0]) and any(change.change_pct is not None for change in changes):
+            columns.append(("%", "r", lambda change: percent_text(change.change_pct)))
+    return [*columns, ("", "l", lambda change: change.word)]
+
+
+def _share_columns(aggregates: Sequence[Aggregate]) -> Columns[Aggregate]:
+    unit = "points" if is_percentage(aggregates[-1]) else "%"
+    return [
+        ("dives", "r", lambda cell: str(cell.dives)),
+        ("better\n[%]", "r", lambda cell: f"{cell.share_better_pct:.0f}"),
+        ("worse\n[%]", "r", lambda cell: f"{100.0 * cell.worse / cell.dives:.0f}"),
+        (f"median\n[{unit}]", "r", lambda cell: percent_text(cell.median_change_pct)),
+        (f"worst\n[{unit}]", "r", lambda cell: percent_text(cell.worst_change_pct)),
+        ("in", "l", _worst_in),
+    ]
+
+
+def _worst_in(cell: Aggregate) -> str:
+    """Name the dive that lost most; of words, only if one fell."""
+    nothing = cell.worst_word == "same" or (cell.worst_word == "better" and cell.worst_change_pct is None)
+    return MISSING if nothing else cell.worst_log
+
+
+def _title(items: Sequence[Item]) -> str:
+    first = items[0]
+    if first.table == CANDIDATES.name:
+        return "Verdicts: what is said of each candidate"
+    names, units = ({getattr(item, what) for item in items} for what in ("filter", "unit"))
+    of_filter = f", {first.filter}" if len(names) == 1 else ""
+    in_unit = f" [{first.unit}]" if len(units) == 1 and first.unit else ""
+    better = _BETTER.get((first.table, first.column))
+    meaning = f" ({_MEANING[better]})" if better else ""
+    return f"{_spoken(first.table).capitalize()}{of_filter}: {first.column}{in_unit}{meaning}"
+
+
+def _spoken(name: str) -> str:
+    return name.removesuffix("_pct").replace("_", " ")

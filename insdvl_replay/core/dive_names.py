@@ -1,0 +1,89 @@
+"""What dives are called: every result, table and baseline bears its dive's name, so that no two may share one."""
+
+import os
+from collections import Counter
+from collections.abc import Hashable, Sequence
+from pathlib import Path
+from typing import Final
+
+from insdvl_replay.core.errors import ConfigError
+
+NAMELESS: Final = "dive"
+"""What a dive is called whose file has no name but dots."""
+LONGEST_NAME: Final = 255
+"""Bytes of a name that file systems keep."""
+
+
+def dive_name(path: Path) -> str:
+    """Name a dive after its file without the ending, or after its folder, in whose name a dot may be of a date.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+    """
+    whole = _whole(path)
+    name = whole.name if whole.is_dir() else whole.stem
+    # `..mcap` would bear the name of the folder that its result lies in, and `...mcap` that of the one above.
+    return name if name.strip(".") else whole.name.strip(".") or NAMELESS
+
+
+def is_dive_name(name: str) -> bool:
+    """Say whether a name can be that of a dive, and so of a folder or a file below one that is given.
+
+    Parameters
+    ----------
+    name : str
+        From a stored result, which anybody may have written.
+
+    Returns
+    -------
+    bool
+    """
+    separators = {"/", os.sep, os.altsep or os.sep, "\0"}
+    return bool(name.strip(".")) and not separators & set(name) and len(os.fsencode(name)) <= LONGEST_NAME
+
+
+def unique_names(paths: Sequence[Path]) -> list[str]:
+    """Name each dive after its file, and those that would share a name after as many folders as tell them apart.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Such as ``monday/dive.mcap``, ``tuesday/dive.mcap`` and ``tuesday/test.mcap``.
+
+    Returns
+    -------
+    list of str
+        Such as ``monday_dive``, ``tuesday_dive`` and ``test``.
+
+    Raises
+    ------
+    ConfigError
+        Folders do not tell two dives apart either.
+    """
+    whole = [(*_whole(path).parts[1:-1], dive_name(path)) for path in paths]
+    lengths = [1] * len(paths)
+    while again := _repeated([parts[-length:] for parts, length in zip(whole, lengths, strict=True)]):
+        if all(lengths[place] >= len(whole[place]) for place in again):
+            break
+        for place in again:
+            lengths[place] += 1
+    names = ["_".join(parts[-length:]) for parts, length in zip(whole, lengths, strict=True)]
+    if again := _repeated(names):
+        both = " and ".join(str(paths[place]) for place in again if names[place] == names[again[0]])
+        raise ConfigError(f"{both} would share the name {names[again[0]]}", "rename one of them")
+    return names
+
+
+def _whole(path: Path) -> Path:
+    return Path(os.path.abspath(path))  # noqa: PTH100  # resolves `..`, which is no name
+
+
+def _repeated(names: Sequence[Hashable]) -> list[int]:
+    """Give the places of names that there are twice."""
+    times = Counter(names)
+    return [place for place, name in enumerate(names) if times[name] > 1]

@@ -1,0 +1,128 @@
+"""What one filter believed and when, and each innovation it met."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.columns import Floats, TimeNs
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """All updates of one kind of measurement.
+
+    Attributes
+    ----------
+    measurement : str
+        ``velocity`` or ``acceleration``.
+    unit : str
+        Unit of the innovation.
+    time_ns : ndarray, shape (m,)
+        Time of each update.
+    valid_ns : ndarray, shape (m,)
+        Time of validity of what was measured: a slope's lies in the middle of its window.
+    measured_b : ndarray, shape (m, 3)
+        What the DVL said, in b.
+    innovation_b : ndarray, shape (m, 3)
+        Predicted minus measured, in b.
+    sd_b : ndarray, shape (m, 3)
+        Square roots of the diagonal of S = H P H' + R.
+    nis : ndarray, shape (m,)
+        Normalised innovation squared, z' S^-1 z.
+    used : ndarray of bool, shape (m,)
+        False where the gate rejected it.
+    log_det : ndarray, shape (m,)
+        Logarithm of the determinant of S, for the likelihood.
+    gate : float
+        Largest NIS that was used; infinite where none was rejected.
+    reopen_after : int
+        Rejections in a row after which the velocity's uncertainty was opened; 0: never.
+    reopened : ndarray of bool, shape (m,)
+        Used in spite of the gate, after so many rejections in a row that the velocity's uncertainty was opened; NIS and
+        standard deviations are those before.
+    """
+
+    measurement: str
+    unit: str
+    time_ns: TimeNs
+    valid_ns: TimeNs
+    measured_b: Floats
+    innovation_b: Floats
+    sd_b: Floats
+    nis: Floats
+    used: NDArray[np.bool_]
+    log_det: Floats
+    gate: float
+    reopen_after: int
+    reopened: NDArray[np.bool_]
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of one innovation."""
+        return int(self.innovation_b.shape[1])
+
+    @property
+    def weight(self) -> Floats:
+        """The share of each NIS that counts in a mean, shape (m,): of one beyond the gate, as much as the gate is.
+
+        Left out, the rejected ones would let a filter that has lost its way seem in order; in full, a single outlier
+        of the DVL, which a gate is there for, would decide over all others.
+        """
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.minimum(1.0, self.gate / self.nis) if np.isfinite(self.gate) else np.ones_like(self.nis)
+
+    @property
+    def standardised_b(self) -> Floats:
+        """Each component of the innovation in its own standard deviation, shape (m, 3)."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            return self.innovation_b / self.sd_b
+
+
+@dataclass(frozen=True)
+class History:
+    """States and uncertainties of one filter at the start, after each ping, at each reference time and at the end.
+
+    Attributes
+    ----------
+    filter : str
+        The filter's name in the configuration.
+    time_ns : ndarray, shape (k,)
+        Times, strictly increasing.
+    updated : ndarray of bool, shape (k,)
+        Whether a ping was used here. The first row is the start, the last updated one is the end of what a filter
+        learnt.
+    position : ndarray, shape (k, 3)
+        Latitude rad, longitude rad, height m.
+    velocity_n : ndarray, shape (k, 3)
+        Velocity over ground, m/s.
+    mat_nb : ndarray, shape (k, 3, 3)
+        Attitude.
+    accel_bias_b, gyro_bias_b : ndarray, shape (k, 3)
+        Estimated sensor biases, m/s^2 and rad/s.
+    sd : ndarray, shape (k, 12)
+        Square roots of the diagonal of P, SI units, in the order of `states.STATES`.
+    cov_ns : ndarray, shape (c,)
+        Those of the times at which P itself was asked for.
+    cov : ndarray, shape (c, 12, 12)
+        P at these times.
+    innovations : tuple of Innovations
+        One entry for each kind of aiding, in the filter's order.
+    """
+
+    filter: str
+    time_ns: TimeNs
+    updated: NDArray[np.bool_]
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+    sd: Floats
+    cov_ns: TimeNs
+    cov: Floats
+    innovations: tuple[Innovations, ...]
+
+    def without_cov(self) -> "History":
+        """Let go of P, by far the largest part; its diagonal stays."""
+        return replace(self, cov_ns=self.cov_ns[:0].copy(), cov=self.cov[:0].copy())

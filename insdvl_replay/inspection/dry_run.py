@@ -1,0 +1,248 @@
+"""What the messages of a log tell of those who play a role: their clocks, their pings, and whether they can be true.
+
+Where a dive is read, the first error ends the work; here each is kept, and the rest is looked at too.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.checks.imu import Check
+from insdvl_replay.checks.plausibility import plausibility_checks
+from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import ConfigError, Note, UserError
+from insdvl_replay.inspection.inventory import Clock, Obstacle, PingFacts, ReferenceFacts
+from insdvl_replay.logs.columns.clocks import clock_notes
+from insdvl_replay.logs.columns.decode import decode_imu
+from insdvl_replay.logs.columns.pings import decode_dvl
+from insdvl_replay.logs.columns.reference import decode_reference
+from insdvl_replay.logs.columns.roles import Finding
+from insdvl_replay.logs.columns.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
+from insdvl_replay.logs.columns.table_reading import read_sample, read_tables
+from insdvl_replay.logs.columns.tables import Table
+from insdvl_replay.logs.columns.topic_requirements import Source
+from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.container.recording import Recording
+from insdvl_replay.logs.encoding.message_encodings import channel_paths, check_encoding
+
+_ENOUGH: Final = 1000
+"""Messages of a topic that show its clock and its units."""
+_ENOUGH_OF_OTHERS: Final = 10
+_MEASURED: Final = re.compile(r"(scale|heading_deg|mounting_rpy_deg) = ")
+_LOOK_DEEPER: Final = "`inspect --deep` measures by how much; the first messages only show that something is off"
+_LOOK_FURTHER: Final = "`inspect --deep` reads all messages and tells whether it is so"
+_NO_PINGS: Final = DvlColumns(np.empty(0, np.int64), velocity_d=np.empty((0, 3)))
+
+
+@dataclass
+class Examination:
+    """Looks at the messages, role by role, and keeps what it finds.
+
+    Parameters
+    ----------
+    log : Recording
+    config : Config
+    deep : bool
+        Read the messages whole, not only the first of each topic.
+
+    Attributes
+    ----------
+    clocks : list of Clock
+        Of the topics that play a role, then of the others.
+    notes : list of Note
+    obstacles : list of Obstacle
+    pings : PingFacts or None
+    reference : ReferenceFacts or None
+    imu : ImuColumns or None
+    dvl : DvlColumns
+    solution : ReferenceColumns or None
+        What was read of the roles.
+    """
+
+    log: Recording
+    config: Config
+    deep: bool
+    clocks: list[Clock] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
+    obstacles: list[Obstacle] = field(default_factory=list)
+    pings: PingFacts | None = None
+    reference: ReferenceFacts | None = None
+    imu: ImuColumns | None = None
+    dvl: DvlColumns = _NO_PINGS
+    solution: ReferenceColumns | None = None
+    _other_imus: dict[str, ImuColumns] = field(default_factory=dict)
+
+    def examine(self, findings: Sequence[Finding]) -> None:
+        """Look at all topics that play a role or could.
+
+        Parameters
+        ----------
+        findings : sequence of Finding
+            The IMU first.
+        """
+        for finding in findings:
+            if finding.error is not None:
+                self._stopped_by(finding.error)
+            self._look_at(finding)
+            for source in finding.candidates:
+                self._look_at_candidate(source)
+        if self.imu is not None:
+            self._compare_clocks()
+            self._judge(self.imu)
+        for topic, imu in self._other_imus.items():
+            self._judge_candidate(topic, imu)
+
+    def examine_others(self, channels: Iterable[LogChannel]) -> None:
+        """Look at the clocks of topics without a role, as far as their messages have a header.
+
+        Parameters
+        ----------
+        channels : iterable of LogChannel
+        """
+        for channel in filter(_has_header, channels):
+            source = Source("", channel.topic, channel.type_name, (channel,), {}, "header", 0.0)
+            try:
+                self.clocks.append(read_sample(self.log, source, _ENOUGH_OF_OTHERS).clock())
+            except UserError as error:
+                self.notes.append(Note("other_clock", error.message))
+
+    def _look_at(self, finding: Finding) -> None:
+        try:
+            tables = [self._read(source, self._stopped_by) for source in finding.sources]
+            self._remark([*schema_notes(finding.sources), *stamp_notes(tables)])
+            if self.deep:
+                self._remark([*count_notes(tables), *left_out_notes(tables)])
+        except UserError as error:
+            self._stopped_by(error)
+            return
+        if not tables:
+            return
+        try:
+            self._decode(finding.role, tables)
+        except UserError as error:
+            if self.deep or finding.role == "imu" or isinstance(error, ConfigError):
+                self._stopped_by(error)
+                return
+            # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
+            sentence = error.message.removeprefix(f"{self.log.path}: ")
+            text = f"by the first messages alone a replay would stop: {sentence}"
+            self.notes.append(Note("first_messages", text, 1, "warning", _LOOK_FURTHER))
+
+    def _look_at_candidate(self, source: Source) -> None:
+        """Keep what one of several topics would give; what is wrong with it is no obstacle yet."""
+
+        def doubt(error: UserError) -> None:
+            self._doubt(source.topic, error)
+
+        try:
+            table = self._read(source, doubt)
+            if source.role == "imu":
+                self._other_imus[source.topic], _ = decode_imu(table, self.config.imu)
+        except UserError as error:
+            doubt(error)
+
+    def _read(self, source: Source, complain: Callable[[UserError], None]) -> Table:
+        """Read a topic; where its stamps are no times, tell so and go on with the recorder's."""
+        table = read_tables(self.log, [source])[0] if self.deep else read_sample(self.log, source, _ENOUGH)
+        if table.unreadable_ns:
+            complain(table.refusal())
+        try:
+            clock = table.clock()
+        except UserError as error:
+            complain(error)
+            table = replace(table, source=replace(source, stamp="log_time"))
+            clock = table.clock()
+        self.clocks.append(clock)
+        return table
+
+    def _decode(self, role: str, tables: list[Table]) -> None:
+        notes: list[Note] = []
+        if role == "imu":
+            self.imu, notes = decode_imu(tables[0], self.config.imu)
+        elif role == "dvl":
+            self.dvl, notes = decode_dvl(tables[0], self.config.dvl)
+            self.pings = _ping_facts(len(tables[0]), self.dvl, notes)
+        elif role == "reference":
+            self.solution, notes = decode_reference(tables, self.config.reference)
+            if self.solution is not None and self.imu is not None and self.deep:
+                self.reference = _reference_facts(self.solution, self.imu)
+        self._remark(notes)
+
+    def _compare_clocks(self) -> None:
+        try:
+            self._remark(clock_notes(str(self.log.path), self.clocks, self.config.clocks.max_disagreement_s))
+        except UserError as error:
+            self._stopped_by(error)
+
+    def _judge(self, imu: ImuColumns) -> None:
+        for check in self._checks(imu):
+            try:
+                self._remark(check())
+            except UserError as error:
+                self._stopped_by(error)
+
+    def _judge_candidate(self, topic: str, imu: ImuColumns) -> None:
+        for check in self._checks(imu):
+            try:
+                about_imu = (note for note in check() if note.code.startswith("imu"))
+                self._remark(replace(note, text=f"{topic}: {note.text}") for note in about_imu)
+            except UserError as error:
+                self._doubt(topic, error)
+
+    def _checks(self, imu: ImuColumns) -> tuple[Check, ...]:
+        return plausibility_checks(str(self.log.path), imu, self.dvl, self.solution, self.config)
+
+    def _remark(self, notes: Iterable[Note]) -> None:
+        """Keep notes; of those from a sample the warnings alone, since its counts are not the log's."""
+        kept = (note for note in notes if self.deep or note.severity == "warning")
+        self.notes += [replace(note, hint=self._hint(note.hint)) for note in kept]
+
+    def _hint(self, hint: str) -> str:
+        """Give no value to copy that only the whole log shows well enough."""
+        return hint if self.deep or not _MEASURED.search(hint) else _LOOK_DEEPER
+
+    def _doubt(self, topic: str, error: UserError) -> None:
+        sentence = error.message.removeprefix(f"{self.log.path}: ").removeprefix(f"{topic}: ")
+        self.notes.append(Note("candidate", f"{topic}: {sentence}", 1, "warning", self._hint(error.hint)))
+
+    def _stopped_by(self, error: UserError) -> None:
+        self.obstacles.append(Obstacle(error.message, self._hint(error.hint)))
+
+
+def _has_header(channel: LogChannel) -> bool:
+    """Tell whether a channel has messages with a stamp; what cannot be read is no matter where nobody needs it."""
+    try:
+        check_encoding(channel, "")
+        return channel.messages > 0 and "header.stamp" in channel_paths(channel, "")
+    except UserError:
+        return False
+
+
+def _ping_facts(messages: int, dvl: DvlColumns, notes: Sequence[Note]) -> PingFacts:
+    repeats = sum(note.count for note in notes if note.code in ("dvl_repeats", "dvl_same_values"))
+    steps_s = np.diff(seconds(dvl.time_ns, int(dvl.time_ns[0])))
+    rate_hz = 1.0 / float(np.median(steps_s)) if steps_s.size else None
+    if dvl.beam_velocity_mps is None:
+        return PingFacts(messages, repeats, len(dvl.time_ns), 0, 0, 0, rate_hz)
+    beams = np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
+    four_or_more, three, fewer = (int(np.count_nonzero(part)) for part in (beams > 3, beams == 3, beams < 3))
+    return PingFacts(messages, repeats, len(dvl.time_ns), four_or_more, three, fewer, rate_hz)
+
+
+def _reference_facts(reference: ReferenceColumns, imu: ImuColumns) -> ReferenceFacts:
+    given = (reference.position[:, :2], reference.velocity_n, reference.mat_nb.reshape(-1, 9))
+    parts = [_covered_pct(reference.time_ns[np.isfinite(values).all(axis=1)], imu.time_ns) for values in given]
+    return ReferenceFacts(len(reference.time_ns), *parts)
+
+
+def _covered_pct(time_ns: TimeNs, imu_time_ns: TimeNs) -> float:
+    """Give the part of the IMU's span that lies between the first and the last of some times."""
+    first_ns, last_ns = int(imu_time_ns[0]), int(imu_time_ns[-1])
+    if not time_ns.size or last_ns == first_ns:
+        return 0.0
+    covered_ns = min(last_ns, int(time_ns[-1])) - max(first_ns, int(time_ns[0]))
+    return max(0.0, 100.0 * covered_ns / (last_ns - first_ns))

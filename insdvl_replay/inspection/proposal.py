@@ -1,0 +1,191 @@
+"""Settings to start from, for a log that cannot be replayed as it is.
+
+In three steps, each of which reads with what the one before has found: who plays which role, with which fields and
+stamps; what units and axes those show; and whether their clocks agree. What then stops a replay is said too.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from insdvl_replay.checks.plausibility import gyro_scale
+from insdvl_replay.core.columns import ImuColumns
+from insdvl_replay.core.config import Config, Initial
+from insdvl_replay.core.config_file import toml_value
+from insdvl_replay.core.errors import LogError, Note, listed
+from insdvl_replay.inspection.dry_run import Examination
+from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, judged_dvl
+from insdvl_replay.inspection.field_proposal import listed_settings
+from insdvl_replay.inspection.imu_proposal import imu_settings, imu_topic, judged_imu, judged_rates, measured_scale
+from insdvl_replay.inspection.inventory import Clock, Obstacle
+from insdvl_replay.inspection.proposed_settings import Setting, decisions, not_yet_set, settings_toml, with_settings
+from insdvl_replay.inspection.reference_proposal import reference_settings, reference_topic
+from insdvl_replay.inspection.stamp_proposal import recorder_stamps
+from insdvl_replay.inspection.topic_probe import SeenTopic, see_topics
+from insdvl_replay.logs.columns.clocks import clock_notes
+from insdvl_replay.logs.columns.roles import Finding, explain_roles
+from insdvl_replay.logs.columns.topic_requirements import Source
+from insdvl_replay.logs.container.recording import Recording
+
+_DEFAULTS: Final = ("frd", "rad/s")
+"""What a known type is taken to give; only something else is worth a setting."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Settings that nobody has made yet.
+
+    Attributes
+    ----------
+    configuration : str
+        TOML; empty where there is nothing to propose.
+    decisions : tuple of str
+        Keys in it about which a person must decide.
+    obstacles : tuple of Obstacle
+        What stops a replay with these settings too.
+    notes : tuple of Note
+        What was not looked at.
+    """
+
+    configuration: str = ""
+    decisions: tuple[str, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
+    notes: tuple[Note, ...] = ()
+
+
+def propose(
+    log: Recording, findings: Sequence[Finding], obstacles: Sequence[Obstacle], config: Config, *, deep: bool
+) -> Proposal:
+    """Propose what a replay lacks.
+
+    Parameters
+    ----------
+    log : Recording
+    findings : sequence of Finding
+        With the configuration as it is.
+    obstacles : sequence of Obstacle
+        What stops a replay with it.
+    config : Config
+    deep : bool
+        Judge by all messages, not only by the first.
+
+    Returns
+    -------
+    Proposal
+    """
+    if not obstacles and not list(_start(findings, config.initial)):
+        return Proposal()
+    fields, notes = _fields(log, findings, config)
+    settings = [*_choices(findings), *not_yet_set(fields, config)]
+    settings += _judged(log, with_settings(config, settings), settings, deep=deep)
+    draft = with_settings(config, settings)
+    found = explain_roles(str(log.path), log.channels, draft)
+    settings += _start(found, draft.initial)
+    last = Examination(log, with_settings(config, settings), deep=False)
+    last.examine(found)
+    return Proposal(settings_toml(settings), decisions(settings), tuple(last.obstacles), notes)
+
+
+def _choices(findings: Sequence[Finding]) -> Iterator[Setting]:
+    """Choose between topics that could each play a role, as far as settings can: none names that of the true biases."""
+    for finding in findings:
+        if finding.error and finding.candidates and finding.role in Config.__struct_fields__:
+            first, *others = (source.topic for source in finding.candidates)
+            lines = tuple(f"topic = {toml_value(topic)}" for topic in others)
+            yield Setting(f"{finding.role}.topic", first, open="each of these could be it", others=lines)
+
+
+def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> tuple[list[Setting], tuple[Note, ...]]:
+    """Find topics of unknown types for the roles that no topic of a known type plays; note what was not looked at."""
+    wanted = {finding.role for finding in findings if not finding.sources and not finding.candidates}
+    if config.initial.source == "level":
+        wanted -= {"reference"}
+    if not wanted:
+        return [], ()
+    taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
+    seen, unseen = see_topics(log, [channel for channel in log.channels if channel.topic not in taken])
+    settings: list[Setting] = []
+    if "imu" in wanted:
+        felt = _named([topic for topic in seen if topic.topic != config.dvl.topic], config.imu.topic)
+        imu = imu_topic(felt)
+        settings += imu_settings(log, imu) if imu else listed_settings("imu", felt)
+        seen = [topic for topic in seen if topic is not imu]
+    if "dvl" in wanted:
+        heard = _named(seen, config.dvl.topic)
+        dvl = dvl_topic(heard)
+        settings += dvl_settings(log, dvl) if dvl else listed_settings("dvl", heard)
+        seen = [topic for topic in seen if topic is not dvl]
+    if "reference" in wanted and (reference := reference_topic(_named(seen, config.reference.topic))):
+        settings += reference_settings(log, reference)
+    return settings, tuple(_unseen_notes(unseen))
+
+
+def _unseen_notes(unseen: Sequence[str]) -> Iterator[Note]:
+    if unseen:
+        text = f"the log has so many fields that topics were not looked at for a proposal: {listed(unseen)}"
+        yield Note("topics_not_looked_at", text, len(unseen), hint="name the topic of each role in the configuration")
+
+
+def _named(seen: Sequence[SeenTopic], topic: str | None) -> Sequence[SeenTopic]:
+    """Look at the topic alone that the configuration names, if the log has it."""
+    return [found for found in seen if found.topic == topic] or seen
+
+
+def _judged(log: Recording, config: Config, settings: Sequence[Setting], *, deep: bool) -> list[Setting]:
+    """Judge units, axes and clocks by what the messages show, read as proposed so far."""
+    findings = explain_roles(str(log.path), log.channels, config)
+    seen = Examination(log, config, deep)
+    seen.examine(findings)
+    named = {setting.key for setting in settings}
+    judged = _stamps(log, findings, seen.clocks, config)
+    if seen.imu is not None:
+        (source,) = findings[0].sources
+        found = list(_judged_imu(seen, seen.imu, source))
+        judged += found if "imu.angular_rate" in named else _worth_saying(found, source.topic)
+    if "dvl.velocity" in named and len(seen.dvl.time_ns):
+        judged += judged_dvl(seen.dvl, seen.solution, config)
+    return judged
+
+
+def _judged_imu(seen: Examination, imu: ImuColumns, source: Source) -> Iterator[Setting]:
+    scale = gyro_scale(imu, seen.dvl, seen.solution, seen.config)
+    settings = source.completed(seen.config.imu)
+    judged = judged_imu(imu, settings, seen.solution, scale)
+    yield from judged
+    if seen.deep:
+        turned = judged_rates(imu, settings, judged)
+        yield from measured_scale(settings, gyro_scale(turned, seen.dvl, seen.solution, seen.config))
+
+
+def _worth_saying(judged: Sequence[Setting], topic: str) -> list[Setting]:
+    """Of an IMU of a known type, say only what is unlike its type, and of which topic it holds."""
+    return [replace(found, seen=f"{topic}: {found.seen}") for found in judged if found.value not in _DEFAULTS]
+
+
+def _stamps(log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config) -> list[Setting]:
+    """Stamp all roles by the recorder where their own clocks do not belong together."""
+    stamps = {source.topic: source.stamp for finding in findings for source in finding.sources}
+    if any(clock.stamp != stamps.get(clock.topic, clock.stamp) for clock in clocks):
+        return recorder_stamps(clocks, "not all stamps of the roles are times")
+    if not clocks or clocks[0].role != "imu":
+        return []
+    try:
+        clock_notes(str(log.path), clocks, config.clocks.max_disagreement_s)
+    except LogError:
+        return recorder_stamps(clocks, "the clocks of the roles have nothing to do with each other")
+    return []
+
+
+def _start(findings: Sequence[Finding], initial: Initial) -> Iterator[Setting]:
+    """Name the keys without which a replay has no start, by what the type of the reference can give."""
+    reference = next(finding for finding in findings if finding.role == "reference")
+    if reference.candidates:
+        return
+    given = {quantity for source in reference.sources for quantity in source.fields}
+    if not given and initial.source == "reference":
+        yield Setting("initial.source", "level", "no reference to start from: roll and pitch come from gravity")
+    given = set() if initial.source == "level" else given
+    if initial.heading_deg is None and not given & {"quaternion", "roll"}:
+        yield Setting("initial.heading_deg", None, open="at the start, from north over east")
+    if initial.latitude_deg is None and "latitude" not in given:
+        yield Setting("initial.latitude_deg", None, open="for gravity and Earth rate; half a degree will do")

@@ -1,0 +1,162 @@
+"""Settings as they are proposed: each with what was seen, what else could be meant, and whether a person must decide.
+
+A key whose value only a person can know stands as a comment; every other has the likeliest value, so that a proposal is
+a file that can be used as it is.
+"""
+
+import textwrap
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any, Final
+
+import msgspec
+
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import toml_value
+from insdvl_replay.core.plain_text import visible
+
+_WIDTH: Final = 79
+_DECIDE: Final = "decide: "
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One proposed setting.
+
+    Attributes
+    ----------
+    key : str
+        Section and name, such as ``imu.topic``.
+    value : str, float, tuple of float or None
+        None where only a person can know it.
+    seen : str
+        What speaks for the value.
+    open : str
+        What there is to decide, with the other values that could be meant; empty where what was seen settles it.
+    others : tuple of str
+        TOML lines that could stand in its place, each with what was seen of it behind two blanks and a hash.
+    listed : tuple of str
+        What there is to choose from, line by line.
+    """
+
+    key: str
+    value: Any
+    seen: str = ""
+    open: str = ""
+    others: tuple[str, ...] = ()
+    listed: tuple[str, ...] = ()
+
+    @property
+    def section(self) -> str:
+        """Name of the table in which it stands."""
+        return self.key.partition(".")[0]
+
+    @property
+    def name(self) -> str:
+        """Its name in this table."""
+        return self.key.partition(".")[2]
+
+    def of(self, config: Config) -> Any:
+        """Give the value that a configuration has for this key."""
+        return getattr(getattr(config, self.section), self.name)
+
+
+def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
+    """Set what has a value.
+
+    Parameters
+    ----------
+    config : Config
+    settings : iterable of Setting
+
+    Returns
+    -------
+    Config
+    """
+    for setting in settings:
+        if setting.value is not None:
+            section = msgspec.structs.replace(getattr(config, setting.section), **{setting.name: setting.value})
+            config = msgspec.structs.replace(config, **{setting.section: section})
+    return config
+
+
+def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
+    """Leave out the keys that the configuration has set already.
+
+    Parameters
+    ----------
+    settings : iterable of Setting
+    config : Config
+
+    Returns
+    -------
+    list of Setting
+        Those without a value stay, since they say what there is to choose from.
+    """
+    default = Config()
+    return [setting for setting in settings if setting.value is None or setting.of(config) == setting.of(default)]
+
+
+def decisions(settings: Iterable[Setting]) -> tuple[str, ...]:
+    """Name the keys about which a person must decide.
+
+    Parameters
+    ----------
+    settings : iterable of Setting
+        Of two with the same key the later one counts.
+
+    Returns
+    -------
+    tuple of str
+        In the order of `settings_toml`.
+    """
+    return tuple(setting.key for setting in _ordered(settings) if setting.open)
+
+
+def settings_toml(settings: Iterable[Setting]) -> str:
+    """Write settings as TOML with comments.
+
+    Parameters
+    ----------
+    settings : iterable of Setting
+        Of two with the same key the later one counts.
+
+    Returns
+    -------
+    str
+    """
+    sections = groupby(_ordered(settings), lambda setting: setting.section)
+    return "\n".join(
+        "".join(f"{line}\n" for line in (f"[{section}]", *(line for setting in group for line in _lines(setting))))
+        for section, group in sections
+    )
+
+
+def _ordered(settings: Iterable[Setting]) -> list[Setting]:
+    """Put the latest setting of each key section by section."""
+    latest = {setting.key: setting for setting in settings}
+    return sorted(latest.values(), key=lambda setting: Config.__struct_fields__.index(setting.section))
+
+
+def _lines(setting: Setting) -> Iterator[str]:
+    if setting.seen:
+        yield from _comment(setting.seen)
+    if setting.open:
+        yield from _comment(f"{_DECIDE}{setting.open}")
+    yield from (f"#   {visible(line)}" for line in setting.listed)
+    if setting.value is None:
+        yield f"# {setting.name} ="
+    else:
+        yield f"{setting.name} = {toml_value(setting.value)}"
+    for other in setting.others:
+        value, _, seen = other.partition("  # ")
+        yield from _comment(seen)
+        yield f"# or {visible(value)}"
+
+
+def _comment(text: str) -> Iterator[str]:
+    """Fold a comment at words."""
+    folder = textwrap.TextWrapper(_WIDTH, break_long_words=False, break_on_hyphens=False)
+    folder.initial_indent, folder.subsequent_indent = "# ", "#   "
+    yield from folder.wrap(visible(text))

@@ -1,0 +1,202 @@
+"""What topics of unknown types show in their first messages: vectors and beams by name and size, and single numbers."""
+
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.inspection.vectors import scalar_paths, vector_paths
+from insdvl_replay.logs.columns.decode import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
+from insdvl_replay.logs.container.blocks import Block
+from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.container.recording import Recording
+from insdvl_replay.logs.encoding.field_paths import Kinds, split_paths
+from insdvl_replay.logs.encoding.message_encodings import check_encoding, open_reader
+
+_BLOCKS: Final = 2
+_MESSAGES: Final = 1000
+_LARGEST_BYTES: Final = 1_000_000
+_MOST_WORK: Final = 1 << 18
+"""Fields that are gone over in one topic: to look at one costs as much as the type has, which may be thousands."""
+_MOST_WORK_OF_ALL: Final = 1 << 21
+_WIDTHS: Final = range(3, 9)
+_NEVER: Final = re.compile(r"cov|var|std|bias|offset|magn|time|stamp|ang\w*acc|quat|orient")
+_WORDS: Final = {
+    "specific_force": re.compile(r"acc|force|\b[af]x\b"),
+    "angular_rate": re.compile(r"gyr|ang|rate|omega|rot|turn|\b[gw]x\b|\bp, (\S+\.)?q, "),
+    "velocity": re.compile(r"^(?!.*(ang|gyr)).*(vel|speed|twist|surge|\bvx\b|\bu, (\S+\.)?v, )"),
+    "beam_velocity": re.compile(r"(\[\*\]|beam|trans).*(vel|[._]v$)|vel.*(beam|trans)"),
+    "beam_valid": re.compile(r"(\[\*\]|beam|trans).*(valid|lock|good)"),
+}
+_GRAVITY_PART: Final = 0.1
+"""A specific force is known by its size, where it differs from gravity by no more than this part of it."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A vector or beams, seen in the first messages of a topic.
+
+    Attributes
+    ----------
+    path : str
+        As the configuration takes it.
+    median : ndarray, shape (n,)
+        Of each number.
+    size : float
+        Median length of the vector.
+    largest : float
+        The longest.
+    """
+
+    path: str
+    median: Floats
+    size: float
+    largest: float
+
+    @property
+    def is_beams(self) -> bool:
+        """Whether the numbers are those of a list, or more than a vector has."""
+        return "[*]" in self.path or self.median.size > 3
+
+    @property
+    def force_unit(self) -> str:
+        """The unit in which the vector has the size of gravity; empty if in none."""
+        for unit, factor in SPECIFIC_FORCE_UNITS.items():
+            if not self.is_beams and abs(self.size * factor / GRAVITY_MPS2 - 1.0) < _GRAVITY_PART:
+                return unit
+        return ""
+
+    def __str__(self) -> str:
+        """Say what was seen."""
+        numbers = ", ".join(f"{value:.3g}" for value in self.median)
+        return f"median ({numbers}), size {self.size:.3g}, at most {self.largest:.3g}"
+
+
+@dataclass(frozen=True)
+class SeenTopic:
+    """What the first messages of a topic show.
+
+    Attributes
+    ----------
+    channel : LogChannel
+    known : mapping of str to str
+        Every path that the messages have, with the type of what is there.
+    candidates : tuple of Candidate
+    scalars : dict of str to float
+        Median by the path of each single number.
+    """
+
+    channel: LogChannel
+    known: Kinds
+    candidates: tuple[Candidate, ...]
+    scalars: dict[str, float]
+
+    @property
+    def topic(self) -> str:
+        """Its name."""
+        return self.channel.topic
+
+    @property
+    def forces(self) -> list[Candidate]:
+        """What could be the specific force: what is named like it, else what has the size of gravity."""
+        return self.likely("specific_force") or [candidate for candidate in self.sound if candidate.force_unit]
+
+    @property
+    def rates(self) -> list[Candidate]:
+        """What is named like an angular rate and is no specific force."""
+        return [candidate for candidate in self.likely("angular_rate") if candidate not in self.forces]
+
+    @property
+    def vectors(self) -> list[Candidate]:
+        """Those of three numbers that are not named like something else."""
+        return [candidate for candidate in self.sound if not candidate.is_beams]
+
+    @property
+    def sound(self) -> list[Candidate]:
+        """Those that are not named like something else."""
+        return [candidate for candidate in self.candidates if not _NEVER.search(candidate.path.lower())]
+
+    def likely(self, quantity: str) -> list[Candidate]:
+        """Give those that are named like a quantity, and have as many numbers as it."""
+        named = [candidate for candidate in self.sound if _WORDS[quantity].search(candidate.path.lower())]
+        return [candidate for candidate in named if candidate.is_beams == quantity.startswith("beam")]
+
+
+def see_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[SeenTopic], list[str]]:
+    """Look at the first messages of some topics for vectors, beams and single numbers.
+
+    Parameters
+    ----------
+    log : Recording
+    channels : sequence of LogChannel
+        Those without messages, and those that cannot be read, are left out.
+
+    Returns
+    -------
+    list of SeenTopic
+        Those with any.
+    list of str
+        Topics that were not looked at, since there are so many fields.
+    """
+    seen: list[SeenTopic] = []
+    unseen: list[str] = []
+    work = 0
+    for channel in channels:
+        if not channel.messages:
+            continue
+        if work >= _MOST_WORK_OF_ALL:
+            unseen.append(channel.topic)
+            continue
+        # What cannot be read cannot be proposed; it is no error before someone asks for it.
+        with suppress(LogError):
+            topic, looks = _see(log, channel)
+            seen.append(topic)
+            work += looks * len(topic.known)
+    return [topic for topic in seen if topic.candidates or topic.scalars], unseen
+
+
+def _see(log: Recording, channel: LogChannel) -> tuple[SeenTopic, int]:
+    """Look at a topic; tell at how many fields."""
+    place = f"{log.path}: {channel.topic}"
+    check_encoding(channel, str(log.path))
+    blocks = [_first_of(block) for block in islice(log.blocks({channel.id}), _BLOCKS)]
+    reader = open_reader(channel, (), place)
+    # In JSON without schema only the messages tell which fields there are.
+    for block in blocks[:1]:
+        reader.columns(block)
+    candidates: dict[str, Candidate] = {}
+    scalars: dict[str, float] = {}
+    # Read one by one, since one field that is not what it seems would spoil the others.
+    paths = [*vector_paths(reader.known), *scalar_paths(reader.known)][: _MOST_WORK // max(len(reader.known), 1)]
+    for path in paths:
+        values = _values(channel, path, blocks, place)
+        finite = values[np.isfinite(values).all(axis=1)]
+        sizes = np.linalg.norm(finite, axis=1)
+        if len(finite) and values.shape[1] in _WIDTHS:
+            candidates[path] = Candidate(path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max()))
+        elif len(finite) and values.shape[1] == 1:
+            scalars[path] = float(np.median(finite))
+    return SeenTopic(channel, reader.known, tuple(candidates.values()), scalars), len(paths)
+
+
+def _first_of(block: Block) -> Block:
+    """Give a block's first messages; of images and sonar records one or two."""
+    within = int(np.searchsorted(np.cumsum(block.sizes), _LARGEST_BYTES))
+    return block.part(slice(max(1, min(_MESSAGES, within))))
+
+
+def _values(channel: LogChannel, path: str, blocks: Sequence[Block], place: str) -> Floats:
+    paths = split_paths(path)
+    reader = open_reader(channel, paths, place)
+    parts = []
+    for block in blocks:
+        columns = reader.columns(block)
+        parts.append(np.concatenate([columns[part].astype(np.float64) for part in paths], axis=1))
+    width = min((part.shape[1] for part in parts), default=0)
+    return np.concatenate([part[:, :width] for part in parts]) if parts else np.empty((0, 0))

@@ -1,0 +1,164 @@
+"""Tables become the columns of roles: SI units, the project's axes, clean rows."""
+
+import re
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.core.columns import Floats, ImuColumns, TruthColumns
+from insdvl_replay.core.config import Imu
+from insdvl_replay.core.errors import ConfigError, Note
+from insdvl_replay.core.states import DEG, MG
+from insdvl_replay.logs.columns.cleaning import Cleaner
+from insdvl_replay.logs.columns.lost_samples import note_lost_samples
+from insdvl_replay.logs.columns.order import Mask
+from insdvl_replay.logs.columns.pauses import note_bursts, note_clock_set, note_gaps
+from insdvl_replay.logs.columns.spikes import drop_spikes
+from insdvl_replay.logs.columns.tables import Table
+
+SPECIFIC_FORCE_UNITS: Final = {"m/s2": 1.0, "g": 1000.0 * MG, "mg": MG}
+"""m/s^2 of one unit."""
+ANGULAR_RATE_UNITS: Final = {"rad/s": 1.0, "deg/s": DEG}
+"""rad/s of one unit."""
+VELOCITY_UNITS: Final = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}
+"""m/s of one unit."""
+
+LARGEST_FORCE_MPS2: Final = 500.0
+"""50 g; no vehicle that carries a DVL feels it."""
+LARGEST_RATE_RADPS: Final = 35.0
+"""2000 deg/s, the range of the quickest gyros on vehicles."""
+FASTEST_MPS: Final = 20.0
+"""No vehicle with a DVL is faster over ground."""
+FRD: Final = "frd"
+"""The project's axes, which are assumed where nothing tells them."""
+GRAVITY_MPS2: Final = 9.81
+"""Near enough to tell a unit by."""
+
+_LOST_HINT: Final = "imu.specific_force and imu.angular_rate name other fields; imu.max_gap_s says what is bridged"
+_NAMED_AXES: Final = {"frd": "+x+y+z", "flu": "+x-y-z"}
+
+
+def in_frd(vectors: Floats, axes: str, key: str, unit: float = 1.0) -> Floats:
+    """Bring vectors from the log's axes and unit to forward-starboard-down and SI.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (k, 3)
+    axes : str
+        ``frd``, ``flu``, or a signed permutation whose i-th part is the reading along the i-th of the axes forward,
+        starboard, down. An odd number of turned signs is allowed: some instruments report the opposite of a vector.
+    key : str
+        The configuration's key of the axes, for messages to the user.
+    unit : float
+        One unit of the log in SI.
+
+    Returns
+    -------
+    ndarray, shape (k, 3)
+
+    Raises
+    ------
+    ConfigError
+        The axes are none.
+    """
+    text = _NAMED_AXES.get(axes, axes)
+    readings = re.findall(r"([+-])([xyz])", text)
+    if len(text) != 6 or sorted(axis for _, axis in readings) != ["x", "y", "z"]:
+        raise ConfigError(f'{key} = "{axes}" is no set of axes', f'{key} = "frd", "flu" or for example "+y+x-z"')
+    if "".join(map("".join, readings)) == _NAMED_AXES["frd"] and unit == 1.0:
+        return vectors
+    turned = np.empty_like(vectors)
+    for i, (sign, axis) in enumerate(readings):
+        np.multiply(vectors[:, "xyz".index(axis)], unit if sign == "+" else -unit, out=turned[:, i])
+    return turned
+
+
+def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
+    """Make the columns of the IMU.
+
+    Parameters
+    ----------
+    table : Table
+    settings : Imu
+
+    Returns
+    -------
+    ImuColumns
+    list of Note
+
+    Raises
+    ------
+    LogError
+        No reading is finite, or a field is not a vector.
+    ConfigError
+        The axes are none.
+    """
+    settings = table.source.completed(settings)
+    force_unit = SPECIFIC_FORCE_UNITS[settings.specific_force_unit or "m/s2"] / settings.specific_force_scale
+    rate_unit = ANGULAR_RATE_UNITS[settings.angular_rate_unit or "rad/s"] / settings.angular_rate_scale
+    axes = settings.axes or FRD
+    force_axes, force_key = axes, "imu.axes"
+    if settings.specific_force_axes is not None:
+        force_axes, force_key = settings.specific_force_axes, "imu.specific_force_axes"
+    specific_force_b = in_frd(_measured(table, "specific_force"), force_axes, force_key, force_unit)
+    angular_rate_b = in_frd(_measured(table, "angular_rate"), axes, "imu.axes", rate_unit)
+    cleaner = Cleaner(table)
+    note_lost_samples(cleaner)
+    possible = _is_possible(specific_force_b, angular_rate_b)
+    if not possible.all():  # what is not finite is not possible either
+        cleaner.keep_finite(specific_force_b, angular_rate_b, hint=_LOST_HINT)
+        reason = "samples are above 50 g or 2000 deg/s, or zero in all six readings"
+        cleaner.keep_possible(possible, reason, _LOST_HINT)
+    cleaner.drop_repeated_times(specific_force_b, angular_rate_b)
+    cleaner.require_rows()
+    drop_spikes(cleaner, specific_force_b, angular_rate_b)
+    steps_ns = np.diff(cleaner.times)
+    note_gaps(cleaner, steps_ns, settings.max_gap_s)
+    note_clock_set(cleaner, steps_ns)
+    note_bursts(cleaner, steps_ns, "noise.accel_white_mps_rts and noise.gyro_white_rad_rts")
+    imu = ImuColumns(cleaner.times, cleaner.kept(specific_force_b), cleaner.kept(angular_rate_b))
+    return imu, cleaner.notes
+
+
+def _measured(table: Table, quantity: str) -> Floats:
+    """Give a vector, NaN where its message says by a negative variance that it is not measured."""
+    values = table.values(quantity, 3)
+    if f"{quantity}_var" not in table:
+        return values
+    unmeasured = table.column(f"{quantity}_var") < 0.0
+    return np.where(unmeasured[:, None], np.nan, values) if unmeasured.any() else values
+
+
+def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:
+    """Make the columns of the true sensor biases.
+
+    Parameters
+    ----------
+    table : Table
+
+    Returns
+    -------
+    TruthColumns
+    list of Note
+    """
+    accel_bias_b, gyro_bias_b = table.values("accel_bias", 3), table.values("gyro_bias", 3)
+    cleaner = Cleaner(table)
+    cleaner.drop_repeated_times()
+    cleaner.tell_missing("accelerometer biases", accel_bias_b)
+    cleaner.tell_missing("gyro biases", gyro_bias_b)
+    return TruthColumns(cleaner.times, cleaner.kept(accel_bias_b), cleaner.kept(gyro_bias_b)), cleaner.notes
+
+
+def _is_possible(specific_force_b: Floats, angular_rate_b: Floats) -> Mask:
+    """Tell which samples an IMU on a vehicle can have felt: within limits, and not free of gravity and Earth rate."""
+    possible = _is_within(specific_force_b, LARGEST_FORCE_MPS2) & _is_within(angular_rate_b, LARGEST_RATE_RADPS)
+    dead = np.flatnonzero(specific_force_b[:, 0] == 0.0)
+    possible[dead] &= specific_force_b[dead].any(axis=1) | angular_rate_b[dead].any(axis=1)
+    return possible
+
+
+def _is_within(vectors: Floats, limit: float) -> Mask:
+    """Tell which vectors have no component beyond a limit; the extremes mostly tell that none has."""
+    if vectors.min() >= -limit and vectors.max() <= limit:
+        return np.ones(len(vectors), np.bool_)
+    return np.asarray((np.abs(vectors) <= limit).all(axis=1))

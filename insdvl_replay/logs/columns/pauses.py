@@ -1,0 +1,94 @@
+"""The pauses between the samples of a topic: those in which samples are missing, and those that are none."""
+
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.core.columns import NS_PER_S, TimeNs, nanoseconds
+from insdvl_replay.logs.columns.cleaning import Cleaner
+
+GAP_STEPS: Final = 5.0
+"""A pause of this many steps is more than the jitter of stamps that come in bursts."""
+LONGEST_PAUSE_NS: Final = 86_400 * NS_PER_S
+"""No recorder waits for a day in the middle of a dive."""
+BURST_STEP: Final = 0.2
+"""Share of the usual step below which two samples came together, and were not taken so."""
+PAUSES: Final = 0.95
+"""Share of steps that are no pauses, in which samples are lost."""
+BURSTS: Final = 0.05
+"""Share of steps that may be so short by the jitter of stamps that are otherwise regular."""
+
+
+def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
+    """Note pauses between rows in which several are missing.
+
+    Parameters
+    ----------
+    cleaner : Cleaner
+    pauses_ns : ndarray
+        From one of its times to the next.
+    max_gap_s : float
+        Pauses up to this count as harmless.
+    """
+    max_gap_ns = nanoseconds(max_gap_s)
+    is_short = pauses_ns <= max_gap_ns
+    short_ns = pauses_ns if is_short.all() else pauses_ns[is_short]
+    least_ns = min(GAP_STEPS * float(short_ns.mean()), max_gap_ns) if short_ns.size else max_gap_ns
+    gaps = np.flatnonzero(pauses_ns > least_ns)
+    if not gaps.size:
+        return
+    long = int(np.count_nonzero(pauses_ns > max_gap_ns))
+    text = (
+        f"gaps are longer than {least_ns / NS_PER_S:.3g} s, the longest of {pauses_ns.max() / NS_PER_S:.3f} s, "
+        f"{pauses_ns[gaps].sum() / NS_PER_S:.3f} s in all; {long} longer than {max_gap_s:g} s"
+    )
+    hint = f"{cleaner.role}.max_gap_s says which are harmless" if long else ""
+    cleaner.note("gaps", text, gaps.size, "warning" if long else "info", hint, first=cleaner.rows[gaps])
+
+
+def note_clock_set(cleaner: Cleaner, steps_ns: TimeNs) -> None:
+    """Note steps that are no pause of a dive: a recorder without a clock of its own begins in 1970 until it is told.
+
+    Parameters
+    ----------
+    cleaner : Cleaner
+    steps_ns : ndarray
+        From one of its times to the next.
+    """
+    if not steps_ns.size or steps_ns.max() <= LONGEST_PAUSE_NS:
+        return
+    steps = np.flatnonzero(steps_ns > LONGEST_PAUSE_NS)
+    before, after = (np.datetime64(int(cleaner.times[steps[0] + i]), "ns").astype("M8[s]") for i in (0, 1))
+    text = (
+        f"steps are longer than a day, the first from {before} to {after} UTC: the clock was set while the log was "
+        "recorded, or two dives are in it"
+    )
+    hint = "--start and --end choose what is before or behind"
+    cleaner.note("clock_set", text, steps.size, "warning", hint, first=cleaner.rows[steps])
+
+
+def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
+    """Note rows that came several at once, so that their times are those of the delivery.
+
+    Parameters
+    ----------
+    cleaner : Cleaner
+    steps_ns : ndarray
+        From one of its times to the next.
+    remedy : str
+        What helps where the messages do not hold the sensor's own time.
+    """
+    # The usual step is none longer than the mean.
+    if not steps_ns.size or steps_ns.min() >= BURST_STEP * steps_ns.mean():
+        return
+    # The median would be that within the bursts, where more than two samples come at once.
+    usual_ns = float(steps_ns[steps_ns <= np.quantile(steps_ns, PAUSES)].mean())
+    together = np.flatnonzero(steps_ns < BURST_STEP * usual_ns)
+    if together.size <= BURSTS * steps_ns.size:
+        return
+    text = (
+        f"samples, {together.size / steps_ns.size:.0%} of all, are stamped less than {BURST_STEP:g} of the usual "
+        f"step of {usual_ns / NS_PER_S:.4f} s after the one before: stamps in bursts are those of a delivery"
+    )
+    hint = f"{cleaner.stamp_hint}; else raise {remedy} until the mean NIS is that of a consistent filter"
+    cleaner.note("bursts", text, together.size, "warning", hint, first=cleaner.rows[together])

@@ -1,0 +1,164 @@
+"""The reference solution: positions, velocities and attitudes of one or two topics, on the union of their times."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, distinct
+from insdvl_replay.core.config import Reference
+from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, wrap_angle
+from insdvl_replay.logs.columns.cleaning import Cleaner, is_few
+from insdvl_replay.logs.columns.known_types import BLUEYE_GNSS
+from insdvl_replay.logs.columns.lost_samples import note_lost_samples
+from insdvl_replay.logs.columns.tables import Table
+from insdvl_replay.logs.columns.topic_requirements import BOW_DOWN
+
+FRD_FROM_FLU: Final = np.diag([1.0, -1.0, -1.0])
+"""Takes coordinates forward-port-up to forward-starboard-down, and back."""
+NED_FROM_ENU: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""Takes coordinates east-north-up to north-east-down, and back."""
+ANGLE_UNITS: Final = {"deg": DEG, "rad": 1.0}
+"""Factors to rad."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What one topic tells."""
+
+    time_ns: TimeNs
+    position: Floats | None
+    velocity_n: Floats | None
+    mat_nb: Floats | None
+
+
+def decode_reference(tables: list[Table], settings: Reference) -> tuple[ReferenceColumns | None, list[Note]]:
+    """Make the columns of the reference.
+
+    Parameters
+    ----------
+    tables : list of Table
+        None, one or two; where two give the same quantity the later one counts.
+    settings : Reference
+
+    Returns
+    -------
+    ReferenceColumns or None
+    list of Note
+    """
+    notes: list[Note] = []
+    parts = []
+    for table in tables:
+        part, found = _part(table, settings)
+        parts.append(part)
+        notes += found
+    return (_union(parts) if parts else None), notes
+
+
+def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
+    settings = table.source.completed(settings)
+    cleaner = Cleaner(table)
+    note_lost_samples(cleaner)
+    position = _position(table, settings) if "latitude" in table else None
+    told = None if position is None else position.copy()
+    if position is not None:
+        _keep_latitudes(position, cleaner)
+        _drop_zeros(position, cleaner)
+    if "fix_status" in table:
+        cleaner.keep(table.column("fix_status") >= 0.0, "no_fix", "positions have no fix")
+    if position is not None and "sensor_id" in table:
+        cleaner.keep(np.isfinite(position[:, 0]), "no_fix", "positions are without satellites")
+        cleaner.drop_repeated_values(position)
+    cleaner.drop_repeated_times()
+    mat_nb = _attitude(table, settings)
+    velocity_n = _velocity_n(table, settings, mat_nb)
+    _tell_missing(cleaner, told, velocity_n, mat_nb)
+    chosen = (None if values is None else cleaner.kept(values) for values in (position, velocity_n, mat_nb))
+    return _Part(cleaner.times, *chosen), cleaner.notes
+
+
+def _position(table: Table, settings: Reference) -> Floats:
+    unit = ANGLE_UNITS[settings.angle_unit]
+    latitude, longitude = _of_receiver(table, "latitude") * unit, _of_receiver(table, "longitude") * unit
+    # The wrapped negative lies in [-pi, pi), so that its negative lies in (-pi, pi].
+    return np.stack([latitude, -wrap_angle(-longitude), _height_m(table)], axis=1)
+
+
+def _height_m(table: Table) -> Floats:
+    if "depth" in table:
+        return -table.column("depth")
+    return table.column("height") if "height" in table else np.full(len(table), np.nan)
+
+
+def _keep_latitudes(position: Floats, cleaner: Cleaner) -> None:
+    """Drop the few positions beyond the poles; where they are many, the angles are something else."""
+    possible = ~(np.abs(position[:, 0]) > np.pi / 2.0)
+    count, hint = int(np.count_nonzero(~possible)), "reference.angle_unit, or reference.latitude names another field"
+    if not is_few(count, possible.size):
+        raise LogError(f"{cleaner.table.place}: {count} of {possible.size} latitudes are beyond the poles", hint)
+    cleaner.keep_possible(possible, "latitudes are beyond the poles", hint)
+
+
+def _drop_zeros(position: Floats, cleaner: Cleaner) -> None:
+    """Take latitude and longitude 0 for no position: receivers without satellites report it, and no dive is there."""
+    zero = np.flatnonzero((position[:, :2] == 0.0).all(axis=1))
+    if zero.size:
+        position[zero] = np.nan
+        text = "positions have latitude and longitude 0, as receivers without satellites report, and are left out"
+        cleaner.note("zero", text, zero.size, "warning", "reference.fix names another topic of positions", first=zero)
+
+
+def _tell_missing(cleaner: Cleaner, position: Floats | None, velocity_n: Floats | None, mat_nb: Floats | None) -> None:
+    if position is not None:
+        cleaner.tell_missing("positions", position[:, :2])
+        cleaner.tell_missing("heights", position[:, 2:])
+    if velocity_n is not None:
+        cleaner.tell_missing("velocities", velocity_n)
+    if mat_nb is not None:
+        cleaner.tell_missing("attitudes", mat_nb.reshape(-1, 9))
+
+
+def _of_receiver(table: Table, quantity: str) -> Floats:
+    """Give one number for each message; of several sensors that of the satellite receiver, NaN where it is invalid."""
+    if "sensor_id" not in table:
+        return table.column(quantity)
+    of_receiver = (table.values("sensor_id") == BLUEYE_GNSS) & (table.values("sensor_valid") > 0.0)
+    chosen = np.where(of_receiver, table.values(quantity), np.nan)
+    return np.asarray(chosen[np.arange(len(chosen)), of_receiver.argmax(axis=1)])
+
+
+def _attitude(table: Table, settings: Reference) -> Floats | None:
+    if "quaternion" in table and ("roll" not in table or settings.quaternion is not None):
+        mat = mat_from_quat(table.values("quaternion", 4))
+        return mat if settings.axes == "ned_frd" else np.asarray(NED_FROM_ENU @ mat @ FRD_FROM_FLU)
+    if "roll" in table:
+        pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
+        rpy = np.stack([table.column("roll"), pitch, table.column("heading")], axis=1)
+        return mat_from_rpy(rpy * ANGLE_UNITS[settings.angle_unit])
+    return None
+
+
+def _velocity_n(table: Table, settings: Reference, mat_nb: Floats | None) -> Floats | None:
+    if "velocity_n" in table and ("velocity_b" not in table or settings.velocity_n is not None):
+        velocity = table.values("velocity_n", 3)
+        return velocity @ NED_FROM_ENU if settings.axes == "enu_flu" else velocity
+    if "velocity_b" not in table or mat_nb is None:
+        return None
+    velocity_b = table.values("velocity_b", 3)
+    if settings.axes != "ned_frd":
+        velocity_b = velocity_b @ FRD_FROM_FLU
+    return np.asarray(np.einsum("kij,kj->ki", mat_nb, velocity_b))
+
+
+def _union(parts: list[_Part]) -> ReferenceColumns:
+    time_ns = distinct(np.concatenate([part.time_ns for part in parts]))
+    position, velocity_n = np.full((time_ns.size, 3), np.nan), np.full((time_ns.size, 3), np.nan)
+    mat_nb = np.full((time_ns.size, 3, 3), np.nan)
+    for part in parts:
+        rows = np.searchsorted(time_ns, part.time_ns)
+        for column, values in ((position, part.position), (velocity_n, part.velocity_n), (mat_nb, part.mat_nb)):
+            if values is not None:
+                column[rows] = values
+    return ReferenceColumns(time_ns, position, velocity_n, mat_nb)

@@ -1,0 +1,190 @@
+"""What a log holds of one topic that plays a role, as columns."""
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.inspection.inventory import Clock
+from insdvl_replay.logs.columns.clocks import measure_clock, stamp_unit
+from insdvl_replay.logs.columns.topic_requirements import Source
+from insdvl_replay.logs.container.damaged_file import refused
+from insdvl_replay.logs.encoding.field_errors import fields_hint
+from insdvl_replay.logs.encoding.field_paths import Columns, Kinds, split_paths
+
+RECORDER_STAMPS: Final = ("log_time", "publish_time")
+"""Stamps that stand in no message."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """The messages of one topic, as the log has them: not sorted, not checked, in the log's units and axes.
+
+    Attributes
+    ----------
+    place : str
+        File and topic, for messages to the user.
+    source : Source
+    columns : dict of str to ndarray, shape (k, n)
+        By field path; ``log_time`` and ``publish_time`` are the recorder's.
+    unreadable_ns : tuple of int
+        Log times of messages that are left out because they do not fit their schema.
+    fault : str
+        What is wrong with the first of these.
+    repeats : int
+        Messages that are left out because another channel or file holds them too.
+    known : mapping of str to str
+        Every path that the messages have, with the type of what is there.
+    files : ndarray of int64, shape (k,), or None
+        Number of the file from which each message is, where they are from several.
+    has_whole_times : bool
+        Whether the stamps were seconds and nanoseconds. Their column is nanoseconds, which takes half the memory.
+    """
+
+    place: str
+    source: Source
+    columns: Columns
+    unreadable_ns: tuple[int, ...] = ()
+    fault: str = ""
+    repeats: int = 0
+    known: Kinds = field(default_factory=dict)
+    files: NDArray[np.int64] | None = None
+    has_whole_times: bool = False
+
+    def __len__(self) -> int:
+        """Give the number of messages."""
+        return len(next(iter(self.columns.values())))
+
+    def __contains__(self, quantity: str) -> bool:
+        """Tell whether the topic holds a quantity."""
+        return quantity in self.source.fields
+
+    def values(self, quantity: str, width: int | None = None) -> Floats:
+        """Give a quantity as numbers.
+
+        Parameters
+        ----------
+        quantity : str
+            As `known_types` and the configuration name it.
+        width : int, optional
+            How many numbers each message must hold.
+
+        Returns
+        -------
+        ndarray, shape (k, n)
+
+        Raises
+        ------
+        LogError
+            The field does not hold that many numbers.
+        """
+        path = self.source.fields[quantity]
+        parts = [self.columns[part].astype(np.float64, copy=False) for part in split_paths(path)]
+        values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        if width is not None and values.shape[1] != width:
+            raise LogError(
+                f"{self.place}: field '{path}' holds {values.shape[1]} numbers where {width} are needed",
+                f"{self.source.role}.{quantity} must name {width} numbers; {fields_hint(self.known, path)}",
+            )
+        return values
+
+    def column(self, quantity: str) -> Floats:
+        """Give a quantity that is one number in each message.
+
+        Parameters
+        ----------
+        quantity : str
+
+        Returns
+        -------
+        ndarray, shape (k,)
+
+        Raises
+        ------
+        LogError
+            The field holds more than one number.
+        """
+        single: Floats = self.values(quantity, 1)[:, 0]
+        return single
+
+    def time_ns(self) -> TimeNs:
+        """Give the times of validity.
+
+        Returns
+        -------
+        ndarray, shape (k,)
+
+        Raises
+        ------
+        LogError
+            The stamp's field is no time, or the same in every message.
+        """
+        stamp = self.source.stamp
+        time_ns = self.columns[stamp][:, 0] if stamp in RECORDER_STAMPS else self._stamped(stamp_path(stamp))
+        if time_ns.size > 1 and time_ns.min() == time_ns.max():
+            raise LogError(
+                f"{self.place}: stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages",
+                f'{self.source.role}.stamp = "log_time"',
+            )
+        latency_ns = nanoseconds(self.source.latency_s)
+        return time_ns - latency_ns if latency_ns else time_ns
+
+    @property
+    def stamp_numbers(self) -> NDArray[Any] | None:
+        """Stamps that are mere numbers, shape (k,); None where they are times."""
+        values = self.columns[stamp_path(self.source.stamp)]
+        is_time = self.source.stamp in RECORDER_STAMPS or self.has_whole_times or values.shape[1] != 1
+        return None if is_time else values[:, 0]
+
+    def clock(self) -> Clock:
+        """Compare the times of validity with the times of recording.
+
+        Returns
+        -------
+        Clock
+
+        Raises
+        ------
+        LogError
+            As of `time_ns`.
+        """
+        source = self.source
+        return measure_clock(source.role, source.topic, source.stamp, self.time_ns(), self.columns["log_time"][:, 0])
+
+    def refusal(self) -> LogError:
+        """Give the error with which a log is refused of which messages cannot be read."""
+        return refused([self.fault] * len(self.unreadable_ns), [self.columns["log_time"][:, 0]], "messages")
+
+    def _stamped(self, path: str) -> TimeNs:
+        values = self.columns[path]
+        if self.has_whole_times:
+            return values[:, 0]
+        if values.shape[1] != 1:
+            raise LogError(
+                f"{self.place}: field '{path}' holds {values.shape[1]} numbers and is no time",
+                f"{self.source.role}.stamp names a builtin_interfaces/Time or one number",
+            )
+        if not np.isfinite(values).all():
+            raise LogError(
+                f"{self.place}: stamp '{path}' is no number in {np.count_nonzero(~np.isfinite(values))} messages",
+                f'{self.source.role}.stamp = "log_time"',
+            )
+        counted = values[:, 0] * stamp_unit(values[:, 0], self.columns["log_time"][:, 0])[0]
+        return counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
+
+
+def stamp_path(stamp: str) -> str:
+    """Give the field of a stamp; ``header`` is short for that of a ROS message.
+
+    Parameters
+    ----------
+    stamp : str
+
+    Returns
+    -------
+    str
+    """
+    return "header.stamp" if stamp == "header" else stamp

@@ -1,0 +1,262 @@
+"""What each role needs of a topic: a type that is known by name, or the field paths of the configuration."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeVar
+
+import msgspec
+
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.columns import known_types
+from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
+from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.encoding.field_paths import Kinds, find_path, split_paths
+from insdvl_replay.logs.encoding.message_encodings import channel_paths, check_encoding
+
+BOW_DOWN: Final = "_bow_down"
+"""Ends the name of a pitch with the opposite sign."""
+_ANGLES: Final = ({"latitude", "longitude"}, {"roll", "pitch", "heading"})
+_SOLUTION: Final = (
+    "latitude",
+    "longitude",
+    "height",
+    "depth",
+    "velocity_n",
+    "velocity_b",
+    "quaternion",
+    "roll",
+    "pitch",
+    "heading",
+)
+
+Section = TypeVar("Section", bound=msgspec.Struct)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A topic that plays a role.
+
+    Attributes
+    ----------
+    role : {'imu', 'dvl', 'reference', 'truth'}
+    topic, type_name : str
+    channels : tuple of LogChannel
+        The channels of the topic that have messages.
+    fields : mapping of str to str
+        Path of the field by the quantity that it holds.
+    stamp : str
+        ``header``, ``log_time``, ``publish_time`` or a field path.
+    latency_s : float
+        From validity to stamp.
+    conventions : mapping of str to Any
+        What the type says where the configuration leaves a key out.
+    """
+
+    role: str
+    topic: str
+    type_name: str
+    channels: tuple[LogChannel, ...]
+    fields: Fields
+    stamp: str
+    latency_s: float
+    conventions: Mapping[str, Any] = field(default_factory=dict)
+
+    def completed(self, section: Section) -> Section:
+        """Fill in by the type what a section of the configuration leaves out.
+
+        Parameters
+        ----------
+        section : Struct
+            Of this role.
+
+        Returns
+        -------
+        Struct
+        """
+        left_out = {key: value for key, value in self.conventions.items() if getattr(section, key) is None}
+        return msgspec.structs.replace(section, **left_out)
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What a role needs.
+
+    Attributes
+    ----------
+    role : str
+    key : str
+        The configuration's key that names the topic; empty where none does.
+    topic : str or None
+        The topic that the configuration names.
+    by_type : sequence of Types
+        Of several groups of types, the first that the log has is taken.
+    if_named : Types
+        Types that only a topic may have that the configuration names.
+    paths : mapping of str to str or None
+        Field paths of the configuration by quantity.
+    enough : sequence of set of str
+        The quantities of one of these sets must be there.
+    together : sequence of set of str
+        Of each of these sets all must be there or none.
+    stamp : str or None
+        Of the configuration.
+    latency_s : float
+        From validity to stamp.
+    """
+
+    role: str
+    key: str
+    topic: str | None
+    by_type: Sequence[Types]
+    if_named: Types = field(default_factory=dict)
+    paths: Mapping[str, str | None] = field(default_factory=dict)
+    enough: Sequence[set[str]] = ()
+    together: Sequence[set[str]] = ()
+    stamp: str | None = None
+    latency_s: float = 0.0
+
+    def known(self, type_name: str) -> KnownType | None:
+        """Give what is known of a type."""
+        groups = (*self.by_type, self.if_named)
+        return next((types[type_name] for types in groups if type_name in types), None)
+
+    def source(self, topic: str, channels: Sequence[LogChannel], place: str) -> Source:
+        """Make a topic the source of the role.
+
+        Parameters
+        ----------
+        topic : str
+        channels : sequence of LogChannel
+            Those of the topic that have messages.
+        place : str
+            The file, for messages to the user.
+
+        Returns
+        -------
+        Source
+
+        Raises
+        ------
+        LogError
+            The messages cannot be read, their type is not known and the configuration does not say where its fields
+            are, or the schema lacks them.
+        """
+        for channel in channels:
+            check_encoding(channel, place)
+        type_name = channels[0].type_name
+        paths = channel_paths(channels[0], f"{place}: {topic}")
+        known = self.known(type_name) or KnownType({})
+        fields = {**_present(known.fields, paths), **{name: path for name, path in self.paths.items() if path}}
+        self._refuse_parts(f"{place}: topic '{topic}'", fields)
+        if not any(quantities <= fields.keys() for quantities in self.enough):
+            reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
+            if known.fields:
+                reason = f"is of type {type_name}, and its schema lacks some of {', '.join(known.fields.values())}"
+            raise LogError(f"{place}: topic '{topic}' {reason}", self.how_to_name())
+        stamp = self.stamp or _stamp(known.stamp, paths)
+        return Source(self.role, topic, type_name, tuple(channels), fields, stamp, self.latency_s, known.conventions)
+
+    def _refuse_parts(self, place: str, fields: Fields) -> None:
+        """Refuse quantities that say nothing without another one."""
+        given = {quantity.removesuffix(BOW_DOWN) for quantity in fields}
+        for quantities in self.together:
+            if (lacking := sorted(quantities - given)) and (alone := sorted(quantities & given)):
+                missing = f'{self.role}.{lacking[0]} = "field.path"'
+                raise LogError(f"{place} gives {' and '.join(alone)} without {' and '.join(lacking)}", missing)
+
+    def how_to_name(self) -> str:
+        """Say which keys lead to a topic of an unknown type."""
+        if not self.paths:
+            return f"known are {', '.join(name for types in (*self.by_type, self.if_named) for name in types)}"
+        section = self.role
+        needed = sorted({quantity for quantities in self.enough for quantity in quantities})
+        joined = (" and " if section == "imu" else " or ").join(f'{section}.{name} = "field.path"' for name in needed)
+        return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` proposes what to set'
+
+
+def imu_wish(config: Config) -> Wish:
+    """Say what an IMU needs."""
+    imu = config.imu
+    return Wish(
+        role="imu",
+        key="imu.topic",
+        topic=imu.topic,
+        by_type=[known_types.IMU],
+        paths={"specific_force": imu.specific_force, "angular_rate": imu.angular_rate},
+        enough=[{"specific_force", "angular_rate"}],
+        stamp=imu.stamp,
+        latency_s=imu.latency_s,
+    )
+
+
+def dvl_wish(config: Config) -> Wish:
+    """Say what a DVL needs."""
+    dvl = config.dvl
+    return Wish(
+        role="dvl",
+        key="dvl.topic",
+        topic=dvl.topic,
+        by_type=[known_types.DVL_BEAMS, known_types.DVL_VELOCITY],
+        if_named=known_types.DVL_IF_NAMED,
+        paths={
+            "beam_velocity": dvl.beam_velocity,
+            "beam_valid": dvl.beam_valid,
+            "velocity": dvl.velocity,
+            "valid": dvl.valid,
+        },
+        enough=[{"beam_velocity"}, {"velocity"}],
+        stamp=dvl.stamp,
+        latency_s=dvl.latency_s,
+    )
+
+
+def solution_wish(config: Config) -> Wish:
+    """Say what a reference solution needs."""
+    reference = config.reference
+    return Wish(
+        role="reference",
+        key="reference.topic",
+        topic=reference.topic,
+        by_type=[known_types.NAV_SOLUTION, known_types.ODOMETRY],
+        if_named=known_types.FIX,
+        paths={quantity: getattr(reference, quantity) for quantity in _SOLUTION},
+        enough=[{"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES],
+        together=_ANGLES,
+        stamp=reference.stamp,
+        latency_s=reference.latency_s,
+    )
+
+
+def fix_wish(config: Config) -> Wish:
+    """Say what a geographic position needs."""
+    reference = config.reference
+    return Wish(
+        role="reference",
+        key="reference.fix",
+        topic=reference.fix,
+        by_type=[known_types.FIX],
+        enough=[{"latitude", "longitude"}],
+        stamp=reference.stamp,
+        latency_s=reference.latency_s,
+    )
+
+
+TRUTH_WISH: Final = Wish("truth", "", None, [known_types.TRUTH], enough=[{"accel_bias", "gyro_bias"}])
+"""What true sensor biases need."""
+
+
+def _present(fields: Fields, paths: Kinds) -> Fields:
+    """Leave out the fields that a schema does not have; the same type name comes with different fields."""
+    return {
+        quantity: path
+        for quantity, path in fields.items()
+        if not paths or all(find_path(part, paths) for part in split_paths(path))
+    }
+
+
+def _stamp(by_type: str, paths: Kinds) -> str:
+    """Choose the stamp of the type, else of the header, else of the recorder."""
+    if by_type == LOG_TIME or find_path(by_type, paths):
+        return by_type
+    return "header" if find_path("header.stamp", paths) else LOG_TIME

@@ -1,0 +1,6 @@
+"""An MCAP file, a bag or several files: which channels they have, and their messages as blocks of bytes.
+
+`opening` and `mapped_file` give the bytes, `scanner` walks over them and `mcap_index` holds what it finds against the
+file's own summary; `chunks` are opened and checked, and `chunk_messages` finds the messages in them. What is not as the
+format says is `damage`, and `loss` counts what it took. `recording` says which of all this a path stands for.
+"""

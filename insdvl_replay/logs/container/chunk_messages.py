@@ -1,0 +1,200 @@
+"""The messages of a chunk, found without touching each of them.
+
+The index records behind a chunk tell which channels have messages in it, so that others stay closed. Inside an open
+chunk the records themselves are followed, and the index must agree with them.
+Source: the MCAP specification, https://mcap.dev/spec.
+"""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from insdvl_replay.core.columns import TimeNs
+from insdvl_replay.core.errors import listed
+from insdvl_replay.logs.container.blocks import Block, by_channel, message_field
+from insdvl_replay.logs.container.chunks import Chunk, chunk_header, open_chunk
+from insdvl_replay.logs.container.damage import Damage, DamageError, Span, plausible_span
+from insdvl_replay.logs.container.message_index import index_entries
+from insdvl_replay.logs.container.records import Records, find_records, go_on, is_broken, joined, what_stands
+
+
+@dataclass(frozen=True)
+class Content:
+    """The records of an open chunk.
+
+    Attributes
+    ----------
+    buffer : memoryview
+        Bytes of the open chunk.
+    blocks : dict of int to Block
+        The messages by channel.
+    definitions : Records
+        Of schemas and channels.
+    damages : list of Damage
+        What is wrong although the chunk can be read.
+    lost_span_ns : (int, int) or None
+        Log times between which messages are lost, where bytes of the chunk are no record.
+    """
+
+    buffer: memoryview
+    blocks: dict[int, Block]
+    definitions: Records
+    damages: list[Damage]
+    lost_span_ns: Span | None = None
+
+    def counts(self) -> Counter[int]:
+        """Count the messages of each channel."""
+        return Counter({channel_id: len(block) for channel_id, block in self.blocks.items()})
+
+    def of(self, channel_ids: Iterable[int]) -> list[Block]:
+        """Give the messages of some channels."""
+        return [self.blocks[channel_id] for channel_id in sorted(self.blocks.keys() & channel_ids)]
+
+    def log_times(self, channel_ids: Iterable[int]) -> TimeNs:
+        """Give the log times of the messages of some channels, channel by channel; shape (k,), ns."""
+        return np.concatenate([np.empty(0, np.int64), *(block.log_time for block in self.of(channel_ids))])
+
+
+def read_chunk(data: memoryview, chunk: Chunk) -> Content:
+    """Open a chunk and find its records.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    chunk : Chunk
+
+    Returns
+    -------
+    Content
+        Where bytes are no record it goes on at the next one; an index that disagrees is not believed. Both are damages.
+
+    Raises
+    ------
+    DamageError
+        Nothing in the chunk can be believed.
+    """
+    return content_of(data, chunk, open_chunk(data, chunk))
+
+
+def content_of(data: memoryview, chunk: Chunk, buffer: memoryview) -> Content:
+    """Find the records of a chunk that is open.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    chunk : Chunk
+    buffer : memoryview
+        Its bytes, as `open_chunk` gives them.
+
+    Returns
+    -------
+    Content
+        As `read_chunk` gives it.
+
+    Raises
+    ------
+    DamageError
+        No record is in it.
+    """
+    records, passed = _find_all(buffer)
+    if passed and not len(records):
+        raise DamageError(chunk.offset, f"in the chunk no record is found: {passed[0][2]}")
+    damages = [Damage(chunk.offset, f"in the chunk, {stop} bytes on, {reason}") for stop, _, reason in passed]
+    holes = [(start, stop) for start, stop, _ in passed] + [(len(buffer),) * 2] * (chunk.kind == "cut")
+    span_ns = _lost_span(data, chunk, buffer, records, holes) if holes else None
+    definitions = records.where(records.opcodes < Opcode.MESSAGE)
+    content = Content(buffer, by_channel(buffer, records), definitions, damages, span_ns)
+    if chunk.indexes and chunk.kind == "whole":
+        damages += _index_damages(data, chunk, content.blocks)
+    return content
+
+
+def _find_all(buffer: memoryview) -> tuple[Records, list[tuple[int, int, str]]]:
+    """Find the messages of a chunk and the definitions before them; others, which nobody reads, are passed over.
+
+    Parameters
+    ----------
+    buffer : memoryview
+        Bytes of an open chunk.
+
+    Returns
+    -------
+    Records
+    list of (int, int, str)
+        Where bytes between them are no record: from where to where, and why.
+    """
+    batches: list[Records] = []
+    passed: list[tuple[int, int, str]] = []
+    place, end = 0, len(buffer)
+    while place < end or not batches:
+        batch, stop = find_records(buffer, place, end)
+        if is_broken(batch, stop, end):
+            broken, reason = stop, what_stands(buffer, stop, end)
+            batch, stop = go_on(buffer, batch, stop, end)
+            passed.append((broken, stop, reason))
+        read = batch.opcodes <= Opcode.MESSAGE
+        batches.append(batch if read.all() else batch.where(read))
+        place = stop
+    return batches[0] if len(batches) == 1 else joined(batches), passed
+
+
+def _lost_span(
+    data: memoryview,
+    chunk: Chunk,
+    buffer: memoryview,
+    records: Records,
+    holes: list[tuple[int, int]],
+) -> Span | None:
+    """Give the log times between which messages are lost: those of the messages on both sides, else of the chunk."""
+    starts = records.starts[records.opcodes == Opcode.MESSAGE]
+    log_time = message_field(buffer, starts, "log_time")
+    before = np.searchsorted(starts, holes[0][0])
+    behind = np.searchsorted(starts, holes[-1][1])
+    whole = chunk_header(data, chunk.offset, chunk.length).span_ns if chunk.kind != "loose" else None
+    first_ns = int(log_time[before - 1]) if before else whole and whole[0]
+    last_ns = int(log_time[behind]) if behind < len(starts) else whole and whole[1]
+    if first_ns is None or last_ns is None:
+        return None
+    return plausible_span(min(first_ns, last_ns), max(first_ns, last_ns))
+
+
+def _index_damages(data: memoryview, chunk: Chunk, blocks: dict[int, Block]) -> list[Damage]:
+    """Compare the index of a chunk with the messages in it."""
+    unnamed = dict(blocks)
+    for offset, length in chunk.indexes:
+        try:
+            channel_id, entries = index_entries(data, offset, length)
+        except DamageError as damage:
+            return [Damage(damage.offset, damage.found)]
+        block = blocks.get(channel_id)
+        if not _names_all(entries, block):
+            count = len(block or ())
+            text = f"an index does not name the {count} messages of channel {channel_id} in its chunk"
+            return [Damage(offset, text)]
+        unnamed.pop(channel_id, None)
+    if not unnamed:
+        return []
+    count, channels = sum(map(len, unnamed.values())), listed(map(str, unnamed))
+    return [Damage(chunk.offset, f"no index of a chunk names {count} of its messages (channel {channels})")]
+
+
+def _names_all(entries: NDArray[Any], block: Block | None) -> bool:
+    """Tell whether entries name all messages; some recorders name one more that they did not write any more."""
+    if block is None:
+        return not entries.size
+    if np.array_equal(entries["start"], block.starts) and np.array_equal(entries["log_time"], block.log_time):
+        return True
+    if entries.size > len(block) + 1:
+        return False
+    nearest = np.minimum(np.searchsorted(block.starts, entries["start"]), len(block) - 1)
+    right = (block.starts[nearest] == entries["start"]) & (block.log_time[nearest] == entries["log_time"])
+    named = np.zeros(len(block), np.bool_)
+    named[nearest[right]] = True
+    return bool(named.all())

@@ -1,0 +1,236 @@
+"""A chunk of an MCAP file: where it stands, what it says of itself, and its content decompressed and checked.
+
+Source: the MCAP specification, https://mcap.dev/spec.
+"""
+
+import struct
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+import lz4.frame
+import zstandard
+from zlib_ng import zlib_ng
+
+from insdvl_replay.logs.container.damage import DamageError, Span, plausible_span
+
+_CHUNK: Final = struct.Struct("<QQQII")
+COMPRESSED: Final = ("zstd", "lz4")
+"""The ways of compression that the format knows."""
+
+LARGEST_CHUNK: Final = 1 << 30
+"""Bytes to which a chunk may open; recorders write some megabytes, and several chunks are open at a time."""
+_USUAL_SIZE: Final = 64 << 20
+_MOST_COMPRESSED: Final = 256
+"""Chunks larger than usual are taken at their word only if they are not packed more densely than this."""
+
+
+def most_opened(packed_size: int, usual: int = _USUAL_SIZE) -> int:
+    """Give the bytes to which compressed bytes may open: what is usual, or more where there are more of them.
+
+    Parameters
+    ----------
+    packed_size : int
+    usual : int
+        What the fewest may open to.
+
+    Returns
+    -------
+    int
+    """
+    return max(usual, _MOST_COMPRESSED * packed_size)
+
+
+@dataclass
+class Chunk:
+    """A part of the file that holds messages.
+
+    Attributes
+    ----------
+    offset, length : int
+        Start and size of the record's content, or of the records themselves where they stand in no chunk.
+    kind : {'whole', 'cut', 'loose'}
+        A chunk, a chunk whose end is missing, or messages that stand in no chunk.
+    indexes : list of (int, int)
+        Start and size of the index records behind the chunk, one for each channel.
+    counts : Counter of int
+        Messages by channel, as the index or the content says.
+    """
+
+    offset: int
+    length: int
+    kind: Literal["whole", "cut", "loose"] = "whole"
+    indexes: list[tuple[int, int]] = field(default_factory=list)
+    counts: Counter[int] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class ChunkHeader:
+    """What a chunk says of itself.
+
+    Attributes
+    ----------
+    first_ns, last_ns : int
+        Span of the log times.
+    size, crc : int
+        Bytes and checksum of the content once it is open; 0 where the recorder computed none.
+    compression : str
+    packed_start, packed_size : int
+        Where in the file the compressed bytes stand.
+    """
+
+    first_ns: int
+    last_ns: int
+    size: int
+    crc: int
+    compression: str
+    packed_start: int
+    packed_size: int
+
+    @property
+    def span_ns(self) -> Span | None:
+        """The span of the log times, if it can be so."""
+        return plausible_span(self.first_ns, self.last_ns)
+
+
+def chunk_header(data: memoryview, offset: int, room: int) -> ChunkHeader:
+    """Read the fields in front of a chunk's compressed bytes.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    offset, room : int
+        Where the chunk's content starts, and how many bytes it has.
+
+    Returns
+    -------
+    ChunkHeader
+
+    Raises
+    ------
+    DamageError
+        The bytes are too few for a chunk.
+    """
+    record = data[offset : offset + room]
+    if len(record) < _CHUNK.size:
+        raise DamageError(offset, f"a chunk has {len(record)} bytes, too few for its own header")
+    first_ns, last_ns, size, crc, name_size = _CHUNK.unpack_from(record)
+    name_end = _CHUNK.size + name_size
+    if name_end + 8 > len(record):
+        raise DamageError(offset, f"a chunk says the name of its compression has {name_size} bytes")
+    name = bytes(record[_CHUNK.size : name_end]).decode("ascii", "replace")
+    packed_size = int.from_bytes(record[name_end : name_end + 8], "little")
+    return ChunkHeader(first_ns, last_ns, size, crc, name, offset + name_end + 8, packed_size)
+
+
+def opened_size(data: memoryview, chunk: Chunk) -> int:
+    """Give the bytes that an open chunk takes: none where it is not compressed, or says more than can be.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    chunk : Chunk
+        With a header that can be read.
+
+    Returns
+    -------
+    int
+    """
+    if chunk.kind == "loose":
+        return 0
+    header = chunk_header(data, chunk.offset, chunk.length)
+    most = _room(chunk.offset + chunk.length - header.packed_start)
+    if chunk.kind == "cut":
+        return _size_of_cut(header, most)
+    return header.size if header.compression and header.size <= most else 0
+
+
+def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
+    """Decompress a chunk, and check its length and checksum.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    chunk : Chunk
+
+    Returns
+    -------
+    memoryview
+        Of a chunk that is cut, what can be had without checking.
+
+    Raises
+    ------
+    DamageError
+        The chunk is damaged or compressed in an unknown way.
+    """
+    if chunk.kind == "loose":
+        return data[chunk.offset : chunk.offset + chunk.length]
+    header = chunk_header(data, chunk.offset, chunk.length)
+    packed = data[header.packed_start : chunk.offset + chunk.length]
+    if chunk.kind == "cut":
+        return _decompressed_start(packed, header, chunk.offset)
+    if len(packed) != header.packed_size:
+        found = f"a chunk says it has {header.packed_size} compressed bytes; there are {len(packed)}"
+        raise DamageError(chunk.offset, found)
+    content = _decompressed(packed, header.compression, header.size, chunk.offset)
+    if len(content) != header.size:
+        raise DamageError(chunk.offset, f"a chunk opens to {len(content)} bytes where {header.size} were announced")
+    if header.crc and zlib_ng.crc32(content) != header.crc:
+        raise DamageError(chunk.offset, "the checksum of a chunk is not that of its bytes")
+    return content
+
+
+def _decompressed(packed: memoryview, compression: str, size: int, offset: int) -> memoryview:
+    if compression and size > _room(len(packed)):
+        raise DamageError(offset, f"a chunk of {len(packed)} compressed bytes says it opens to {size}")
+    try:
+        if compression == "":
+            return packed
+        if compression == "zstd":
+            if zstandard.frame_content_size(packed) not in (-1, size):
+                raise DamageError(offset, f"a zstd chunk does not open to the {size} bytes that it announces")
+            return memoryview(zstandard.ZstdDecompressor().decompress(packed, max_output_size=size))
+        if compression == "lz4":
+            return _unpacked_lz4(packed, size, offset)
+    except (zstandard.ZstdError, RuntimeError, OverflowError) as error:
+        raise DamageError(offset, f"a {compression} chunk cannot be decompressed ({error})") from error
+    raise DamageError(offset, f"a chunk is compressed with '{compression}', which is none of zstd, lz4 and nothing")
+
+
+def _decompressed_start(packed: memoryview, header: ChunkHeader, offset: int) -> memoryview:
+    """Decompress as much as the bytes that are left give."""
+    size = _size_of_cut(header, _room(len(packed)))
+    try:
+        if header.compression == "lz4":
+            return _unpacked_lz4(packed, size, offset)
+        content = zstandard.ZstdDecompressor().stream_reader(packed).read(size + 1)
+    except (zstandard.ZstdError, RuntimeError) as error:
+        raise DamageError(offset, f"a {header.compression} chunk cannot be decompressed ({error})") from error
+    _require_end(len(content) <= size, size, offset)
+    return memoryview(content)
+
+
+def _room(packed_size: int) -> int:
+    """Give the bytes to which those of one chunk may open."""
+    return min(most_opened(packed_size), LARGEST_CHUNK)
+
+
+def _size_of_cut(header: ChunkHeader, most: int) -> int:
+    """Give the bytes to which a cut chunk opens at most; some recorders write last of all what it is."""
+    return min(header.size, most) if header.size else most
+
+
+def _unpacked_lz4(packed: memoryview, size: int, offset: int) -> memoryview:
+    """Decompress a frame, or the start of one that is cut, to at most a size."""
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    content = decompressor.decompress(packed, max_length=size)
+    _require_end(decompressor.eof or decompressor.needs_input, size, offset)
+    return memoryview(content)
+
+
+def _require_end(is_all: bool, size: int, offset: int) -> None:
+    if not is_all:
+        raise DamageError(offset, f"a chunk opens to more than {size} bytes")

@@ -1,0 +1,254 @@
+"""The records of an MCAP file: where each one stands, and where the next one stands after bytes that are none.
+
+The loops over many of them are compiled, in `record_loops`, which is loaded where they are needed: the compiler takes a
+second to load, and a look at a summary needs none.
+Source: the MCAP specification, https://mcap.dev/spec.
+"""
+
+import struct
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any, Final
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from insdvl_replay.core.compiled import is_loaded
+from insdvl_replay.logs.container.damage import DamageError
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+"""First and last bytes of an MCAP file."""
+
+RECORD_HEADER_SIZE: Final = 9
+"""Bytes in front of each record's content: its kind and its length."""
+
+DATA_END_SIZE: Final = RECORD_HEADER_SIZE + 4
+"""Bytes of the record behind the last message."""
+
+MESSAGE_FIELDS_SIZE: Final = 22
+"""Bytes of a message record in front of the payload."""
+
+BATCH: Final = 1 << 16
+"""Most records that are found at a time."""
+
+_MESSAGE: Final = int(Opcode.MESSAGE)
+_DATA_END: Final = int(Opcode.DATA_END)
+LAST_KNOWN: Final = 15
+"""Highest kind of record that the specification knows."""
+_FIRST_PRIVATE: Final = 128
+_LEAST_LENGTHS: Final = (0, 8, 20, 14, 16, 22, 40, 6, 64, 36, 64, 46, 8, 20, 17, 4)
+"""What a record of each known kind must at least hold for its own fields."""
+
+
+@dataclass(frozen=True)
+class Records:
+    """Records in the order in which they stand.
+
+    Attributes
+    ----------
+    opcodes : ndarray of uint8, shape (k,)
+        Their kinds.
+    starts : ndarray, shape (k,)
+        Where their headers start.
+    lengths : ndarray, shape (k,)
+        Bytes of their contents, which stand behind the headers.
+    """
+
+    opcodes: NDArray[np.uint8]
+    starts: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        """Give the number of records."""
+        return int(self.opcodes.size)
+
+    def rows(self) -> Iterator[tuple[int, int, int]]:
+        """Go through them one by one: kind, start of the content, and its length."""
+        contents = self.starts + RECORD_HEADER_SIZE
+        return zip(self.opcodes.tolist(), contents.tolist(), self.lengths.tolist(), strict=True)
+
+    def where(self, chosen: Any) -> "Records":
+        """Give some of them, chosen as an array of shape (k,) is indexed."""
+        return Records(self.opcodes[chosen], self.starts[chosen], self.lengths[chosen])
+
+
+def joined(batches: Sequence[Records]) -> Records:
+    """Put batches one behind the other."""
+    return Records(*map(np.concatenate, zip(*((one.opcodes, one.starts, one.lengths) for one in batches), strict=True)))
+
+
+def can_be_record(opcode: int, length: int) -> bool:
+    """Tell whether a record of a kind can have a length."""
+    if opcode > LAST_KNOWN:
+        return opcode >= _FIRST_PRIVATE
+    return opcode > 0 and length >= _LEAST_LENGTHS[opcode]
+
+
+def find_records(data: memoryview, start: int, end: int) -> tuple[Records, int]:
+    """Go from record to record.
+
+    Parameters
+    ----------
+    data : memoryview
+    start, end : int
+        Where the first record starts and the last one ends.
+
+    Returns
+    -------
+    Records
+        At most `BATCH`; none follows one that ends the data section.
+    int
+        Where the walk stopped: at the end, behind the last of the records, or at bytes that are no record.
+    """
+    if _Plain.left > 0 and not is_loaded():
+        found, stop = find_plainly(data, start, end)
+        _Plain.left -= len(found)
+        return found, stop
+    from insdvl_replay.logs.container.record_loops import walk
+
+    room = _ROOM.records
+    count, stop = walk(np.frombuffer(data, np.uint8), start, end, room.opcodes, room.starts, room.lengths)
+    return Records(room.opcodes[:count].copy(), room.starts[:count].copy(), room.lengths[:count].copy()), stop
+
+
+class _Room(threading.local):
+    """Room for a batch, made once for each thread: to make it for each chunk takes longer than the walk."""
+
+    def __init__(self) -> None:
+        self.records = Records(np.empty(BATCH, np.uint8), np.empty(BATCH, np.int64), np.empty(BATCH, np.int64))
+
+
+_ROOM: Final = _Room()
+
+
+class _Plain:
+    """How many records are still found without the compiler, before its loops are worth the second that they load."""
+
+    left = 500_000
+
+
+def find_plainly(data: memoryview, start: int, end: int) -> tuple[Records, int]:
+    """Do what `find_records` does, record by record."""
+    found: list[tuple[int, int, int]] = []
+    while start + RECORD_HEADER_SIZE <= end and len(found) < BATCH:
+        opcode, length = struct.unpack_from("<BQ", data, start)
+        if length > end - start - RECORD_HEADER_SIZE or not can_be_record(opcode, length):
+            break
+        found.append((opcode, start, length))
+        start += RECORD_HEADER_SIZE + length
+        if opcode == _DATA_END:
+            break
+    columns = np.array(found, dtype=np.int64).reshape(-1, 3).T
+    return Records(columns[0].astype(np.uint8), columns[1].copy(), columns[2].copy()), start
+
+
+def is_broken(batch: Records, stop: int, end: int) -> bool:
+    """Tell whether a walk stopped because the bytes are no record.
+
+    Parameters
+    ----------
+    batch : Records
+    stop : int
+        As `find_records` gives them.
+    end : int
+        Where the last record ends.
+
+    Returns
+    -------
+    bool
+    """
+    return stop < end and len(batch) < BATCH and not (len(batch) and batch.opcodes[-1] == _DATA_END)
+
+
+def next_record(data: memoryview, start: int, end: int) -> int:
+    """Search for a place where a record can stand with another one, or the end, right behind it.
+
+    Parameters
+    ----------
+    data : memoryview
+    start, end : int
+
+    Returns
+    -------
+    int
+        The place, or the end.
+    """
+    from insdvl_replay.logs.container.record_loops import resume
+
+    return int(resume(np.frombuffer(data, np.uint8), start, end))
+
+
+def go_on(data: memoryview, batch: Records, stop: int, end: int) -> tuple[Records, int]:
+    """Go on behind bytes that are no record.
+
+    Parameters
+    ----------
+    data : memoryview
+    batch : Records
+    stop : int
+        As `find_records` gives them.
+    end : int
+        Where to give up.
+
+    Returns
+    -------
+    Records
+        Without a message just before the place, since its own length may be what is wrong.
+    int
+        Where the next record stands, or the end.
+    """
+    if len(batch) and batch.opcodes[-1] == _MESSAGE:
+        return batch.where(slice(-1)), next_record(data, int(batch.starts[-1]) + 1, end)
+    return batch, next_record(data, stop + 1, end)
+
+
+def what_stands(data: memoryview, start: int, end: int) -> str:
+    """Say why no record can stand at a place.
+
+    Parameters
+    ----------
+    data : memoryview
+    start, end : int
+
+    Returns
+    -------
+    str
+    """
+    room = end - start - RECORD_HEADER_SIZE
+    if room < 0:
+        return f"{end - start} bytes are left where a record needs at least {RECORD_HEADER_SIZE}"
+    opcode, length = struct.unpack_from("<BQ", data, start)
+    if length > room:
+        return f"a record of kind {opcode} says it has {length} bytes; {room} are left"
+    return f"{length} bytes under kind {opcode} are no record"
+
+
+def parsed(kind: Any, data: memoryview, start: int, length: int) -> Any:
+    """Parse a record.
+
+    Parameters
+    ----------
+    kind : type
+        One of `mcap.records`.
+    data : memoryview
+    start, length : int
+        Where its content stands.
+
+    Returns
+    -------
+    object of `kind`
+
+    Raises
+    ------
+    DamageError
+        The content is none of this kind.
+    """
+    try:
+        return kind.read(ReadDataStream(BytesIO(data[start : start + length])))
+    except (McapError, struct.error, UnicodeDecodeError, EOFError) as error:
+        raise DamageError(start, f"a {kind.__name__} record of {length} bytes cannot be parsed") from error

@@ -1,0 +1,4 @@
+"""Bytes of messages to columns of chosen fields: CDR, JSON and protobuf, by one language of field paths.
+
+`message_encodings` knows which encoding a channel has; `ros2msg` and `layout` say where a field stands in CDR.
+"""

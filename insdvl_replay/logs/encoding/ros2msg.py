@@ -1,0 +1,254 @@
+"""The ROS 2 interface language: the text of a message type, parsed and assembled.
+
+A log carries for every type the text of its definition and of all types in it, one after the other. The types that the
+tool itself writes or knows by name stand as files: the project's own in ``schemas/insdvl_msgs``, those of others in
+``definitions``. Source: https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html and the MCAP registry of
+well-known schema encodings, https://mcap.dev/spec/registry.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import Final, Literal
+
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.encoding.field_paths import MOST_LEVELS, MOST_PATHS, too_large
+
+PRIMITIVES: Final[dict[str, str]] = {
+    "bool": "?",
+    "byte": "u1",
+    "char": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "<i2",
+    "uint16": "<u2",
+    "int32": "<i4",
+    "uint32": "<u4",
+    "int64": "<i8",
+    "uint64": "<u8",
+    "float32": "<f4",
+    "float64": "<f8",
+}
+"""Numpy formats of the primitive types of fixed size."""
+
+_LONGEST_ARRAY: Final = 2**32 - 1
+"""CDR counts elements in words of four bytes."""
+_SEPARATOR: Final = "=" * 80
+_ANY_SEPARATOR: Final = re.compile(r"^={3,}[ \t]*$", re.MULTILINE)
+_SECTION_NAME: Final = re.compile(r"\s*MSG:\s*(\S+)[^\n]*\n?")
+_LINE: Final = re.compile(
+    r"(?P<base>[A-Za-z][\w/]*)(<=\d+)?(?P<brackets>\[(?P<bounded><=)?(?P<length>\d*)\])?"
+    r"\s+(?P<name>[A-Za-z]\w*)(?:\s*(?P<constant>=)|\s|#|$)"
+)
+
+_RECORD_AGAIN: Final = "record the log again with complete schemas, as `ros2 bag record --storage mcap` writes them"
+_ONLY_ROS2MSG: Final = "schemas must be of encoding ros2msg, as `ros2 bag record --storage mcap` writes them"
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a message.
+
+    Attributes
+    ----------
+    name : str
+        As the definition names it.
+    type_name : str
+        ``string``, a key of `PRIMITIVES`, or a message type as ``package/msg/Type``.
+    kind : {'single', 'array', 'sequence'}
+        One value, a fixed number of values, or any number preceded by a length word.
+    length : int
+        Number of values of an array; 1 for a single value, 0 for a sequence.
+    """
+
+    name: str
+    type_name: str
+    kind: Literal["single", "array", "sequence"]
+    length: int
+
+
+@dataclass(frozen=True)
+class Definition:
+    """The fields of one message type, in order.
+
+    Attributes
+    ----------
+    type_name : str
+        As ``package/msg/Type``.
+    fields : tuple of Field
+        Constants are no fields. An empty message has the one byte that IDL demands.
+    """
+
+    type_name: str
+    fields: tuple[Field, ...]
+
+
+_EMPTY: Final = (Field("structure_needs_at_least_one_member", "uint8", "single", 1),)
+
+
+def parse_definitions(type_name: str, text: str) -> dict[str, Definition]:
+    """Parse the full text of a type.
+
+    Parameters
+    ----------
+    type_name : str
+        Type that the first section defines, ``package/msg/Type`` or ``package/Type``.
+    text : str
+        Sections parted by lines of ``=``, each but the first headed by ``MSG: package/Type``.
+
+    Returns
+    -------
+    dict of str to Definition
+        By full type name, the asked type first.
+
+    Raises
+    ------
+    LogError
+        A line is no field, a section has no name, a type is used and not defined, contains itself, or means more
+        fields than any real one.
+    """
+    definitions: dict[str, Definition] = {}
+    for name, section in _sections(type_name, text):
+        definitions.setdefault(name, Definition(name, tuple(_fields(name, section)) or _EMPTY))
+    _check_complete(type_name, definitions)
+    return definitions
+
+
+def definition_text(type_name: str) -> str:
+    """Assemble the full text of a known type: its own definition, then that of every type in it.
+
+    Parameters
+    ----------
+    type_name : str
+        As ``package/msg/Type``.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    LogError
+        The type is not one of those that come with the tool.
+    """
+    texts = {name: _known_text(name) for name in _with_dependencies(full_name(type_name))}
+    first, *others = texts.items()
+    sections = [f"{_SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in others]
+    return "".join([first[1], *sections])
+
+
+def full_name(type_name: str) -> str:
+    """Give a type's name as ``package/msg/Type``.
+
+    Parameters
+    ----------
+    type_name : str
+        ``package/msg/Type`` or ``package/Type``.
+
+    Returns
+    -------
+    str
+    """
+    return type_name if type_name.count("/") != 1 else type_name.replace("/", "/msg/")
+
+
+def _sections(type_name: str, text: str) -> Iterator[tuple[str, str]]:
+    first, *others = _ANY_SEPARATOR.split(text.replace("\r\n", "\n"))
+    yield full_name(type_name), first
+    for section in others:
+        heading = _SECTION_NAME.match(section)
+        if heading is None:
+            start = section.strip().partition("\n")[0]
+            raise LogError(
+                f"{type_name}: a section of the schema starts with '{start}' where 'MSG: package/Type' belongs",
+                _ONLY_ROS2MSG,
+            )
+        yield full_name(heading[1]), section[heading.end() :]
+
+
+def _check_complete(type_name: str, definitions: Mapping[str, Definition]) -> None:
+    graph = {name: [field.type_name for field in definition.fields] for name, definition in definitions.items()}
+    for name, used in graph.items():
+        for missing in (other for other in used if "/" in other and other not in definitions):
+            raise LogError(f"{type_name}: the schema uses {missing} in {name} and does not define it", _RECORD_AGAIN)
+    try:
+        inner_first = tuple(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        raise LogError(f"{type_name}: the schema's type {error.args[1][0]} contains itself", _RECORD_AGAIN) from error
+    _check_size(type_name, definitions, inner_first)
+
+
+def _check_size(type_name: str, definitions: Mapping[str, Definition], inner_first: Sequence[str]) -> None:
+    """Refuse a type with too many fields, which are counted type by type and not by going to each."""
+    paths: dict[str, int] = {}
+    levels: dict[str, int] = {}
+    for name in inner_first:
+        fields = definitions[name].fields if name in definitions else ()
+        paths[name] = sum(1 + (field.kind != "single") + paths[field.type_name] for field in fields)
+        levels[name] = 1 + max((levels[field.type_name] for field in fields), default=-1)
+        if paths[name] > MOST_PATHS or levels[name] > MOST_LEVELS:
+            raise too_large(type_name)
+
+
+def _fields(type_name: str, section: str) -> Iterator[Field]:
+    package = type_name.partition("/")[0]
+    for line in section.splitlines():
+        statement = line.strip()
+        if not statement or statement.startswith("#"):
+            continue
+        match = _LINE.match(statement)
+        if match is None:
+            raise LogError(f"{type_name}: '{statement}' in the schema is no field", _ONLY_ROS2MSG)
+        if match["constant"] is None:
+            yield _field(package, match)
+
+
+def _field(package: str, match: re.Match[str]) -> Field:
+    type_name = _resolved(package, match["base"])
+    if match["brackets"] is None:
+        return Field(match["name"], type_name, "single", 1)
+    if match["bounded"] or not match["length"]:
+        return Field(match["name"], type_name, "sequence", 0)
+    # Python makes no number of thousands of digits.
+    length = int(match["length"]) if len(match["length"]) <= len(str(_LONGEST_ARRAY)) else 0
+    if not 0 < length <= _LONGEST_ARRAY:
+        array = f"{match['base']}[{match['length'][:12]}]"
+        raise LogError(f"{package}: the schema has an array '{array}', which is none or too long", _RECORD_AGAIN)
+    return Field(match["name"], type_name, "array", length)
+
+
+def _resolved(package: str, base: str) -> str:
+    if base in PRIMITIVES or base in ("string", "wstring"):
+        return base
+    if base == "Header":
+        return "std_msgs/msg/Header"
+    return full_name(base if "/" in base else f"{package}/{base}")
+
+
+def _with_dependencies(type_name: str) -> list[str]:
+    """List a type and all types in it, each once, in the order in which they are met."""
+    names = [type_name]
+    for name in names:
+        for field in _fields(name, _known_text(name)):
+            if "/" in field.type_name and field.type_name not in names:
+                names.append(field.type_name)
+    return names
+
+
+@cache
+def _known_text(type_name: str) -> str:
+    package, _, name = type_name.partition("/msg/")
+    for folder in _definition_folders():
+        file = folder / package / "msg" / f"{name}.msg"
+        if file.is_file():
+            return file.read_text("utf-8")
+    raise LogError(f"{type_name}: no definition of this type comes with the tool", _RECORD_AGAIN)
+
+
+def _definition_folders() -> tuple[Path, ...]:
+    """Find the definitions; ``schemas`` lies beside the package in a checkout and inside it in a wheel."""
+    logs = Path(__file__).parents[1]
+    return logs / "definitions", logs.parent / "schemas", logs.parent.parent / "schemas"

@@ -1,0 +1,217 @@
+"""A replay as a log: histories, innovations, errors and tables, to be looked at in any viewer of ROS 2 data."""
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+
+from insdvl_replay.core.columns import Dive, Floats, TimeNs
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.states import DEG_PER_HOUR, MG, STATES
+from insdvl_replay.geometry.east_north_up import MAT_FRD_FLU, east_north_up_m, quat_enu_flu
+from insdvl_replay.geometry.rotation import rpy_from_mat
+from insdvl_replay.logs.encoding.ros2msg import Field, definition_text, parse_definitions
+from insdvl_replay.logs.writing.messages import (
+    BASE_LINK,
+    IMU,
+    NED,
+    ODOM,
+    Batch,
+    Column,
+    InUnit,
+    angles,
+    missing_xyz,
+    solution,
+    stamp,
+    stamped,
+    xyz,
+)
+from insdvl_replay.logs.writing.writer import write_log
+
+if TYPE_CHECKING:
+    # Only its type is needed, and whoever looks into a log must not wait for it.
+    import pandas as pd
+
+Sampled = tuple[TimeNs, Floats]
+"""Times of validity, shape (m,), and vectors in body axes, shape (m, 3)."""
+
+_UNIT_NAMES: Final = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
+_LOG_LEVELS: Final = {"info": 20, "warning": 30}
+
+
+class Errors(Protocol):
+    """Estimate minus reference at the reference's times."""
+
+    @property
+    def time_ns(self) -> TimeNs:
+        """Times, shape (k,)."""
+
+    @property
+    def position_error_ned_m(self) -> Floats:
+        """North, east, down, shape (k, 3)."""
+
+    @property
+    def velocity_error_n(self) -> Floats:
+        """North, east, down, m/s, shape (k, 3)."""
+
+    @property
+    def attitude_error_rad(self) -> Floats:
+        """About level forward, level starboard and down, shape (k, 3)."""
+
+
+def write_replay(
+    path: Path,
+    *,
+    dive: Dive,
+    histories: Sequence[History],
+    dvl: Mapping[str, Sampled],
+    errors: Mapping[str, Errors],
+    tables: Mapping[str, "pd.DataFrame"],
+    notes: Sequence[Note],
+    config_toml: str,
+    version: str,
+) -> None:
+    """Write what the filters made of a dive.
+
+    Parameters
+    ----------
+    path : Path
+        File to write, replaced if it exists.
+    dive : Dive
+        Where the replay comes from.
+    histories : sequence of History
+        One for each filter.
+    dvl : mapping of str to Sampled
+        ``velocity`` and ``acceleration``, as far as there are any.
+    errors : mapping of str to Errors
+        By filter, as far as there is a reference.
+    tables : mapping of str to DataFrame
+        By name, with the columns of the result folder's CSV files.
+    notes : sequence of Note
+    config_toml : str
+        The resolved configuration.
+    version : str
+        Of the tool.
+
+    Raises
+    ------
+    LogError
+        A time does not fit a ROS stamp.
+    OSError
+        The file cannot be written.
+    ValueError
+        A table does not have the columns of its message type.
+    """
+    end_ns = max(int(history.time_ns[-1]) for history in histories)
+    batches = [batch for history in histories for batch in _filter_batches(history, errors.get(history.filter))]
+    batches += [_dvl(quantity, *sampled) for quantity, sampled in dvl.items()]
+    for name, table in tables.items():
+        batches += _rows(name, table, end_ns)
+    batches += [_note(dive.name, note, end_ns) for note in notes]
+    metadata = {"version": version, "log": dive.name, "log_sha256": dive.sha256}
+    write_log(path, batches, metadata, {"config.toml": ("application/toml", config_toml.encode())})
+
+
+def _filter_batches(history: History, errors: Errors | None) -> Iterator[Batch]:
+    topic = f"/insdvl/{history.filter}"
+    yield _state(f"{topic}/state", history)
+    yield _sigma(f"{topic}/sigma", history)
+    if errors is not None:
+        yield _error(f"{topic}/error", errors)
+    for innovations in history.innovations:
+        yield _innovation(f"{topic}/innovation/{innovations.measurement}", innovations)
+    yield _odometry(f"{topic}/odometry", history)
+    yield _fix(f"{topic}/fix", history)
+
+
+def _state(topic: str, history: History) -> Batch:
+    columns: dict[str, Column] = {
+        **solution(history.position, history.velocity_n, rpy_from_mat(history.mat_nb)),
+        "accel_bias_mg": InUnit(history.accel_bias_b, MG),
+        "gyro_bias_degph": InUnit(history.gyro_bias_b, DEG_PER_HOUR),
+    }
+    return stamped(topic, "insdvl_msgs/msg/FilterState", history.time_ns, NED, columns)
+
+
+def _sigma(topic: str, history: History) -> Batch:
+    columns: dict[str, Column] = {
+        f"{state.id}_{_UNIT_NAMES[state.unit]}": InUnit(history.sd[:, state.index], state.factor) for state in STATES
+    }
+    return stamped(topic, "insdvl_msgs/msg/FilterSigma", history.time_ns, NED, columns)
+
+
+def _error(topic: str, errors: Errors) -> Batch:
+    columns = {
+        "position_ned_m": errors.position_error_ned_m,
+        "velocity_ned_mps": errors.velocity_error_n,
+        **angles(errors.attitude_error_rad),
+    }
+    return stamped(topic, "insdvl_msgs/msg/FilterError", errors.time_ns, NED, columns)
+
+
+def _innovation(topic: str, innovations: Innovations) -> Batch:
+    columns: dict[str, Column] = {
+        "unit": innovations.unit,
+        "measured": innovations.measured_b,
+        "innovation": innovations.innovation_b,
+        "sd": innovations.sd_b,
+        "nis": innovations.nis,
+        "used": innovations.used,
+    }
+    return stamped(topic, "insdvl_msgs/msg/Innovation", innovations.time_ns, IMU, columns)
+
+
+def _odometry(topic: str, history: History) -> Batch:
+    """East-north-up and forward-port-up, the velocity in the body; zero covariances mean unknown."""
+    velocity_b = np.einsum("kji,kj->ki", history.mat_nb, history.velocity_n)
+    quat = quat_enu_flu(history.mat_nb)
+    columns: dict[str, Column] = {
+        "child_frame_id": BASE_LINK,
+        **xyz("pose.pose.position", east_north_up_m(history.position, history.position[0])),
+        **{f"pose.pose.orientation.{axis}": quat[:, i] for i, axis in enumerate("xyzw")},
+        **xyz("twist.twist.linear", velocity_b @ MAT_FRD_FLU),
+        **missing_xyz("twist.twist.angular"),
+    }
+    return stamped(topic, "nav_msgs/msg/Odometry", history.time_ns, ODOM, columns)
+
+
+def _fix(topic: str, history: History) -> Batch:
+    latitude_deg, longitude_deg = np.rad2deg(history.position[:, :2]).T
+    columns = {"latitude": latitude_deg, "longitude": longitude_deg, "altitude": history.position[:, 2]}
+    return stamped(topic, "sensor_msgs/msg/NavSatFix", history.time_ns, BASE_LINK, columns)
+
+
+def _dvl(quantity: str, time_ns: TimeNs, values_b: Floats) -> Batch:
+    type_name, field = {
+        "velocity": ("insdvl_msgs/msg/DvlVelocity", "velocity_mps"),
+        "acceleration": ("insdvl_msgs/msg/DvlAcceleration", "acceleration_mps2"),
+    }[quantity]
+    return stamped(f"/insdvl/dvl/{quantity}", type_name, time_ns, IMU, {field: values_b})
+
+
+def _rows(name: str, table: "pd.DataFrame", end_ns: int) -> Iterator[Batch]:
+    """Give each row of a table as a batch of its own, since its texts are its own."""
+    type_name = f"insdvl_msgs/msg/{name.title().replace('_', '')}Row"
+    _, *fields = parse_definitions(type_name, definition_text(type_name))[type_name].fields
+    if list(table.columns) != [field.name for field in fields]:
+        raise ValueError(f"table {name} has the columns {list(table.columns)}, its message type has others")
+    for row in table.to_dict("records"):
+        columns = {field.name: _cell(field, row) for field in fields}
+        yield stamped(f"/insdvl/table/{name}", type_name, np.array([end_ns]), NED, columns)
+
+
+def _cell(field: Field, row: Mapping[Hashable, Any]) -> str | float:
+    value = row[field.name]
+    missing = value is None or value != value
+    if field.type_name == "string":
+        return "" if missing else str(value)
+    return np.nan if missing else value
+
+
+def _note(dive_name: str, note: Note, end_ns: int) -> Batch:
+    text = f"{note.code} ({note.count}): {note.text}" + (f" hint: {note.hint}" if note.hint else "")
+    columns: dict[str, Column] = {"level": _LOG_LEVELS[note.severity], "name": dive_name, "msg": text}
+    time_ns = np.array([end_ns])
+    return Batch("/insdvl/notes", "rcl_interfaces/msg/Log", time_ns, {**stamp("stamp", time_ns), **columns})

@@ -1,0 +1,167 @@
+"""What the mechanisation has to know of the Earth where the vehicle is: its rotation, its curvature, its gravity.
+
+All of it changes so slowly that it is computed anew only after `REACH_RAD` of latitude, 0.6 m on the way north or
+south, or `REACH_M` of height. Until then these are off by at most 7e-9 m/s^2 (gravity), 8e-12 rad/s (Earth rate),
+1.1e-9 of the radii, and (tan L + 1 / tan L) 1e-7 of the rate of the longitude and of the turn of n about down.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+from insdvl_replay.core.compiled import inlined
+from insdvl_replay.geometry import earth
+from insdvl_replay.nav.vector_algebra import Vector
+
+REACH_RAD: Final = 1e-7
+REACH_M: Final = 30.0
+
+for _formula in (earth.gravity_of, earth.meridian_radius_of, earth.transverse_radius_of):
+    inlined(_formula)
+normal_gravity = inlined(earth.normal_gravity)
+_meridian_radius_m = inlined(earth.meridian_radius_m)
+_transverse_radius_m = inlined(earth.transverse_radius_m)
+
+
+class Place(NamedTuple):
+    """The Earth at a latitude, and its gravity about a height.
+
+    Attributes
+    ----------
+    latitude : float
+        rad
+    height_m : float
+        Above the ellipsoid.
+    cos_latitude, tan_latitude : float
+    rate_ie_n : tuple of 3 float
+        The Earth's rotation rate w_ie in n, rad/s.
+    meridian_radius_m, transverse_radius_m : float
+        Radii of curvature R_N and R_E, at height 0.
+    gravity : float
+        At the height, m/s^2.
+    gravity_gradient : float
+        Its growth with the height, 1/s^2.
+    """
+
+    latitude: float
+    height_m: float
+    cos_latitude: float
+    tan_latitude: float
+    rate_ie_n: Vector
+    meridian_radius_m: float
+    transverse_radius_m: float
+    gravity: float
+    gravity_gradient: float
+
+
+@inlined
+def earth_rate_n(latitude: float) -> Vector:
+    """Give the Earth's rotation rate w_ie in n.
+
+    Parameters
+    ----------
+    latitude : float
+        rad
+
+    Returns
+    -------
+    tuple of 3 float, rad/s
+    """
+    return earth.EARTH_RATE * math.cos(latitude), 0.0, -earth.EARTH_RATE * math.sin(latitude)
+
+
+@inlined
+def place_at(latitude: float, height_m: float) -> Place:
+    """Compute what there is to know of a place.
+
+    Parameters
+    ----------
+    latitude : float
+        rad
+    height_m : float
+
+    Returns
+    -------
+    Place
+    """
+    gravity = normal_gravity(latitude, height_m)
+    return Place(
+        latitude,
+        height_m,
+        math.cos(latitude),
+        math.tan(latitude),
+        earth_rate_n(latitude),
+        _meridian_radius_m(latitude),
+        _transverse_radius_m(latitude),
+        gravity,
+        (normal_gravity(latitude, height_m + REACH_M) - gravity) / REACH_M,
+    )
+
+
+@inlined
+def place_about(position: Vector, place: Place) -> Place:
+    """Give the place where the vehicle is now: the last one, as long as that still stands for it.
+
+    Parameters
+    ----------
+    position : tuple of 3 float
+        Latitude rad, longitude rad, height m.
+    place : Place
+        The last one.
+
+    Returns
+    -------
+    Place
+    """
+    latitude, height_m = position[0], position[2]
+    if abs(latitude - place.latitude) <= REACH_RAD and abs(height_m - place.height_m) <= REACH_M:
+        return place
+    return place_at(latitude, height_m)
+
+
+@inlined
+def gravity_at(place: Place, height_m: float) -> float:
+    """Give normal gravity at a height near a place, m/s^2."""
+    return place.gravity + (height_m - place.height_m) * place.gravity_gradient
+
+
+@inlined
+def curvatures(place: Place, height_m: float) -> tuple[float, float]:
+    """Give the curvatures north-south and east-west, 1 / (R_N + h) and 1 / (R_E + h), 1/m."""
+    return 1.0 / (place.meridian_radius_m + height_m), 1.0 / (place.transverse_radius_m + height_m)
+
+
+@inlined
+def transport_curvature(place: Place, height_m: float) -> Vector:
+    """Give what a velocity of 1 m/s turns n by as it moves over the curved Earth, see `transport_rate_n`.
+
+    Parameters
+    ----------
+    place : Place
+    height_m : float
+
+    Returns
+    -------
+    tuple of 3 float, 1/m
+        About north and about down for a velocity east, about east for one north: 1 / (R_E + h), 1 / (R_N + h) and
+        tan L / (R_E + h).
+    """
+    to_north, to_east = curvatures(place, height_m)
+    return to_east, to_north, to_east * place.tan_latitude
+
+
+@inlined
+def transport_rate_n(curvature: Vector, velocity_n: Vector) -> Vector:
+    """Give the rate w_en at which n turns because the vehicle moves over the curved Earth.
+
+    Parameters
+    ----------
+    curvature : tuple of 3 float
+        From `transport_curvature`, 1/m.
+    velocity_n : tuple of 3 float
+        m/s
+
+    Returns
+    -------
+    tuple of 3 float, rad/s
+    """
+    return velocity_n[1] * curvature[0], -velocity_n[0] * curvature[1], -velocity_n[1] * curvature[2]

@@ -1,0 +1,166 @@
+"""What a filter writes down on its way: its state at the recorded events, and each innovation."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.compiled import inlined
+from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.geometry.rotation import wrap_angle
+from insdvl_replay.nav.measurements import VELOCITY, Measurement
+from insdvl_replay.nav.strapdown import NavState
+from insdvl_replay.nav.timeline import Timeline
+from insdvl_replay.nav.vector_algebra import Matrix, Vector, write_row_matrix, write_row_vector
+
+
+class Records(NamedTuple):
+    """The navigation state at the recorded events, and P at some: ``cov_row`` is its row in ``cov``, -1 for none."""
+
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+    sd: Floats
+    cov_row: NDArray[np.int64]
+    cov: Floats
+
+
+class Updates(NamedTuple):
+    """Innovations, first axis measurement, second axis ping; and how far each kind is in a run of rejections.
+
+    ``refused_in_a_row`` counts the rejections up to now, ``refused_s`` is the time of the last, and ``reopened_s`` that
+    of the last ping that was used in spite of the gate.
+    """
+
+    innovation_b: Floats
+    sd_b: Floats
+    nis: Floats
+    used: NDArray[np.bool_]
+    reopened: NDArray[np.bool_]
+    log_det: Floats
+    refused_in_a_row: NDArray[np.int64]
+    refused_s: Floats
+    reopened_s: Floats
+
+
+def new_records(keep_cov: NDArray[np.bool_]) -> Records:
+    """Make room for the states at recorded events, with all of P at those that are to keep it."""
+    rows = len(keep_cov)
+    return Records(
+        position=np.empty((rows, 3)),
+        velocity_n=np.empty((rows, 3)),
+        mat_nb=np.empty((rows, 3, 3)),
+        accel_bias_b=np.empty((rows, 3)),
+        gyro_bias_b=np.empty((rows, 3)),
+        sd=np.empty((rows, 12)),
+        cov_row=np.where(keep_cov, np.cumsum(keep_cov) - 1, -1),
+        cov=np.empty((int(keep_cov.sum()), 12, 12)),
+    )
+
+
+def new_updates(measurements: int, pings: int) -> Updates:
+    """Make room for the innovations of some kinds of measurement at each ping."""
+    return Updates(
+        innovation_b=np.full((measurements, pings, 3), np.nan),
+        sd_b=np.full((measurements, pings, 3), np.nan),
+        nis=np.full((measurements, pings), np.nan),
+        used=np.zeros((measurements, pings), dtype=np.bool_),
+        reopened=np.zeros((measurements, pings), dtype=np.bool_),
+        log_det=np.full((measurements, pings), np.nan),
+        refused_in_a_row=np.zeros(measurements, dtype=np.int64),
+        refused_s=np.full(measurements, -np.inf),
+        reopened_s=np.full(measurements, -np.inf),
+    )
+
+
+@inlined
+def write_record(state: NavState, P: Floats, records: Records, row: int) -> None:
+    """Write down the navigation state and what its covariance P says, as a row."""
+    write_row_vector(state.position, records.position, row)
+    write_row_vector(state.velocity_n, records.velocity_n, row)
+    write_row_matrix(state.mat_nb, records.mat_nb, row)
+    write_row_vector(state.accel_bias_b, records.accel_bias_b, row)
+    write_row_vector(state.gyro_bias_b, records.gyro_bias_b, row)
+    for i in range(12):
+        records.sd[row, i] = math.sqrt(P[i, i])
+    cov_row = records.cov_row[row]
+    if cov_row >= 0:
+        # By elements: numba takes three seconds to compile the assignment of a whole array.
+        for i in range(12):
+            for j in range(12):
+                records.cov[cov_row, i, j] = P[i, j]
+
+
+@inlined
+def write_update(
+    updates: Updates, m: int, ping: int, z: Vector, S: Matrix, L: Matrix, nis: float, used: bool, reopened: bool
+) -> None:
+    """Write down an innovation and what was thought of it; L is the Cholesky factor of its covariance S."""
+    updates.nis[m, ping], updates.used[m, ping], updates.reopened[m, ping] = nis, used, reopened
+    updates.log_det[m, ping] = 2.0 * (math.log(L[0][0]) + math.log(L[1][1]) + math.log(L[2][2]))
+    for i in range(3):
+        updates.innovation_b[m, ping, i] = z[i]
+        updates.sd_b[m, ping, i] = math.sqrt(S[i][i])
+
+
+def history_of(
+    name: str, timeline: Timeline, measurements: tuple[Measurement, ...], records: Records, updates: Updates
+) -> History:
+    """Gather what a filter wrote down.
+
+    Parameters
+    ----------
+    name : str
+        The filter's name.
+    timeline : Timeline
+    measurements : tuple of Measurement
+        In the order of the updates.
+    records : Records
+    updates : Updates
+
+    Returns
+    -------
+    History
+    """
+    ping_ns = timeline.event_ns[timeline.ping >= 0]
+    innovations = []
+    for m, measurement in enumerate(measurements):
+        rows = measurement.available
+        innovations.append(
+            Innovations(
+                measurement="velocity" if measurement.kind == VELOCITY else "acceleration",
+                unit="m/s" if measurement.kind == VELOCITY else "m/s^2",
+                time_ns=ping_ns[rows],
+                valid_ns=measurement.valid_ns[rows],
+                measured_b=measurement.measured_b[rows],
+                innovation_b=updates.innovation_b[m, rows],
+                sd_b=updates.sd_b[m, rows],
+                nis=updates.nis[m, rows],
+                used=updates.used[m, rows],
+                gate=measurement.gate,
+                reopen_after=measurement.reopen_after,
+                reopened=updates.reopened[m, rows],
+                log_det=updates.log_det[m, rows],
+            )
+        )
+    records.position[:, 1] = wrap_angle(records.position[:, 1])
+    recorded = timeline.record >= 0
+    time_ns = timeline.event_ns[recorded]
+    return History(
+        filter=name,
+        time_ns=time_ns,
+        updated=timeline.ping[recorded] >= 0,
+        position=records.position,
+        velocity_n=records.velocity_n,
+        mat_nb=records.mat_nb,
+        accel_bias_b=records.accel_bias_b,
+        gyro_bias_b=records.gyro_bias_b,
+        sd=records.sd,
+        cov_ns=time_ns[records.cov_row >= 0],
+        cov=records.cov,
+        innovations=tuple(innovations),
+    )

@@ -1,0 +1,279 @@
+"""Where and how a filter starts: from the reference, or level from gravity (configuration section ``[initial]``)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns, seconds
+from insdvl_replay.core.config import Initial
+from insdvl_replay.core.errors import ConfigError, LogError, Note
+from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
+from insdvl_replay.geometry import earth
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
+from insdvl_replay.nav.dvl import DvlVelocities
+from insdvl_replay.nav.initial_state import Start, start_cov
+from insdvl_replay.nav.levelling import Level, SensorNoise, find_level, levelling_samples
+from insdvl_replay.preparation.start_position import FAR_S, apart_s, at_time, configured_latitude_deg, start_position
+
+HEADING_DOUBT = 10.0 * DEG
+"""No compass of a vehicle errs by more, even where nobody has taken the declination off."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The start of a replay.
+
+    Attributes
+    ----------
+    start_ns : int
+        When the filters start.
+    start : Start
+        State and uncertainty.
+    notes : tuple of Note
+        What was taken from elsewhere than the reference.
+    """
+
+    start_ns: int
+    start: Start
+    notes: tuple[Note, ...]
+
+
+def align(
+    imu: ImuColumns,
+    velocities: DvlVelocities,
+    noise: SensorNoise,
+    reference: ReferenceColumns | None,
+    initial: Initial,
+    lever_arm_b: Floats,
+    start_ns: int,
+    end_ns: int,
+) -> Alignment:
+    """Find the start: the reference's first attitude inside the span, or the first sample when levelling.
+
+    What the reference lacks is taken from gravity (roll, pitch), from the DVL (velocity) and from the configuration
+    (heading, position), each with a note. Started level, the reference gives the position and height alone.
+
+    Parameters
+    ----------
+    imu : ImuColumns
+    velocities : DvlVelocities
+        Pings.
+    noise : SensorNoise
+        Of the pings and the accelerometers.
+    reference : ReferenceColumns or None
+    initial : Initial
+        Configuration.
+    lever_arm_b : ndarray, shape (3,)
+        IMU to DVL, m.
+    start_ns, end_ns : int
+        Span that IMU and configuration allow.
+
+    Returns
+    -------
+    Alignment
+
+    Raises
+    ------
+    LogError
+        The reference is missing or does not overlap the span.
+    ConfigError
+        Heading or latitude are needed and not configured.
+    """
+    notes: list[Note] = []
+    check_start(
+        initial,
+        has_reference=reference is not None,
+        has_position=reference is not None and reference.has_position,
+        has_attitude=reference is not None and reference.has_attitude,
+    )
+    moving = reference if initial.source == "reference" else None
+    posed = moving if moving is not None and moving.has_attitude else None
+    if posed is not None:
+        start_ns = _first_attitude_ns(posed, start_ns, end_ns)
+    position = start_position(reference, initial, start_ns, notes)
+    level = None
+    if posed is not None:
+        mat_nb = posed.mat_nb[np.searchsorted(posed.time_ns, start_ns)]
+    else:
+        level, mat_nb = _levelled(imu, velocities, noise, initial, lever_arm_b, start_ns, float(position[0]))
+    velocity_n = _reference_velocity(moving, start_ns)
+    by_dvl_n = None
+    if velocity_n is None:
+        velocity_b, note = _dvl_velocity(imu, velocities, level, initial, mat_nb, lever_arm_b, start_ns, position)
+        velocity_n = by_dvl_n = mat_nb @ velocity_b
+        notes.append(note)
+    cov = start_cov(initial_sd(initial), mat_nb, level, by_dvl_n)
+    if level is not None:
+        notes += _level_notes(level, mat_nb, cov)
+        notes += _heading_notes(reference, mat_nb, start_ns)
+    start = Start(position, velocity_n, mat_nb, cov, _accel_bias_b(initial), _gyro_bias_b(initial))
+    return Alignment(start_ns, start, tuple(notes))
+
+
+def check_start(initial: Initial, *, has_reference: bool, has_position: bool, has_attitude: bool) -> None:
+    """Refuse settings that leave open where or how a filter starts.
+
+    Parameters
+    ----------
+    initial : Initial
+    has_reference, has_position, has_attitude : bool
+        Whether there is a reference, and what it gives.
+
+    Raises
+    ------
+    LogError
+        A reference is wanted, and there is none.
+    ConfigError
+        Heading or latitude are needed and not configured.
+    """
+    from_reference = initial.source == "reference"
+    if from_reference and not has_reference:
+        raise LogError(
+            "no reference solution was found to start from",
+            "name it with --set reference.topic=... and its fields, or start level: --set initial.source=level "
+            "--set initial.heading_deg=... --set initial.latitude_deg=...",
+        )
+    if not has_position:
+        configured_latitude_deg(initial)
+    if not (from_reference and has_attitude):
+        _configured_heading_deg(initial)
+
+
+def _configured_heading_deg(initial: Initial) -> float:
+    if initial.heading_deg is None:
+        raise ConfigError(
+            "the heading at the start is needed: no reference gives it, or initial.source is level, which takes none",
+            "--set initial.heading_deg=...",
+        )
+    return initial.heading_deg
+
+
+def initial_sd(initial: Initial) -> Floats:
+    """Give the initial standard deviations of the 12 error states.
+
+    Parameters
+    ----------
+    initial : Initial
+
+    Returns
+    -------
+    ndarray, shape (12,), SI units
+    """
+    sd = np.empty(12)
+    sd[DV] = initial.velocity_sd_mps
+    sd[PHI] = np.array(initial.misalignment_sd_deg) * DEG
+    sd[BA] = initial.accel_bias_sd_mg * MG
+    sd[BG] = initial.gyro_bias_sd_degph * DEG_PER_HOUR
+    return sd
+
+
+def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) -> int:
+    """Find the first attitude in the span, if possible one that has a position near it."""
+    has_attitude = np.isfinite(reference.mat_nb).all(axis=(1, 2))
+    inside = has_attitude & (reference.time_ns >= start_ns) & (reference.time_ns < end_ns)
+    located = inside & (apart_s(reference.time_ns, reference.position[:, :2], reference.time_ns) <= FAR_S)
+    inside = located if located.any() else inside
+    if not inside.any():
+        raise LogError(
+            "the reference gives no attitude between the first and the last IMU sample of the span",
+            "check that both are stamped by the same clock (imu.stamp, reference.stamp), or widen --start and --end",
+        )
+    return int(reference.time_ns[np.argmax(inside)])
+
+
+def _levelled(
+    imu: ImuColumns,
+    velocities: DvlVelocities,
+    noise: SensorNoise,
+    initial: Initial,
+    lever_arm_b: Floats,
+    start_ns: int,
+    latitude: float,
+) -> tuple[Level, Floats]:
+    """Find the level, and the attitude with the configured heading."""
+    heading = _configured_heading_deg(initial) * DEG
+    samples = levelling_samples(imu, start_ns)
+    unbiased = replace(
+        samples,
+        specific_force_b=samples.specific_force_b - _accel_bias_b(initial),
+        angular_rate_b=samples.angular_rate_b - _gyro_bias_b(initial),
+    )
+    level = find_level(unbiased, velocities, noise, lever_arm_b, start_ns, heading=heading, latitude=latitude)
+    return level, mat_from_rpy(np.array([*level.roll_pitch, heading]))
+
+
+def _heading_notes(reference: ReferenceColumns | None, mat_nb: Floats, start_ns: int) -> list[Note]:
+    """Hold the configured heading against the reference's, where one is near enough to the start."""
+    if reference is None or not reference.has_attitude:
+        return []
+    rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)))
+    row = rows[np.argmin(np.abs(reference.time_ns[rows] - start_ns))]
+    if abs(seconds(reference.time_ns[row : row + 1], start_ns)[0]) > FAR_S:
+        return []
+    theirs, ours = rpy_from_mat(reference.mat_nb[row])[2], rpy_from_mat(mat_nb)[2]
+    if abs(float(wrap_angle(np.asarray(ours - theirs)))) <= HEADING_DOUBT:
+        return []
+    ours_deg, theirs_deg = ours / DEG % 360.0, theirs / DEG % 360.0
+    text = f"the heading of {ours_deg:.0f} deg at the start contradicts the reference, which has {theirs_deg:.0f} deg"
+    return [Note("start_heading_contradiction", text, 1, "warning", f"initial.heading_deg = {theirs_deg:.1f}")]
+
+
+def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:
+    """Tell roll and pitch with their standard deviations, about the vehicle's level forward and starboard axes."""
+    roll_deg, pitch_deg, heading_deg = rpy_from_mat(mat_nb) / DEG
+    level_axes = mat_from_rpy(np.array([0.0, 0.0, heading_deg * DEG]))
+    roll_sd_deg, pitch_sd_deg, _ = np.sqrt(np.diagonal(level_axes.T @ cov[PHI, PHI] @ level_axes)) / DEG
+    text = (
+        f"roll {roll_deg:.2f} +- {roll_sd_deg:.2f} deg and pitch {pitch_deg:.2f} +- {pitch_sd_deg:.2f} deg "
+        f"from gravity over {level.span_s:.3g} s, heading {heading_deg:g} deg from the configuration"
+    )
+    notes = [Note("start_levelled", text)]
+    if not level.pings:
+        text = (
+            f"the DVL tells too little of the {level.span_s:.3g} s after the start to take the vehicle's own "
+            "acceleration off gravity"
+        )
+        hint = "--start where the DVL sees the bottom"
+        notes.append(Note("start_level_unaided", text, severity="warning", hint=hint))
+    return notes
+
+
+def _reference_velocity(reference: ReferenceColumns | None, start_ns: int) -> Floats | None:
+    if reference is None or apart_s(reference.time_ns, reference.velocity_n, np.array([start_ns]))[0] > FAR_S:
+        return None
+    return at_time(reference.time_ns, reference.velocity_n, start_ns)
+
+
+def _dvl_velocity(
+    imu: ImuColumns,
+    velocities: DvlVelocities,
+    level: Level | None,
+    initial: Initial,
+    mat_nb: Floats,
+    lever_arm_b: Floats,
+    start_ns: int,
+    position: Floats,
+) -> tuple[Floats, Note]:
+    """Give the IMU's velocity in b, of the nearest ping; after levelling, of the first, and carried to the start."""
+    if level is not None and level.pings:
+        away_s = seconds(velocities.time_ns[velocities.time_ns >= start_ns][:1], start_ns)[0]
+        return level.velocity_b, _dvl_note(away_s)
+    nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
+    rate_ib_b = at_time(imu.time_ns, imu.angular_rate_b, int(velocities.time_ns[nearest])) - _gyro_bias_b(initial)
+    rate_ie_n = earth.EARTH_RATE * np.array([np.cos(position[0]), 0.0, -np.sin(position[0])])
+    rate_eb_b = rate_ib_b - mat_nb.T @ rate_ie_n
+    away_s = abs(int(velocities.time_ns[nearest]) - start_ns) * 1e-9
+    velocity_b: Floats = velocities.velocity_b[nearest] - np.cross(rate_eb_b, lever_arm_b)
+    return velocity_b, _dvl_note(away_s)
+
+
+def _dvl_note(away_s: float) -> Note:
+    return Note("start_velocity_dvl", f"velocity at the start from the DVL's ping {away_s:.2f} s away")
+
+
+def _accel_bias_b(initial: Initial) -> Floats:
+    return np.array(initial.accel_bias_mg) * MG
+
+
+def _gyro_bias_b(initial: Initial) -> Floats:
+    return np.array(initial.gyro_bias_degph) * DEG_PER_HOUR

@@ -1,0 +1,173 @@
+"""Before the filters: solve the pings, find the span, bridge or split gaps, and align."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from insdvl_replay.core.columns import Dive, nanoseconds
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import ConfigError, LogError, Note, about
+from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.rotation import mat_from_rpy
+from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
+from insdvl_replay.nav.gaps import Gaps, find_gaps, settle_gaps
+from insdvl_replay.preparation.aiding import sensor_noise
+from insdvl_replay.preparation.alignment import Alignment, align
+from insdvl_replay.preparation.lever_arm import reference_at_imu
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """All that the filters of one dive share.
+
+    Attributes
+    ----------
+    velocities : DvlVelocities
+        What the DVL measured, inside the span.
+    alignment : Alignment
+        When and where the filters start.
+    end_ns : int
+        End of the span.
+    gaps : Gaps
+        The IMU's long gaps inside the span, which the filters bridge.
+    notes : tuple of Note
+        What was dropped or assumed on the way.
+    """
+
+    velocities: DvlVelocities
+    alignment: Alignment
+    end_ns: int
+    gaps: Gaps
+    notes: tuple[Note, ...]
+
+
+def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
+    """Move the reference of a dive to the IMU, where the filters are.
+
+    Parameters
+    ----------
+    dive : Dive
+        As it was read.
+    config : Config
+
+    Returns
+    -------
+    Dive
+        As `prepare_dive` takes it. A reference without any number is none.
+
+    Raises
+    ------
+    ConfigError
+        The reference is of another point than the IMU, and gives no attitude to say where that is.
+    """
+    if dive.reference is None:
+        return dive
+    lever_arm_b = np.array(config.reference.lever_arm_m)
+    reference = reference_at_imu(dive.reference, dive.imu, lever_arm_b)
+    if len(reference.time_ns):
+        return replace(dive, reference=reference)
+    if dive.reference.has_position or dive.reference.has_velocity:
+        raise ConfigError(
+            f"{dive.name}: the reference gives no attitude by which reference.lever_arm_m could move it to the IMU",
+            "--set reference.lever_arm_m=[0,0,0], and its errors hold the lever arm",
+        )
+    return replace(dive, reference=None)
+
+
+def prepare_dive(dive: Dive, config: Config) -> Prepared:
+    """Do everything that comes before the filters: solve the pings, find the span, and align.
+
+    Parameters
+    ----------
+    dive : Dive
+        From `with_reference_at_imu`.
+    config : Config
+
+    Returns
+    -------
+    Prepared
+
+    Raises
+    ------
+    LogError
+        Nothing to replay in the span, or no reference to start from.
+    ConfigError
+        The settings do not fit the dive.
+    ValueError
+        The dive is what a replay keeps of it, the times of its IMU without the readings.
+    """
+    if len(dive.imu.specific_force_b) != len(dive.imu.time_ns):
+        raise ValueError(f"{dive.name}: the readings of its IMU were let go; read the log anew")
+    velocities, notes = _velocities(dive, config)
+    start_ns, end_ns = _span(dive, velocities, config)
+    lever_arm_b = np.array(config.dvl.lever_arm_m)
+    gaps = find_gaps(dive.imu.time_ns, config.imu)
+    with about(dive.name):
+        start_ns, end_ns, gap_notes = settle_gaps(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
+        noise = sensor_noise(config.filters[config.baseline], velocities, config)
+        alignment = align(dive.imu, velocities, noise, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
+    inside = velocities.within(alignment.start_ns, end_ns)
+    notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside)
+    return Prepared(inside, alignment, end_ns, gaps.within(alignment.start_ns, end_ns), notes)
+
+
+def _velocities(dive: Dive, config: Config) -> tuple[DvlVelocities, tuple[Note, ...]]:
+    """Solve the pings, and count those that gave no velocity."""
+    velocities = dvl_velocities(
+        dive.dvl,
+        mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG),
+        config.dvl.scale,
+        config.dvl.max_beam_residual_mps or np.inf,
+    )
+    if not len(velocities.time_ns):
+        raise LogError(
+            f"{dive.name}: none of the DVL's {len(dive.dvl.time_ns)} pings has a velocity",
+            "three valid beams, or a finite bottom-track velocity, are needed; was the seabed in range?",
+        )
+    notes = []
+    if lost := velocities.pings_without_velocity:
+        notes.append(
+            Note("dvl_no_velocity", f"{lost} pings have fewer than three valid beams or no finite velocity", lost)
+        )
+    if bad := velocities.pings_with_bad_residual:
+        limit = config.dvl.max_beam_residual_mps
+        notes.append(Note("dvl_bad_residual", f"{bad} pings have beams that disagree by more than {limit:g} m/s", bad))
+    if three := int(np.sum(velocities.beams_used == 3)):
+        notes.append(Note("dvl_three_beams", f"{three} pings are solved from three beams, without a check", three))
+    return velocities, tuple(notes)
+
+
+def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, int]:
+    """Give the span that the IMU covers, the DVL reaches and the configuration wants."""
+    first_ns, last_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
+    start_s, end_s = config.span.start_s, config.span.end_s
+    start_ns = first_ns if start_s is None else max(first_ns, first_ns + nanoseconds(start_s))
+    end_ns = last_ns if end_s is None else min(last_ns, first_ns + nanoseconds(end_s))
+    if start_ns >= end_ns:
+        duration_s = (last_ns - first_ns) * 1e-9
+        wanted_end_s = duration_s if end_s is None else end_s
+        raise LogError(
+            f"{dive.name}: nothing lies between --start {start_s or 0:g} s and --end {wanted_end_s:g} s; "
+            f"the IMU covers 0 to {duration_s:.1f} s",
+            "--start and --end count seconds from the first IMU sample",
+        )
+    if velocities.time_ns[-1] <= start_ns or velocities.time_ns[0] > end_ns:
+        before_s, after_s = ((int(velocities.time_ns[row]) - first_ns) * 1e-9 for row in (0, -1))
+        raise LogError(
+            f"{dive.name}: IMU and DVL do not overlap in time: the replay covers {(start_ns - first_ns) * 1e-9:.1f} to "
+            f"{(end_ns - first_ns) * 1e-9:.1f} s from the first IMU sample, the DVL {before_s:.1f} to {after_s:.1f} s",
+            "are both stamped by the same clock? try --set imu.stamp=log_time --set dvl.stamp=log_time",
+        )
+    return start_ns, end_ns
+
+
+def _outside_notes(name: str, velocities: DvlVelocities, inside: DvlVelocities) -> tuple[Note, ...]:
+    if not len(inside.time_ns):
+        raise LogError(
+            f"{name}: no DVL velocity lies between the start of the replay and its end",
+            "check dvl.stamp and reference.stamp against imu.stamp, or widen --start and --end",
+        )
+    outside = len(velocities.time_ns) - len(inside.time_ns)
+    if not outside:
+        return ()
+    return (Note("dvl_outside_span", f"{outside} pings lie before the start of the replay or after its end", outside),)

@@ -1,0 +1,200 @@
+"""Results appear all at once or not at all: they are written aside and renamed into place when complete."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.result_tables import TABLES
+from insdvl_replay.results.destination import NAME_A_FILE, open_in_place, replaceable_file
+from insdvl_replay.results.file_list import REPORT, list_files
+from insdvl_replay.results.workspace import NEW, OLD, clear_leftovers, workspace_beside
+
+COMPLETE = REPORT
+"""The file by which a result folder is known, written last."""
+PAGE = "report.html"
+"""The page that shows a result."""
+DIVE_FILES = (*(f"{layout.name}.csv" for layout in TABLES), "replay.mcap", "config.toml", "run.log", PAGE, COMPLETE)
+"""All files of the result of a dive."""
+TOOL = "insdvl-replay"
+"""How a report says whose it is."""
+REFERENCE_TRAJECTORY = "reference.tum"
+"""The reference's trajectory, where trajectories are asked for."""
+
+
+class _Label(msgspec.Struct):
+    """As much of a report as tells whose it is and which files it has; early ones do not list them."""
+
+    tool: dict[str, str | float | None]
+    baseline: str = ""
+    filters: dict[str, Any] = {}
+    files: dict[str, str] = {}
+
+
+def trajectory_file(name: str) -> str:
+    """Name the file of a filter's trajectory; no filter's name makes it that of the reference."""
+    return f"filter_{name}.tum"
+
+
+@contextmanager
+def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
+    """Give a new folder to write into, which becomes the target when the block ends without an exception.
+
+    On any exception, an interruption included, nothing of it remains, and an older result stays as it was. The report
+    in it is made to list its files.
+
+    Parameters
+    ----------
+    target : Path
+        The result folder. Folders above it are made.
+    force : bool
+        Replace an older result.
+
+    Yields
+    ------
+    Path
+        An empty folder on the same file system.
+
+    Raises
+    ------
+    ConfigError
+        The target exists and must not be replaced, or the disk refuses.
+    """
+    clear_leftovers(target.parent)  # an older result may lie in them
+    refuse_existing_folder(target, force=force)
+    with workspace_beside(target) as workspace:
+        yield workspace / NEW
+        list_files(workspace / NEW)
+        refuse_existing_folder(target, force=force)
+        if target.exists():
+            target.rename(workspace / OLD)
+        (workspace / NEW).rename(target)
+
+
+@contextmanager
+def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
+    """Give a path to write to, which becomes the target when the block ends without an exception.
+
+    Parameters
+    ----------
+    target : Path
+        The file, or a link to it, which stays. Folders above it are made. What is no file, as a device or a named pipe,
+        is never replaced: the bytes are written to it.
+    force : bool
+        Replace an older file.
+
+    Yields
+    ------
+    Path
+        A path on the same file system, where no file is yet.
+
+    Raises
+    ------
+    ConfigError
+        The target exists and must not be replaced, is a folder, a disk or a link that leads nowhere, or the disk
+        refuses.
+    """
+    refuse_existing_file(target, force=force)
+    file = replaceable_file(target)
+    if file is None:
+        with _copied_into(target) as path:
+            yield path
+        return
+    with workspace_beside(file) as workspace:
+        yield workspace / NEW / file.name
+        refuse_existing_file(target, force=force)
+        (workspace / NEW / file.name).replace(file)
+
+
+def refuse_existing_folder(target: Path, *, force: bool = False) -> None:
+    """Raise a ConfigError if a result must not be written to a folder.
+
+    With ``force`` an older result may be replaced, if the folder holds its files alone. Anything else that bears the
+    name may not: it is somebody's work.
+
+    Parameters
+    ----------
+    target : Path
+    force : bool
+    """
+    if not os.path.lexists(target):
+        return
+    own = _files_of_result(target)
+    if own is None:
+        raise ConfigError(f"{target}: exists and is not a result folder", "choose another folder with -o")
+    if not force:
+        raise ConfigError(f"{target}: exists", "choose another folder with -o, or replace it with --force")
+    if foreign := sorted(path.name for path in target.iterdir() if path.name not in own or path.is_dir()):
+        more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
+        raise ConfigError(
+            f"{target}: holds {foreign[0]}{more}, which its result did not write, and is not replaced",
+            "move it elsewhere, or name another folder for the results",
+        )
+
+
+def is_result(folder: Path) -> bool:
+    """Say whether a folder holds a result, so that the replay in it is no dive.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    bool
+        Also where its report is damaged, but not where it names another tool: that may lie beside logs.
+    """
+    if not (folder / COMPLETE).is_file():
+        return False
+    try:
+        label = msgspec.json.decode((folder / COMPLETE).read_bytes(), type=_Label)
+    except (OSError, UnicodeDecodeError, msgspec.DecodeError):
+        return True
+    return label.tool.get("name", TOOL) == TOOL
+
+
+def _files_of_result(folder: Path) -> Collection[str] | None:
+    """Name the files that a result may have; None if there is none.
+
+    A report that was damaged does not list them: a folder with all files of a dive's result is one nevertheless.
+    """
+    try:
+        label = msgspec.json.decode((folder / COMPLETE).read_bytes(), type=_Label)
+    except (OSError, UnicodeDecodeError, msgspec.DecodeError):
+        label = _Label(tool={})
+    if label.tool.get("name") == TOOL:
+        trajectories = map(trajectory_file, [label.baseline, *label.filters])
+        return {COMPLETE, *(label.files or {*DIVE_FILES, *trajectories, REFERENCE_TRAJECTORY})}
+    return DIVE_FILES if all((folder / name).is_file() for name in DIVE_FILES) else None
+
+
+def refuse_existing_file(target: Path, *, force: bool = False) -> None:
+    """Raise a ConfigError if a file cannot be written, or exists and may not be replaced.
+
+    Parameters
+    ----------
+    target : Path
+    force : bool
+    """
+    file = replaceable_file(target)
+    if file is not None and file.exists() and not force:
+        raise ConfigError(f"{target}: exists", "choose another name with -o, or replace it with --force")
+
+
+@contextmanager
+def _copied_into(target: Path) -> Iterator[Path]:
+    """Give a path to write to, whose bytes go into what is there already when the block ends without an exception."""
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / target.name
+            yield path
+            with path.open("rb") as source, open_in_place(target) as sink:
+                shutil.copyfileobj(source, sink)
+    except OSError as error:
+        raise ConfigError(f"{target}: cannot be written: {error.strerror or error}", NAME_A_FILE) from error

@@ -1,0 +1,83 @@
+"""A replay on disk: the files of a result folder."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from insdvl_replay import __version__, logs
+from insdvl_replay.core.columns import Floats, TimeNs
+from insdvl_replay.core.config_file import render_toml
+from insdvl_replay.core.history import History
+from insdvl_replay.core.progress import begin
+from insdvl_replay.evaluation.believed import mean_over_nine
+from insdvl_replay.evaluation.verdicts import Verdict
+from insdvl_replay.replay import Replay
+from insdvl_replay.report.csv_tables import table_csv
+from insdvl_replay.results.dive_figures import replay_coverage, replay_figures
+from insdvl_replay.results.dive_page import dive_page
+from insdvl_replay.results.folder import PAGE
+from insdvl_replay.results.json_report import Candidate, build_report, encode_report, this_tool
+from insdvl_replay.results.run_log import run_log
+
+
+def save_replay(replay: Replay, folder: Path) -> None:
+    """Write a replay's files into an empty folder; the same replay gives the same bytes.
+
+    Parameters
+    ----------
+    replay : Replay
+    folder : Path
+        Exists; its other files are left alone.
+    """
+    begin("writing the results")
+    settings = render_toml(replay.config)
+    report = build_report(
+        replay.dive,
+        replay.config,
+        replay.tables,
+        {verdict.filter: _candidate(verdict, replay.tables) for verdict in replay.verdicts},
+        replay.notes,
+        replay.start_ns,
+        replay.end_ns,
+        this_tool(),
+    )
+    for name, table in replay.tables.items():
+        (folder / f"{name}.csv").write_bytes(table_csv(table))
+    logs.write_replay(
+        folder / "replay.mcap",
+        dive=replay.dive,
+        histories=replay.histories,
+        dvl=_measured(replay.histories),
+        errors=replay.errors,
+        tables=replay.tables,
+        notes=replay.notes,
+        config_toml=settings,
+        version=__version__,
+    )
+    (folder / "config.toml").write_text(settings, "utf-8")
+    (folder / "run.log").write_text(run_log(report), "utf-8")
+    begin("drawing the report")
+    strips = replay_coverage(replay)  # before the figures, which hold much until they are drawn
+    (folder / PAGE).write_bytes(dive_page(report, replay_figures(replay), strips, settings))
+    (folder / "report.json").write_bytes(encode_report(report))
+
+
+def _candidate(verdict: Verdict, tables: dict[str, pd.DataFrame]) -> Candidate:
+    return Candidate(
+        verdict=verdict.sentence,
+        improvement=verdict.improvement,
+        consistency=verdict.consistency,
+        mean_improvement_pct=verdict.believed_pct,
+        mean_convergence_improvement_pct=mean_over_nine(tables["convergence"], verdict.filter),
+        reference_improvement_pct=verdict.actual_pct,
+        credibility=verdict.credibility,
+    )
+
+
+def _measured(histories: tuple[History, ...]) -> dict[str, tuple[TimeNs, Floats]]:
+    """Give the DVL's velocity and derived acceleration as the first filter that is aided by each met them."""
+    measured: dict[str, tuple[TimeNs, Floats]] = {}
+    for history in histories:
+        for innovations in history.innovations:
+            measured.setdefault(innovations.measurement, (innovations.valid_ns, innovations.measured_b))
+    return measured

@@ -1,0 +1,122 @@
+"""Find results on the disk and read them back, those of other versions too."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NoReturn
+
+import msgspec
+
+from insdvl_replay import __version__
+from insdvl_replay.core.errors import ConfigError, Note, ResultError
+from insdvl_replay.core.result_tables import TABLES
+from insdvl_replay.core.stored_result import StoredReport, StoredResult
+from insdvl_replay.results.folder import COMPLETE
+
+
+class _Label(msgspec.Struct):
+    """As much of a file as tells what it is."""
+
+    study: str | None = None
+    tool: dict[str, str | float | None] = {}
+
+
+def read_results(root: Path) -> tuple[list[StoredResult], list[Note]]:
+    """Read every result in a place.
+
+    Parameters
+    ----------
+    root : Path
+        A report.json, a result folder, or a folder of result folders at any depth.
+
+    Returns
+    -------
+    results : list of StoredResult
+        In the order of their paths.
+    notes : list of Note
+        Results of studies, which have no tables of a dive, are left out and counted.
+
+    Raises
+    ------
+    ConfigError
+        There is no result of a dive.
+    ResultError
+        A report cannot be read.
+    """
+    files = sorted(_report_files(root))
+    read = [(file, _read_report(file)) for file in files]
+    results = [
+        StoredResult(file.parent, _below(file.parent, root), report) for file, report in read if report is not None
+    ]
+    if not results:
+        found = "holds results of studies alone" if read else "holds no result"
+        raise ConfigError(f"{root}: {found}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote")
+    studies = len(read) - len(results)
+    text = f"{root}: {studies} results of studies are left out"
+    return results, [Note("studies_left_out", text, studies)] if studies else []
+
+
+def _below(folder: Path, root: Path) -> str:
+    return folder.relative_to(root).as_posix() if root.is_dir() else "."
+
+
+def _report_files(root: Path) -> Iterator[Path]:
+    """Give the report of each result; folders whose name begins with a dot are results that are still written."""
+    if not root.exists():
+        raise ConfigError(f"{root}: does not exist", "name a result folder, a report.json or a folder of results")
+    if root.is_file():
+        yield root
+        return
+    for folder, below, names in os.walk(root, onerror=_refuse):
+        below[:] = [name for name in below if not name.startswith(".")]
+        if COMPLETE in names:
+            yield Path(folder, COMPLETE)
+            below.clear()
+
+
+def _refuse(error: OSError) -> NoReturn:
+    raise ResultError(
+        f"{error.filename}: cannot be read: {error.strerror or error}", "check its permissions"
+    ) from error
+
+
+def _read_report(file: Path) -> StoredReport | None:
+    """Read one report; None for that of a study."""
+    try:
+        data = file.read_bytes()
+        label = msgspec.json.decode(data, type=_Label)
+        if label.study is not None:
+            return None
+        report = msgspec.json.decode(data, type=StoredReport)
+    except OSError as error:
+        _refuse(error)
+    except msgspec.ValidationError as error:
+        reason = str(error)
+        raise ResultError(
+            f"{file}: is not a report that version {__version__} can read{_made_by(data)}: "
+            f"{reason[:1].lower()}{reason[1:]}",
+            "replay the log again with this version, or compare with the version that wrote it",
+        ) from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        hint = "name a result folder or its report.json; a broken one is replaced by replaying its log with --force"
+        raise ResultError(f"{file}: is not JSON: {error}", hint) from error
+    _refuse_nameless_rows(file, report)
+    return report
+
+
+def _refuse_nameless_rows(file: Path, report: StoredReport) -> None:
+    """Refuse a result with a row of which nobody knows what it is about."""
+    for layout in TABLES:
+        for number, row in enumerate(report.tables.get(layout.name, []), 1):
+            for column in ("filter", layout.key):
+                if column not in row:
+                    place = f"{file}: table {layout.name}, row {number}"
+                    raise ResultError(f"{place}: has no column {column}", "replay the log again")
+
+
+def _made_by(data: bytes) -> str:
+    try:
+        version = msgspec.json.decode(data, type=_Label).tool.get("version")
+    except msgspec.DecodeError:
+        return ""
+    return f" (written by version {version})" if version else ""

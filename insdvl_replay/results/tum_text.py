@@ -1,0 +1,42 @@
+"""Trajectories in the TUM format, which evo and the tools of visual odometry read.
+
+One line for each time: ``timestamp tx ty tz qx qy qz qw``, seconds and metres, with single spaces.
+Source: J. Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", 2012, and its file formats.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.geometry.east_north_up import east_north_up_m, quat_enu_flu
+
+
+def tum_trajectory(time_ns: TimeNs, position: Floats, mat_nb: Floats, origin: Floats) -> bytes:
+    """Write a trajectory.
+
+    Parameters
+    ----------
+    time_ns : ndarray, shape (k,)
+    position : ndarray, shape (k, 3)
+        Latitude rad, longitude rad, height m.
+    mat_nb : ndarray, shape (k, 3, 3)
+        NaN where no attitude is known.
+    origin : ndarray, shape (3,)
+        Position from which east, north and up are counted.
+
+    Returns
+    -------
+    bytes
+        Times as they are, to the nanosecond; forward-port-up to east-north-up. The format knows no missing positions:
+        times without one have no line. A missing attitude is NaN, which evo takes where it compares positions.
+    """
+    known = np.isfinite(position).all(axis=1)
+    columns = np.hstack([east_north_up_m(position[known], origin), quat_enu_flu(mat_nb[known])])
+    return "".join(_lines(time_ns[known].tolist(), columns.tolist())).encode()
+
+
+def _lines(times_ns: Iterable[int], rows: Iterable[Iterable[float]]) -> Iterable[str]:
+    for time_ns, row in zip(times_ns, rows, strict=True):
+        second, nanosecond = divmod(time_ns, NS_PER_S)
+        yield f"{second}.{nanosecond:09d} {' '.join(f'{number:.9g}' for number in row)}\n"

@@ -1,0 +1,166 @@
+"""A Monte Carlo study for people: what each filter believes of its errors, and what they are."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
+
+from insdvl_replay.core.states import NINE, STATES
+from insdvl_replay.report.display_table import ShownTable, number, percent, row_label
+
+
+def montecarlo_sentences(tables: Mapping[str, pd.DataFrame]) -> tuple[str, ...]:
+    """Say of each filter whether it is as good as it says, and of each candidate whether it is better.
+
+    Parameters
+    ----------
+    tables : mapping of str to DataFrame
+        ``montecarlo`` and ``verdicts``.
+
+    Returns
+    -------
+    tuple of str
+    """
+    verdicts = [_verdict(row) for row in tables["verdicts"].itertuples()]
+    baseline, *candidates = tables["verdicts"]["filter"]
+    return (*verdicts, *(_improvement(tables["montecarlo"], name, baseline) for name in candidates))
+
+
+def _verdict(row: Any) -> str:
+    judged = f"{row.filter}: too few runs to judge it" if row.verdict == "too few" else f"{row.filter} is {row.verdict}"
+    return (
+        f"{judged}; mean NEES {row.mean_nees:.4g} over {row.runs} runs, where 95 % of consistent filters have "
+        f"{row.low:.4g} to {row.high:.4g}; inside at {row.inside_pct:.0f} % of the pings"
+    )
+
+
+def _improvement(table: pd.DataFrame, name: str, baseline: str) -> str:
+    rows = table[(table["filter"] == name) & table["state"].isin([state.id for state in NINE])]
+    believed, true = (rows[f"{kind}_improvement_pct"].mean() for kind in ("believed", "true"))
+    return (
+        f"{name} believes in errors that are {_change(believed)} than those of {baseline} in the mean over nine "
+        f"states; they are {_change(true)}"
+    )
+
+
+def _change(improvement_pct: float) -> str:
+    return f"{abs(improvement_pct):.1f} % {'smaller' if improvement_pct >= 0 else 'larger'}"
+
+
+def shown_montecarlo(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable, ...]:
+    """Turn the tables of a study into tables for people: one for each filter, and the verdicts.
+
+    Parameters
+    ----------
+    tables : mapping of str to DataFrame
+        ``montecarlo`` and ``verdicts``; ``outages`` where there were any.
+
+    Returns
+    -------
+    tuple of ShownTable
+    """
+    baseline, *_ = tables["verdicts"]["filter"]
+    states = [
+        _states(name, rows, "" if name == baseline else baseline)
+        for name, rows in tables["montecarlo"].groupby("filter", sort=False)
+    ]
+    through = (_outages(tables["outages"]),) if "outages" in tables else ()
+    return (*states, _verdicts(tables["verdicts"]), *through)
+
+
+def _states(name: object, rows: pd.DataFrame, baseline: str) -> ShownTable:
+    header = ["state", "unit", "sigma\nfrom P", "ensemble\nsigma", "ensemble\nmean", "rms /\nsigma"]
+    columns = ["final_sd", "ensemble_sd", "ensemble_mean", "ratio"]
+    shares = ["believed_improvement_pct", "true_improvement_pct"] if baseline else []
+    against = f"; improvement over {baseline} in belief and truth" if baseline else ""
+    return ShownTable(
+        f"Errors of {name} at the end, as believed and as they are{against}",
+        (*header, *(["belief", "truth"] if baseline else [])),
+        "llrrrr" + "rr" * bool(baseline),
+        tuple(
+            (
+                row_label(row["state"]),
+                row["unit"],
+                *(number(row[column]) for column in columns),
+                *(percent(row[column]) for column in shares),
+            )
+            for row in rows.to_dict("records")
+        ),
+    )
+
+
+def _verdicts(table: pd.DataFrame) -> ShownTable:
+    return ShownTable(
+        "NEES: mean over runs and pings, and where 95 % of consistent filters would have it",
+        ("filter", "runs", "NEES", "low", "high", "inside", "at the end", "verdict"),
+        "lrrrrrrl",
+        tuple(
+            (
+                row["filter"],
+                str(row["runs"]),
+                *(number(row[column]) for column in ("mean_nees", "low", "high")),
+                percent(row["inside_pct"]),
+                number(row["final_nees"]),
+                row["verdict"],
+            )
+            for row in table.to_dict("records")
+        ),
+    )
+
+
+def _outages(table: pd.DataFrame) -> ShownTable:
+    columns = ["nees_before", "nees_last", "nees_soon", "nees_later", "nees_final"]
+    return ShownTable(
+        f"NEES through outages of the DVL, mean over the runs; {len(STATES)} expected",
+        ("filter", "from\n[s]", "to\n[s]", "before", "last in\nit", "after\n1.5 s", "after\n60 s", "at the\nend"),
+        "lrrrrrrr",
+        tuple(
+            (row["filter"], f"{row['start_s']:g}", f"{row['end_s']:g}", *(number(row[column]) for column in columns))
+            for row in table.to_dict("records")
+        ),
+    )
+
+
+def run_sentences(table: pd.DataFrame) -> tuple[str, ...]:
+    """Say of each filter what its NEES was in one run.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `ensemble_tables.run_table`.
+
+    Returns
+    -------
+    tuple of str
+    """
+    return tuple(
+        f"{row['filter']}: NEES {row['mean_nees']:.4g} in the mean over the pings, {row['final_nees']:.4g} at the end "
+        f"({len(STATES)} expected)"
+        for row in table.drop_duplicates("filter").to_dict("records")
+    )
+
+
+def shown_run(table: pd.DataFrame) -> tuple[ShownTable, ...]:
+    """Turn one run into tables for people, one for each filter.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `ensemble_tables.run_table`.
+
+    Returns
+    -------
+    tuple of ShownTable
+    """
+    return tuple(
+        ShownTable(
+            f"Errors of {name} at the end of the run",
+            ("state", "unit", "error", "sigma from P", "error / sigma"),
+            "llrrr",
+            tuple(
+                (row_label(row["state"]), row["unit"], *(number(row[column]) for column in ("error", "sd", "ratio")))
+                for row in rows.to_dict("records")
+            ),
+        )
+        for name, rows in table.groupby("filter", sort=False)
+    )

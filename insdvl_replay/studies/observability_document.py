@@ -1,0 +1,164 @@
+"""An observability study for people: ranks, what is unobservable in words and numbers, what is left of each state."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from insdvl_replay.core.states import STATES
+from insdvl_replay.report.display_table import MISSING, ShownTable, number, percent, row_label
+
+_SHORT: Final = {
+    "velocity + published": "velocity +\npublished",
+    "velocity + windowed": "velocity +\nwindowed",
+}
+_NOTHING: Final = 1e-5
+"""Smaller components of a direction, in shown units beside a leading 1, are left out."""
+_GROWN_PCT: Final = 101.0
+"""Of the prior, above which a state is said to have grown more uncertain; a bias alone wanders by less."""
+
+
+def observability_sentences(tables: Mapping[str, pd.DataFrame], tolerance: float) -> tuple[str, ...]:
+    """Say for each aiding what its rank is, which directions it cannot see, and which states it lets grow uncertain.
+
+    Parameters
+    ----------
+    tables : mapping of str to DataFrame
+        ``ranks``, ``directions`` and ``states``.
+    tolerance : float
+        Share of the largest singular value up to which one is called zero.
+
+    Returns
+    -------
+    tuple of str
+    """
+    directions = tables["directions"]
+    unseen = directions[directions["status"] == "unobservable"].groupby("aiding")["label"].agg(list)
+    sentences = [_rank_sentence(row, unseen.get(row["aiding"], [])) for row in tables["ranks"].to_dict("records")]
+    sentences += [_grown_sentence(aiding, rows) for aiding, rows in tables["states"].groupby("aiding", sort=False)]
+    return (*sentences, f"Singular values up to {tolerance:.0e} of the largest count as zero.")
+
+
+def _rank_sentence(row: Mapping[Any, Any], unseen: list[str]) -> str:
+    rank = f"{row['aiding']}: rank {row['rank']} of {row['states']}"
+    if row["weak"]:
+        rank += f", {row['weak']} of them with a signal below the noise"
+    if row["rank"] == row["states"]:
+        return f"{rank}."
+    names = [*unseen, *([f"{row['unnamed']} without a name"] if row["unnamed"] else [])]
+    gap = "" if not np.isfinite(row["gap"]) else f", where the singular values fall by a factor of {row['gap']:.0e}"
+    return f"{rank}{gap}; unobservable: {', '.join(names)}."
+
+
+def _grown_sentence(aiding: object, states: pd.DataFrame) -> str:
+    """Name the states that are less certain at the end than at the start, which no rank tells."""
+    grown = states[states["left_pct"] > _GROWN_PCT]
+    names = [f"{row_label(row['state'])} ({row['left_pct']:.0f} %)" for row in grown.to_dict("records")]
+    if not names:
+        return f"{aiding}: with process noise, no state is less certain after the last ping than at the start."
+    return f"{aiding}: with process noise, less certain after the last ping than at the start: {'; '.join(names)}."
+
+
+def shown_observability(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable, ...]:
+    """Turn the tables of a study into tables for people.
+
+    Parameters
+    ----------
+    tables : mapping of str to DataFrame
+        ``directions``, ``catalogue``, ``singular_values`` and ``states``.
+
+    Returns
+    -------
+    tuple of ShownTable
+        The directions, with their numbers and how they are seen; singular values; what is left of each state at the
+        end, with process noise, and of its error at the start, without.
+    """
+    return (
+        _catalogue(tables["catalogue"]),
+        _directions(tables["directions"]),
+        _singular_values(tables["singular_values"]),
+        _states(
+            "What is left of the prior standard deviation after the last ping, process noise included",
+            tables["states"],
+            "left_pct",
+            "Over 100 %: grown since the start, by process noise and by other errors",
+        ),
+        _states(
+            "What would be left of the errors at the start, were there no process noise",
+            tables["states"],
+            "left_without_noise_pct",
+        ),
+    )
+
+
+def _catalogue(catalogue: pd.DataFrame) -> ShownTable:
+    return ShownTable(
+        "Directions of error that have a name, at the start",
+        ("direction", "what it is", "made of"),
+        "lll",
+        tuple((row["direction"], row["label"], ", ".join(_components(row))) for row in catalogue.to_dict("records")),
+    )
+
+
+def _components(row: Mapping[Any, Any]) -> Iterator[str]:
+    for state in STATES:
+        if abs(row[state.id]) > _NOTHING:
+            yield f"{state.id} {number(row[state.id])} {state.unit}"
+
+
+def _directions(directions: pd.DataFrame) -> ShownTable:
+    cells = {
+        (row["direction"], row["aiding"]): MISSING
+        if row["status"] == "unobservable"
+        else number(row["signal_to_noise"])
+        for row in directions.to_dict("records")
+    }
+    return _by_aiding(
+        "How the directions are seen: signal to noise of an error as large as the prior",
+        "direction",
+        {name: name for name in directions["direction"].unique()},
+        list(directions["aiding"].unique()),
+        cells,
+        f"{MISSING}: unobservable",
+    )
+
+
+def _singular_values(values: pd.DataFrame) -> ShownTable:
+    cells = {(row["number"], row["aiding"]): number(row["singular_value"]) for row in values.to_dict("records")}
+    return _by_aiding(
+        "Singular values: signal to noise of twelve directions at right angles",
+        "",
+        {count: str(count) for count in values["number"].unique()},
+        list(values["aiding"].unique()),
+        cells,
+    )
+
+
+def _states(title: str, states: pd.DataFrame, column: str, footnote: str = "") -> ShownTable:
+    cells = {(row["state"], row["aiding"]): percent(row[column]) for row in states.to_dict("records")}
+    return _by_aiding(
+        title,
+        "state",
+        {name: row_label(name) for name in states["state"].unique()},
+        list(states["aiding"].unique()),
+        cells,
+        footnote,
+    )
+
+
+def _by_aiding(
+    title: str,
+    header: str,
+    labels: Mapping[Any, str],
+    aidings: list[str],
+    cells: Mapping[tuple[Any, str], str],
+    footnote: str = "",
+) -> ShownTable:
+    return ShownTable(
+        title,
+        (header, *(_SHORT.get(aiding, aiding) for aiding in aidings)),
+        "l" + "r" * len(aidings),
+        tuple((label, *(cells[key, aiding] for aiding in aidings)) for key, label in labels.items()),
+        footnote,
+    )

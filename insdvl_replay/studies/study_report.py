@@ -1,0 +1,114 @@
+"""The result of a study: sentences and tables, for people, for scripts and for the folder that keeps them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from matplotlib.figure import Figure
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import render_toml
+from insdvl_replay.core.errors import Note
+from insdvl_replay.report.csv_tables import rows_csv, table_csv
+from insdvl_replay.report.display_table import ShownTable
+from insdvl_replay.report.markup import latex_page, markdown_page
+from insdvl_replay.report.pictures import picture_bytes
+from insdvl_replay.report.terminal import dressed, spoken
+from insdvl_replay.results.folder import COMPLETE, PAGE
+from insdvl_replay.studies.study_json import study_json
+from insdvl_replay.studies.study_page import study_page
+
+
+@dataclass(frozen=True)
+class StudyReport:
+    """What a study found.
+
+    Attributes
+    ----------
+    study : str
+        Name of the command.
+    title : str
+        What was studied, in one line.
+    arguments : mapping of str to anything
+        What it was asked, as JSON can write it.
+    sentences : tuple of str
+        What it found, in words.
+    tables : mapping of str to DataFrame
+        What it found, in numbers.
+    shown : tuple of ShownTable
+        The same for people.
+    config : Config
+        Resolved settings.
+    notes : tuple of Note
+        What was dropped, assumed or found odd.
+    series : mapping of str to DataFrame
+        Long tables, which go to files alone.
+    """
+
+    study: str
+    title: str
+    arguments: Mapping[str, Any]
+    sentences: tuple[str, ...]
+    tables: Mapping[str, pd.DataFrame]
+    shown: tuple[ShownTable, ...]
+    config: Config
+    notes: tuple[Note, ...] = ()
+    series: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+
+
+def write_study(
+    report: StudyReport, folder: Path, pictures: Mapping[str, Figure] | None = None, *, png: bool = False
+) -> None:
+    """Write the pictures, the tables, the settings, the page and, last, the file by which a result is known.
+
+    Parameters
+    ----------
+    report : StudyReport
+    folder : Path
+        Exists; its other files are left alone.
+    pictures : mapping of str to matplotlib.figure.Figure, optional
+        By the name of their files.
+    png : bool
+        Write the pictures as PNG, too.
+    """
+    drawn = {name: picture_bytes(figure, "svg") for name, figure in (pictures or {}).items()}
+    for name, svg in drawn.items():
+        (folder / f"{name}.svg").write_bytes(svg)
+    for name, figure in (pictures or {}).items() if png else ():
+        (folder / f"{name}.png").write_bytes(picture_bytes(figure, "png"))
+    (folder / PAGE).write_bytes(study_page(report, drawn))
+    for name, table in {**report.tables, **report.series}.items():
+        (folder / f"{name}.csv").write_bytes(table_csv(table))
+    (folder / "config.toml").write_text(render_toml(report.config), "utf-8")
+    (folder / COMPLETE).write_bytes(study_json(report))
+
+
+def study_csv(report: StudyReport) -> str:
+    """Write the tables one after the other, each line beginning with the table's name, a blank line between them."""
+    blocks = []
+    for name, table in report.tables.items():
+        rows = ((name, *row) for row in table.itertuples(index=False, name=None))
+        blocks.append(rows_csv(("table", *table.columns), rows))
+    return "\n".join(blocks)
+
+
+def study_markdown(report: StudyReport) -> str:
+    """Dress a study in Markdown."""
+    return markdown_page(report.title, report.sentences, report.shown)
+
+
+def study_latex(report: StudyReport) -> str:
+    """Dress a study in LaTeX."""
+    return latex_page(report.title, report.sentences, report.shown)
+
+
+def study_terminal(report: StudyReport) -> Group:
+    """Dress a study for a terminal, to be printed by a rich console."""
+    parts: list[RenderableType] = [spoken(report.title, "bold"), *map(spoken, report.sentences)]
+    for table in report.shown:
+        parts += [Text(), dressed(table)]
+    return Group(*parts)

@@ -1,0 +1,87 @@
+"""A window study for people: how many velocities make the best acceleration."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import pandas as pd
+
+from insdvl_replay.report.display_table import ShownTable, number
+
+_ARM: Final = {
+    "compensated": "With the lever arm compensated",
+    "ignored": "With the lever arm ignored",
+    "none": "Without a lever arm",
+}
+_HEADERS: Final = {"compensated": "arm comp.", "ignored": "arm ignored", "none": "no arm"}
+
+
+def window_sentences(best: pd.DataFrame, differentiated_over_s: Sequence[float]) -> tuple[str, ...]:
+    """Say which window is best, at its middle and at its end, and how fine the reference is that says so.
+
+    Parameters
+    ----------
+    best : DataFrame
+        Columns log, n, at, lever_arm, rmse_mps2, samples; the rows of the first log are told.
+    differentiated_over_s : sequence of float
+        Time over which each log's reference is differentiated.
+
+    Returns
+    -------
+    tuple of str
+    """
+    told = best[best["log"] == best["log"].iloc[0]]
+    optima = [_optimum(rows.set_index("at")) for _, rows in told.groupby("lever_arm", sort=False)]
+    shortest_s, longest_s = min(differentiated_over_s), max(differentiated_over_s)
+    over = f"{shortest_s:.3g} s" if longest_s - shortest_s < 0.01 else f"{shortest_s:.3g} to {longest_s:.3g} s"
+    return (
+        *optima,
+        f"The reference's acceleration is a difference of velocities over {over}; what is faster it misses.",
+    )
+
+
+def _optimum(rows: Any) -> str:
+    middle, end = rows.loc["middle"], rows.loc["end"]
+    return (
+        f"{_ARM[middle['lever_arm']]}, the acceleration is nearest the reference's from {middle['n']} velocities at "
+        f"the middle of their window, {number(middle['rmse_mps2'])} m/s^2 rms, and from {end['n']} at its end, "
+        f"{number(end['rmse_mps2'])} m/s^2 rms."
+    )
+
+
+def shown_windows(windows: pd.DataFrame, best: pd.DataFrame) -> tuple[ShownTable, ...]:
+    """Turn the tables of a study into tables for people: errors by number of velocities, and the optima of each log.
+
+    Parameters
+    ----------
+    windows, best : DataFrame
+        Columns log, n, at, lever_arm, rmse_mps2, samples.
+
+    Returns
+    -------
+    tuple of ShownTable
+    """
+    return (_by_size(windows[windows["log"] == windows["log"].iloc[0]]), _optima(best))
+
+
+def _by_size(rows: pd.DataFrame) -> ShownTable:
+    kinds = list(rows[["lever_arm", "at"]].drop_duplicates().itertuples(index=False, name=None))
+    rmse = rows.set_index(["n", "lever_arm", "at"])["rmse_mps2"]
+    return ShownTable(
+        f"Acceleration from n velocities against the reference's, rms [m/s^2], {rows['samples'].iloc[0]} pings",
+        ("n", *(f"{at},\n{_HEADERS[arm]}" for arm, at in kinds)),
+        "r" * (1 + len(kinds)),
+        tuple((str(n), *(number(float(rmse[n, arm, at])) for arm, at in kinds)) for n in rows["n"].unique()),
+    )
+
+
+def _optima(best: pd.DataFrame) -> ShownTable:
+    return ShownTable(
+        "The number of velocities with the least error",
+        ("log", "at", "lever arm", "n", "rms [m/s^2]", "pings"),
+        "lllrrr",
+        tuple(
+            (row["log"], row["at"], row["lever_arm"], str(row["n"]), number(row["rmse_mps2"]), str(row["samples"]))
+            for row in best.to_dict("records")
+        ),
+        "log *: all logs together" if best["log"].iloc[0] == "*" else "",
+    )

@@ -1,0 +1,524 @@
+"""Many dives: found, replayed on several workers, known again, and not lost when workers die."""
+
+import gc
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import weakref
+from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor, Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+import psutil
+import pytest
+from counting_work import threads_with_numpy
+from dying_work import die_always, die_at_first
+from msgspec.structs import replace
+from recorded_parts import write_part
+
+import insdvl_replay
+from insdvl_replay.batch.dive_paths import find_dives
+from insdvl_replay.batch.executors import Pool, WorkerLostError, Workers, do_each
+from insdvl_replay.batch.jobs import Order, Task, known_reports, log_digest, plan_tasks, replay_archive, replay_into
+from insdvl_replay.batch.worker_processes import local_workers
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_names import unique_names
+from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.sources import sources_digest
+from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.results.json_report import decode_report, encode_report
+from insdvl_replay.sim.dive import simulate_dive
+
+TOOL = [sys.executable, "-m", "insdvl_replay"]
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+
+if __name__ == "__main__":
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        print(cluster.scheduler_address, flush=True)
+        sys.stdin.read()
+"""
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six simulated dives of 20 s."""
+    folder = tmp_path_factory.mktemp("archive")
+    for seed in range(1, 7):
+        write_dive(folder / f"dive_{seed}.mcap", simulate_dive("straight", seed=seed, duration_s=20.0))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Their results, made one after the other in one process."""
+    output = tmp_path_factory.mktemp("results")
+    assert run_command_line(["run", str(archive), "-o", str(output)]) == 0
+    return output
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """A dask.distributed cluster of two worker processes: its address and its own process."""
+    command = [sys.executable, "-c", CLUSTER]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        yield process.stdout.readline().strip(), process
+        process.communicate(timeout=60)
+
+
+def run(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [*TOOL, "run", *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+
+
+def bytes_of(output: Path) -> dict[str, bytes]:
+    """Every file below a folder, without the one block that may differ."""
+    files = {str(path.relative_to(output)): path.read_bytes() for path in output.rglob("*") if path.is_file()}
+    for name, data in files.items():
+        if name.endswith("report.json"):
+            files[name] = json.dumps({**json.loads(data), "tool": None}).encode()
+    return files
+
+
+def wait_for(path: Path, process: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + 120.0
+    while not path.exists():
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+# --- Which dives are meant.
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """Logs, a bag, a folder of numbered logs, a result and a hidden folder."""
+    for name in ("b.mcap", "a.mcap", "notes.md", "2026/c.mcap", "bag/x_1.mcap", "bag/metadata.yaml",
+                 "trip/trip_0.mcap", "trip/trip_1.mcap", "replay/a/replay.mcap", "replay/a/report.json",
+                 ".trash/old.mcap"):  # fmt: skip
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("a.mcap", "a.mcap"),
+        ("absent.mcap", "absent.mcap"),
+        ("notes.md", "notes.md"),
+        (".", "2026/c.mcap a.mcap b.mcap bag trip/trip_0.mcap trip/trip_1.mcap"),
+        ("bag", "bag"),
+        ("*.mcap", "a.mcap b.mcap"),
+        ("*", "2026/c.mcap a.mcap b.mcap bag trip/trip_0.mcap trip/trip_1.mcap"),
+        ("**/c.mcap", "2026/c.mcap"),
+    ],
+)
+def test_names_stand_for_dives(name: str, found: str, tree: Path) -> None:
+    assert [str(path.relative_to(tree)) for path in find_dives([name], tree)] == found.split()
+
+
+def test_results_are_dives_only_where_they_are_wanted(tree: Path) -> None:
+    assert tree / "replay" / "a" in find_dives(["."], tree, results=True)
+    with pytest.raises(ConfigError, match=r"replay: no dive is found there"):
+        find_dives(["replay"], tree)
+
+
+def test_logs_beside_the_report_of_another_tool_are_dives(tree: Path) -> None:
+    (tree / "trip" / "report.json").write_text('{"tool": {"name": "another"}}')
+    assert [path.name for path in find_dives(["trip"], tree)] == ["trip_0.mcap", "trip_1.mcap"]
+    (tree / "trip" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
+    assert find_dives(["trip"], tree, results=True) == [tree / "trip"]
+
+
+def test_a_list_names_dives_seen_from_its_own_folder(tree: Path) -> None:
+    (tree / "2026" / "season.txt").write_text("# the good ones\n\nc.mcap\n../*.mcap\n../bag\n")
+    found = find_dives(["2026/season.txt"], tree)
+    assert [path.resolve() for path in found] == [
+        tree / name for name in ("2026/c.mcap", "a.mcap", "b.mcap", "bag")
+    ]  # fmt: skip
+
+
+def test_a_dive_that_is_meant_twice_is_one(tree: Path) -> None:
+    found = find_dives(["b.mcap", "*.mcap", "../" + tree.name, "bag/../b.mcap"], tree)
+    assert len(found) == len({path.resolve() for path in found}) == 6
+    assert found[:2] == [tree / "b.mcap", tree / "a.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        ("a.mcap sub/b.mcap", "a b"),
+        ("mon/x.mcap tue/x.mcap tue/y.mcap", "mon_x tue_x y"),
+        ("1/mon/x.mcap 2/mon/x.mcap tue/x.mcap", "1_mon_x 2_mon_x tue_x"),
+    ],
+)
+def test_dives_that_would_share_a_name_are_told_apart_by_their_folders(paths: str, names: str, tmp_path: Path) -> None:
+    assert unique_names([tmp_path / path for path in paths.split()]) == names.split()
+
+
+@pytest.mark.parametrize(
+    ("file", "name"), [("..mcap", "mcap"), ("...mcap", "mcap"), (".mcap", ".mcap"), ("a..mcap", "a."), ("...", "dive")]
+)
+def test_no_dive_bears_the_name_of_the_folder_it_lies_in(file: str, name: str, tmp_path: Path) -> None:
+    assert unique_names([tmp_path / file]) == [name]
+
+
+def test_a_folder_keeps_what_stands_behind_a_dot_in_its_name(tmp_path: Path) -> None:
+    bag = tmp_path / "dive_2026.11.21"
+    bag.mkdir()
+    assert unique_names([bag, tmp_path / "dive_2026.mcap"]) == ["dive_2026.11.21", "dive_2026"]
+    write_dive(bag / "part_0.mcap", simulate_dive("straight", seed=1, duration_s=20.0))
+    assert read_dive(bag, load_config()).name == "dive_2026.11.21"
+    (bag / "notes").mkdir()
+    assert read_dive(bag / "notes" / "..", load_config()).name == "dive_2026.11.21"
+
+
+@pytest.mark.parametrize("paths", ["x.mcap x", "mon/x.mcap tue/x.mcap tue_x.mcap"])
+def test_dives_that_folders_do_not_tell_apart_are_refused(paths: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"x\.mcap and .*x(\.mcap)? would share the name .*x$"):
+        unique_names([tmp_path / path for path in paths.split()])
+
+
+def test_two_dives_of_one_name_are_replayed_beside_each_other(archive: Path, tmp_path: Path) -> None:
+    for day, seed in (("monday", 1), ("tuesday", 2)):
+        (tmp_path / day).mkdir()
+        shutil.copy(archive / f"dive_{seed}.mcap", tmp_path / day / "dive.mcap")
+    logs = [str(tmp_path / day) for day in ("monday", "tuesday")]
+    assert run_command_line(["run", *logs, "-o", str(tmp_path / "out")]) == 0
+    for name in ("monday_dive", "tuesday_dive"):
+        assert decode_report((tmp_path / "out" / name / "report.json").read_bytes()).log.name == name
+    rows = (tmp_path / "out" / "summary.csv").read_text().splitlines()[1:]
+    assert [row.partition(",")[0] for row in rows] == ["monday_dive", "tuesday_dive"]
+    assert known_reports(plan_tasks(find_dives(logs), tmp_path / "out", Order(load_config())), force=False)
+    assert not known_reports(plan_tasks(find_dives(logs[:1]), tmp_path / "out", Order(load_config())), force=False)
+
+
+def test_a_result_that_lost_a_file_is_made_anew(archive: Path, results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results, tmp_path / "out")
+    (tmp_path / "out" / "dive_2" / "report.html").unlink()
+    done = run(archive, "-o", "out", "--force", cwd=tmp_path)
+    assert [line for line in done.stderr.splitlines() if line.startswith("wrote")] == [
+        "wrote out/dive_2", "wrote out/summary.csv", "wrote out/index.html"
+    ]  # fmt: skip
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
+
+
+@pytest.mark.parametrize("name", ["*.bag", "none?.mcap", "empty", "empty.txt"])
+def test_a_name_without_dives_is_an_error(name: str, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty.txt").write_text("# nothing\n")
+    with pytest.raises(ConfigError, match="no dive is found there"):
+        find_dives([name], tmp_path)
+
+
+# --- What is known already.
+
+
+def test_digest_of_a_log_and_a_bag_is_that_of_the_reader(archive: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    log = (archive / "dive_1.mcap").read_bytes()
+    parts = [
+        write_part(bag / f"{role}.mcap", lambda topic, _, role=role: topic == f"/{role}", log=log)  # type: ignore[misc]
+        for role in ("imu", "dvl", "reference")
+    ]
+    for logs in ((archive / "dive_1.mcap",), (bag,), tuple(reversed(parts))):
+        assert log_digest(task(*logs)) == read_dive(logs, load_config()).sha256
+
+
+def task(*logs: Path, output: Path = Path(), **wishes: Any) -> Task:
+    (planned,) = plan_tasks(logs, output, Order(load_config(), **wishes), one_dive=True)
+    return planned
+
+
+def known(archive: Path, results: Path, order: Order) -> set[str]:
+    return {target.name for target in known_reports(plan_tasks(find_dives([str(archive)]), results, order), force=True)}
+
+
+def test_results_are_known_by_log_settings_and_versions(archive: Path, results: Path, tmp_path: Path) -> None:
+    shutil.copytree(archive, tmp_path / "logs")
+    shutil.copytree(results, tmp_path / "out")
+    config = load_config()
+    everything = {f"dive_{seed}" for seed in range(1, 7)}
+    assert known(tmp_path / "logs", tmp_path / "out", Order(config)) == everything
+    assert known(tmp_path / "logs", tmp_path / "out", Order(config, allow_damaged=True)) == everything
+    assert known(tmp_path / "logs", tmp_path / "out", Order(config, control=True)) == set()
+    assert known(tmp_path / "logs", tmp_path / "out", Order(load_config(overrides=["dvl.scale=1.01"]))) == set()
+    shutil.copy(archive / "dive_2.mcap", tmp_path / "logs" / "dive_1.mcap")
+    saved = tmp_path / "out" / "dive_3" / "report.json"
+    report = json.loads(saved.read_bytes())
+    saved.write_text(json.dumps({**report, "tool": {**report["tool"], "version": "0.0.1"}}))
+    versions = tmp_path / "out" / "dive_4" / "report.json"
+    report = json.loads(versions.read_bytes())
+    versions.write_text(json.dumps({**report, "versions": {**report["versions"], "numpy": "1.0"}}))
+    (tmp_path / "out" / "dive_5" / "report.json").write_text("{}")
+    assert known(tmp_path / "logs", tmp_path / "out", Order(config)) == {"dive_2", "dive_6"}
+    assert known(tmp_path / "logs", tmp_path / "out", Order(config, sources="other code")) == set()
+
+
+def test_a_worker_with_other_code_refuses(archive: Path, tmp_path: Path) -> None:
+    other = task(archive / "dive_1.mcap", output=tmp_path, sources="other code")
+    with pytest.raises(ConfigError, match=r"asked for by insdvl-replay \S+ \(other code\), but the worker has"):
+        replay_into(other)
+
+
+def test_other_sources_are_another_digest(tmp_path: Path) -> None:
+    package = Path(insdvl_replay.__file__).parent
+    copy = tmp_path / "insdvl_replay"
+    shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    asked = "from insdvl_replay.core.sources import sources_digest; print(sources_digest())"
+
+    def digest() -> str:
+        return subprocess.run(
+            [sys.executable, "-c", asked], cwd=tmp_path, capture_output=True, text=True
+        ).stdout.strip()
+
+    assert digest() == sources_digest()
+    (copy / "presets" / "fog.toml").write_text("\n" + (copy / "presets" / "fog.toml").read_text())
+    assert digest() not in ("", sources_digest())
+
+
+def test_a_result_of_the_control_is_known(archive: Path, tmp_path: Path) -> None:
+    log, output = archive / "dive_1.mcap", tmp_path / "out"
+    assert run_command_line(["run", str(log), "--control", "-o", str(output)]) == 0
+    assert known_reports([task(log, output=output, control=True)], force=False)
+    assert run_command_line(["run", str(log), "-o", str(output)]) == 2
+
+
+def test_a_damaged_log_is_known_only_to_whom_it_is_good_enough(archive: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((archive / "dive_1.mcap").read_bytes()[:-200])
+    arguments = ["run", str(cut), "-o", str(tmp_path / "out")]
+    assert run_command_line([*arguments, "--allow-damaged"]) == 0
+    assert known_reports([task(cut, output=tmp_path / "out", allow_damaged=True)], force=False)
+    assert run_command_line([*arguments, "--force"]) == 3
+
+
+def test_only_what_changed_is_replayed(archive: Path, results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results, tmp_path / "out")
+    shutil.rmtree(tmp_path / "out" / "dive_3")
+    before = bytes_of(tmp_path / "out")
+    done = run(archive, "-o", "out", "--format", "csv", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = done.stderr.splitlines()
+    assert said == [
+        *(f"{'wrote' if seed == 3 else 'unchanged'} out/dive_{seed}" for seed in range(1, 7)),
+        "wrote out/summary.csv",
+        "wrote out/index.html",
+    ]
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
+    assert before.items() <= bytes_of(tmp_path / "out").items()
+
+
+def test_a_changed_result_needs_force_before_any_work_is_done(archive: Path, results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results, tmp_path / "out")
+    shutil.rmtree(tmp_path / "out" / "dive_1")
+    changed = [archive, "-o", "out", "--set", "dvl.scale=1.01"]
+    refused = run(*changed, cwd=tmp_path)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert refused.stderr.startswith("error: out/dive_2: exists")
+    assert not (tmp_path / "out" / "dive_1").exists()
+    assert run(*changed, "--force", cwd=tmp_path).returncode == 0
+    report = decode_report((tmp_path / "out" / "dive_2" / "report.json").read_bytes())
+    assert report.config["dvl"]["scale"] == 1.01
+
+
+def test_a_result_that_is_not_whole_is_replayed_and_told(
+    archive: Path, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(results, out)
+    (out / "dive_1" / "report.html").write_bytes(b"")
+    report = out / "dive_2" / "report.json"
+    report.write_bytes(report.read_bytes().replace(b'"rmse": ', b'"rmse": 1'))
+    with (out / "dive_3" / "replay.mcap").open("r+b") as replay:
+        replay.seek(10_000)
+        replay.write(bytes(1))
+    arguments = ["run", str(archive), "-o", str(out)]
+    assert run_command_line(arguments) == 2
+    said = capsys.readouterr().err
+    assert said == (
+        f"error: {out}/dive_1: not as its replay wrote it: report.html; "
+        "hint: keep what was changed, or replace it with --force\n"
+    )
+    assert run_command_line([*arguments, "--force"]) == 0
+    said = capsys.readouterr().err
+    for seed, name in enumerate(("report.html", "report.json", "replay.mcap"), start=1):
+        assert f"warning: {out}/dive_{seed}: not as its replay wrote it: {name} [result_damaged]\n" in said
+        assert f"wrote {out}/dive_{seed}\n" in said
+    assert "unchanged" in said
+    assert bytes_of(out) == bytes_of(results)
+
+
+def test_rerun_replays_what_is_unchanged(archive: Path, tmp_path: Path) -> None:
+    arguments = ["run", str(archive / "dive_1.mcap"), "-o", str(tmp_path)]
+    assert run_command_line(arguments) == 0
+    saved = tmp_path / "dive_1" / "report.json"
+    report = decode_report(saved.read_bytes())
+    marked = encode_report(replace(report, tool=replace(report.tool, elapsed_s=1e6)))
+    saved.write_bytes(marked)
+    assert run_command_line(arguments) == 0
+    assert saved.read_bytes() == marked
+    assert run_command_line([*arguments, "--rerun"]) == 0
+    assert saved.read_bytes() != marked
+
+
+@pytest.mark.parametrize("name", ["summary.csv", "index.html"])
+def test_a_file_that_bears_an_overviews_name_is_left_alone(name: str, archive: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).write_text("my own notes\n")
+    done = run(archive, "-o", "out", cwd=tmp_path)
+    assert done.returncode == 2
+    assert f"out/{name}: exists" in done.stderr
+
+
+# --- Workers.
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_each_item_is_done_once_and_an_exception_is_a_result(jobs: int) -> None:
+    outcomes = dict(do_each(int, ["1", "x", "3"], local_workers(jobs)))
+    assert (outcomes[0], outcomes[2]) == (1, 3)
+    assert isinstance(outcomes[1], ValueError)
+
+
+class Columns:
+    """What is read of a dive."""
+
+
+def test_an_error_does_not_keep_what_was_read_of_its_dive() -> None:
+    read: list[weakref.ref[Columns]] = []
+
+    def fail(_: int) -> None:
+        columns = Columns()
+        read.append(weakref.ref(columns))
+        raise LogError("the IMU is dead", "another one")
+
+    gc.disable()
+    try:
+        [(_, outcome)] = do_each(fail, [0], local_workers(1))
+        assert isinstance(outcome, LogError)
+        assert [reference() for reference in read] == [None]
+    finally:
+        gc.enable()
+
+
+def test_processes_beside_each_other_take_one_core_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
+    assert dict(do_each(threads_with_numpy, [0, 1], local_workers(2))) == {0: 1, 1: 1}
+
+
+@pytest.mark.slow
+def test_items_of_a_dead_worker_are_tried_again(tmp_path: Path) -> None:
+    items = [tmp_path / name for name in ("a", "b", "c.deadly", "d", "e", "f")]
+    outcomes = dict(do_each(die_at_first, items, local_workers(2)))
+    assert outcomes == {place: item.name for place, item in enumerate(items)}
+
+
+@pytest.mark.slow
+def test_only_the_item_that_kills_its_workers_is_lost() -> None:
+    items = ["a", "b", "deadly", "c", "d", "e"]
+    outcomes = dict(do_each(die_always, items, local_workers(2)))
+    assert isinstance(outcomes.pop(2), WorkerLostError)
+    assert outcomes == {place: item for place, item in enumerate(items) if item != "deadly"}
+
+
+def test_a_dive_that_kills_its_workers_is_told_by_name(archive: Path, tmp_path: Path) -> None:
+    class Deadly(Executor):
+        def submit(self, *_: object) -> NoReturn:
+            raise BrokenExecutor("killed")
+
+    @contextmanager
+    def fresh(_alone: bool) -> Iterator[Pool]:
+        yield Pool(Deadly(), 2)
+
+    tasks = [task(archive / f"dive_{seed}.mcap", output=tmp_path) for seed in (1, 2)]
+    first, second = replay_archive(tasks, {}, Workers(fresh), lambda _: None)
+    assert isinstance(first.result, LogError)
+    assert first.result.message == (
+        f"{archive / 'dive_1.mcap'}: its worker died, and died again with nothing else to do: killed"
+    )
+    assert isinstance(second.result, LogError)
+
+
+@pytest.mark.slow
+def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_path: Path) -> None:
+    done = run(archive, "-o", "out", "--jobs", "2", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
+    assert done.stderr.splitlines()[-1] == "wrote out/index.html"
+    again = run(archive, "-o", "out", cwd=tmp_path)
+    assert again.stdout == done.stdout
+
+
+@pytest.mark.slow
+def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: Path) -> None:
+    command = [*TOOL, "run", str(archive), "-o", "out", "--jobs", "2"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        wait_for(tmp_path / "out" / "dive_1", process)
+        workers = [child for child in psutil.Process(process.pid).children() if "spawn_main" in str(child.cmdline())]
+        workers[0].kill()
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_goes_on_where_it_stopped(archive: Path, results: Path, tmp_path: Path) -> None:
+    command = [*TOOL, "run", str(archive), "-o", "out", "--jobs", "2"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        wait_for(tmp_path / "out" / "dive_1", process)
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert err.splitlines()[-1] == "error: interrupted"
+    assert "Traceback" not in err
+    left = [path.name for path in (tmp_path / "out").iterdir()]
+    assert "dive_1" in left
+    assert not [name for name in left if name.startswith(".") or name == "summary.csv"]
+    done = run(archive, "-o", "out", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "unchanged out/dive_1" in done.stderr
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
+
+
+@pytest.mark.slow
+def test_a_cluster_writes_the_bytes_of_one_process(
+    archive: Path, results: Path, tmp_path: Path, cluster: tuple[str, subprocess.Popen[str]]
+) -> None:
+    done = run(archive, "-o", tmp_path / "out", "--scheduler", cluster[0], cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
+
+
+@pytest.mark.slow
+def test_a_killed_worker_of_a_cluster_loses_nothing(
+    archive: Path, results: Path, tmp_path: Path, cluster: tuple[str, subprocess.Popen[str]]
+) -> None:
+    address, of_cluster = cluster
+    command = [*TOOL, "run", str(archive), "-o", str(tmp_path / "out"), "--scheduler", address]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        wait_for(tmp_path / "out" / "dive_1", process)
+        children = psutil.Process(of_cluster.pid).children(recursive=True)
+        next(child for child in children if "spawn_main" in str(child.cmdline())).kill()
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert bytes_of(tmp_path / "out") == bytes_of(results)
+
+
+@pytest.mark.slow
+def test_a_cluster_that_is_not_there_is_an_error(archive: Path, tmp_path: Path) -> None:
+    done = run(archive, "-o", "out", "--scheduler", "tcp://127.0.0.1:9", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--scheduler tcp://127.0.0.1:9: cannot be reached" in done.stderr

@@ -1,0 +1,433 @@
+"""The door: commands, options, exit codes and streams."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from insdvl_replay import __version__
+from insdvl_replay.cli import run_command_line
+
+SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs" / "straight.mcap"
+DOCUMENTED = {
+    "run": [
+        "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
+        "--format <table|json|csv|md|latex>",
+        "--allow-damaged", "--one-dive", "--control", "--tum", "--strict", "--jobs N", "--scheduler ADDR",
+        "--scheduler-patience S",
+        "--rerun", "--force", "-v, --verbose", "--help",
+    ],
+    "compare": [
+        "OLD", "NEW", "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
+        "--only-changed", "--sort <table|name|change|worse>", "--fail-on LIMIT",
+        "--format <table|json|csv|md|latex|html>", "-v, --verbose", "--help",
+    ],
+    "check": [
+        "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--set KEY=VALUE",
+        "--format <text|md|json|junit|github>", "--output FILE", "--summary-file FILE", "--jobs N", "--scheduler ADDR",
+        "--scheduler-patience S",
+        "--rerun", "-v, --verbose", "--help",
+    ],
+    "inspect": [
+        "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
+        "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "-v, --verbose", "--help",
+    ],
+    "simulate": [
+        "SCENARIO", "-o, --output LOG", "--seed N", "--duration S", "--imu GRADE", "--outage START:END",
+        "--lost-beam BEAM:START:END", "--force", "-v, --verbose", "--help",
+    ],
+    "config": ["--preset NAME", "--from FILE", "--set KEY=VALUE", "-v, --verbose", "--help"],
+    "schema": ["NAME", "-v, --verbose", "--help"],
+    "compile": ["-v, --verbose", "--help"],
+    "study montecarlo": [
+        "SCENARIO", "--runs N", "--seed N", "--run K", "--duration S", "--imu GRADE", "--outage START:END", "--jobs N",
+        "-o, --output DIR", "--png", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
+        "--format <table|json|csv|md|latex>", "--force", "-v, --verbose", "--help",
+    ],
+}  # fmt: skip
+WITH_STAND_IN = """
+import pathlib, sys, time
+import insdvl_replay.replay as hall
+import insdvl_replay.results.result_files as disk
+from insdvl_replay.cli import main
+
+def save_half(replay, folder):
+    (folder / "report.json").write_text("half")
+    print("half-written", flush=True)
+    time.sleep(60)
+
+hall.replay_log = lambda path, config, **options: None
+disk.save_replay = save_half
+sys.argv = ["insdvl-replay", *sys.argv[1:]]
+main()
+"""
+
+
+def tool(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from insdvl_replay.cli import main; main()", *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.fixture(scope="module")
+def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A minute of a simulated straight line."""
+    path = tmp_path_factory.mktemp("logs") / "straight.mcap"
+    assert run_command_line(["simulate", "straight", "-o", str(path), "--duration", "60"]) == 0
+    return path
+
+
+@pytest.fixture
+def result(dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[Path, str, str]:
+    """Its result folder, and what was said on stdout and stderr."""
+    assert run_command_line(["run", str(dive), "-o", str(tmp_path)]) == 0
+    captured = capsys.readouterr()
+    return tmp_path / "straight", captured.out, captured.err
+
+
+@pytest.mark.parametrize("command", sorted(DOCUMENTED))
+def test_help_shows_the_documented_options_and_an_example(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line([*command.split(), "--help"]) == 0
+    text = capsys.readouterr().out
+    shown = re.findall(r"^  ((?:-\w, )?--[\w-]+(?: \S+)?)(?:  |$)", text, re.MULTILINE)
+    assert shown == [option for option in DOCUMENTED[command] if option.startswith("-")]
+    assert all(argument in text for argument in DOCUMENTED[command] if not argument.startswith("-"))
+    assert f"  Example:\n    insdvl-replay {command} " in text
+
+
+def test_help_names_every_command_and_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert [line.split()[0] for line in text.split("Commands:\n")[1].strip().split("\n")] == list(
+        dict.fromkeys(name.split()[0] for name in DOCUMENTED)
+    )
+    for code in ("0 done", "1 a limit", "2 usage", "3 a log", "4 a", "130 interrupted"):
+        assert code in text
+
+
+def test_help_loads_nothing_heavy(tmp_path: Path) -> None:
+    script = """
+import sys
+from insdvl_replay.cli import run_command_line
+run_command_line(["--help"])
+sys.exit(",".join({"numpy", "pandas", "numba", "scipy", "mcap", "rich", "msgspec"} & set(sys.modules)) or 0)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("command", "heavy"),
+    [
+        ("schema report", ""),
+        ("config", ""),
+        ("inspect {straight}", "numpy mcap"),
+    ],
+)
+def test_a_command_loads_only_what_it_needs(command: str, heavy: str) -> None:
+    arguments = command.format(straight=SAMPLE).split()
+    script = f"""
+import sys
+from insdvl_replay.cli import run_command_line
+run_command_line({arguments})
+found = {{"numpy", "pandas", "numba", "scipy", "mcap", "matplotlib"}} & set(sys.modules)
+print(*sorted(found), file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert set(done.stderr.split()) == set(heavy.split())
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line(["--version"]) == 0
+    assert capsys.readouterr().out == f"insdvl-replay {__version__}\n"
+
+
+def test_run_writes_the_folder_and_keeps_results_apart_from_talk(result: tuple[Path, str, str]) -> None:
+    folder, out, err = result
+    for name in ("improvement.csv", "convergence.csv", "reference_error.csv", "consistency.csv", "report.json",
+                 "replay.mcap", "config.toml", "run.log"):  # fmt: skip
+        assert (folder / name).stat().st_size > 0, name
+    assert re.match(r"straight: aided against baseline over [0-9.]+ s; aided: [0-9.]+ % believed, NOT borne out\n", out)
+    assert "believed by the filter's own covariance" in out
+    assert "…" not in out
+    assert err.split("\n")[-2] == f"wrote {folder}"
+    assert sorted(path.name for path in folder.parent.iterdir()) == ["straight"]
+
+
+def test_only_the_block_tool_differs_between_two_runs(
+    result: tuple[Path, str, str], dive: Path, tmp_path: Path
+) -> None:
+    first, _, _ = result
+    assert run_command_line(["run", str(dive), "-o", str(tmp_path / "again")]) == 0
+    second = tmp_path / "again" / "straight"
+    names = sorted(path.name for path in first.iterdir())
+    assert names == sorted(path.name for path in second.iterdir())
+    for name in names:
+        ours, theirs = ((folder / name).read_bytes() for folder in (first, second))
+        if name == "report.json":
+            ours, theirs = (json.dumps({**json.loads(data), "tool": None}).encode() for data in (ours, theirs))
+        assert ours == theirs, name
+
+
+def test_the_saved_configuration_reproduces_the_result(
+    result: tuple[Path, str, str], dive: Path, tmp_path: Path
+) -> None:
+    first, _, _ = result
+    second = tmp_path / "again"
+    assert run_command_line(["run", str(dive), "-o", str(second), "-c", str(first / "config.toml")]) == 0
+    assert (second / "straight" / "improvement.csv").read_bytes() == (first / "improvement.csv").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("format_", "start"),
+    [("csv", "table,log,filter,state"), ("md", "## straight: "), ("latex", "% straight: ")],
+)
+def test_other_formats(
+    format_: str, start: str, dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command_line(["run", str(dive), "-o", str(tmp_path), "--format", format_]) == 0
+    assert capsys.readouterr().out.startswith(start)
+
+
+def test_json_on_stdout_is_the_saved_report(dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line(["run", str(dive), "-o", str(tmp_path), "--format", "json"]) == 0
+    assert capsys.readouterr().out == (tmp_path / "straight" / "report.json").read_text()
+
+
+def test_a_bad_log_does_not_stop_the_others(dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"not a log")
+    output = tmp_path / "out"
+    assert run_command_line(["run", str(bad), str(dive), "-o", str(output)]) == 3
+    assert sorted(path.name for path in output.iterdir()) == ["index.html", "straight", "summary.csv"]
+    lines = (output / "summary.csv").read_text().split("\n")
+    assert lines[1].startswith("bad,,")
+    assert lines[2].startswith("straight,aided,")
+    last = capsys.readouterr().err.split("\n")[-2]
+    assert last.startswith("error: 1 of 2 logs failed: bad; the first: ")
+    assert "is not an MCAP file" in last
+
+
+def test_strict_turns_warnings_into_exit_3_and_keeps_the_result(dive: Path, tmp_path: Path) -> None:
+    arguments = ["run", str(dive), "-o", str(tmp_path), "--set", "imu.max_gap_s=0.001"]
+    assert run_command_line(arguments) == 0
+    assert run_command_line([*arguments, "--strict", "--force"]) == 3
+    assert (tmp_path / "straight" / "report.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "reason", "hint"),
+    [
+        ([], 2, "missing command", "insdvl-replay --help"),
+        (["fly"], 2, "no such command 'fly'", "insdvl-replay --help"),
+        (["run"], 2, "missing argument", "insdvl-replay run --help"),
+        (["run", "--frce", "DIVE"], 2, "no such option: --frce", "insdvl-replay run --help"),
+        (["run", "DIVE", "--format", "xml"], 2, "'xml'", "insdvl-replay run --help"),
+        (["run", "DIVE", "--preset", "phog"], 2, "preset 'phog' is not known", "fog"),
+        (["run", "DIVE", "--set", "dvl.scle=1"], 2, "unknown key dvl.scle", "did you mean dvl.scale?"),
+        (["run", "DIVE", "--set", "scale"], 2, "--set scale: is not of the form", "--set dvl.scale=1.01"),
+        (["run", "DIVE", "--set", "filters.aided.acceleration.window=1"], 2, "`int` >= 2, found 1", "config"),
+        (["run", "DIVE", "-c", "absent.toml"], 2, "absent.toml: cannot be read", "-c"),
+        (["run", "absent.mcap"], 3, "absent.mcap", ""),
+        (["inspect", "text.mcap"], 3, "text.mcap: is not an MCAP file", "name an .mcap file"),
+        (["inspect", "DIVE", "--set", "imu.topik=/imu"], 2, "unknown key imu.topik", "did you mean imu.topic?"),
+        (["run", "text.mcap"], 3, "text.mcap", ""),
+        (["run", "DIVE", "-o", "taken"], 2, "taken/straight: exists", "--force"),
+        (["run", "DIVE", "-o", "text.mcap"], 2, "text.mcap/straight: cannot be written", "-o"),
+        (["config", "--preset", "phog"], 2, "preset 'phog' is not known", "fog"),
+        (["schema", "rapport"], 2, "schema 'rapport' is not known", "report"),
+        (["simulate", "spiral", "-o", "new.mcap"], 2, "scenario 'spiral' is not known", "straight"),
+        (["simulate", "static", "-o", "text.mcap"], 2, "text.mcap: exists", "--force"),
+        (["simulate", "static", "-o", "new.mcap", "--outage", "60"], 2, "--outage 60", "60:90"),
+        (["simulate", "static", "-o", "new.mcap", "--lost-beam", "x:1:2"], 2, "--lost-beam x:1:2", "2:120:180"),
+        (["simulate", "static", "-o", "new.mcap", "--imu", "quantum"], 2, "'quantum' is not known", "fog"),
+        (["simulate", "static"], 2, "missing option", "insdvl-replay simulate --help"),
+    ],
+)
+def test_wrong_uses_end_with_a_code_a_reason_and_a_hint(
+    arguments: Sequence[str], code: int, reason: str, hint: str, dive: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "text.mcap").write_text("this is no log")
+    (tmp_path / "taken" / "straight").mkdir(parents=True)
+    (tmp_path / "taken" / "straight" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
+    before = sorted(tmp_path.rglob("*"))
+    done = tool(*[dive if word == "DIVE" else word for word in arguments], cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    (line,) = done.stderr.strip().split("\n")
+    error, said = line.split("; hint: ")
+    assert error.startswith("error: ")
+    assert reason in error
+    assert hint in said
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+INTERRUPTED_AS_AN_OBJECT_GOES = """
+import signal, sys, time
+from insdvl_replay.cli import app, main
+
+class Going:
+    def __del__(self):
+        signal.raise_signal(signal.SIGTERM)
+
+def work(*_, **__):
+    Going()
+    time.sleep(30.0)
+
+app.app = work
+main()
+"""
+
+
+def test_an_interruption_is_not_lost_where_python_cannot_be_interrupted() -> None:
+    command = [sys.executable, "-c", INTERRUPTED_AS_AN_OBJECT_GOES]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=20.0)
+    assert (result.returncode, result.stderr) == (130, "error: interrupted\n")
+
+
+INTERRUPTED_AS_IT_IS_IMPORTED = """
+import signal, sys
+from insdvl_replay.cli import main
+
+class Finder:
+    def find_spec(self, name, path, target=None):
+        if name == "insdvl_replay.cli.SOMETHING":
+            try:
+                exec("signal.raise_signal(signal.SIGNAL)")
+            except KeyboardInterrupt:
+                RAISED
+
+sys.meta_path.insert(0, Finder())
+sys.argv = ["insdvl-replay", "run", "absent.mcap"]
+main()
+"""
+
+
+@pytest.mark.parametrize("signal_", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("module", ["app", "dives"])
+@pytest.mark.parametrize("raised", ['raise SyntaxError("from inside the compiler")', "raise"])
+def test_an_import_that_fails_since_it_is_interrupted_is_an_interruption(
+    module: str, signal_: str, raised: str
+) -> None:
+    script = (
+        INTERRUPTED_AS_IT_IS_IMPORTED.replace("SOMETHING", module).replace("SIGNAL", signal_).replace("RAISED", raised)
+    )
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20.0, check=False)
+    assert (result.returncode, result.stderr) == (130, "error: interrupted\n")
+
+
+INTERRUPTED_AT_THE_END = """
+import atexit, os, signal, sys
+from insdvl_replay.cli import main
+
+class Last:
+    def __del__(self, kill=os.kill, pid=os.getpid()):
+        kill(pid, signal.SIGNAL)
+
+signal.last = Last()
+atexit.register(os.kill, os.getpid(), signal.SIGNAL)
+sys.argv = ["insdvl-replay", "--version"]
+main()
+"""
+
+
+@pytest.mark.parametrize("signal_", ["SIGINT", "SIGTERM"])
+def test_an_interruption_after_all_is_done_changes_nothing(signal_: str) -> None:
+    script = INTERRUPTED_AT_THE_END.replace("signal.SIGNAL", str(int(getattr(signal, signal_))))
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20.0, check=False)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout == f"insdvl-replay {__version__}\n"
+
+
+@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_leaves_nothing_half_written(signal_: signal.Signals, dive: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", WITH_STAND_IN, "run", str(dive), "-o", "out"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "half-written\n"
+        process.send_signal(signal_)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err == "error: interrupted\n"
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("flags", "traceback"), [([], False), (["-v"], False), (["-vv"], True)])
+def test_our_mistake_is_exit_4_and_shows_its_place_only_when_asked(
+    flags: list[str],
+    traceback: bool,
+    dive: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(path: Path, config: object, **_: object) -> None:
+        raise ZeroDivisionError("a slip")
+
+    monkeypatch.setattr("insdvl_replay.replay.replay_log", fail)
+    assert run_command_line(["run", str(dive), "-o", str(tmp_path), *flags]) == 4
+    err = capsys.readouterr().err
+    assert ("Traceback" in err) is traceback
+    assert "error: this is a mistake in insdvl-replay: ZeroDivisionError: a slip; hint: " in err
+
+
+def test_a_reader_that_goes_away_ends_the_printing_not_the_work(dive: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from insdvl_replay.cli import main; main()", "run", str(dive)]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.stderr is not None
+        err = process.stderr.read()
+    assert process.returncode == 0, err
+    assert err.endswith("wrote replay/straight\n")
+    assert (tmp_path / "replay" / "straight" / "report.json").is_file()
+
+
+def test_simulate_replaces_a_log_only_when_asked_to(tmp_path: Path) -> None:
+    log = tmp_path / "dive.mcap"
+    arguments = ["simulate", "static", "-o", str(log), "--duration", "10"]
+    assert run_command_line(arguments) == 0
+    first = log.read_bytes()
+    assert run_command_line([*arguments, "--seed", "2"]) == 2
+    assert log.read_bytes() == first
+    assert run_command_line([*arguments, "--seed", "2", "--force"]) == 0
+    assert log.read_bytes() != first
+    assert run_command_line([*arguments, "--force"]) == 0
+    assert log.read_bytes() == first
+
+
+def test_schema_prints_message_definitions(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line(["schema", "insdvl_msgs/msg/NavSolution"]) == 0
+    assert "std_msgs/Header header" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("redirection", "reason"),
+    [
+        (">/dev/full", "error: stdout: cannot be written: No space left on device; hint: "),
+        (">&-", "error: stdout: cannot be written: it is closed; hint: "),
+        ("<&- >&-", "error: stdout: cannot be written: it is closed; hint: "),
+        ("2>/dev/full", ""),
+        ("2>&-", ""),
+        (">/dev/full 2>/dev/full", ""),
+        (">&- 2>&-", ""),
+    ],
+)
+@pytest.mark.parametrize("command", ["--help", "config", "run {log} -o {out}"])
+def test_streams_that_are_full_or_closed_end_the_speaking_but_not_the_work(
+    command: str, redirection: str, reason: str, tmp_path: Path
+) -> None:
+    log = SAMPLE.parents[1] / "examples" / "archive" / "dives" / "lost_beam.mcap"
+    words = f"{sys.executable} -m insdvl_replay {command.format(log=log, out=tmp_path)} {redirection}"
+    done = subprocess.run(words, shell=True, capture_output=True, text=True, timeout=120, check=False)
+    is_heard = redirection.startswith("2>") and not command.startswith("run")
+    assert done.returncode == (0 if is_heard else 2)
+    assert "Traceback" not in done.stderr
+    assert (done.stderr.splitlines() or [""])[-1].startswith(reason)
+    assert bool(done.stdout) == redirection.startswith("2>")
+    assert (tmp_path / "lost_beam").exists() == command.startswith("run")

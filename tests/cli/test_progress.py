@@ -1,0 +1,44 @@
+"""Long work says what it is doing, in order, to a listener and to a terminal, and says nothing into a pipe."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from insdvl_replay.batch.jobs import Order, plan_tasks, replay_into
+from insdvl_replay.cli.screen import patience
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.progress import begin, told_to
+from insdvl_replay.logs import write_dive
+from insdvl_replay.sim.dive import simulate_dive
+
+STAGES = [
+    "reading the log",
+    "running the filters",
+    "judging the filters",
+    "writing the results",
+    "drawing the report",
+]
+
+
+def test_a_replay_tells_each_of_its_stages(tmp_path: Path) -> None:
+    write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=20.0, seed=1))
+    [task] = plan_tasks([tmp_path / "dive.mcap"], tmp_path / "out", Order(load_config()))
+    told: list[str] = []
+    with told_to(told.append):
+        replay_into(task)
+    assert told == STAGES
+    begin("nobody listens any more")
+    assert told == STAGES
+
+
+def test_a_terminal_shows_the_stage_and_a_pipe_nothing(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for terminal, expected in ((True, "dive.mcap: writing"), (False, "")):
+        monkeypatch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
+        monkeypatch.setenv("TERM", "xterm")
+        with patience("dive.mcap"):
+            begin("writing")
+        shown = capsys.readouterr().err
+        assert (expected in shown) if terminal else shown == ""

@@ -1,0 +1,529 @@
+"""``compare``: two sets of stored results beside each other."""
+
+import csv
+import io
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pandas as pd
+import pytest
+from rich.console import Console
+from small_results import content, nudged, write
+from taken_apart import Document
+
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.comparison.aggregation import aggregates
+from insdvl_replay.comparison.comparison import Selection, compare_results
+from insdvl_replay.comparison.document import comparison_tables, opening_lines
+from insdvl_replay.comparison.fail_on import breach, parse_limit
+from insdvl_replay.comparison.output import (
+    comparison_csv,
+    comparison_html,
+    comparison_json,
+    comparison_markdown,
+    comparison_terminal,
+)
+from insdvl_replay.comparison.sort_order import Order, arranged
+from insdvl_replay.core.changes import Change, Comparison
+from insdvl_replay.core.errors import ConfigError, ResultError
+from insdvl_replay.core.result_tables import LAYOUTS
+
+
+def compared(folder: Path, old: dict[str, Any], new: dict[str, Any], **selection: Any) -> Comparison:
+    """Compare two reports by way of the disk."""
+    return compare_results(write(folder / "old", old), write(folder / "new", new), Selection(**selection))
+
+
+def words(comparison: Comparison, **where: str) -> dict[tuple[str, str, str], str]:
+    """Word of each cell that is not the same, by table, row and column."""
+    return {
+        (change.table, change.row, change.column): change.word
+        for change in comparison.changes
+        if change.word != "same" and all(getattr(change, key) == value for key, value in where.items())
+    }
+
+
+def two_sets(folder: Path) -> tuple[Path, Path]:
+    """Three dives before and after; a fourth is gone."""
+    old, new = folder / "old", folder / "new"
+    for name, rmse in (("one", 0.2), ("two", 0.5), ("three", 0.44)):
+        write(old / name, content(name))
+        write(new / name, content(name, rmse=rmse, window=5))
+    write(old / "four", content("four"))
+    return old, new
+
+
+# --- Cells and rows.
+
+
+def test_nothing_differs_between_a_result_and_itself(tmp_path: Path) -> None:
+    comparison = compared(tmp_path, content(), content())
+    assert words(comparison) == {}
+    assert comparison.differences == comparison.notes == ()
+    assert (comparison.total.worst, comparison.total.best) == (None, None)
+
+
+def test_every_column_that_can_be_better_is_compared(tmp_path: Path) -> None:
+    report = content()
+    rows = {**report["tables"], "filters": list(report["filters"].values())}
+    expected = {
+        (layout.name, column)
+        for layout in LAYOUTS
+        for column in (*layout.better, *layout.words)
+        if column in rows.get(layout.name, [{}])[0]
+    }
+    assert {table for table, _ in expected} == rows.keys()
+    listed = {(change.table, change.column) for change in compared(tmp_path, report, report).changes}
+    assert listed == expected
+
+
+def test_each_column_is_judged_in_its_own_direction(tmp_path: Path) -> None:
+    new = content(ba_x_sd=0.5, reached_s=50.0, final=0.1, mean_nis=1.0, verdict="over-cautious", rejected=4)
+    assert words(compared(tmp_path, content(), new)) == {
+        ("improvement", "ba_x", "sd"): "better",
+        ("convergence", "ba_x", "reached_s"): "worse",
+        ("convergence", "bg_z", "reached_s"): "worse",
+        ("reference_error", "roll", "final"): "better",
+        ("consistency", "velocity", "mean_nis"): "worse",
+        ("consistency", "velocity", "rejected"): "worse",
+        ("consistency", "velocity", "verdict"): "worse",
+        ("filters", "aided", "consistency"): "worse",
+    }
+
+
+def test_units_are_those_of_the_column(tmp_path: Path) -> None:
+    units = {
+        (change.table, change.column): change.unit
+        for change in compared(tmp_path, content(), content()).changes
+        if change.row in {"ba_x", "roll", "velocity"}
+    }
+    assert units["improvement", "sd"] == units["convergence", "target_sd"] == "mg"
+    assert units["convergence", "reached_s"] == "s"
+    assert units["convergence", "improvement_pct"] == "%"
+    assert units["reference_error", "rmse"] == "deg"
+    assert units["consistency", "mean_nis"] == units["consistency", "verdict"] == ""
+
+
+def test_counts_limits_and_words_without_rank_only_change(tmp_path: Path) -> None:
+    new = content()
+    new["tables"]["reference_error"][0] |= {"samples": 290, "status": "not in reference"}
+    assert words(compared(tmp_path, content(), new)) == {
+        ("reference_error", "roll", "samples"): "changed",
+        ("reference_error", "roll", "status"): "changed",
+    }
+
+
+@pytest.mark.parametrize("share", [1e-10, -1e-10])
+@pytest.mark.parametrize("tolerance_pct", [None, 0.0])
+def test_digits_that_differ_between_processors_are_no_change(
+    tolerance_pct: float | None, share: float, tmp_path: Path
+) -> None:
+    comparison = compared(tmp_path, content(), nudged(content(), share), tolerance_pct=tolerance_pct)
+    assert words(comparison) == {}
+    for limit in ("worse", "worse:0%", "changed"):
+        assert breach(comparison, parse_limit(limit)) is None
+
+
+@pytest.mark.parametrize("share", [1e-8, -1e-8])
+def test_eight_digits_are_a_change_where_no_tolerance_covers_them(share: float, tmp_path: Path) -> None:
+    comparison = compared(tmp_path, content(), nudged(content(), share), tolerance_pct=0.0)
+    assert {"better", "worse", "changed"} <= set(words(comparison).values())
+    for limit in ("worse", "changed"):
+        assert breach(comparison, parse_limit(limit)) is not None
+
+
+def test_a_limit_may_be_reached_but_for_digits_that_differ_between_processors(tmp_path: Path) -> None:
+    comparison = compared(tmp_path, content(), content(ba_x_sd=1.05 * (1.0 + 1e-10)), columns=("sd",))
+    assert breach(comparison, parse_limit("worse:5%")) is None
+    assert breach(comparison, parse_limit("worse:4.99999%")) is not None
+
+
+def test_a_row_on_one_side_is_new_or_gone(tmp_path: Path) -> None:
+    less = content()
+    del less["tables"]["improvement"][1]
+    columns = ("baseline_sd", "sd", "improvement_pct", "status")
+    for name, old, new, word in (("lost", content(), less, "gone"), ("found", less, content(), "new")):
+        found = words(compared(tmp_path / name, old, new))
+        assert found == {("improvement", "bg_z", column): word for column in columns}
+
+
+def test_a_row_in_another_unit_is_another_row(tmp_path: Path) -> None:
+    new = content()
+    new["tables"]["reference_error"][0] |= {"unit": "mrad", "rmse": 7.0}
+    found = {(c.unit, c.word) for c in compared(tmp_path, content(), new).changes if c.column == "rmse"}
+    assert found == {("deg", "gone"), ("mrad", "new")}
+
+
+def test_a_lost_number_is_worse_and_a_found_one_better(tmp_path: Path) -> None:
+    lost = content(rmse=None)
+    assert words(compared(tmp_path / "a", content(), lost)) == {("reference_error", "roll", "rmse"): "worse"}
+    assert words(compared(tmp_path / "b", lost, content())) == {("reference_error", "roll", "rmse"): "better"}
+    assert words(compared(tmp_path / "c", lost, lost)) == {}
+
+
+def test_tables_and_columns_that_only_a_newer_version_has_are_new_and_counted(tmp_path: Path) -> None:
+    old, new = content(), content()
+    del old["tables"]["consistency"]
+    del old["tables"]["reference_error"][0]["final"]
+    new["tables"]["weather"] = [{"log": "dive", "filter": "aided", "wind": 3.0}]
+    comparison = compared(tmp_path, old, new)
+    assert words(comparison, table="reference_error") == {("reference_error", "roll", "final"): "new"}
+    assert set(words(comparison, table="consistency").values()) == {"new"}
+    assert [(note.code, note.count) for note in comparison.notes] == [("table_on_one_side", 1), ("table_unknown", 1)]
+    assert breach(comparison, parse_limit("worse")) is None
+
+
+def test_a_table_that_is_lost_counts_as_worse(tmp_path: Path) -> None:
+    new = content()
+    new["tables"]["reference_error"] = []
+    found = breach(compared(tmp_path, content(), new), parse_limit("worse:50%"))
+    assert found is not None
+    assert found.worst is not None
+    assert (found.worst.table, found.worst.column, found.worst.word) == ("reference_error", "rmse", "gone")
+
+
+def test_a_row_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    new = content()
+    new["tables"]["improvement"] *= 2
+    with pytest.raises(ResultError, match=r"new: table improvement, row 3: is the second one of aided, ba_x"):
+        compared(tmp_path, content(), new)
+
+
+# --- Filters.
+
+
+def test_filters_of_different_names_are_compared_when_named(tmp_path: Path) -> None:
+    old, new = content(), content(filter="windowed", rmse=0.3)
+    with pytest.raises(
+        ConfigError, match=r"no candidate of the old results \(aided\) is among .* \(windowed\)"
+    ) as info:
+        compared(tmp_path, old, new)
+    assert "--pair aided=windowed" in info.value.hint
+    comparison = compared(tmp_path, old, new, filter_pairs={"aided": "windowed"})
+    assert words(comparison) == {("reference_error", "roll", "rmse"): "better"}
+    assert {change.filter for change in comparison.changes} == {"windowed"}
+
+
+def test_a_filter_on_one_side_is_noted_and_its_rows_are_new(tmp_path: Path) -> None:
+    new = content()
+    other = content(filter="tuned")
+    new["filters"] |= other["filters"]
+    for table, rows in other["tables"].items():
+        new["tables"][table] += rows
+    comparison = compared(tmp_path, content(), new)
+    assert [(note.code, note.count) for note in comparison.notes] == [("filter_on_one_side", 1)]
+    assert {(change.filter, change.word) for change in comparison.changes} == {("aided", "same"), ("tuned", "new")}
+
+
+# --- What differs beside the tables.
+
+
+def test_causes_are_named_key_by_key_with_both_values(tmp_path: Path) -> None:
+    new = content(window=5, sha256="other")
+    new["versions"]["numpy"] = "2.5.0"
+    new["tool"] |= {"version": "0.2.0", "started_at": "2026-02-02T00:00:00+00:00", "elapsed_s": 9.0}
+    new["log"] |= {"duration_s": 2.0}
+    new["log"]["channels"][0]["messages"] = 90
+    new["config"]["dvl"]["lever_arm_m"] = [0.0, 0.1, 0.0]
+    new["notes"] = [{"code": "imu_gaps", "text": "the IMU pauses", "count": 3, "severity": "warning", "hint": ""}]
+    found = {(d.block, d.key): (d.old, d.new) for d in compared(tmp_path, content(), new).differences}
+    assert found == {
+        ("tool", "version"): ("0.1.0", "0.2.0"),
+        ("versions", "numpy"): ("2.4.0", "2.5.0"),
+        ("config", "dvl.lever_arm_m"): (None, "[0.0, 0.1, 0.0]"),
+        ("config", "filters.aided.window"): ("3", "5"),
+        ("log", "sha256"): ("hash of dive", "other"),
+        ("log", "duration_s"): ("1.0", "2.0"),
+        ("log", "channels /imu"): ("100 sensor_msgs/msg/Imu (imu)", "90 sensor_msgs/msg/Imu (imu)"),
+        ("notes", "imu_gaps"): (None, "3 (warning)"),
+    }
+
+
+def test_what_differs_in_many_dives_is_named_once(tmp_path: Path) -> None:
+    old, new = two_sets(tmp_path)
+    (difference,) = compare_results(old, new).differences
+    assert (difference.key, sorted(difference.logs)) == ("filters.aided.window", ["one", "three", "two"])
+
+
+# --- Many dives.
+
+
+def change(log: str, change_pct: float | None, word: Any) -> Change:
+    return Change(log, "reference_error", "aided", "roll", "deg", "rmse", 1.0, None, None, change_pct, word)
+
+
+def test_aggregates_are_those_computed_by_hand(tmp_path: Path) -> None:
+    old, new = two_sets(tmp_path)
+    (rmse,) = (a for a in compare_results(old, new).aggregates if a.column == "rmse")
+    # 0.4 became 0.2, 0.5 and 0.44: -50 %, +25 % and +10 %.
+    assert (rmse.dives, rmse.better, rmse.worse, rmse.same) == (3, 1, 2, 0)
+    assert rmse.share_better_pct == pytest.approx(100.0 / 3.0, abs=1e-12)
+    assert rmse.median_change_pct == pytest.approx(10.0, abs=1e-9)
+    assert (rmse.worst_log, rmse.worst_word) == ("two", "worse")
+    assert rmse.worst_change_pct == pytest.approx(25.0, abs=1e-9)
+
+
+def test_aggregates_are_those_of_pandas() -> None:
+    percents = [3.0, -7.5, 0.0, 12.25, -1.0, 4.5]
+    sides = ["worse" if value > 0 else "better" if value < 0 else "same" for value in percents]
+    cells = [change(f"dive {i}", value, word) for i, (value, word) in enumerate(zip(percents, sides, strict=True))]
+    (found,) = aggregates(cells)
+    series = pd.Series(percents, index=[cell.log for cell in cells])
+    assert found.median_change_pct == pytest.approx(float(series.median()), abs=1e-12)
+    assert (found.worst_log, found.worst_change_pct) == (series.idxmax(), series.max())
+    assert found.share_better_pct == pytest.approx(100.0 * float((series < 0).mean()), abs=1e-12)
+
+
+def test_a_lost_number_is_the_worst_and_has_no_part_in_the_median() -> None:
+    cells = [change("far", 900.0, "worse"), change("lost", None, "worse"), change("near", 2.0, "worse")]
+    (found,) = aggregates(cells)
+    assert (found.worst_log, found.worst_change_pct, found.median_change_pct) == ("lost", None, 451.0)
+
+
+def test_rows_on_one_side_have_no_part_in_aggregates() -> None:
+    assert aggregates([change("one", None, "new"), change("two", None, "gone"), change("three", None, "changed")]) == ()
+
+
+@pytest.mark.parametrize(
+    ("order", "logs"),
+    [
+        ("table", ["one", "three", "two"]),
+        ("name", ["one", "three", "two"]),
+        ("change", ["one", "two", "three"]),
+        ("worse", ["two", "three", "one"]),
+    ],
+)
+def test_changes_come_in_the_order_asked_for(order: Order, logs: list[str], tmp_path: Path) -> None:
+    old, new = two_sets(tmp_path)
+    comparison = arranged(compare_results(old, new), order, only_changed=True)
+    assert [change.log for change in comparison.changes] == logs
+
+
+def test_only_changed_leaves_the_counts_alone(tmp_path: Path) -> None:
+    old, new = two_sets(tmp_path)
+    whole = compare_results(old, new)
+    less = arranged(whole, "table", only_changed=True)
+    assert less.total == whole.total
+    assert {change.word for change in less.changes} == {"better", "worse"}
+    assert [aggregate.column for aggregate in less.aggregates] == ["rmse"]
+    assert less.dives == whole.dives
+
+
+def test_a_page_says_first_how_much_moved_and_holds_every_cell(tmp_path: Path) -> None:
+    comparison = arranged(compare_results(*two_sets(tmp_path)), "table", only_changed=True)
+    document = Document(comparison_html(comparison).decode())
+    assert document.texts["p"][: len(opening_lines(comparison))] == opening_lines(comparison)
+    tables = comparison_tables(comparison)
+    assert document.texts["h3"] == [table.title for table in tables]
+    assert {cell for table in tables for row in table.rows for cell in row} <= set(document.texts["td"])
+
+
+def test_dives_in_which_nothing_moved_are_counted(tmp_path: Path) -> None:
+    old, new = two_sets(tmp_path)
+    write(new / "four", content("four"))
+    text = comparison_markdown(arranged(compare_results(old, new), "table", only_changed=True))
+    assert text.startswith("## 4 dives: ")
+    assert "| four |" not in text
+    assert "and 1 dive in which nothing moved" in text
+
+
+# --- The door.
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """A folder with results that can and cannot be compared."""
+    write(tmp_path / "old" / "dive", content())
+    write(tmp_path / "worse" / "dive", content(rmse=0.44))
+    write(tmp_path / "better" / "dive", content(rmse=0.2))
+    write(tmp_path / "lost" / "dive", content(rmse=None))
+    write(tmp_path / "overconfident" / "dive", content(verdict="over-confident"))
+    write(tmp_path / "more" / "dive", content())
+    write(tmp_path / "more" / "second", content("second"))
+    write(tmp_path / "other" / "one", content("one"))
+    write(tmp_path / "other" / "two", content("two"))
+    write(tmp_path / "stranger" / "dive", content(filter="tuned"))
+    write(tmp_path / "study", {"study": "window", "tool": {"version": "0.1.0"}})
+    write(tmp_path / "future", {"tool": {"version": "9.0"}, "log": {"title": "dive"}, "tables": {}})
+    write(tmp_path / "list", [])  # type: ignore[arg-type]
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "report.json").write_text('{"tool": ')
+    (tmp_path / "bytes").mkdir()
+    (tmp_path / "bytes" / "report.json").write_bytes(b'{"tool": {"name": "\xff"}}')
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "reason"),
+    [
+        (["old", "old", "--fail-on", "changed"], 0, ""),
+        (["old", "worse"], 0, ""),
+        (["old", "worse", "--fail-on", "worse"], 1, "1 value is worse; worst: dive, reference_error: aided roll rmse "),
+        (["old", "worse", "--fail-on", "worse:5%"], 1, "from 0.4000 to 0.4400 deg (+10.0 %)"),
+        (["old", "worse", "--fail-on", "worse:10%"], 0, ""),
+        (["old", "worse", "--fail-on", "worse", "--tolerance", "10%"], 0, ""),
+        (["old", "worse", "--fail-on", "worse", "--table", "improvement"], 0, ""),
+        (["old", "worse", "--fail-on", "worse", "--column", "sd"], 0, ""),
+        (["old", "worse", "--fail-on", "worse", "--only-changed", "--sort", "name"], 1, "1 value is worse"),
+        (["old", "better", "--fail-on", "worse"], 0, ""),
+        (["old", "better", "--fail-on", "changed"], 1, "1 value changed; worst: dive"),
+        (["old", "lost", "--fail-on", "worse:1000%"], 1, "from 0.4000 to - deg (worse)"),
+        (["old", "overconfident", "--fail-on", "worse:50%"], 1, "from consistent to over-confident (worse)"),
+        (["more", "old", "--fail-on", "worse"], 1, "1 dive without counterpart: second"),
+        (["old", "more", "--fail-on", "worse"], 0, ""),
+        (["old", "more", "--fail-on", "changed"], 1, "1 dive without counterpart: second"),
+        (["old", "worse", "--fail-on", "better"], 2, "--fail-on better: is not known"),
+        (
+            ["old", "worse", "--fail-on", "worse:5"],
+            2,
+            "--fail-on worse:5: is not a percentage; hint: write --fail-on worse:0.5%",
+        ),
+        (
+            ["old", "worse", "--tolerance", "1e-3"],
+            2,
+            "--tolerance 1e-3: is not a percentage; hint: write --tolerance 0.5%",
+        ),
+        (["old", "worse", "--table", "improvment"], 2, "table 'improvment' is not known; hint: did you mean improve"),
+        (["old", "worse", "--column", "rms"], 2, "column 'rms' is not known; hint: did you mean rmse?"),
+        (["old", "worse", "--dive", "dibe"], 2, "dive 'dibe' is not known; hint: did you mean dive?"),
+        (["old", "stranger"], 2, "no candidate of the old results (aided) is among the new ones (tuned)"),
+        (["old", "stranger", "--pair", "aided"], 2, "--pair aided: is not of the form OLD=NEW"),
+        (["old", "stranger", "--pair", "aded=tuned"], 2, "filter 'aded' is not known; hint: did you mean aided?"),
+        (["more", "other"], 2, "no dive of dive, second is among one, two"),
+        (["old", "absent"], 2, "absent: does not exist"),
+        (["old", "empty"], 2, "empty: holds no result; hint: name a folder that `insdvl-replay run"),
+        (["old", "study"], 2, "study: holds results of studies alone"),
+        (["old"], 2, "missing argument"),
+        (["old", "broken"], 3, "broken/report.json: is not JSON"),
+        (["old", "bytes"], 3, "bytes/report.json: is not JSON"),
+        (["old", "list"], 3, "list/report.json: is not a report that version"),
+        (["old", "future"], 3, "(written by version 9.0): object missing required field `name` - at `$.log`"),
+    ],
+)
+def test_exit_codes_and_reasons(
+    arguments: Sequence[str],
+    code: int,
+    reason: str,
+    place: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(place)
+    assert run_command_line(["compare", *arguments]) == code
+    captured = capsys.readouterr()
+    assert bool(captured.out) is (code in {0, 1})
+    last = captured.err.rstrip("\n").split("\n")[-1]
+    assert last.startswith("error: ") is (code > 0)
+    assert reason in last
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["old", "worse", "--fail-on", "worse:50%"], 0),
+        (["old", "worse", "--fail-on", "worse:5%"], 1),
+        (["old", "empty"], 2),
+        (["old", "broken"], 3),
+    ],
+)
+def test_exit_codes_reach_the_shell(arguments: Sequence[str], code: int, place: Path) -> None:
+    command = [sys.executable, "-c", "from insdvl_replay.cli import main; main()", "compare", *arguments]
+    done = subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.startswith("error: ") is (code > 0)
+
+
+def test_comparing_loads_neither_the_filters_nor_pandas(place: Path) -> None:
+    script = """
+import sys
+from insdvl_replay.cli import run_command_line
+run_command_line(["compare", "old", "worse"])
+sys.exit(",".join({"pandas", "numba", "scipy", "mcap", "matplotlib"} & set(sys.modules)) or 0)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=place, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_json_is_read_back_as_the_comparison(tmp_path: Path) -> None:
+    comparison = compare_results(*two_sets(tmp_path))
+    assert msgspec.json.decode(comparison_json(comparison), type=Comparison) == comparison
+    document = json.loads(comparison_json(comparison))
+    # Of each dive 5 cells of the candidate, 2 x 3 of improvement, 2 x 4 of convergence, 5 of errors, 3 of consistency.
+    assert document["total"]["counts"] == {"better": 1, "worse": 2, "same": 78, "changed": 0, "new": 0, "gone": 0}
+
+
+def test_csv_has_four_parts_and_numbers_in_full(tmp_path: Path) -> None:
+    old, new = two_sets(tmp_path)
+    comparison = compare_results(old, new)
+    parts = {}
+    for block in comparison_csv(comparison).split("\n\n"):
+        rows = list(csv.DictReader(io.StringIO(block)))
+        parts[rows[0]["part"]] = rows
+    assert list(parts) == ["difference", "dive", "aggregate", "change"]
+    assert [row["matched_by"] for row in parts["dive"]] == ["hash", "hash", "hash", "nothing"]
+    assert len(parts["change"]) == len(comparison.changes)
+    (row,) = (row for row in parts["change"] if (row["log"], row["column"]) == ("three", "rmse"))
+    assert (float(row["old"]), float(row["new"]), row["word"]) == (0.4, 0.44, "worse")
+    assert float(row["change_pct"]) == pytest.approx(10.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("dives", [1, 3])
+def test_terminal_tables_fit_80_columns_and_are_whole_when_piped(dives: int, tmp_path: Path) -> None:
+    old, new = two_sets(tmp_path)
+    comparison = compare_results(old / "two", new / "two") if dives == 1 else compare_results(old, new)
+    for width in (80, 1000):
+        console = Console(width=width, record=True, file=io.StringIO())
+        console.print(comparison_terminal(comparison))
+        text = console.export_text()
+        assert max(len(line.rstrip()) for line in text.split("\n")) <= width
+        assert "…" not in text
+    assert "config filters.aided.window  3    5" in text
+    assert "Reference error, aided: rmse [deg] (lower is better)" in text
+
+
+@pytest.mark.parametrize(
+    ("format_", "expected"),
+    [("md", "| roll | 0.4000 | 0.4400 | +0.04000 | +10.0 | worse |"), ("latex", r"roll & 0.4000 & 0.4400 & +0.04000")],
+)
+def test_pages_for_documents_hold_the_rows(
+    format_: str, expected: str, place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command_line(["compare", str(place / "old"), str(place / "worse"), "--format", format_]) == 0
+    assert expected in capsys.readouterr().out
+
+
+def test_real_results_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "dive.mcap"
+    assert run_command_line(["simulate", "straight", "-o", str(log), "--duration", "60"]) == 0
+    wider = ["--set", "filters.aided.acceleration.window=5"]
+    for folder, settings in (("old", []), ("again", []), ("new", wider)):
+        assert run_command_line(["run", str(log), "-o", str(tmp_path / folder), *settings]) == 0
+    capsys.readouterr()
+    old, again, new = (str(tmp_path / folder) for folder in ("old", "again", "new"))
+    assert run_command_line(["compare", old, again, "--fail-on", "changed"]) == 0
+    assert "tool, settings and log do not differ" in capsys.readouterr().out
+    assert run_command_line(["compare", old, new, "--fail-on", "changed"]) == 1
+    assert "config filters.aided.acceleration.window  3    5" in capsys.readouterr().out
+
+
+def test_what_is_neither_better_nor_worse_comes_last(tmp_path: Path) -> None:
+    new = content(rmse=0.2, final=0.4)
+    new["tables"]["reference_error"][0]["samples"] = 290
+    text = comparison_markdown(arranged(compared(tmp_path, content(), new), "table", only_changed=True))
+    titles = [line for line in text.split("\n") if line.startswith("**Reference error")]
+    assert [title.split(": ")[1].split()[0].strip("*") for title in titles] == ["rmse", "final", "samples"]
+
+
+def test_what_is_new_is_no_gain(tmp_path: Path) -> None:
+    old = content()
+    del old["tables"]["reference_error"]
+    total = compared(tmp_path, old, content()).total
+    assert total.counts["new"] > 0
+    assert (total.worst, total.best) == (None, None)

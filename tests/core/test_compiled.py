@@ -1,0 +1,167 @@
+"""Compiled code is made once, ahead if wanted, by any number of processes at once, and is found where it was left."""
+
+import math
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numba
+import pytest
+
+from insdvl_replay.core import compiled
+
+PROCESSES = 4
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_logs"
+
+
+def started(cache: Path, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "insdvl_replay", *arguments]
+    environment = os.environ | {"INSDVL_REPLAY_CACHE": str(cache)}
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_what_is_inlined_divides_as_numpy_does_and_is_python_where_python_calls_it() -> None:
+    @compiled.inlined
+    def ratio(one: float, other: float) -> float:
+        return one / other
+
+    through = numba.njit(error_model="numpy")(lambda one, other: ratio(one, other))
+    assert through(1.0, 0.0) == math.inf
+    with pytest.raises(ZeroDivisionError):
+        ratio(1.0, 0.0)
+
+
+@pytest.mark.slow
+def test_processes_that_start_at_once_compile_side_by_side_and_agree(tmp_path: Path) -> None:
+    log = str(SAMPLES / "straight.mcap")
+    runs = [started(tmp_path / "cache", "run", log, "-o", str(tmp_path / f"{i}")) for i in range(PROCESSES)]
+    for run in runs:
+        _, errors = run.communicate()
+        assert run.returncode == 0, errors
+    tables = {(tmp_path / f"{i}" / "straight" / "improvement.csv").read_bytes() for i in range(PROCESSES)}
+    assert len(tables) == 1
+    again = started(tmp_path / "cache", "compile")
+    assert again.communicate()[0].startswith("was compiled already: ")
+
+
+@pytest.mark.slow
+def test_compile_says_where_the_code_lies_and_how_long_it_took(tmp_path: Path) -> None:
+    printed, errors = started(tmp_path, "compile").communicate()
+    found = re.fullmatch(r"compiled in \d+\.\d s: (.+)\n", printed)
+    assert found, errors
+    assert Path(found[1]).parent == tmp_path
+    assert any(Path(found[1]).rglob("filter._run-*.nbc"))
+
+
+def test_loops_over_records_alone_are_not_the_filter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_FOLDER", tmp_path)
+    (tmp_path / "record_loops.walk-13.py311.1.nbc").touch()
+    assert not compiled.is_warm()
+    (tmp_path / "filter._run-81.py311.1.nbc").touch()
+    assert compiled.is_warm()
+
+
+def test_compile_without_a_place_for_the_code_is_a_users_mistake(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    process = started(tmp_path / "file" / "cache", "compile")
+    _, errors = process.communicate()
+    assert process.returncode == 2
+    assert "cannot be written" in errors
+    assert "INSDVL_REPLAY_CACHE=" in errors
+
+
+def test_code_in_a_folder_that_cannot_be_written_is_used_from_a_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("INSDVL_REPLAY_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiled, "can_write", lambda _: False)
+    assert compiled._cache_folder() is None
+    folder = compiled.usual_folder()
+    folder.mkdir()
+    (folder / "filter.nbc").write_bytes(b"code")
+    copy = compiled._cache_folder()
+    assert copy is not None
+    assert copy != folder
+    assert (copy / "filter.nbc").read_bytes() == b"code"
+
+
+# Code on a disk that is not to be relied on
+
+SQUARES = """
+import sys
+from insdvl_replay.core.compiled import cache_folder, compiled
+
+@compiled
+def square(number):
+    return number * number
+
+assert square(3.0) == 9.0
+print(sum(square.stats.cache_hits.values()), cache_folder())
+"""
+
+
+def squares(cache: Path, script: Path) -> tuple[int, str]:
+    """Compile a small function in a process of its own: how often it came from the disk, and where that is."""
+    if not script.exists():
+        script.write_text(SQUARES)
+    environment = os.environ | {"INSDVL_REPLAY_CACHE": str(cache)}
+    done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    hits, folder = done.stdout.split()
+    return int(hits), folder
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:50])
+
+
+def garble(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[-20] ^= 1
+    path.write_bytes(data)
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", [cut, garble, empty, Path.unlink])
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_damaged_code_is_compiled_again_and_mended(damage: Callable[[Path], None], ending: str, tmp_path: Path) -> None:
+    cache, script = tmp_path / "cache", tmp_path / "script.py"
+    assert squares(cache, script)[0] == 0
+    (file,) = cache.rglob(f"*.{ending}")
+    damage(file)
+    assert squares(cache, script)[0] == 0
+    assert squares(cache, script)[0] == 1
+
+
+@pytest.mark.slow
+def test_a_full_disk_costs_the_time_to_compile(tmp_path: Path) -> None:
+    """No file can be larger than nothing."""
+    script = tmp_path / "script.py"
+    script.write_text("import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n" + SQUARES)
+    assert squares(tmp_path / "cache", script)[0] == 0
+    assert not list((tmp_path / "cache").rglob("*.nb*"))
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770])
+def test_a_folder_in_which_others_can_write_is_not_used(
+    mode: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("INSDVL_REPLAY_CACHE", str(tmp_path))
+    folder = compiled._cache_folder()
+    assert folder is not None
+    assert folder.stat().st_mode & 0o777 == 0o700
+    monkeypatch.setattr(os, "getegid", lambda: 12345)
+    os.chown(folder, -1, os.getgid() if os.getuid() else 4242)
+    folder.chmod(mode)
+    assert compiled._cache_folder() is None
+    folder.chmod(0o755)
+    assert compiled._cache_folder() == folder
+    monkeypatch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
+    assert (compiled._cache_folder() is None) == (folder.stat().st_uid != 0)

@@ -1,0 +1,187 @@
+"""Settings: layers, strictness, and what a mistake is told."""
+
+import tomllib
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter
+from insdvl_replay.core.config_file import PRESETS, load_config, render_toml
+from insdvl_replay.core.errors import ConfigError
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "vehicle.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_the_default_is_the_papers_setting() -> None:
+    config = load_config()
+    assert config == Config() == load_config("levy-klein")
+    assert (config.baseline, list(config.filters)) == ("baseline", ["baseline", "aided"])
+
+
+def test_later_layers_win(tmp_path: Path) -> None:
+    file = written(tmp_path, "[initial]\naccel_bias_sd_mg = 7.0\n[dvl]\nscale = 1.01\n")
+    config = load_config("mems", file, ["dvl.scale=1.02"])
+    assert config.noise == load_config("mems").noise != Config().noise
+    assert (config.initial.accel_bias_sd_mg, config.dvl.scale) == (7.0, 1.02)
+
+
+def test_a_file_with_filters_names_all_filters(tmp_path: Path) -> None:
+    file = written(tmp_path, '[filters.alone]\naiding = ["velocity"]\n')
+    assert load_config("fog", file).filters == {"alone": Filter(aiding=("velocity",))}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_resolved_configuration_reproduces_itself(preset: str, tmp_path: Path) -> None:
+    config = load_config(preset)
+    assert load_config(file=written(tmp_path, render_toml(config))) == config
+
+
+@pytest.mark.parametrize("preset", [preset for preset in PRESETS if preset != "levy-klein"])
+def test_presets_by_grade_take_the_acceleration_noise_from_the_dvl(preset: str) -> None:
+    filters = load_config(preset).filters
+    acceleration = filters["aided"].acceleration
+    assert acceleration is not None
+    assert acceleration.sd_mps2 is None
+    assert {filter_.gate_probability for filter_ in filters.values()} == {0.99999}
+
+
+def test_presets_grow_noisier_from_grade_to_grade() -> None:
+    noises = [load_config(preset).noise for preset in ("fog", "tactical", "mems")]
+    for key in ("accel_white_mps_rts", "gyro_white_rad_rts", "accel_bias_walk_mps2_rts", "gyro_bias_walk_radps_rts"):
+        values = [getattr(noise, key) for noise in noises]
+        assert values == sorted(values), key
+    assert len({noise.gyro_white_rad_rts for noise in noises}) == len(noises)
+
+
+@example(scale=1.0, lever=(0.0, 0.0, 0.0), topic='\x7f\x1f\n"\\é')
+@given(
+    scale=st.floats(min_value=1e-6, max_value=1e6),
+    lever=st.tuples(*[st.floats(-1e300, 1e300)] * 3),
+    topic=st.none() | st.text(st.characters(exclude_categories=["Cs"])),
+)
+def test_any_value_survives_being_written_as_toml(
+    scale: float, lever: tuple[float, float, float], topic: str | None
+) -> None:
+    config = Config(dvl=Dvl(scale=scale, lever_arm_m=lever, topic=topic))
+    assert msgspec.convert(tomllib.loads(render_toml(config)), Config) == config
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "hint"),
+    [
+        ("[dvl]\nscle = 1.0", "unknown key dvl.scle", "did you mean dvl.scale?"),
+        ("[dlv]\nscale = 1.0", "unknown key dlv", "did you mean dvl?"),
+        ("[dvl]\nqqqqqqqqqqqq = 1", "unknown key dvl.qqqqqqqqqqqq", "known here: topic, kind"),
+        ('[filters.a]\naidin = ["velocity"]', "unknown key filters.a.aidin", "did you mean filters.a.aiding?"),
+        ("dvl = 3", "dvl is a section, found 3", "write [dvl]"),
+        ("filters = 3", "filters is a section, found 3", "write [filters]"),
+        ("[filters]\na = 3", "filters.a: expected `object`, got `int`", "prints every key"),
+        (
+            "[filters.a]\ngate_probability = 1.0",
+            "filters.a: object missing required field `aiding`",
+            "prints every key",
+        ),
+        ('[dvl]\nlever_arm_m = [0.0, "x", 0.0]', "dvl.lever_arm_m[1]: expected `float`, got `str`, found 'x'", ""),
+        ("[dvl]\nscale = 0", "dvl.scale: expected `float` > 0.0, found 0", "prints every key"),
+        ("[dvl]\nlever_arm_m = [0, 0, inf]", "dvl.lever_arm_m[2] must be a finite number, found inf", "leave out"),
+        ("[noise]\naccel_white_mps_rts = 1e999", "noise.accel_white_mps_rts must be a finite number", "leave out"),
+        ("[dvl", "is not valid TOML", "`insdvl-replay config` prints a valid one"),
+        (
+            '[filters.b]\naiding = ["velocity", "acceleration"]\nacceleration = { window = 1 }',
+            "filters.b.acceleration.window: expected `int` >= 2, found 1",
+            "prints every key",
+        ),
+        (
+            '[filters.b]\naiding = ["acceleration"]',
+            "filters.b is aided by acceleration but does not say how",
+            "acceleration = {",
+        ),
+        (
+            '[filters.b]\naiding = ["acceleration"]\nacceleration = { window = 3, order = 3 }',
+            "filters.b.acceleration.order = 3 needs a window above 3, found 3",
+            "window = 4",
+        ),
+        ('[filters.a-b]\naiding = ["velocity"]', "filter name 'a-b'", "part of topics"),
+        ("[filters.a]\naiding = []", "filters.a.aiding names a measurement twice or none", "aiding = "),
+        ("[filters]", "no filter is configured", "add [filters.baseline]"),
+    ],
+)
+def test_a_mistake_in_a_file_is_told_with_place_and_hint(text: str, message: str, hint: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(file=written(tmp_path, text))
+    assert message in caught.value.message
+    assert hint in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("dvl.scale", "--set dvl.scale: is not of the form section.key=value"),
+        ("scale=3", "--set scale=3: is not of the form section.key=value"),
+        ("dvl.scle=3", "--set dvl.scle=3: unknown key dvl.scle"),
+        ("dvl.kind=boat", "--set dvl.kind=boat: dvl.kind: invalid enum value 'boat'"),
+        ("dvl.scale=nan", "--set dvl.scale=nan: dvl.scale"),
+        (
+            "filters.aided.acceleration.window=1",
+            "--set filters.aided.acceleration.window=1: filters.aided.acceleration.window: expected `int` >= 2",
+        ),
+    ],
+)
+def test_a_mistake_on_the_command_line_is_told_with_its_own_words(override: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(overrides=["dvl.scale=1.5", override])
+    assert caught.value.message.startswith(message)
+    assert caught.value.hint
+
+
+def test_overrides_that_only_fit_together_are_taken_together() -> None:
+    config = load_config(overrides=["filters.aided.acceleration.order=3", "filters.aided.acceleration.window=5"])
+    acceleration = config.filters["aided"].acceleration
+    assert isinstance(acceleration, Acceleration)
+    assert (acceleration.order, acceleration.window) == (3, 5)
+
+
+def test_a_bare_word_is_a_string() -> None:
+    assert load_config(overrides=["imu.axes=flu"]).imu.axes == "flu"
+
+
+def test_unknown_preset_is_told_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match="preset 'phog' is not known") as caught:
+        load_config("phog")
+    assert "fog" in caught.value.hint
+
+
+def test_unreadable_files_are_told(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_config(file=tmp_path / "absent.toml")
+    (tmp_path / "image.toml").write_bytes(b"\x89PNG\xff")
+    with pytest.raises(ConfigError, match="is not UTF-8 text"):
+        load_config(file=tmp_path / "image.toml")
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        (f"dvl.scale={'9' * 5000}", "dvl.scale: expected `float`, got `str`, found '999"),
+        (f"dvl.scale={'9' * 4000}", "dvl.scale: "),
+        (f"dvl.scale={'[' * 5000}", r"dvl.scale: expected `float`, got `str`, found '\[\[\["),
+        ("dvl.velocity_sd_mps=1e308", r"dvl.velocity_sd_mps must be at most 1e\+30, found 1e\+308"),
+        ("dvl.topic=\udcff", "is not UTF-8"),
+    ],
+)
+def test_numbers_and_words_beyond_all_measure_are_mistakes_of_the_user(setting: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        load_config(overrides=[setting])
+
+
+@pytest.mark.parametrize("value", ["9" * 5000, "[" * 5000])
+def test_a_file_beyond_all_measure_is_not_valid(value: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"vehicle.toml: is not valid TOML: (A number|Too many)"):
+        load_config(file=written(tmp_path, f"[dvl]\nscale = {value}\n"))

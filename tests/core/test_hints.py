@@ -1,0 +1,79 @@
+"""Hints about names: the one that was meant if any is like it, else a short list of what there is."""
+
+from pathlib import Path
+
+import pytest
+
+from insdvl_replay.core.config import Config, Imu
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.errors import ConfigError, LogError, listed, nearest
+from insdvl_replay.logs.columns.roles import assign_roles
+from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.encoding.field_errors import check_path
+
+IMU_TYPE = "sensor_msgs/msg/Imu"
+FIELDS = {"header": "H", "header.frame_id": "string", "angular_velocity": "V", "angular_velocity.x": "float64"}
+
+LISTED = (
+    'its fields are header (H), angular_velocity (V), angular_velocity.x (float64); "p, q, r" sets fields side by side'
+)
+
+
+def channel(topic: str, type_name: str, messages: int) -> LogChannel:
+    return LogChannel(1, topic, type_name, "cdr", "ros2msg", "", messages)
+
+
+def refusal(channels: list[LogChannel], config: Config | None = None) -> LogError:
+    with pytest.raises(LogError) as refused:
+        assign_roles("a.mcap", channels, config or Config())
+    return refused.value
+
+
+def test_only_what_is_spelled_alike_is_near() -> None:
+    assert nearest("/imu/dat", ["/dvl", "/imu/data"]) == "/imu/data"
+    assert nearest("/nothing", ["/depth", "/dvl", "/imu"]) is None
+    assert nearest("/imu", []) is None
+
+
+def test_long_lists_are_cut_and_counted() -> None:
+    assert listed("abc") == "a, b, c"
+    assert listed("abcdefgh", most=6) == "a, b, c, d, e, f and 2 more"
+
+
+def test_topic_that_is_like_none_is_answered_with_those_there_are() -> None:
+    channels = [channel("/depth", "a/Depth", 3), channel("/box/imu", IMU_TYPE, 3), channel("/empty", IMU_TYPE, 0)]
+    assert refusal(channels, Config(imu=Imu(topic="/nothing"))).hint == "those with messages are /box/imu, /depth"
+    assert refusal(channels, Config(imu=Imu(topic="/bix/imu"))).hint == 'the nearest is imu.topic = "/box/imu"'
+
+
+def test_topic_of_the_right_type_without_messages_is_named() -> None:
+    error = refusal([channel("/depth", "a/Depth", 3), channel("/imu", IMU_TYPE, 0)])
+    assert error.message.endswith("it has a/Depth; /imu would be, without a single message")
+
+
+@pytest.mark.parametrize("topic", [None, "/imu"])
+def test_empty_log_is_no_matter_of_types(topic: str | None) -> None:
+    error = refusal([channel("/imu", IMU_TYPE, 0)], Config(imu=Imu(topic=topic)))
+    assert "no messages" in error.message
+    assert error.hint == "was anything recorded? Announced are /imu"
+
+
+@pytest.mark.parametrize(
+    ("path", "hint"),
+    [
+        ("angular_velocty", f"the nearest one is 'angular_velocity'; {LISTED}"),
+        ("gyro", LISTED),
+    ],
+)
+def test_field_that_is_like_none_is_answered_with_those_there_are(path: str, hint: str) -> None:
+    with pytest.raises(LogError) as refused:
+        check_path(path, FIELDS, IMU_TYPE, "a.mcap")
+    assert refused.value.hint == hint
+
+
+def test_key_that_is_like_none_is_answered_with_those_there_are(tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    file.write_text("[span]\nfrom = 3.0\n")
+    with pytest.raises(ConfigError) as refused:
+        load_config(file=file)
+    assert refused.value.hint == "known here: start_s, end_s"

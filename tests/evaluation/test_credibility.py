@@ -1,0 +1,257 @@
+"""Errors drawn from P are credible, whichever way the vehicle heads; errors that are not are found out."""
+
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from matched_sensors import SENSORS
+from scipy import signal, stats
+
+from insdvl_replay.core.columns import Dive, Floats
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.result_tables import CREDIBILITY_QUANTITIES
+from insdvl_replay.core.states import BA, DEG, PHI, STATES
+from insdvl_replay.evaluation.consistency import mean_interval
+from insdvl_replay.evaluation.credibility import FAR_SMALLER, MANY_FAR_OFF, credibility_table, probability_of
+from insdvl_replay.evaluation.effective_samples import effective_samples
+from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
+from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
+from insdvl_replay.studies.simulated_run import matched_errors
+
+K = 4000
+SD = np.repeat([0.02, 2e-3, 1e-2, 1e-6], 3)
+
+
+def covariance(seed: int = 1) -> Floats:
+    """A covariance with the standard deviations `SD` and correlations of any size."""
+    factor = np.random.default_rng(seed).normal(size=(12, 12))
+    cov = factor @ factor.T
+    scale = SD / np.sqrt(np.diagonal(cov))
+    made: Floats = cov * np.outer(scale, scale)
+    return made
+
+
+def drawn(factor: float = 1.0, seed: int = 2, k: int = K) -> StateErrors:
+    """Independent errors that are by a factor larger than P says, of a vehicle that heads anywhere."""
+    rng, cov = np.random.default_rng(seed), covariance()
+    error = factor * rng.multivariate_normal(np.zeros(12), cov, size=k, method="cholesky")
+    heading = rng.uniform(-np.pi, np.pi, k)
+    return StateErrors(
+        "aided", np.arange(k, dtype=np.int64), error, np.tile(SD, (k, 1)), np.tile(cov, (k, 1, 1)), heading
+    )
+
+
+def judged(errors: StateErrors) -> Any:
+    return credibility_table("dive", ["aided"], {"aided": errors}).set_index("quantity")
+
+
+def without(errors: StateErrors, states: slice) -> StateErrors:
+    error = errors.error.copy()
+    error[:, states] = np.nan
+    return replace(errors, error=error)
+
+
+# --- The table.
+
+
+def test_errors_drawn_from_p_are_credible_in_every_row() -> None:
+    table = judged(drawn())
+    assert table.index.tolist() == [*CREDIBILITY_QUANTITIES, "all"]
+    assert (table["verdict"] == "consistent").all()
+    assert table["dof"].tolist() == [1] * 12 + [12]
+    # The mean of 4000 squares scatters by 2.2 %, shares of 4000 by 0.7 % and 0.1 %; five of these.
+    np.testing.assert_allclose(table["mean_nees"] / table["dof"], 1.0, atol=0.11)
+    np.testing.assert_allclose(table["within_1sd_pct"], 68.27, atol=3.7)
+    np.testing.assert_allclose(table["within_3sd_pct"], 99.73, atol=0.5)
+    np.testing.assert_allclose(table["effective_samples"], K, rtol=0.02)
+
+
+@pytest.mark.parametrize(("factor", "word"), [(1.2, "over-confident"), (0.8, "consistent"), (0.2, "over-cautious")])
+def test_errors_of_another_size_are_found_out_in_every_row(factor: float, word: str) -> None:
+    table = judged(drawn(factor))
+    assert (table["verdict"] == word).all()
+    np.testing.assert_allclose(table["mean_nees"] / table["dof"], factor**2, rtol=0.11)
+    expected_pct = 100.0 * stats.chi2(1).cdf(1.0 / factor**2)
+    np.testing.assert_allclose(table.loc["velocity_n", "within_1sd_pct"], expected_pct, atol=3.7)
+
+
+def test_columns_are_those_of_the_contract() -> None:
+    assert credibility_table("dive", ["aided"], {}).columns.tolist() == [
+        "log", "filter", "quantity", "dof", "samples", "mean_nees", "low", "high", "within_1sd_pct",
+        "within_3sd_pct", "verdict", "effective_samples",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("heading_deg", "quantity"), [(0.0, "roll"), (90.0, "pitch"), (180.0, "roll")])
+def test_misalignment_about_north_is_the_roll_of_who_heads_north(heading_deg: float, quantity: str) -> None:
+    errors = drawn()
+    error = np.zeros_like(errors.error)
+    error[:, PHI.start] = 3.0 * SD[PHI.start]
+    table = judged(replace(errors, error=error, heading=np.full(K, heading_deg * DEG)))
+    for other in ("roll", "pitch", "heading"):
+        assert table.loc[other, "mean_nees"] == pytest.approx(9.0 if other == quantity else 0.0, abs=1e-9)
+
+
+def test_interval_is_that_of_the_independent_samples() -> None:
+    row = judged(replace(drawn(), error=np.tile(SD, (K, 1)))).loc["velocity_d"]
+    assert row["effective_samples"] == pytest.approx(1.0, abs=1e-6)
+    assert (row["low"], row["high"]) == pytest.approx(mean_interval(1, 1.0), rel=1e-6)
+    assert row["samples"] == K
+
+
+@pytest.mark.parametrize(("sigmas", "word"), [(0.01, "too few"), (1.5, "too few"), (4.0, "over-confident")])
+def test_error_that_stays_can_only_be_too_large(sigmas: float, word: str) -> None:
+    """One sample within 1.5 sigma proves nothing, however often it is looked at; at 4 sigma it does."""
+    table = judged(replace(drawn(), error=np.tile(sigmas * SD, (K, 1))))
+    assert (table["verdict"].drop(["roll", "pitch", "all"]) == word).all()
+
+
+@pytest.mark.parametrize(("times", "word"), [(1.0, "consistent"), (10.0, "over-confident")])
+def test_rare_large_errors_are_found_though_their_mean_square_is_as_believed(times: float, word: str) -> None:
+    """Every twentieth error is ``times`` as large as the others."""
+    errors = drawn()
+    error = errors.error * np.where(np.arange(K) % 20 == 0, times, 1.0)[:, None]
+    table = judged(replace(errors, error=error * SD / np.sqrt(np.mean(error**2, axis=0))))
+    rows = [quantity for quantity in CREDIBILITY_QUANTITIES if quantity not in {"roll", "pitch"}]
+    np.testing.assert_allclose(table.loc[rows, "mean_nees"], 1.0, rtol=1e-9)
+    assert (table.loc[rows, "verdict"] == word).all()
+
+
+@pytest.mark.parametrize("independent", [5.0, 20.0, 200.0])
+def test_share_of_large_errors_is_as_improbable_as_scipys_binomial_says(independent: float) -> None:
+    expected = 2.0 * float(stats.norm.sf(3.0))
+    for count in (1, 2, 4):
+        found = probability_of(count / independent, independent)
+        assert found == pytest.approx(stats.binom(int(independent), expected).sf(count - 1), rel=1e-9)
+    assert probability_of(0.5 / independent, independent) == pytest.approx(2.0 * independent * expected)
+
+
+def test_correlated_errors_drawn_from_p_are_seldom_called_far_off() -> None:
+    """Each error resembles the one before by 0.98: the few excursions of a series last, and prove little."""
+    rng, flagged, runs = np.random.default_rng(5), 0, 300
+    for _ in range(runs):
+        series = signal.lfilter([np.sqrt(1.0 - 0.98**2)], [1.0, -0.98], rng.standard_normal(1200))[200:]
+        far_off = float(np.mean(np.abs(series) > 3.0))
+        flagged += far_off >= MANY_FAR_OFF and probability_of(far_off, effective_samples(series[:, None])) < 0.05
+    assert flagged / runs < 0.05
+
+
+def hanging_on_heading(sigmas: float) -> StateErrors:
+    """A velocity whose variance is nine tenths the heading's, which is exact; the rest errs as drawn, by a factor."""
+    correlation = np.eye(12)
+    correlation[0, 5] = correlation[5, 0] = np.sqrt(0.9)
+    cov = correlation * np.outer(SD, SD)
+    error = np.random.default_rng(7).normal(size=(K, 12)) * SD
+    error[:, 0] *= sigmas * np.sqrt(0.1)
+    return replace(drawn(), error=error, cov=np.tile(cov, (K, 1, 1)))
+
+
+@pytest.mark.parametrize(("sigmas", "word"), [(1.0, "consistent"), (0.4, "over-cautious")])
+def test_velocity_that_hangs_on_the_heading_is_judged_by_what_is_its_own(sigmas: float, word: str) -> None:
+    row = judged(hanging_on_heading(sigmas)).loc["velocity_n"]
+    assert row["mean_nees"] == pytest.approx(0.1 * sigmas**2, rel=0.11)
+    assert row["verdict"] == word
+
+
+def test_what_the_reference_lacks_is_said_and_not_counted() -> None:
+    velocity_alone = without(drawn(), slice(PHI.start, 12))
+    table = judged(velocity_alone)
+    assert table.index.tolist() == [*CREDIBILITY_QUANTITIES[:6], "all"], "no biases without the truth"
+    assert table.loc["roll":"heading", "verdict"].tolist() == ["not in reference"] * 3
+    assert table.loc["roll":"heading", ["mean_nees", "low", "high", "within_1sd_pct"]].isna().all(axis=None)
+    assert table.loc["all", "dof"] == 3
+    assert table.loc["all", "verdict"] == "consistent"
+    nothing = judged(without(drawn(), slice(0, 12)))
+    assert set(nothing["verdict"]) == {"not in reference"}
+    assert (nothing["samples"] == 0).all()
+
+
+def test_joint_row_takes_the_times_when_everything_is_known() -> None:
+    errors = drawn()
+    errors.error[::2, BA] = np.nan
+    table = judged(errors)
+    assert table["samples"].tolist() == [K] * 6 + [K // 2] * 3 + [K] * 3 + [K // 2]
+
+
+def test_dive_without_a_reference_says_so() -> None:
+    table = credibility_table("dive", ["baseline", "aided"], {})
+    assert table["quantity"].tolist() == [*CREDIBILITY_QUANTITIES[:6], "all"] * 2
+    assert set(table["verdict"]) == {"no reference"}
+    assert table["mean_nees"].isna().all()
+
+
+def test_filter_that_broke_down_is_not_finite() -> None:
+    errors = drawn()
+    errors.cov[100, 0, 1] = errors.cov[100, 1, 0] = 2.0 * SD[0] * SD[1]
+    assert judged(errors).loc["all", "verdict"] == "not finite"
+    errors.sd[100] = np.inf
+    errors.sd[101] = np.nan
+    assert set(judged(errors)["verdict"]) == {"not finite"}
+
+
+def test_times_up_to_the_start_are_left_out() -> None:
+    later = drawn(k=100).after(9)
+    assert later.time_ns.tolist() == list(range(10, 100))
+    assert {len(later.error), len(later.sd), len(later.cov), len(later.heading)} == {90}
+
+
+def test_whitened_errors_have_scipys_mahalanobis_distance() -> None:
+    errors = drawn(k=50)
+    expected = [e @ np.linalg.inv(errors.cov[0] / np.outer(SD, SD)) @ e for e in errors.error / SD]
+    np.testing.assert_allclose(nees(errors.error, errors.cov), expected, rtol=1e-9)
+    np.testing.assert_allclose(np.sum(whitened(errors.error, errors.cov) ** 2, axis=1), expected, rtol=1e-9)
+
+
+# --- Filters on simulated dives.
+
+
+@pytest.fixture(scope="module")
+def exact() -> Dive:
+    return exact_dive("figure-eight", imu_rate_hz=50.0)
+
+
+def rows(replay: Replay) -> Any:
+    return replay.tables["credibility"].set_index(["filter", "quantity"])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(exact: Dive, seed: int) -> None:
+    replay = replay_dive(add_errors(exact, *matched_errors(SENSORS), seed), SENSORS)
+    table = rows(replay)
+    baseline = table.loc[("baseline", "all")]
+    assert baseline["verdict"] == "consistent"
+    # Below 12, since the filter starts at the reference.
+    assert 6.0 < baseline["mean_nees"] < baseline["high"]
+    assert table.loc[("published", "all"), "verdict"] == "over-confident"
+    for quantity in ("roll", "pitch"):
+        assert table.loc[("published", quantity), "verdict"] == "over-confident", "it leaves out w x v"
+    (verdict,) = replay.verdicts
+    assert verdict.credibility == "over-confident"
+    assert verdict.sentence.endswith("published is over-confident, baseline consistent.")
+
+
+def test_straight_line_gives_no_false_words_on_what_its_heading_hides() -> None:
+    """The heading starts exact and is never seen, so that the velocity across the track errs by less than P allows."""
+    alone = msgspec.structs.replace(SENSORS, filters={"baseline": SENSORS.filters["baseline"]})
+    straight = exact_dive("straight", imu_rate_hz=50.0)
+    for seed in (1, 2, 5):
+        table = rows(replay_dive(add_errors(straight, *matched_errors(alone), seed), alone)).loc["baseline"]
+        assert table.loc["velocity_e", "mean_nees"] < FAR_SMALLER
+        assert table.loc["velocity_e", "verdict"] == "consistent"
+
+
+def test_settings_of_the_paper_are_over_cautious_for_a_fibre_optic_imu() -> None:
+    replay = replay_dive(simulate_dive("figure-eight", duration_s=200.0, imu_rate_hz=50.0), Config())
+    assert set(rows(replay).xs("all", level="quantity")["verdict"]) == {"over-cautious"}
+
+
+def test_biases_are_judged_where_the_truth_is_known(exact: Dive) -> None:
+    dive = add_errors(exact, *matched_errors(SENSORS), 1)
+    with_truth, without_truth = (rows(replay_dive(d, SENSORS)) for d in (dive, replace(dive, truth=None)))
+    biases = [state.id for state in STATES[BA.start :]]
+    assert [quantity for name, quantity in with_truth.index if name == "baseline"] == [*CREDIBILITY_QUANTITIES, "all"]
+    assert not set(biases) & {quantity for _, quantity in without_truth.index}
+    assert without_truth.loc[("baseline", "all"), "dof"] == 6

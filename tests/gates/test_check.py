@@ -1,0 +1,410 @@
+"""`insdvl-replay check`: exit codes, baselines, and output as those read it for whom it is written."""
+
+import contextlib
+import io
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import msgspec
+import pytest
+import xmlschema
+from small_results import content, write
+
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.gates.check_json import CheckReport
+from insdvl_replay.gates.github import SHOWN, github_annotations
+from insdvl_replay.gates.junit import junit_xml
+from insdvl_replay.gates.model import CheckResult, Judgement
+
+DIVES = Path(__file__).parents[2] / "examples" / "archive" / "dives"
+SCHEMA = xmlschema.XMLSchema(Path(__file__).with_name("junit.xsd"))
+TOOL = [sys.executable, "-m", "insdvl_replay"]
+PASSING = """
+[[gate]]
+name = "ba_z converges"
+table = "improvement"
+filter = "aided"
+row = "ba_z"
+column = "improvement_pct"
+min = 40
+"""
+FAILING = PASSING.replace("converges", "converges fully").replace("40", "99")
+WARNING = FAILING + 'level = "warn"\n'
+BASELINE = """
+[[gate]]
+name = "no state becomes less sure"
+table = "improvement"
+column = "sd"
+baseline = "baselines/{log}.json"
+max_worse_pct = 1
+"""
+
+
+@pytest.fixture(scope="module")
+def checked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of two dives, which checks find unchanged."""
+    output = tmp_path_factory.mktemp("checked")
+    logs = [str(DIVES / f"{name}.mcap") for name in ("transit", "outage")]
+    assert run_command_line(["run", *logs, "-o", str(output)]) == 0
+    return output
+
+
+@pytest.fixture
+def team(checked: Path, tmp_path: Path) -> Path:
+    """A folder with two dives, and their results where `check` keeps them."""
+    (tmp_path / "dives").mkdir()
+    for name in ("transit", "outage"):
+        shutil.copy(DIVES / f"{name}.mcap", tmp_path / "dives")
+    shutil.copytree(checked, tmp_path / "checked")
+    return tmp_path
+
+
+Done = subprocess.CompletedProcess[str]
+
+
+def started(folder: Path, gates: str, *arguments: str, dives: str = '["dives/*.mcap"]') -> Done:
+    """Check in a process of its own, whose exit code is what a job sees."""
+    (folder / "gates.toml").write_text(f"dives = {dives}\n{gates}", "utf-8")
+    command = [*TOOL, "check", "gates.toml", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+
+
+def check(folder: Path, gates: str, *arguments: str) -> Done:
+    """Check in this process, which is faster."""
+    (folder / "gates.toml").write_text(f'dives = ["dives/*.mcap"]\n{gates}', "utf-8")
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run_command_line(["check", "gates.toml", *arguments])
+    return Done(["check"], code, out.getvalue(), err.getvalue())
+
+
+# --- Exit codes.
+
+
+def test_all_passed_is_0(team: Path) -> None:
+    done = started(team, PASSING)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1] == "1 gate on 2 dives: 2 passed"
+
+
+def test_one_failed_is_1_and_says_the_number_and_its_limit(team: Path) -> None:
+    done = started(team, PASSING + FAILING)
+    assert done.returncode == 1
+    first, reason, *_ = done.stdout.splitlines()
+    assert first == "FAILED  outage: ba_z converges fully"
+    assert re.fullmatch(r"    improvement aided ba_z: improvement_pct is [\d.]+ %, at least 99 is wanted", reason)
+    assert done.stderr.splitlines()[-1].startswith("error: 2 gates on 2 dives: 2 failed, 2 passed; the first: outage")
+
+
+def test_only_warnings_is_0_but_no_pass(team: Path) -> None:
+    done = started(team, WARNING)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1] == "1 gate on 2 dives: 2 with a warning"
+
+
+def test_a_missing_baseline_is_1_and_names_the_command(team: Path) -> None:
+    done = started(team, BASELINE)
+    assert done.returncode == 1
+    assert "baselines/transit.json: there is no baseline yet; `insdvl-replay check gates.toml --update`" in done.stdout
+
+
+def test_bad_toml_is_2_with_line_and_key(team: Path) -> None:
+    done = started(team, PASSING.replace("min", "mim"))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "error: gates.toml:9: gate 1: key 'mim' is not known; hint: did you mean min?\n"
+
+
+def test_a_typo_in_a_state_is_2_before_any_replay(team: Path) -> None:
+    shutil.rmtree(team / "checked")
+    done = started(team, PASSING.replace('"ba_z"', '"ba_zz"'))
+    assert done.returncode == 2
+    assert done.stderr == (
+        "error: gates.toml:3: gate 'ba_z converges': state 'ba_zz' is not known; hint: did you mean ba_z?\n"
+    )
+    assert not (team / "checked").exists()
+
+
+def test_an_unreadable_dive_is_3_and_the_others_are_judged(team: Path) -> None:
+    (team / "dives" / "bad.mcap").write_bytes(b"not a log")
+    done = started(team, PASSING + FAILING, "--format", "junit")
+    assert done.returncode == 3
+    suites = {suite.attrib["name"]: suite.attrib for suite in ElementTree.fromstring(done.stdout)}
+    assert (suites["bad"]["errors"], suites["bad"]["failures"]) == ("2", "0")
+    assert (suites["outage"]["errors"], suites["outage"]["failures"]) == ("0", "1")
+    assert "bad: ba_z converges: dives/bad.mcap: is not an MCAP file" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("dives", "says"),
+    [('["dives/*.bag"]', "dives/*.bag: no dive is found there"), ("[]", "gates.toml: names no dives")],
+)
+def test_no_dive_is_2(dives: str, says: str, team: Path) -> None:
+    done = started(team, PASSING, dives=dives)
+    assert done.returncode == 2
+    assert says in done.stderr
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_interrupted_is_130(jobs: str, team: Path) -> None:
+    shutil.rmtree(team / "checked")
+    (team / "gates.toml").write_text(f'dives = ["dives/*.mcap"]\n{PASSING}')
+    command = [*TOOL, "check", "gates.toml", "--jobs", jobs]
+    with subprocess.Popen(command, cwd=team, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not (team / "checked").exists():
+            assert process.poll() is None
+            time.sleep(0.005)
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (130, "", "error: interrupted\n")
+
+
+# --- What is judged.
+
+
+def test_replays_are_kept_and_used_again(team: Path) -> None:
+    shutil.rmtree(team / "checked")
+    assert check(team, PASSING, "--jobs", "2").returncode == 0
+    saved = team / "checked" / "transit" / "report.json"
+    first = saved.stat().st_mtime_ns
+    assert check(team, PASSING).returncode == 0
+    assert saved.stat().st_mtime_ns == first
+    assert check(team, PASSING, "--rerun").returncode == 0
+    assert saved.stat().st_mtime_ns > first
+
+
+def test_settings_of_the_gate_file_and_the_command_line(team: Path) -> None:
+    (team / "vehicle.toml").write_text("[dvl]\nscale = 1.02\n")
+    (team / "other.toml").write_text("[dvl]\nscale = 1.03\n")
+
+    def scale(*arguments: str) -> float:
+        check(team, 'config = "vehicle.toml"\npreset = "fog"\n' + PASSING, "dives/transit.mcap", *arguments)
+        report = json.loads((team / "checked" / "transit" / "report.json").read_bytes())
+        return float(report["config"]["dvl"]["scale"])
+
+    assert scale() == 1.02
+    assert scale("-c", "other.toml") == 1.03
+    assert scale("--set", "dvl.scale=1.04") == 1.04
+    (team / "vehicle.toml").unlink()
+    refused = check(team, 'config = "vehicle.toml"\n' + PASSING)
+    assert refused.stderr.startswith("error: gates.toml: config names vehicle.toml, which is no file")
+
+
+def test_results_are_judged_as_they_are(team: Path) -> None:
+    before = (team / "checked" / "transit" / "report.json").read_bytes()
+    for dive in ("checked/transit", "checked/transit/report.json", "checked"):
+        done = check(team, PASSING, dive, "--set", "dvl.scale=1.5")
+        assert done.returncode == 0, done.stderr
+    assert (team / "checked" / "transit" / "report.json").read_bytes() == before
+
+
+def test_a_dive_whose_results_are_not_numbers_fails(tmp_path: Path) -> None:
+    report = content()
+    for row in report["tables"]["improvement"]:
+        row.update(sd=None, improvement_pct=None, status="not finite")
+    write(tmp_path / "dive", report)
+    done = check(tmp_path, PASSING.replace("ba_z", "ba_x"), "dive")
+    assert done.returncode == 1
+    assert "improvement aided ba_x: improvement_pct is empty (not finite)" in done.stdout
+
+
+def test_a_result_that_cannot_be_read_is_3(tmp_path: Path) -> None:
+    write(tmp_path / "dive", {"tables": 1})
+    done = check(tmp_path, PASSING, "dive")
+    assert done.returncode == 3
+    assert done.stdout.startswith("NO RESULT  dive: ba_z converges\n    dive/report.json: is not a report")
+
+
+@pytest.mark.parametrize("column", ["filter", "state"])
+def test_a_result_with_a_row_without_a_name_does_not_stop_the_others(column: str, tmp_path: Path) -> None:
+    report = content("broken")
+    del report["tables"]["improvement"][1][column]
+    write(tmp_path / "broken", report)
+    write(tmp_path / "dive", content())
+    done = check(tmp_path, PASSING.replace("ba_z", "ba_x"), "broken", "dive")
+    assert done.returncode == 3
+    place = f"broken/report.json: table improvement, row 2: has no column {column}"
+    assert done.stdout.startswith(f"NO RESULT  broken: ba_x converges\n    {place}\n")
+    assert done.stdout.endswith("1 gate on 2 dives: 1 without a result, 1 passed\n")
+    (tmp_path / "baselines").mkdir()
+    shutil.copy(tmp_path / "broken" / "report.json", tmp_path / "baselines" / "dive.json")
+    assert "baselines/dive.json: is not a result that can be read" in check(tmp_path, BASELINE, "dive").stdout
+
+
+# --- Baselines.
+
+
+def test_update_shows_what_moves_before_it_writes_it(team: Path) -> None:
+    first = check(team, BASELINE + PASSING, "--update")
+    assert first.returncode == 0, first.stderr
+    assert "transit: improvement aided ba_z: sd is new: " in first.stdout
+    assert first.stderr == "wrote baselines/outage.json\nwrote baselines/transit.json\n"
+    again = check(team, BASELINE + PASSING, "--update")
+    assert again.stdout.startswith("0 values new or moved, 24 as before\n")
+    assert check(team, BASELINE).returncode == 0
+
+    worse = check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4")
+    assert worse.returncode == 1
+    assert re.search(r"aided ba_z: sd went from [\d.]+ to [\d.]+ mg: worse by [\d.]+ %, 1 % is allowed", worse.stdout)
+    taken = check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4", "--update")
+    assert taken.returncode == 0
+    assert re.search(r"^outage: improvement aided ba_z: sd goes from [\d.]+ to [\d.]+$", taken.stdout, re.MULTILINE)
+    assert check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4").returncode == 0
+
+
+def test_a_baseline_holds_no_time_of_day(team: Path) -> None:
+    assert check(team, BASELINE, "--update").returncode == 0
+    first = (team / "baselines" / "transit.json").read_bytes()
+    assert check(team, BASELINE, "--update", "--rerun").returncode == 0
+    assert (team / "baselines" / "transit.json").read_bytes() == first
+
+
+def test_a_baseline_of_another_log_does_not_count(team: Path) -> None:
+    assert check(team, BASELINE, "--update").returncode == 0
+    shutil.copy(team / "baselines" / "outage.json", team / "baselines" / "transit.json")
+    done = check(team, BASELINE)
+    assert done.returncode == 1
+    assert "baselines/transit.json: the baseline is of another log than transit" in done.stdout
+
+
+def test_a_broken_baseline_is_told_and_made_anew(team: Path) -> None:
+    (team / "baselines").mkdir()
+    (team / "baselines" / "transit.json").write_text('{"tool": ')
+    done = check(team, BASELINE)
+    assert done.returncode == 1
+    assert "transit.json: is not a result that can be read; `insdvl-replay check gates.toml --update`" in done.stdout
+    assert check(team, BASELINE, "--update").returncode == 0
+    assert check(team, BASELINE).returncode == 0
+
+
+def test_dives_do_not_share_a_baseline(team: Path) -> None:
+    done = check(team, BASELINE.replace("{log}", "all"), "--update")
+    assert done.returncode == 2
+    assert "several dives share baselines/all.json" in done.stderr
+    assert not (team / "baselines").exists()
+
+
+@pytest.mark.parametrize("name", ["../../pwned", "/etc/pwned", "a/b", "..", ".", "", "a\0b", "a" * 300])
+def test_update_never_leaves_the_folder_of_the_baselines(name: str, tmp_path: Path) -> None:
+    write(tmp_path / "team" / "result", content(name))
+    (tmp_path / "team" / "baselines").mkdir()
+    before = sorted(path for path in tmp_path.rglob("*"))
+    done = started(tmp_path / "team", BASELINE, "--update", dives='["result"]')
+    assert done.returncode == 3
+    assert f"error: result/report.json: log.name = {name[:255]!r} is no name of a dive; hint: " in done.stderr
+    assert sorted(path for path in tmp_path.rglob("*")) == sorted([*before, tmp_path / "team" / "gates.toml"])
+
+
+def test_update_without_a_baseline_is_an_error(team: Path) -> None:
+    done = check(team, PASSING, "--update")
+    assert done.returncode == 2
+    assert "gates.toml: no gate has a baseline" in done.stderr
+
+
+# --- Output.
+
+
+@pytest.mark.parametrize("option", ["--output", "--summary-file"])
+@pytest.mark.parametrize("name", ["gates.toml", "dives/transit.mcap", "dives"])
+def test_what_is_checked_is_not_written_over(option: str, name: str, team: Path) -> None:
+    before = (team / "dives" / "transit.mcap").read_bytes()
+    done = check(team, PASSING, option, name)
+    assert done.returncode == 2
+    assert re.match(rf"error: {option}: {name}: is (what is checked|a folder); hint: give ", done.stderr)
+    assert (team / "gates.toml").read_text().endswith(PASSING)
+    assert (team / "dives" / "transit.mcap").read_bytes() == before
+
+
+def judged(*statuses: str, reasons: Sequence[str] = ("because",)) -> CheckResult:
+    return CheckResult(
+        "gates.toml",
+        tuple(
+            msgspec.convert(
+                {"dive": "d", "gate": f"gate {number}", "status": status, "reasons": reasons, "line": 7}, Judgement
+            )
+            for number, status in enumerate(statuses)
+        ),
+    )
+
+
+def test_junit_is_valid_and_counts_each_kind() -> None:
+    text = junit_xml(
+        judged("unusable", "failed", "failed", "warning", "off", "passed", reasons=["a < b & \x1b[0m", "c"])
+    )
+    SCHEMA.validate(text)
+    (suite,) = ElementTree.fromstring(text.encode())
+    assert suite.attrib == {"name": "d", "tests": "6", "failures": "2", "errors": "1", "skipped": "2"}
+    assert [[child.tag for child in case] for case in suite] == [
+        ["error"], ["failure"], ["failure"], ["skipped"], ["skipped"], [],
+    ]  # fmt: skip
+    assert suite[1][0].text == "a < b & \\x1b[0m\nc"
+
+
+def test_junit_has_a_case_for_each_dive_and_gate(team: Path) -> None:
+    done = check(team, PASSING + FAILING, "--format", "junit", "--output", "gates.xml")
+    assert done.returncode == 1
+    assert done.stdout.startswith("FAILED  outage: ")
+    SCHEMA.validate(str(team / "gates.xml"))
+    cases = ElementTree.parse(team / "gates.xml").iter("testcase")
+    names = [(case.attrib["classname"], case.attrib["name"], len(case)) for case in cases]
+    assert sorted(names) == [
+        ("outage", "ba_z converges", 0), ("outage", "ba_z converges fully", 1),
+        ("transit", "ba_z converges", 0), ("transit", "ba_z converges fully", 1),
+    ]  # fmt: skip
+
+
+def as_a_runner_reads(line: str) -> tuple[str, dict[str, str], str]:
+    """Take a workflow command apart: level, properties, message."""
+    match = re.fullmatch(r"::(\w+) (.*?)::(.*)", line)
+    assert match
+    level, properties, message = match.groups()
+
+    def plain(text: str) -> str:
+        for code, character in (("%2C", ","), ("%3A", ":"), ("%0A", "\n"), ("%0D", "\r"), ("%25", "%")):
+            text = text.replace(code, character)
+        return text
+
+    pairs = (pair.split("=", 1) for pair in properties.split(","))
+    return level, {name: plain(value) for name, value in pairs}, plain(message)
+
+
+def test_github_reads_back_what_was_said() -> None:
+    first, last = github_annotations(judged("failed", reasons=["50 %: a, b", "::error::c"])).splitlines()
+    assert as_a_runner_reads(first) == (
+        "error", {"file": "gates.toml", "line": "7", "title": "d: gate 0"}, "50 %: a, b\n::error::c"
+    )  # fmt: skip
+    assert not last.startswith("::")
+
+
+def test_github_annotations_are_capped_by_level() -> None:
+    lines = github_annotations(judged(*["failed"] * 14, "unusable", *["warning"] * SHOWN)).splitlines()
+    commands = [as_a_runner_reads(line) for line in lines if line.startswith("::")]
+    assert [level for level, _, _ in commands] == ["error"] * SHOWN + ["warning"] * SHOWN
+    assert commands[SHOWN - 1][2] == "6 more gates were not passed; the log lists them"
+
+
+def test_json_and_the_summary(team: Path) -> None:
+    (team / "summary.md").write_text("# Before\n")
+    done = check(team, PASSING + FAILING, "--format", "json", "--summary-file", "summary.md")
+    report = msgspec.json.decode(done.stdout, type=CheckReport)
+    assert (report.failed, report.passed, len(report.judgements)) == (2, 2, 4)
+    assert report.judgements[0].findings[0].row == "ba_z"
+    summary = (team / "summary.md").read_text()
+    assert summary.startswith("# Before\n## Gates\n")
+    assert "| FAILED | outage | ba_z converges fully | improvement aided ba_z: " in summary
+
+
+def test_the_same_check_gives_the_same_bytes(team: Path) -> None:
+    outputs: dict[str, Any] = {}
+    for format_ in ("text", "md", "json", "junit", "github"):
+        outputs[format_] = check(team, PASSING + FAILING, "--format", format_).stdout
+        assert check(team, PASSING + FAILING, "--format", format_, "--jobs", "2").stdout == outputs[format_]
+    assert len(set(outputs.values())) == 5

@@ -1,0 +1,358 @@
+"""Gates: what is read from their file, and which cells pass."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from small_results import content, nudged
+
+from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.stored_result import StoredReport
+from insdvl_replay.gates.findings import gate_findings
+from insdvl_replay.gates.gate_file import load_gates
+from insdvl_replay.gates.gate_names import refuse_unknown_names
+from insdvl_replay.gates.model import Gate
+
+GATE = '[[gate]]\nname = "a"\ntable = "improvement"\ncolumn = "sd"\n'
+
+
+def stored(**changes: Any) -> StoredReport:
+    return msgspec.convert(content(**changes), StoredReport)
+
+
+def gate(**keys: Any) -> Gate:
+    return msgspec.convert({"name": "a", "table": "improvement", "column": "sd"} | keys, Gate)
+
+
+def passes(gate_: Gate, report: StoredReport, baseline: StoredReport | None = None) -> bool:
+    return all(finding.passed for finding in gate_findings(gate_, report, baseline))
+
+
+def why(gate_: Gate, report: StoredReport, baseline: StoredReport | None = None) -> str:
+    return "; ".join(finding.sentence for finding in gate_findings(gate_, report, baseline) if not finding.passed)
+
+
+# --- The file.
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "says", "hint"),
+    [
+        ("dives = [", "", "is not valid TOML: Invalid value (at end of document)", ""),
+        ("dvies = []\n" + GATE + "max = 1", ":1: ", "key 'dvies' is not known", "did you mean dives?"),
+        (GATE + "maxx = 1", ":5: gate 1: ", "key 'maxx' is not known", "did you mean max?"),
+        (GATE + 'max = "1"', ":5: gate 1: ", "max: expected `float | null`, got `str`, found '1'", "for example"),
+        (GATE + 'max = 1\nlevel = "loud"', ":6: gate 1: ", "level 'loud' is not known", "known: error, warn, off"),
+        (GATE, ":1: gate 1: ", "'a' has no condition", "min, max, equals or baseline"),
+        (GATE + "max_worse_pct = 1\nmax = 1", ":1: gate 1: ", "need each other", "max_worse_pct = 5"),
+        (GATE + 'baseline = "b.json"', ":1: gate 1: ", "need each other", "max_worse_pct = 5"),
+        (GATE + "max = 1\n" + GATE + "min = 1", "", "two gates bear the name 'a'", ""),
+        (GATE + 'max = 1\nlevel = "off"', "", "no gate is active", "level to error"),
+        ("dives = []\n\n[[gates]]\nmax = 1", ":3: ", "key 'gates' is not known", "did you mean gate?"),
+        (GATE + "min = nan", ":1: gate 1: ", "min = nan is no limit", "min = 40"),
+        (GATE + "max = inf", ":1: gate 1: ", "max = inf is no limit", "max = 40"),
+        (GATE + "max = 1\nmin = 2", ":1: gate 1: ", "no value is at least 2 and at most 1", "exchange"),
+        (
+            GATE + 'baseline = "{lg}.json"\nmax_worse_abs = 1',
+            ":1: gate 1: ",
+            "baseline: {lg} is not known",
+            "{log} stands for the dive's name",
+        ),
+        ("dives = []", "", "no gate is active", "add [[gate]]"),
+        (GATE + "equals = true", ":5: gate 1: ", "equals: expected `int | float | str | array | null`, got `bool`", ""),
+        (GATE + f"max = {'9' * 5000}", "", "is not valid TOML: A number has too many digits", ""),
+        (GATE + f"max = {'[' * 5000}", "", "is not valid TOML: Too many brackets inside each other", ""),
+        ("gate = 3", ":1: ", "gate: expected `array`, got `int`", ""),
+    ],
+)
+def test_a_slip_in_the_file_is_told_with_line_and_key(
+    text: str, place: str, says: str, hint: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "gates.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as raised:
+        load_gates(path)
+    assert raised.value.message.startswith(f"{path}{place}")
+    assert says in raised.value.message
+    assert hint in raised.value.hint
+
+
+@pytest.mark.parametrize(
+    ("keys", "says", "hint"),
+    [
+        ({"table": "improvment"}, "table 'improvment' is not known", "did you mean improvement?"),
+        ({"row": "ba_zz"}, "state 'ba_zz' is not known", "did you mean ba_z?"),
+        (
+            {"table": "reference_error", "column": "rmse", "row": "positon_h"},
+            "quantity 'positon_h' is not known",
+            "did you mean position_h?",
+        ),
+        (
+            {"table": "consistency", "column": "mean_nis", "row": "velocityx"},
+            "measurement 'velocityx' is not known",
+            "did you mean velocity_x?",
+        ),
+        (
+            {"table": "credibility", "column": "mean_nees", "row": "al"},
+            "quantity 'al' is not known",
+            "did you mean all?",
+        ),
+        (
+            {"table": "filters", "column": "mean_improvement_pct", "row": "aidd"},
+            "filter 'aidd' is not known",
+            "did you mean aided?",
+        ),
+        (
+            {"table": "*", "row": "role"},
+            "state 'role' is not known",
+            "known: *, dv_n, dv_e, dv_d, phi_n, phi_e, phi_d, ba_x and 5 more",
+        ),
+        (
+            {"filter": "baseline"},
+            "filter 'baseline' is the baseline, which has no rows of its own in improvement",
+            "name a candidate: aided; its rows have columns of the baseline, too",
+        ),
+        ({"column": "status"}, "column 'status' of improvement holds words, which have no limits", "use equals"),
+        ({"column": "sdd"}, "column 'sdd' is not known", "did you mean sd?"),
+        ({"filter": "aidde"}, "filter 'aidde' is not known", "did you mean aided?"),
+        ({"table": "*", "column": "men_nis"}, "column 'men_nis' is not known", "did you mean mean_nis?"),
+    ],
+)
+def test_a_name_that_no_result_has_is_told_with_the_nearest(
+    keys: dict[str, str], says: str, hint: str, tmp_path: Path
+) -> None:
+    lines = {"name": "b", "table": "improvement", "column": "sd"} | keys
+    text = "[[gate]]\n" + "".join(f'{key} = "{value}"\n' for key, value in lines.items()) + "max = 1\n"
+    path = tmp_path / "gates.toml"
+    path.write_text(GATE + "max = 1\n" + text)
+    with pytest.raises(ConfigError) as raised:
+        refuse_unknown_names(load_gates(path), ["baseline", "aided"])
+    assert raised.value.message == f"{path}:6: gate 'b': {says}"
+    assert raised.value.hint == hint
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "wanted", "kind"),
+    [("improvement", "sd", '"improved"', "numbers"), ("consistency", "verdict", "3", "words")],
+)
+def test_a_value_of_the_wrong_kind_is_refused(table: str, column: str, wanted: str, kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "gates.toml"
+    path.write_text(f'[[gate]]\nname = "a"\ntable = "{table}"\ncolumn = "{column}"\nequals = {wanted}\n')
+    with pytest.raises(ConfigError, match=f"equals: column '{column}' of {table} holds {kind}, found"):
+        refuse_unknown_names(load_gates(path), None)
+
+
+def test_rows_of_stored_results_are_known_but_for_their_filters(tmp_path: Path) -> None:
+    path = tmp_path / "gates.toml"
+    of_filters = '[[gate]]\nname = "a"\ntable = "filters"\nrow = "mine"\ncolumn = "mean_improvement_pct"\nmin = 1\n'
+    path.write_text(of_filters)
+    refuse_unknown_names(load_gates(path), None)
+    path.write_text(of_filters.replace("filters", "reference_error").replace("mean_i", "i"))
+    with pytest.raises(ConfigError, match="quantity 'mine' is not known"):
+        refuse_unknown_names(load_gates(path), None)
+
+
+def test_a_baseline_needs_a_column_that_can_be_worse(tmp_path: Path) -> None:
+    path = tmp_path / "gates.toml"
+    path.write_text(GATE.replace("sd", "unit") + 'baseline = "b.json"\nmax_worse_pct = 1')
+    with pytest.raises(ConfigError, match="column 'unit' of improvement is neither better nor worse"):
+        refuse_unknown_names(load_gates(path), None)
+
+
+# --- The cells.
+
+
+@pytest.mark.parametrize(
+    ("keys", "passed"),
+    [
+        ({"max": 1.0}, True),
+        ({"max": 0.99}, False),
+        ({"min": 1.0}, True),
+        ({"min": 1.01}, False),
+        ({"min": math.nan}, False),
+        ({"equals": 1}, True),
+        ({"equals": 2.0}, False),
+        ({"column": "status", "equals": "improved"}, True),
+        ({"column": "status", "equals": ["same", "improved"]}, True),
+        ({"column": "status", "equals": ["same", "worse"]}, False),
+        ({"column": "status", "max": 1.0}, False),
+        ({"row": "ba_x", "max": 1.0}, True),
+        ({"row": "ba_q", "max": 1.0}, False),
+        ({"filter": "other", "max": 1.0}, False),
+        ({"table": "consistency", "max": 1.0}, False),
+        ({"table": "filters", "column": "consistency", "equals": "consistent"}, True),
+        ({"table": "filters", "row": "aided", "column": "mean_improvement_pct", "min": 51}, False),
+        ({"table": "*", "column": "improvement_pct", "min": 20}, True),
+        ({"table": "*", "column": "improvement_pct", "min": 21}, False),
+    ],
+)
+def test_limits_hold_for_every_cell_that_is_meant(keys: dict[str, Any], passed: bool) -> None:
+    assert passes(gate(**keys), stored()) is passed
+
+
+@pytest.mark.parametrize(
+    ("keys", "passed"),
+    [
+        ({"max": 1.0}, False),
+        ({"table": "convergence", "column": "reached_s", "max": 1e9}, False),
+        ({"table": "reference_error", "row": "roll", "column": "rmse", "max": 1e9}, False),
+        ({"table": "filters", "column": "mean_improvement_pct", "min": -100}, False),
+        ({"table": "filters", "column": "improvement", "equals": "not judged"}, True),
+        ({"table": "consistency", "column": "mean_nis", "max": 1e9}, True),
+    ],
+)
+def test_no_number_of_a_filter_that_is_not_judged_passes(keys: dict[str, Any], passed: bool) -> None:
+    report = stored(improvement="not judged")
+    assert passes(gate(**keys), report) is passed
+    if not passed:
+        assert why(gate(**keys), report).endswith("and the filter is not judged")
+
+
+def test_no_error_against_a_part_of_the_reference_passes() -> None:
+    report = stored()
+    report.tables["reference_error"][0]["status"] = "partly covered"
+    limit = gate(table="reference_error", row="roll", column="rmse", max=1e9)
+    assert not passes(limit, report)
+    assert why(limit, report).endswith("the reference does not cover the replay (partly covered)")
+
+
+def test_a_star_means_every_row() -> None:
+    findings = gate_findings(gate(max=1.0), stored(bg_z_sd=1.5), None)
+    assert [(finding.row, finding.passed) for finding in findings] == [("ba_x", True), ("bg_z", False)]
+    assert findings[1].sentence == "improvement aided bg_z: sd is 1.5 deg/h, at most 1 is wanted"
+
+
+@pytest.mark.parametrize("value", [None, math.nan, math.inf])
+@pytest.mark.parametrize("keys", [{"max": 1e9}, {"equals": "x"}, {"baseline": "b", "max_worse_pct": 1e9}])
+def test_what_is_empty_or_not_finite_never_passes(value: float | None, keys: dict[str, Any]) -> None:
+    report = stored()
+    report.tables["improvement"][0]["sd"] = value
+    assert not passes(gate(row="ba_x", **keys), report, stored())
+    assert why(gate(row="ba_x", **keys), report, stored()) == "improvement aided ba_x: sd is empty (improved)"
+
+
+def test_a_missing_row_is_told_with_the_nearest_name() -> None:
+    sentence = why(gate(table="reference_error", row="rol", column="rmse", max=1), stored())
+    assert sentence.startswith("no row of dive is meant by table reference_error")
+    assert sentence.endswith("did you mean roll?")
+    assert why(gate(filter="aidde", max=1), stored()).endswith("did you mean aided?")
+
+
+@pytest.mark.parametrize(
+    ("keys", "cell", "passed"),
+    [
+        ({"row": "ba_x", "max_worse_pct": 10}, {"ba_x_sd": 1.1}, True),
+        ({"row": "ba_x", "max_worse_pct": 10}, {"ba_x_sd": 1.11}, False),
+        ({"row": "ba_x", "max_worse_pct": 10}, {"ba_x_sd": 0.1}, True),
+        ({"row": "ba_x", "max_worse_abs": 0.3}, {"ba_x_sd": 1.3}, True),
+        ({"row": "ba_x", "max_worse_abs": 0.3}, {"ba_x_sd": 1.31}, False),
+        ({"row": "ba_x", "max_worse_pct": 10, "max_worse_abs": 0.3}, {"ba_x_sd": 1.25}, True),
+        ({"row": "ba_x", "max_worse_pct": 10, "max_worse_abs": 0.3}, {"ba_x_sd": 1.35}, False),
+        # A signed error: -0.2 in the baseline, so 0.21 is 5 % worse and 0.19 is better.
+        ({"table": "reference_error", "column": "final", "max_worse_pct": 6}, {"final": 0.21}, True),
+        ({"table": "reference_error", "column": "final", "max_worse_pct": 4}, {"final": 0.21}, False),
+        ({"table": "reference_error", "column": "final", "max_worse_pct": 0}, {"final": 0.19}, True),
+        # A mean NIS of 3.1 for three degrees of freedom is off by 1.033, one of 2.4 by 1.25.
+        ({"table": "consistency", "column": "mean_nis", "max_worse_pct": 22}, {"mean_nis": 2.4}, True),
+        ({"table": "consistency", "column": "mean_nis", "max_worse_pct": 20}, {"mean_nis": 2.4}, False),
+        # From zero there is no percentage.
+        ({"table": "consistency", "column": "rejected", "max_worse_pct": 1e9}, {"rejected": 1}, False),
+        ({"table": "consistency", "column": "rejected", "max_worse_abs": 1}, {"rejected": 1}, True),
+    ],
+)
+def test_a_value_may_be_worse_than_the_baseline_by_so_much(
+    keys: dict[str, Any], cell: dict[str, float], passed: bool
+) -> None:
+    assert passes(gate(baseline="b", **keys), stored(**cell), stored()) is passed
+
+
+def test_percentages_may_fall_by_percentage_points() -> None:
+    report = stored()
+    report.tables["improvement"][0]["improvement_pct"] = 44.0
+    narrow = gate(row="ba_x", column="improvement_pct", baseline="b", max_worse_pct=5)
+    assert not passes(narrow, report, stored())
+    assert why(narrow, report, stored()) == (
+        "improvement aided ba_x: improvement_pct went from 50 to 44 %: worse by 6 percentage points, "
+        "5 percentage points is allowed"
+    )
+    assert passes(msgspec.structs.replace(narrow, max_worse_pct=6.0), report, stored())
+
+
+@pytest.mark.parametrize("lacking", ["report", "baseline"])
+def test_a_mean_nis_without_its_degrees_of_freedom_does_not_pass(lacking: str) -> None:
+    sides = {"report": stored(), "baseline": stored()}
+    for row in sides[lacking].tables["consistency"]:
+        del row["dof"]
+    nis = gate(table="consistency", column="mean_nis", baseline="b", max_worse_pct=5)
+    assert "has no dof" in why(nis, sides["report"], sides["baseline"])
+
+
+def test_a_row_that_the_baseline_lacks_does_not_pass() -> None:
+    baseline = stored()
+    baseline.tables["improvement"].clear()
+    assert "has no number in the baseline" in why(gate(baseline="b", max_worse_pct=1e9), stored(), baseline)
+
+
+@pytest.mark.parametrize("keys", [{}, {"filter": "aided"}, {"row": "ba_x"}, {"table": "*"}])
+def test_a_row_that_the_baseline_alone_has_does_not_pass(keys: dict[str, Any]) -> None:
+    report = stored()
+    del report.tables["improvement"][0]
+    meant = gate(baseline="b", max_worse_pct=1e9, **keys)
+    assert passes(meant, stored(), stored())
+    told = why(meant, report, stored())
+    assert told == "improvement aided ba_x: sd is gone with its row, the baseline has 1"
+    assert passes(gate(baseline="b", max_worse_pct=1e9, row="bg_z"), report, stored())
+
+
+def test_a_filter_that_the_baseline_alone_has_does_not_pass_where_it_is_meant() -> None:
+    keys = {"table": "filters", "column": "mean_improvement_pct", "baseline": "b", "max_worse_pct": 1e9}
+    both = stored()
+    both.filters["other"] = both.filters["aided"]
+    assert why(gate(**keys), stored(), both).startswith("filters other: mean_improvement_pct is gone with its row")
+    assert passes(gate(**keys, filter="aided"), stored(), both)
+
+
+@pytest.mark.parametrize("keys", [{"min": 0}, {"max": 2}, {"equals": 1}, {"baseline": "b", "max_worse_pct": 1e9}])
+@pytest.mark.parametrize("value", [True, False])
+def test_true_and_false_are_no_numbers(value: bool, keys: dict[str, Any]) -> None:
+    report = stored()
+    report.tables["improvement"][0]["sd"] = value
+    assert not passes(gate(row="ba_x", **keys), report, stored())
+    if "baseline" in keys:
+        assert not passes(gate(row="ba_x", **keys), stored(), report)
+
+
+@pytest.mark.parametrize("share", [1e-10, -1e-10])
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"max": 1.0},
+        {"min": 1.0},
+        {"equals": 1.0},
+        {"equals": [7, 1]},
+        {"max_worse_pct": 0.0},
+        {"max_worse_abs": 0.0},
+        {"column": "improvement_pct", "min": 50.0, "max_worse_pct": 0.0},
+        {"column": "improvement_pct", "max_worse_abs": 0.0},
+        {"table": "reference_error", "column": "final", "max_worse_pct": 0.0},
+        {"table": "consistency", "column": "mean_nis", "max_worse_pct": 0.0},
+        {"table": "filters", "column": "mean_improvement_pct", "min": 50.0, "max": 50.0},
+    ],
+)
+def test_digits_that_differ_between_processors_pass_every_gate(keys: dict[str, Any], share: float) -> None:
+    there = msgspec.convert(nudged(content(), share), StoredReport)
+    baseline = {"baseline": "b"} if any(key.startswith("max_worse") for key in keys) else {}
+    assert passes(gate(**baseline, **keys), there, stored())
+    further = msgspec.convert(nudged(content(), 100.0 * share), StoredReport)
+    back = msgspec.convert(nudged(content(), -100.0 * share), StoredReport)
+    assert not all(passes(gate(**baseline, **keys), report, stored()) for report in (further, back))
+
+
+@pytest.mark.parametrize(("keys", "sd"), [({"max_worse_pct": 5.0}, 1.05), ({"max_worse_abs": 0.05}, 1.05)])
+def test_an_allowance_may_be_used_up_but_for_digits_that_differ_between_processors(
+    keys: dict[str, Any], sd: float
+) -> None:
+    assert passes(gate(row="ba_x", baseline="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-10)), stored())
+    assert not passes(gate(row="ba_x", baseline="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-8)), stored())

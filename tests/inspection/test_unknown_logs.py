@@ -1,0 +1,191 @@
+"""A log with topics nobody has seen before is replayed from what `inspect` prints, and from nothing else."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import unknown_logs
+from mcap.writer import Writer
+from unknown_logs import decided
+
+from insdvl_replay.core.columns import Dive
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.logs.encoding.field_errors import check_path
+from insdvl_replay.replay import replay_log
+
+START = {"initial.heading_deg": "30.0", "initial.latitude_deg": "32.8"}
+
+
+@pytest.fixture(scope="module")
+def turning() -> Dive:
+    return unknown_logs.plain_dive("figure-eight")
+
+
+@pytest.fixture(scope="module")
+def straight() -> Dive:
+    """No swing that would tell the unit of the gyros."""
+    return unknown_logs.plain_dive("straight")
+
+
+def assert_same_tables(found: dict[str, pd.DataFrame], expected: dict[str, pd.DataFrame]) -> None:
+    for name, table in expected.items():
+        columns = [column for column in table.columns if column != "log"]
+        pd.testing.assert_frame_equal(found[name][columns], table[columns], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("write", "answers"),
+    [
+        (unknown_logs.nested_cdr, {"imu.angular_rate_unit": '"rad/s"'}),
+        (unknown_logs.bare_json, {"imu.angular_rate_unit": '"deg/s"', "imu.axes": '"flu"', "dvl.axes": '"frd"'}),
+        (unknown_logs.protobuf, {"imu.angular_rate_unit": '"rad/s"', "dvl.axes": '"frd"'}),
+    ],
+)
+def test_dive_in_unknown_types_gives_the_tables_of_known_ones(
+    write: Callable[[Path, Dive], None], answers: dict[str, str], straight: Dive, tmp_path: Path
+) -> None:
+    log, known, file = tmp_path / "unknown.mcap", tmp_path / "known.mcap", tmp_path / "vehicle.toml"
+    write(log, straight)
+    inventory = inspect_log(log, load_config())
+    assert [obstacle.message for obstacle in inventory.remaining] == []
+    file.write_text(decided(inventory, START | answers))
+    unknown_logs.known_types(known, straight)
+    start = [f"{key}={value}" for key, value in START.items()]
+    expected = replay_log(known, load_config(overrides=["initial.source=level", *start]))
+    assert_same_tables(replay_log(log, load_config(file=file)).tables, expected.tables)
+
+
+def as_flu(vector: np.ndarray) -> np.ndarray:
+    return vector * [1.0, -1.0, -1.0]
+
+
+def on_its_side(vector: np.ndarray) -> np.ndarray:
+    """x forward, y down, z to port."""
+    return vector[..., [0, 2, 1]] * [1.0, 1.0, -1.0]
+
+
+@pytest.mark.parametrize(("turn", "axes"), [(as_flu, "flu"), (on_its_side, "+x-z+y")])
+def test_reference_decides_units_and_axes(
+    turn: Callable[[np.ndarray], np.ndarray], axes: str, turning: Dive, tmp_path: Path
+) -> None:
+    """Nothing is left to a person but what a vehicle that only yaws and never slips sideways cannot show."""
+    log, known, file = tmp_path / "unknown.mcap", tmp_path / "known.mcap", tmp_path / "vehicle.toml"
+    unknown_logs.turned(log, turning, turn)
+    inventory = inspect_log(log, load_config(), deep=True)
+    assert set(inventory.decisions) <= {"imu.axes", "dvl.axes", "dvl.lever_arm_m", "dvl.mounting_rpy_deg"}
+    file.write_text(inventory.configuration)
+    config = load_config(file=file)
+    assert (config.imu.axes, config.imu.angular_rate_unit, config.imu.specific_force_unit) == (axes, "deg/s", "g")
+    assert (config.dvl.axes, config.dvl.velocity_unit, config.dvl.stamp) == ("flu", "mm/s", "stamp_ms")
+    write_dive(known, turning)
+    assert_same_tables(replay_log(log, config).tables, replay_log(known, load_config()).tables)
+
+
+def test_fields_without_telling_names_are_listed_with_what_they_hold(straight: Dive, tmp_path: Path) -> None:
+    """Three single numbers that nothing is known of: the list and the comma form lead to a replay."""
+    log, file = tmp_path / "unknown.mcap", tmp_path / "vehicle.toml"
+    unknown_logs.nameless_json(log, straight)
+    inventory = inspect_log(log, load_config())
+    for field in ('"one", 15001 messages', '"alpha", median', '"epsilon", median -9.8', '"east", median'):
+        assert re.search(rf"#   +{field}", inventory.configuration)
+    fields = {
+        "imu.topic": '"one"', "imu.specific_force": '"gamma, delta, epsilon"', "imu.angular_rate": '"zeta, eta, alpha"',
+        "dvl.topic": '"two"', "dvl.velocity": '"east, west, south"',
+    }  # fmt: skip
+    file.write_text(decided(inventory, START | fields))
+    assert not inspect_log(log, load_config(file=file), deep=True).obstacles
+
+
+def test_beams_with_names_of_their_own_are_proposed(straight: Dive, tmp_path: Path) -> None:
+    log, file = tmp_path / "unknown.mcap", tmp_path / "vehicle.toml"
+    unknown_logs.numbered_beams(log, straight)
+    inventory = inspect_log(log, load_config())
+    assert {"dvl.beam_tilt_deg", "dvl.beam_azimuth_deg"} <= set(inventory.decisions)
+    file.write_text(decided(inventory, START | {"dvl.beam_tilt_deg": "25.0"}))
+    config = load_config(file=file)
+    assert config.dvl.beam_velocity == "vel_beam_1, vel_beam_2, vel_beam_3, vel_beam_4"
+    assert config.dvl.beam_azimuth_deg == (45.0, 135.0, 225.0, 315.0)
+    assert not inspect_log(log, config, deep=True).obstacles
+
+
+def test_proposal_follows_the_topic_that_is_named(straight: Dive, tmp_path: Path) -> None:
+    log = tmp_path / "unknown.mcap"
+    unknown_logs.nested_cdr(log, straight)
+    configuration = inspect_log(log, load_config(overrides=['dvl.topic="/box"'])).configuration
+    imu, _, dvl = configuration.partition("[dvl]")
+    assert '"/dvl/track", 150 messages' in imu
+    assert '"/box", 15001 messages' in dvl
+    assert "/dvl/track" not in dvl
+
+
+def test_what_is_set_already_is_not_proposed_again(straight: Dive, tmp_path: Path) -> None:
+    log = tmp_path / "unknown.mcap"
+    unknown_logs.nested_cdr(log, straight)
+    known = ['dvl.velocity="v, u, w"', "dvl.velocity_unit=cm/s", "dvl.axes=flu", "dvl.lever_arm_m=[1.0, 0.0, 0.0]"]
+    dvl = inspect_log(log, load_config(overrides=known)).configuration.partition("[dvl]")[2]
+    assert 'topic = "/dvl/track"' in dvl
+    assert not re.search(r"(?m)^(velocity|velocity_unit|axes|lever_arm_m) =", dvl)
+
+
+def test_forces_alone_are_no_imu(tmp_path: Path) -> None:
+    log = tmp_path / "unknown.mcap"
+    with log.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("shake", "json", 0)
+        for i in range(100):
+            writer.add_message(channel, i, b'{"accel": [0.0, 0.0, 9.8], "raw_accel": [0.0, 0.0, 1.0]}', i)
+        writer.finish()
+    configuration = inspect_log(log, load_config()).configuration
+    assert '"shake", 100 messages' in configuration
+    assert not re.search(r"(?m)^topic", configuration)
+
+
+def test_scale_of_the_gyros_that_the_whole_log_shows_is_proposed(turning: Dive, tmp_path: Path) -> None:
+    log, scaled = tmp_path / "unknown.mcap", replace(turning.imu, angular_rate_b=0.6 * turning.imu.angular_rate_b)
+    unknown_logs.turned(log, replace(turning, imu=scaled), as_flu)
+    assert "angular_rate_scale" not in inspect_log(log, load_config()).configuration
+    found = re.search(r"angular_rate_scale = (\S+)", inspect_log(log, load_config(), deep=True).configuration)
+    assert found
+    assert float(found[1]) == pytest.approx(0.6, abs=0.01)
+
+
+def test_flags_of_good_pings_are_asked_for(straight: Dive, tmp_path: Path) -> None:
+    log = tmp_path / "unknown.mcap"
+    unknown_logs.nested_cdr(log, straight)
+    inventory = inspect_log(log, load_config())
+    assert '# decide: whether "lock" (median 1) is 0 where a ping is invalid\n# valid =' in inventory.configuration
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ("imu.angular_rate=gyroscope", "has no field 'gyroscope'"),
+        ("imu.angular_rate=gamma", "field 'gamma' holds 1 numbers where 3 are needed"),
+        ("imu.angular_rate=name", "field 'name' of a JSON message is text"),
+    ],
+)
+def test_errors_about_fields_list_those_there_are(setting: str, sentence: str, straight: Dive, tmp_path: Path) -> None:
+    log = tmp_path / "unknown.mcap"
+    unknown_logs.nameless_json(log, straight)
+    known = ['imu.topic="one"', 'imu.specific_force="gamma, delta, epsilon"', "dvl.topic=two", "dvl.velocity=east"]
+    with pytest.raises(LogError, match=sentence) as raised:
+        read_dive(log, load_config(overrides=[*known, setting]))
+    assert "gamma (number), delta (number), epsilon (number), zeta (number)" in raised.value.hint
+    assert '"p, q, r" sets fields side by side' in raised.value.hint
+    assert "name (" not in raised.value.hint
+
+
+def test_of_many_fields_those_named_alike_are_listed() -> None:
+    known = {f"temperature_{i}": "float32" for i in range(100)} | {"gyro_rate": "float64", "note": "string"}
+    with pytest.raises(LogError) as raised:
+        check_path("gyro", known, "acme/msg/Imu", "dive.mcap: /imu")
+    assert "the nearest one is 'gyro_rate'" in raised.value.hint
+    assert "gyro_rate (float64) and 77 more" in raised.value.hint

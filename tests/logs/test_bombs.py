@@ -1,0 +1,341 @@
+"""Small files that would open to much, or take long: refused, or read in memory and steps that fit their size."""
+
+import json
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import bombs
+import numpy as np
+import pytest
+import small_logs
+import zstandard
+from bombs import START_NS, channel, chunk, index, log, lz4_zeros, message, record, schema, write, zstd_zeros
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from insdvl_replay.checks.gyro_comparison import turned_by
+from insdvl_replay.checks.reference_motion import _legs, _Ways
+from insdvl_replay.cli.messages import tell_failure
+from insdvl_replay.core.columns import ImuColumns
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import LogError, Note, most_like
+from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.logs.container import mcap_file
+from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.container.chunks import LARGEST_CHUNK, Chunk, most_opened, open_chunk
+from insdvl_replay.logs.container.damage import Damage
+from insdvl_replay.logs.container.mcap_file import Log
+from insdvl_replay.logs.container.scanner import Anatomy
+from insdvl_replay.logs.container.summary import Summary
+from insdvl_replay.logs.encoding.layout import dynamic_lengths
+from insdvl_replay.logs.encoding.message_encodings import channel_paths
+from insdvl_replay.logs.encoding.ros2msg import definition_text, parse_definitions
+from insdvl_replay.sim.dive import exact_dive
+
+MB = 1 << 20
+IMU = "sensor_msgs/msg/Imu"
+
+
+def peak_mb(work: Callable[[], object]) -> float:
+    """Give the memory that work takes at its most."""
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1] / MB
+    finally:
+        tracemalloc.stop()
+
+
+def cut(body: bytes) -> bytes:
+    """Give a log whose last chunk lacks its end, and all that would stand behind it."""
+    return log(b"")[: -len(log(b"")) + log(b"").rindex(record(bombs.DATA_END, bytes(4)))] + body[:-10]
+
+
+@pytest.mark.parametrize("announced", [MB, 0, 1 << 60])
+@pytest.mark.parametrize("kind", ["whole", "cut"])
+@pytest.mark.parametrize(("compression", "zeros"), [("lz4", lz4_zeros), ("zstd", zstd_zeros)])
+def test_a_chunk_that_opens_to_more_than_it_says_is_refused(
+    kind: str, compression: str, zeros: Callable[[int], bytes], announced: int, tmp_path: Path
+) -> None:
+    bomb = chunk(zeros(256 * MB), announced, compression)
+    path = write(tmp_path / "bomb.mcap", log(bomb) if kind == "whole" else cut(bomb))
+
+    def refuse() -> None:
+        with pytest.raises(LogError, match="is damaged at byte"):
+            Log(path)
+        assert not list(Log(path, allow_damaged=True).blocks({1}))
+
+    limit_mb = most_opened(len(bomb)) / MB if kind == "cut" and announced != MB else 1
+    # The lz4 package copies what it has unpacked; the rest is the compiler.
+    assert peak_mb(refuse) < 2 * limit_mb + 60
+
+
+def test_no_chunk_opens_to_more_than_the_limit() -> None:
+    packed = bytes(LARGEST_CHUNK // 256 + 1)
+    bomb = chunk(packed, LARGEST_CHUNK + 1, "zstd")
+    with pytest.raises(Exception, match="says it opens to 1073741825"):
+        open_chunk(memoryview(bomb), Chunk(9, len(bomb) - 9))
+
+
+def test_private_records_take_no_memory_of_their_own(tmp_path: Path) -> None:
+    content = record(bombs.PRIVATE, b"") * 3_000_000 + message(1, b"payload")
+    packed = zstandard.ZstdCompressor().compress(content)
+    path = write(tmp_path / "private.mcap", log(chunk(packed, len(content), "zstd")))
+    mcap_file.Log(path, allow_damaged=True)  # so that what is compiled is loaded
+    assert peak_mb(lambda: mcap_file.Log(path, allow_damaged=True)) < len(content) / MB + 30
+
+
+def test_a_file_opens_to_no_more_than_its_size_allows(tmp_path: Path) -> None:
+    zeros = zstd_zeros(64 * MB)
+    path = write(tmp_path / "many.mcap", log(chunk(zeros, 64 * MB, "zstd") * 17))
+    with pytest.raises(
+        LogError, match=r"the chunks up to here open to 1140850688 bytes, where a file of \d+ may hold 1073741824"
+    ):
+        Log(path)
+
+
+def test_a_chunk_without_a_record_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[int] = []
+
+    def counted(data: memoryview, one: Chunk) -> memoryview:
+        opened.append(one.offset)
+        return open_chunk(data, one)
+
+    monkeypatch.setattr("insdvl_replay.logs.container.chunk_messages.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", counted)
+    seen = Log(write(tmp_path / "zeros.mcap", log(chunk(zstd_zeros(4 * MB), 4 * MB, "zstd"))), allow_damaged=True)
+    assert not list(seen.blocks({1}))
+    assert not list(seen.saved_times())
+    assert len(opened) == 1
+
+
+def test_many_copies_of_a_chunk_are_compared_no_more_often_than_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared = 0
+
+    def counted(one: object, other: object) -> bool:
+        nonlocal compared
+        compared += 1
+        return one is other
+
+    monkeypatch.setattr(Damage, "__eq__", counted)
+    monkeypatch.setattr(Chunk, "__eq__", counted)
+    seen = Log(write(tmp_path / "copies.mcap", log(chunk(b"", 0, "") * 2000)), allow_damaged=True)
+    assert seen.chunk_count == 1
+    assert compared < 2 * 2000
+
+
+def test_a_damaged_place_is_noted_once() -> None:
+    anatomy = Anatomy(Summary())
+    for found in ("this", "that", "this"):
+        anatomy.mark(Damage(5, found))
+    assert list(anatomy.damages) == [Damage(5, "this"), Damage(5, "that")]
+
+
+def test_a_chunk_with_many_channels_is_opened_a_few_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, opened = write(tmp_path / "channels.mcap", _many_imus(50)), []
+
+    def counted(data: memoryview, one: Chunk) -> memoryview:
+        opened.append(one.offset)
+        return open_chunk(data, one)
+
+    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", counted)
+    inventory = inspect_log(path, Config())
+    assert len(inventory.clocks) >= 50
+    assert len(opened) <= 2
+
+
+def _many_imus(count: int) -> bytes:
+    body = schema(1, IMU, definition_text(IMU).encode())
+    body += b"".join(channel(i, 1, f"/imu{i}") for i in range(count))
+    payload = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + bytes(8 * 37)
+    indexes = b""
+    for i in range(count):
+        indexes += index(i, [(START_NS + i, len(body))])
+        body += message(i, payload, START_NS + i)
+    packed = zstandard.ZstdCompressor().compress(body)
+    return log(chunk(packed, len(body), "zstd", (START_NS, START_NS + count - 1)) + indexes)
+
+
+def nested(width: int, depth: int) -> str:
+    """Give a type of as many levels, each of which holds the next one many times."""
+    sections = ["\n".join(f"p/T{level + 1} f{i}" for i in range(width)) for level in range(depth)] + ["float64 x"]
+    return "".join(
+        f"{'=' * 80}\nMSG: p/T{level}\n{section}\n" if level else f"{section}\n"
+        for level, section in enumerate(sections)
+    )
+
+
+@pytest.mark.parametrize(("width", "depth"), [(10, 7), (10, 30), (1, 3000)])
+def test_a_type_that_means_too_many_fields_is_refused_unseen(width: int, depth: int) -> None:
+    text = nested(width, depth)
+    with pytest.raises(LogError, match="the schema means more than 65536 fields, or more than 64 within each other"):
+        parse_definitions("p/msg/T0", text)
+
+
+def test_a_type_may_have_levels_and_fields() -> None:
+    assert len(parse_definitions("p/msg/T0", nested(1, 60))) == 61
+    assert len(parse_definitions("p/msg/T0", nested(10, 3))) == 4
+
+
+@pytest.mark.parametrize("length", ["0", "4294967296", "9" * 999, "9" * 5000])
+def test_an_array_of_impossible_length_is_refused(length: str) -> None:
+    with pytest.raises(LogError, match=r"the schema has an array 'float64\[\d{1,12}\]', which is none or too long"):
+        parse_definitions("p/msg/T", f"float64[{length}] x\n")
+
+
+@pytest.mark.parametrize("length", [1_000_000, 2**32 - 1])
+def test_an_array_is_held_against_the_message_before_its_elements_are_named(length: int) -> None:
+    definitions = parse_definitions("p/msg/T", f"p/V[{length}] v\n{'=' * 80}\nMSG: p/V\nfloat64 x\n")
+
+    def refuse() -> None:
+        with pytest.raises(LogError, match="a message of 404 bytes is shorter than its schema and lengths say"):
+            dynamic_lengths(definitions, "p/msg/T", b"\0\1\0\0" + bytes(400))
+
+    assert peak_mb(refuse) < 1
+
+
+def test_a_message_holds_a_limited_number_of_fields() -> None:
+    definitions = parse_definitions("p/msg/T", f"p/V[300000] v\n{'=' * 80}\nMSG: p/V\nuint8 x\n")
+    with pytest.raises(LogError, match="a message holds more than 262144 fields"):
+        dynamic_lengths(definitions, "p/msg/T", b"\0\1\0\0" + bytes(300_000))
+
+
+@pytest.mark.parametrize(
+    "links",
+    [
+        pytest.param(lambda i: [other for other in range(12) if other != i], id="each holds all others"),
+        pytest.param(lambda i: [i + 1] if i < 999 else [], id="a thousand levels"),
+    ],
+)
+def test_protobuf_types_are_refused_likewise(links: Callable[[int], list[int]]) -> None:
+    files = FileDescriptorSet()
+    file = files.file.add(name="a.proto", syntax="proto3", package="p")
+    for i in range(1000):
+        kind = file.message_type.add(name=f"M{i}")
+        for number, other in enumerate(links(i), 1):
+            kind.field.add(name=f"f{other}", number=number, label=1, type=11, type_name=f".p.M{other}")
+    bomb = LogChannel(1, "/imu", "p.M0", "protobuf", "protobuf", "", 1, files.SerializeToString())
+    with pytest.raises(LogError, match="the schema means more than 65536 fields"):
+        channel_paths(bomb, "x.mcap: /imu")
+
+
+def test_names_are_compared_with_a_few_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def counted(name: str, names: list[str], n: int, cutoff: float) -> list[str]:
+        asked.append(len(list(names)))
+        return get_close_matches(name, names, n, cutoff)
+
+    from difflib import get_close_matches
+
+    monkeypatch.setattr("difflib.get_close_matches", counted)
+    many = [f"k{i * 2654435761 % 2**32:x}" for i in range(20_000)]
+    assert most_like("angular_velocty", [*many, "angular_velocity"], 1) == ["angular_velocity"]
+    assert asked == [500]
+
+
+def test_a_message_of_many_keys_is_looked_at_in_steps_that_grow_with_their_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from insdvl_replay.inspection import topic_probe
+
+    looked: list[str] = []
+    values = topic_probe._values
+    monkeypatch.setattr(topic_probe, "_values", lambda *given: (looked.append(given[1]), values(*given))[1])
+    monkeypatch.setattr(topic_probe, "_MOST_WORK", 3000)
+    payload = json.dumps({f"key{i}": 1.5 for i in range(1000)}).encode()
+    body = schema(1, "imu", b"", "") + channel(1, 1, "/imu", "json") + message(1, payload)
+    inspect_log(write(tmp_path / "wide.mcap", log(body)), Config())
+    assert len(looked) == 3
+    assert all(one != other for one, other in pairwise(looked))
+
+
+def test_topics_beyond_what_is_looked_at_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from insdvl_replay.inspection import topic_probe
+
+    monkeypatch.setattr(topic_probe, "_MOST_WORK_OF_ALL", 1)
+    channels = b"".join(channel(number, 1, f"/topic{number}", "json") for number in (1, 2))
+    messages = b"".join(message(number, json.dumps({"depth": 1.5}).encode()) for number in (1, 2))
+    inventory = inspect_log(
+        write(tmp_path / "two.mcap", log(schema(1, "any", b"", "") + channels + messages)), Config()
+    )
+    [note] = [note for note in inventory.notes if note.code == "topics_not_looked_at"]
+    assert note.count == 1
+    assert note.text.endswith("for a proposal: /topic2")
+
+
+@pytest.mark.parametrize("kind", ["zstd", "no chunks", "no message index"])
+def test_late_log_times_are_told_and_no_damage(kind: str, tmp_path: Path) -> None:
+    late_ns = 2**63 - small_logs.START_NS
+    seen = Log(write(tmp_path / "late.mcap", _with_later_log_times(kind, late_ns)))
+    assert [note.code for note in seen.notes] == ["log_times_late"]
+    inventory = inspect_log(seen.path, Config())
+    assert inventory.log.start_utc is None
+    assert inventory.log.duration_s == pytest.approx(small_logs.SPAN_S, abs=1e-9)
+
+
+def _with_later_log_times(kind: str, later_ns: int) -> bytes:
+    stream = BytesIO()
+    writer = Writer(stream, **small_logs.CONTAINERS[kind])
+    writer.start()
+    channels: dict[str, int] = {}
+    for given, channel_, message_ in make_reader(BytesIO(small_logs.written())).iter_messages():
+        assert given
+        if channel_.topic not in channels:
+            number = writer.register_schema(given.name, given.encoding, given.data)
+            channels[channel_.topic] = writer.register_channel(channel_.topic, "cdr", number)
+        writer.add_message(channels[channel_.topic], message_.log_time + later_ns, message_.data, 0)
+    writer.finish()
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("years", [1.0, 53.9])
+def test_a_clock_that_is_set_takes_no_memory_and_is_told(years: float, tmp_path: Path) -> None:
+    dive = exact_dive("figure-eight", imu_rate_hz=20.0, reference_rate_hz=1.0)
+    middle_ns, earlier_ns = int(dive.imu.time_ns.mean()), round(years * 365.25 * 86400e9)
+
+    def until_set(columns: Any) -> Any:
+        time_ns = columns.time_ns
+        return replace(columns, time_ns=np.where(time_ns < middle_ns, time_ns - earlier_ns, time_ns))
+
+    path = tmp_path / "set.mcap"
+    parts = {name: until_set(getattr(dive, name)) for name in ("imu", "dvl", "reference")}
+    write_dive(path, replace(dive, truth=None, **parts))
+    read_dive(path, Config())  # so that what is compiled is loaded
+    found: list[Note] = []
+    assert peak_mb(lambda: found.extend(read_dive(path, Config()).notes)) < 30
+    assert "imu_clock_set" in {note.code for note in found}
+    assert "reference_constant" not in {note.code for note in found}
+
+
+def test_turns_in_a_pause_are_not_made_up() -> None:
+    time_ns = np.array([0, 1, 2, 1_000_000, 1_000_001], np.int64) * 1_000_000_000
+    imu = ImuColumns(time_ns, np.zeros((5, 3)), np.full((5, 3), 0.01))
+    at_s = np.array([0.0, 2.0, 1_000_001.0])
+    np.testing.assert_allclose(turned_by(imu, at_s, 2.5)[:, 0], [0.0, 0.02, 0.03], atol=1e-12)
+    np.testing.assert_allclose(turned_by(imu, at_s)[:, 0], [0.0, 0.02, 10000.01], atol=1e-6)
+
+
+def test_legs_begin_where_a_grid_in_time_would_begin_them() -> None:
+    rng = np.random.default_rng(3)
+    for step_s in (0.5, 1.0, 7.0, 23.0):
+        time_s = np.append(0.0, np.cumsum(rng.choice([step_s, 3.0 * step_s], 300)))
+        way = rng.normal(size=300) + 1j * rng.normal(size=300)
+        rows = np.unique(np.searchsorted(time_s, np.arange(0.0, time_s[-1], 10.0)))
+        whole = np.diff(time_s[rows]) < 20.0
+        expected = np.diff(np.append(0.0, np.cumsum(way))[rows])[whole]
+        np.testing.assert_array_equal(_legs(_Ways(time_s, way, way))[0], expected)
+
+
+def test_want_of_memory_is_no_mistake_of_the_program(capsys: pytest.CaptureFixture[str]) -> None:
+    assert tell_failure(MemoryError("Unable to allocate 8 GiB"), 0) == 3
+    assert "error: there is not enough memory: Unable to allocate 8 GiB; hint:" in capsys.readouterr().err

@@ -1,0 +1,170 @@
+"""Columns from CDR bytes agree with what rosbags serialises, whatever the layout of the messages."""
+
+import struct
+
+import numpy as np
+import pytest
+from blocks import block_of
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.encoding import field_loops
+from insdvl_replay.logs.encoding.cdr import CdrReader
+from insdvl_replay.logs.encoding.cdr_numbers import Places, bits_plainly
+from insdvl_replay.logs.encoding.ros2msg import parse_definitions
+
+TYPE = "test_msgs/msg/Ping"
+MAIN = "string label\nuint8 mode\ntest_msgs/Beam[] beams\nint64 stamp\nfloat32[3] fixed\nfloat64[] free\nbool good\n"
+BEAM = "int8 id\nfloat64 velocity\n"
+TEXT = f"{MAIN}{'=' * 80}\nMSG: test_msgs/Beam\n{BEAM}"
+
+
+def serialised(pings: list[dict]) -> list[bytes]:
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(BEAM, "test_msgs/msg/Beam") | get_types_from_msg(MAIN, TYPE))
+    ping_type, beam_type = store.types[TYPE], store.types["test_msgs/msg/Beam"]
+    return [
+        bytes(
+            store.serialize_cdr(
+                ping_type(
+                    label=ping["label"],
+                    mode=ping["mode"],
+                    beams=[beam_type(id=i, velocity=velocity) for i, velocity in enumerate(ping["beams"])],
+                    stamp=ping["stamp"],
+                    fixed=np.array(ping["fixed"], np.float32),
+                    free=np.array(ping["free"], np.float64),
+                    good=ping["good"],
+                ),
+                TYPE,
+            )
+        )
+        for ping in pings
+    ]
+
+
+def reader(*paths: str) -> CdrReader:
+    return CdrReader(parse_definitions(TYPE, TEXT), TYPE, paths, "dive.mcap: /ping")
+
+
+def random_pings(count: int, labels: list[str], beams: list[int]) -> list[dict]:
+    rng = np.random.default_rng(3)
+    return [
+        {
+            "label": labels[i % len(labels)],
+            "mode": int(rng.integers(256)),
+            "beams": rng.normal(size=beams[i % len(beams)]).tolist(),
+            "stamp": int(rng.integers(2**62)),
+            "fixed": rng.normal(size=3).astype(np.float32).tolist(),
+            "free": rng.normal(size=2).tolist(),
+            "good": bool(rng.integers(2)),
+        }
+        for i in range(count)
+    ]
+
+
+@pytest.mark.parametrize("labels", [["dvl"], ["", "a", "abcdefgh", "xyz"]])
+def test_columns_equal_what_was_serialised(labels: list[str]) -> None:
+    pings = random_pings(50, labels, [4])
+    paths = ["mode", "beams[*].velocity", "beams[2].velocity", "stamp", "fixed", "fixed[1]", "free[*]", "good"]
+    columns = reader(*paths).columns(block_of(serialised(pings)))
+    beams = np.array([ping["beams"] for ping in pings])
+    np.testing.assert_array_equal(columns["beams[*].velocity"], beams)
+    np.testing.assert_array_equal(columns["beams[2].velocity"], beams[:, 2:3])
+    np.testing.assert_array_equal(columns["fixed"], [ping["fixed"] for ping in pings])
+    np.testing.assert_array_equal(columns["fixed[1]"][:, 0], [ping["fixed"][1] for ping in pings])
+    np.testing.assert_array_equal(columns["free[*]"], [ping["free"] for ping in pings])
+    for path in ("mode", "stamp", "good"):
+        assert columns[path].dtype == np.int64
+        np.testing.assert_array_equal(columns[path][:, 0], [ping[path] for ping in pings])
+
+
+def test_shorter_sequences_are_filled_with_nan() -> None:
+    pings = random_pings(9, ["dvl"], [4, 0, 3])
+    columns = reader("beams[*].velocity").columns(block_of(serialised(pings)))["beams[*].velocity"]
+    expected = [ping["beams"] + [np.nan] * (4 - len(ping["beams"])) for ping in pings]
+    np.testing.assert_array_equal(columns, expected)
+
+
+def test_structure_means_all_numbers_in_it() -> None:
+    pings = random_pings(3, ["dvl"], [2])
+    columns = reader("beams").columns(block_of(serialised(pings)))["beams"]
+    np.testing.assert_array_equal(columns[:, [1, 3]], [ping["beams"] for ping in pings])
+    np.testing.assert_array_equal(columns[:, [0, 2]], [[0, 1]] * 3)
+
+
+def test_type_without_strings_and_sequences() -> None:
+    definitions = parse_definitions("test_msgs/msg/Beam", BEAM)
+    payload = b"\x00\x01\x00\x00" + b"\x07" + bytes(7) + np.float64(2.5).tobytes()
+    columns = CdrReader(definitions, "test_msgs/msg/Beam", ["velocity"], "dive.mcap: /beam").columns(
+        block_of([payload, payload])
+    )
+    np.testing.assert_array_equal(columns["velocity"], [[2.5], [2.5]])
+
+
+@pytest.mark.parametrize("path", ["beams[*].velocit", "beam[*].velocity", "beams.velocity", "velocity"])
+def test_unknown_path_names_the_nearest_field(path: str) -> None:
+    with pytest.raises(LogError, match="has no field") as raised:
+        reader(path)
+    assert path in raised.value.message
+    assert TYPE in raised.value.message
+    assert "beams[*].velocity" in raised.value.hint
+
+
+def test_text_is_no_number() -> None:
+    with pytest.raises(LogError, match="'label' of test_msgs/msg/Ping is text"):
+        reader("label")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [(0, "big-endian CDR"), (3, "a parameter list"), (7, "XCDR2"), (9, "delimited XCDR2"), (99, "no CDR")],
+)
+def test_other_encapsulations_are_refused_by_name(kind: int, name: str) -> None:
+    message = bytearray(serialised(random_pings(1, ["dvl"], [4]))[0])
+    message[1] = kind
+    with pytest.raises(LogError, match=f"1 of 1 messages are {name} "):
+        reader("mode").columns(block_of([bytes(message)]))
+
+
+@pytest.mark.parametrize("change", [lambda message: message[:-9], lambda message: message + bytes(8)])
+def test_message_that_does_not_fit_its_schema_is_refused(change) -> None:  # type: ignore[no-untyped-def]
+    messages = serialised(random_pings(2, ["dvl"], [4]))
+    with pytest.raises(LogError, match=r"dive\.mcap: /ping"):
+        reader("mode").columns(block_of([messages[0], change(messages[1])]))
+
+
+@given(
+    st.binary(min_size=8, max_size=60),
+    st.lists(st.integers(0, 52), max_size=5),
+    st.lists(st.tuples(st.sampled_from("bBhHiIqQ"), st.integers(0, 52)), max_size=5),
+)
+def test_numbers_are_read_plainly_as_by_the_compiled_loop(
+    data: bytes, starts: list[int], numbers: list[tuple[str, int]]
+) -> None:
+    """Starts and places are brought inside the data, as the readers promise."""
+    starts = [start % (len(data) - 7) for start in starts]
+    room = len(data) - 7 - max(starts, default=0)
+    formats, places = [f"<{letter}" for letter, _ in numbers], [place % room for _, place in numbers]
+    expected = [
+        [struct.unpack_from(one, data, start + place)[0] % 2**64 for one, place in zip(formats, places, strict=True)]
+        for start in starts
+    ]
+    sizes, signed = [struct.calcsize(one) for one in formats], [one.islower() for one in formats]
+    where = Places(np.array(places, np.int64), np.array(sizes, np.int64), np.array(signed, np.bool_))
+    for read in (bits_plainly, field_loops.read_bits):
+        bits = read(np.frombuffer(data, np.uint8), np.array(starts, np.int64), where)
+        assert bits.shape == (len(numbers), len(starts))
+        assert bits.view(np.uint64).T.tolist() == expected
+
+
+def test_a_bool_of_another_byte_is_one_and_an_empty_sequence_of_floats_is_none() -> None:
+    messages = serialised(random_pings(2, ["a"], [1]))
+    broken = [message[:-1] + b"\x04" for message in messages]
+    columns = reader("good", "free").columns(block_of(broken))
+    assert columns["good"].tolist() == [[1], [1]]
+    assert columns["good"].dtype == np.int64
+    empty = reader("free").columns(block_of(serialised([{**random_pings(1, ["a"], [1])[0], "free": []}])))
+    assert empty["free"].shape == (1, 0)
+    assert empty["free"].dtype == np.float64

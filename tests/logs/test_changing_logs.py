@@ -1,0 +1,160 @@
+"""A log that somebody changes while it is read is refused: what was read is of no file that ever was."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_logs import small_log
+
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.inspection import survey
+from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.logs import read_dive, reader
+
+A_PAGE = 4096
+
+
+def replace(path: Path) -> None:
+    other = path.with_name("other")
+    other.write_bytes(small_log("lz4"))
+    other.replace(path)
+
+
+def replace_by_a_copy(path: Path) -> None:
+    """Put the same bytes there, with the same times: the file is another one none the less."""
+    before, copy = path.stat(), path.with_name("copy")
+    copy.write_bytes(path.read_bytes())
+    os.utime(copy, ns=(before.st_atime_ns, before.st_mtime_ns))
+    copy.replace(path)
+
+
+def overwrite(path: Path) -> None:
+    os.utime(path, ns=(0, 0))
+    with path.open("r+b") as file:
+        file.seek(A_PAGE)
+        file.write(b"other")
+
+
+def append(path: Path) -> None:
+    with path.open("ab") as file:
+        file.write(b"more")
+
+
+def cut(path: Path) -> None:
+    os.truncate(path, A_PAGE)
+
+
+def cut_and_write_again(path: Path) -> None:
+    """Do what ``cp`` over a file does."""
+    path.write_bytes(path.read_bytes())
+
+
+CHANGES: dict[Callable[[Path], None], str] = {
+    replace: "was replaced by another file",
+    replace_by_a_copy: "was replaced by another file",
+    overwrite: "was written to",
+    append: r"grew from \d+ to \d+ bytes",
+    cut: rf"was cut from \d+ to {A_PAGE} bytes",
+    cut_and_write_again: "was written to",
+    Path.unlink: "was removed",
+}
+
+
+@pytest.fixture(params=["uncompressed", "no chunks"])
+def log(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A log of many pages, of which the first are read, and so kept, before it changes."""
+    path = tmp_path / "dive.mcap"
+    path.write_bytes(small_log(request.param))
+    os.utime(path, ns=(1, 1))
+    return path
+
+
+def changing(change: Callable[[Path], None], path: Path, work: Callable[..., Any]) -> Callable[..., Any]:
+    def changed(*arguments: Any, **options: Any) -> Any:
+        change(path)
+        return work(*arguments, **options)
+
+    return changed
+
+
+@pytest.mark.parametrize(("change", "sentence"), CHANGES.items())
+@pytest.mark.parametrize("allow_damaged", [False, True])
+def test_a_log_that_changes_before_its_messages_are_read_is_refused(
+    log: Path, change: Callable[[Path], None], sentence: str, allow_damaged: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reader, "read_tables", changing(change, log, reader.read_tables))
+    with pytest.raises(LogError, match=rf"dive\.mcap: {sentence} while it was read") as refusal:
+        read_dive(log, Config(), allow_damaged=allow_damaged)
+    assert "copy" in refusal.value.hint
+
+
+def test_a_part_of_a_bag_that_changes_is_refused(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reader, "read_tables", changing(append, log, reader.read_tables))
+    with pytest.raises(LogError, match=r"dive\.mcap: grew"):
+        read_dive(log.parent, Config())
+
+
+@pytest.mark.parametrize("change", [replace_by_a_copy, cut, Path.unlink])
+def test_a_log_that_changes_while_it_is_inspected_is_refused(
+    log: Path, change: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(survey, "explain_roles", changing(change, log, survey.explain_roles))
+    with pytest.raises(LogError, match="while it was read"):
+        inspect_log(log, Config())
+
+
+CUT = """
+import os
+import sys
+from pathlib import Path
+
+from insdvl_replay.logs.container.mapped_file import MappedFile
+
+path = Path(sys.argv[1])
+path.write_bytes(b"1" * 40_000)
+file = MappedFile(path)
+os.truncate(path, 20_000)
+assert bytes(file.data) == b"1" * 20_000 + bytes(20_000)
+os.truncate(path, 0)
+assert bytes(file.data[20_000:]) == bytes(20_000)
+file.require_unchanged()
+"""
+
+
+def test_what_is_cut_off_a_mapped_file_reads_as_zeros(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", CUT, str(tmp_path / "log")], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 1, done
+    assert "was cut from 40000 to 0 bytes while it was read" in done.stderr
+
+
+def test_a_fault_that_no_cut_explains_ends_the_process() -> None:
+    script = "import signal, sys\nfrom pathlib import Path\n"
+    script += "from insdvl_replay.logs.container.mapped_file import MappedFile\n"
+    script += "file = MappedFile(Path(sys.executable))\nfor _ in range(2):\n    signal.raise_signal(signal.SIGBUS)\n"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=60, check=False)
+    assert done.returncode == -7
+
+
+def test_a_pipe_that_nobody_writes_to_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "log.mcap")
+    with pytest.raises(LogError, match="is a pipe or a device, not a file"):
+        read_dive(tmp_path / "log.mcap", Config())
+
+
+@pytest.mark.parametrize("path", ["/dev/zero", "/dev/null"])
+def test_a_device_is_refused(path: str) -> None:
+    with pytest.raises(LogError, match="is a pipe or a device, not a file"):
+        read_dive(Path(path), Config())
+
+
+@pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="needs /proc (Linux)")
+def test_a_file_that_the_system_makes_up_has_no_size() -> None:
+    with pytest.raises(LogError, match=r"is empty \(0 bytes\)"):
+        read_dive(Path("/proc/cpuinfo"), Config())

@@ -1,0 +1,57 @@
+"""A column that fills block by block is what its blocks are one below the other."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from insdvl_replay.logs.columns.column_buffer import Filling
+
+NUMBERS = st.sampled_from([0.0, 1.0, np.nan])
+BLOCKS = st.lists(st.lists(NUMBERS, max_size=4), max_size=6)
+
+
+def filled(*blocks: NDArray[np.generic], announced: int = 0) -> NDArray[np.generic]:
+    column = Filling(announced)
+    for block in blocks:
+        column.add(block)
+    assert len(column) == sum(map(len, blocks))
+    return column.rows()
+
+
+@settings(derandomize=True, deadline=None)
+@given(BLOCKS, st.integers(0, 30))
+def test_rows_are_those_of_the_blocks_however_many_were_announced(numbers: list[list[float]], announced: int) -> None:
+    blocks = [np.array(block, dtype=np.float64).reshape(-1, 1) for block in numbers]
+    rows = np.concatenate([np.empty((0, 1)), *blocks])
+    np.testing.assert_array_equal(filled(np.empty((0, 1)), *blocks, announced=announced), rows)
+
+
+def test_a_column_of_rows_that_are_alike_takes_the_room_of_one() -> None:
+    block = np.tile([[-1.0, np.nan, 3.0]], (1000, 1))
+    rows = filled(*[block] * 50, announced=50_000)
+    assert rows.shape == (50_000, 3)
+    assert rows.strides[0] == 0
+    np.testing.assert_array_equal(rows, np.tile(block, (50, 1)))
+
+
+@pytest.mark.parametrize("other", [2.0, np.nan], ids=["another number", "none"])
+@pytest.mark.parametrize("row", [0, 1500, 2999])
+def test_one_row_that_differs_is_kept(row: int, other: float) -> None:
+    values = np.ones((3000, 1))
+    values[row] = other
+    np.testing.assert_array_equal(filled(*np.split(values, 3)), values)
+
+
+def test_whole_numbers_stay_whole_until_others_come() -> None:
+    large = np.full((3, 1), 2**62 + 1)
+    assert filled(large, large).dtype == np.int64
+    np.testing.assert_array_equal(filled(np.ones((2, 1), np.int64), np.ones((2, 1))), np.ones((4, 1)))
+    assert filled(np.ones((2, 1), np.int64), np.ones((2, 1))).dtype == np.float64
+
+
+def test_shorter_rows_are_filled_up() -> None:
+    one, two = np.ones((2, 1)), np.full((2, 2), 2.0)
+    expected = [[1.0, np.nan], [1.0, np.nan], [2.0, 2.0], [2.0, 2.0], [1.0, np.nan], [1.0, np.nan]]
+    np.testing.assert_array_equal(filled(one, two, one), expected)

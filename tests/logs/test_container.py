@@ -1,0 +1,124 @@
+"""Every kind of MCAP file gives the same messages, and what is no MCAP file is refused by name."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_logs import CONTAINERS, IMU_MESSAGES, MESSAGES, messages, small_log, true_messages, written
+
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.container.mcap_file import Log
+from insdvl_replay.logs.container.record_loops import walk
+from insdvl_replay.logs.container.records import Records, find_plainly
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "dive.mcap"
+
+
+@pytest.mark.parametrize("kind", CONTAINERS)
+def test_every_kind_of_container_gives_the_same_messages(kind: str, path: Path) -> None:
+    path.write_bytes(small_log(kind, extras=True))
+    log = Log(path)
+    found = messages(log)
+    assert len(found) == MESSAGES
+    assert set(found) == true_messages()
+    assert log.sha256() == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert log.notes == ()
+    assert {topic: sum(c.messages for c in log.channels if c.topic == topic) for topic in ("/imu", "/dvl")} == {
+        "/imu": IMU_MESSAGES,
+        "/dvl": MESSAGES - IMU_MESSAGES,
+    }
+
+
+@pytest.mark.parametrize("kind", CONTAINERS)
+def test_every_kind_of_container_gives_the_same_columns(kind: str, path: Path) -> None:
+    path.write_bytes(written())
+    expected = read_dive(path, Config())
+    path.write_bytes(small_log(kind))
+    dive = read_dive(path, Config())
+    np.testing.assert_array_equal(dive.imu.time_ns, expected.imu.time_ns)
+    np.testing.assert_array_equal(dive.imu.specific_force_b, expected.imu.specific_force_b)
+    np.testing.assert_array_equal(dive.dvl.velocity_d, expected.dvl.velocity_d)
+    assert [note for note in dive.notes if note.severity == "warning"] == []
+
+
+@pytest.mark.parametrize("kind", CONTAINERS)
+def test_log_times_need_no_messages(kind: str, path: Path) -> None:
+    path.write_bytes(small_log(kind))
+    found = np.sort(np.concatenate(list(Log(path).log_times().values())))
+    assert found.tolist() == sorted(time_ns for _, time_ns, _ in true_messages())
+
+
+@pytest.mark.parametrize("kind", ["zstd", "no summary", "no chunks"])
+def test_attachments_metadata_and_header_are_read(kind: str, path: Path) -> None:
+    path.write_bytes(small_log(kind, extras=True))
+    log = Log(path)
+    [attachment], [metadata] = log.attachments, log.metadata
+    assert (attachment.name, attachment.media_type, bytes(attachment.data)) == ("notes.txt", "text/plain", b"calm sea")
+    assert (metadata.name, metadata.metadata) == ("vehicle", {"name": "unknown"})
+    assert log.profile == "ros2"
+    assert "tests" in log.library
+    assert log.has_summary == (kind != "no summary")
+    assert log.compression == (() if kind == "no chunks" else ("zstd",))
+
+
+def test_chunks_without_wanted_messages_stay_closed(path: Path) -> None:
+    data = bytearray(small_log("zstd"))
+    path.write_bytes(data)
+    log = Log(path)
+    assert list(log.blocks(set())) == []
+    assert list(log.blocks({999})) == []
+
+
+def test_records_of_other_kinds_are_passed_over_and_said(path: Path) -> None:
+    data = small_log("no chunks, no checksums")
+    foreign = b"\xf0" + (4).to_bytes(8, "little") + b"mine"
+    header_end = 8 + 9 + int.from_bytes(data[9:17], "little")
+    path.write_bytes(_without_summary(data[:header_end] + foreign + data[header_end:]))
+    log = Log(path)
+    assert set(messages(log)) == true_messages()
+    assert [note.code for note in log.notes] == ["unknown_records"]
+
+
+def _without_summary(data: bytes) -> bytes:
+    """Leave the summary out, whose places are no longer right."""
+    start = data.rindex(b"\x0f" + (4).to_bytes(8, "little")) + 13
+    return data[:start] + b"\x02" + (20).to_bytes(8, "little") + bytes(20) + data[-8:]
+
+
+def test_what_is_no_log_is_refused_by_name(path: Path, tmp_path: Path) -> None:
+    cases = {b"": r"empty \(0 bytes\)", b"SQLite format 3\0....": "a ROS 2 bag in SQLite", b"hello world": "68 65 6c"}
+    for content, sentence in cases.items():
+        path.write_bytes(content)
+        with pytest.raises(LogError, match=sentence) as raised:
+            Log(path, allow_damaged=True)
+        assert raised.value.exit_code == 3
+        assert raised.value.hint
+    with pytest.raises(LogError, match="cannot be read: No such file"):
+        Log(tmp_path / "absent.mcap")
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.binary(max_size=40),
+            st.tuples(st.integers(0, 255), st.binary(max_size=70)).map(
+                lambda record: bytes([record[0]]) + len(record[1]).to_bytes(8, "little") + record[1]
+            ),
+        ),
+        max_size=12,
+    ).map(b"".join)
+)
+def test_records_are_found_plainly_as_by_the_compiled_loop(data: bytes) -> None:
+    opcodes, starts, lengths = np.empty(99, np.uint8), np.empty(99, np.int64), np.empty(99, np.int64)
+    count, stop = walk(np.frombuffer(data, np.uint8), 0, len(data), opcodes, starts, lengths)
+    plain, plain_stop = find_plainly(memoryview(data), 0, len(data))
+    assert list(plain.rows()) == list(Records(opcodes[:count], starts[:count], lengths[:count]).rows())
+    assert plain_stop == stop

@@ -1,0 +1,468 @@
+"""Damaged logs: refused with the place and what could be saved, or read as far as the bytes can be believed."""
+
+import re
+import struct
+import time
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_logs import CONTAINERS, MESSAGES, changed, flipped, messages, records, small_log, true_messages
+
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.columns import Dive
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.container.mcap_file import Log
+
+HEADER, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX, ATTACHMENT = 1, 4, 5, 6, 7, 8, 9
+STATISTICS, METADATA, DATA_END, FOOTER = 11, 12, 15, 2
+
+Harm = Callable[[bytes], bytes]
+
+
+def cut_at(share: float, data: bytes) -> bytes:
+    return data[: int(share * len(data))]
+
+
+def cut_chunk(data: bytes) -> bytes:
+    start, end = records(data, CHUNK)[5]
+    return data[: (start + end) // 2]
+
+
+def zero_tail(data: bytes) -> bytes:
+    half = len(data) // 2
+    return data[:half] + bytes(len(data) - half)
+
+
+def zeros_inside(data: bytes) -> bytes:
+    """Write zeros over a tenth of the file, as a disk does that lost some blocks."""
+    start, size = 2 * len(data) // 5, len(data) // 10
+    return changed(data, start, bytes(size))
+
+
+def zeros_appended(data: bytes) -> bytes:
+    return data + bytes(4096)
+
+
+def in_record(kind: int, which: int, place: int, new: bytes, data: bytes) -> bytes:
+    """Write over bytes of a record, counted from its header."""
+    return changed(data, records(data, kind)[which][0] + place, new)
+
+
+def flip_in(kind: int, which: int, place: int, data: bytes) -> bytes:
+    start, end = records(data, kind)[which]
+    return flipped(data, start + place if place >= 0 else end + place, 3)
+
+
+def flip_payload(data: bytes) -> bytes:
+    start, end = records(data, CHUNK)[3]
+    return flipped(data, (start + end) // 2, 5)
+
+
+def with_right_checksum(harm: Harm, data: bytes) -> bytes:
+    """Harm the summary and make its checksum right again, as a wrong recorder would."""
+    data = harm(data)
+    footer, end = records(data, FOOTER)[0]
+    start = int.from_bytes(data[footer + 9 : footer + 17], "little")
+    return changed(data, end - 4, struct.pack("<I", zlib.crc32(data[start : end - 4])))
+
+
+def chunk_twice(data: bytes) -> bytes:
+    (start, _), (following, _) = records(data, CHUNK)[2:4]
+    return data[:following] + data[start:following] + data[following:]
+
+
+def definitions_lost_and_summary_moved(data: bytes) -> bytes:
+    """Harm the chunk that defines the channels, and move the summary, which repeats the definitions."""
+    start, end = records(data, CHUNK)[0]
+    return chunk_twice(flipped(data, (start + end) // 2, 5))
+
+
+def chunk_taken_out(data: bytes) -> bytes:
+    (start, _), (following, _) = records(data, CHUNK)[2:4]
+    return data[:start] + data[following:]
+
+
+def lying_size(size: int, data: bytes) -> bytes:
+    return in_record(CHUNK, 2, 9 + 16, struct.pack("<Q", size), data)
+
+
+def message_in_chunk(data: bytes) -> int:
+    """Find the second message in an open chunk."""
+    start, _ = records(data, CHUNK)[2]
+    first = start + INSIDE - 4 + 8
+    while data[first] != MESSAGE:
+        first += 9 + int.from_bytes(data[first + 1 : first + 9], "little")
+    return first + 9 + int.from_bytes(data[first + 1 : first + 9], "little")
+
+
+def foreign_channel(data: bytes) -> bytes:
+    """Let a message in an uncompressed chunk without checksum claim a channel that is nowhere defined."""
+    place = message_in_chunk(data)
+    return changed(data, place + 9, struct.pack("<H", 999))
+
+
+def wrong_length_in_chunk(length: int, data: bytes) -> bytes:
+    place = message_in_chunk(data)
+    return changed(data, place + 1, struct.pack("<Q", length))
+
+
+def nothing_but_a_start(data: bytes) -> bytes:
+    return data[:8]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kind of damage: in which container, what is said of it, and how many messages are lost at most and at least."""
+
+    kind: str
+    harm: Harm
+    sentence: str
+    most: int
+    least: int = 0
+
+
+CHUNKFUL = 60
+CHUNK_S = 0.45
+STEP_S = 0.01
+INSIDE = 9 + 32 + 4
+
+ALTERED = "flip without chunks"
+"""Here no message is lost, and one is not what it was; no checksum tells which."""
+
+MATRIX = {
+    "cut in the middle": Case("zstd", partial(cut_at, 0.5), "without the closing bytes", 330, 200),
+    "cut in a chunk": Case("zstd", cut_chunk, "without the closing bytes", 330, 200),
+    "cut in an lz4 chunk": Case("lz4", cut_chunk, "without the closing bytes", 330, 200),
+    "cut in an open chunk": Case("bare", cut_chunk, "without the closing bytes", 330, 200),
+    "cut without chunks": Case("no chunks", partial(cut_at, 0.5), "without the closing bytes", 330, 200),
+    "flip in the opening bytes": Case("zstd", lambda data: flipped(data, 1), "the opening bytes are '89 4c 43", 0),
+    "zeros at the start": Case("zstd", partial(changed, place=0, new=bytes(9_000)), "the opening bytes", 180, 20),
+    "start missing": Case("zstd", lambda data: data[5:], "the checksum of the summary", 0),
+    "both ends missing": Case("zstd", lambda data: b"x" * 8 + data[8:-8], "without the closing bytes", 0),
+    "closing bytes missing": Case("zstd", lambda data: data[:-8], "without the closing bytes", 0),
+    "one byte missing": Case("zstd", lambda data: data[:-1], "without the closing bytes", 0),
+    "cut behind the start": Case("zstd", nothing_but_a_start, "without the closing bytes", MESSAGES, MESSAGES),
+    "zero tail": Case("zstd", zero_tail, "without the closing bytes", 330, 200),
+    "zero tail without chunks": Case("no chunks", zero_tail, "without the closing bytes", 330, 200),
+    "zeros inside": Case("zstd", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
+    "zeros inside, no summary": Case("no summary", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
+    "zeros inside, uncompressed": Case("uncompressed", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
+    "zeros inside, without chunks": Case("no chunks", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
+    "zeros inside and no end": Case("no chunks", lambda data: zeros_inside(data)[:-8], "without the closing", 180, 20),
+    "zeros appended": Case("zstd", zeros_appended, "without the closing bytes", 0),
+    "flip in a zstd chunk": Case("zstd", flip_payload, "chunk", CHUNKFUL, 20),
+    "flip in an lz4 chunk": Case("lz4", flip_payload, "chunk", CHUNKFUL, 20),
+    "flip in an open chunk": Case("uncompressed", flip_payload, "checksum of a chunk", CHUNKFUL, 20),
+    "flip in a chunk's checksum": Case("zstd", partial(flip_in, CHUNK, 3, 9 + 24), "checksum of a chunk", CHUNKFUL, 20),
+    "flip in a chunk's kind": Case("zstd", partial(flip_in, CHUNK, 3, 0), "an index stands behind no chunk", 0),
+    ALTERED: Case("no chunks", partial(flip_in, MESSAGE, 30, 200), "checksum of all messages", MESSAGES, 0),
+    "unknown compression": Case(
+        "zstd", partial(in_record, CHUNK, 2, INSIDE - 4, b"brot"), "about its compression", CHUNKFUL, 20
+    ),
+    "chunk length too long": Case("zstd", partial(in_record, CHUNK, 2, 1, b"\xff\xff"), "kind|names a chunk", 0),
+    "chunk length too short": Case("zstd", partial(in_record, CHUNK, 2, 1, b"\x50\x00"), "bytes", 0),
+    "chunk length absurd": Case("zstd", partial(in_record, CHUNK, 2, 1, b"\xff" * 8), "says it has 1844674", 0),
+    "chunk length absurd, no summary": Case(
+        "no summary", partial(in_record, CHUNK, 2, 1, b"\xff" * 8), "says it has 1844674", 0
+    ),
+    "chunk length too long, no summary": Case(
+        "no summary", partial(in_record, CHUNK, 2, 1, b"\xff\xff"), "bytes", CHUNKFUL
+    ),
+    "packed length absurd": Case("zstd", partial(in_record, CHUNK, 2, INSIDE, b"\xff" * 8), "compressed", CHUNKFUL, 20),
+    "chunk says it is huge": Case("zstd", partial(lying_size, 1 << 40), "its size", CHUNKFUL, 20),
+    "chunk says it is huge, no summary": Case("no summary", partial(lying_size, 1 << 40), "says it opens", CHUNKFUL),
+    "chunk says it is small": Case("zstd", partial(lying_size, 10), "its size", CHUNKFUL, 20),
+    "flip in an index's channel": Case("zstd", partial(flip_in, INDEX, 4, 9), "its index", 0),
+    "flip in an index's length": Case("zstd", partial(flip_in, INDEX, 4, 11), "bytes of entries", 0),
+    "flip in an index's time": Case("zstd", partial(flip_in, INDEX, 4, 16), "does not name", 0),
+    "index points elsewhere": Case("zstd", partial(flip_in, INDEX, 4, 24), "does not name", 0),
+    "index record length absurd": Case("zstd", partial(in_record, INDEX, 4, 1, b"\xff" * 8), "says it has 184467", 0),
+    "flip in the chunk index": Case("zstd", partial(flip_in, CHUNK_INDEX, 2, 30), "checksum of the summary", 0),
+    "chunk index points elsewhere": Case(
+        "zstd",
+        partial(with_right_checksum, partial(flip_in, CHUNK_INDEX, 2, 9 + 16)),
+        "names a chunk where none is found",
+        0,
+    ),
+    "chunk index says other times": Case(
+        "zstd", partial(with_right_checksum, partial(flip_in, CHUNK_INDEX, 2, 12)), "its first time", 0
+    ),
+    "flip in the statistics": Case("zstd", partial(flip_in, STATISTICS, 0, 9), "checksum of the summary", 0),
+    "flip in the footer": Case("zstd", partial(flip_in, FOOTER, 0, 9), "summary", 0),
+    "footer of another kind": Case("zstd", partial(flip_in, FOOTER, 0, 0), "no footer", 0),
+    "summary starts beyond the end": Case(
+        "zstd", partial(in_record, FOOTER, 0, 9, b"\xff" * 8), "summary starts at byte 1844674", 0
+    ),
+    "end of messages of another kind": Case("zstd", partial(flip_in, DATA_END, 0, 0), "kind 7 are no record", 0),
+    "header of another kind": Case("zstd", partial(flip_in, HEADER, 0, 0), "kind 9 are no record", 0),
+    "chunk twice": Case("zstd", chunk_twice, "summary", 0),
+    "chunk twice, no summary": Case("no summary", chunk_twice, "copy of the one", 0),
+    "definitions lost and summary moved": Case("zstd", definitions_lost_and_summary_moved, "summary", CHUNKFUL, 20),
+    "chunk taken out": Case("zstd", chunk_taken_out, "summary", CHUNKFUL, 20),
+    "message of an unknown channel": Case("bare", foreign_channel, r"names 1 of its messages \(channel 999\)", 1),
+    "message too long in a chunk": Case("bare", partial(wrong_length_in_chunk, 400), "in the chunk", 2, 1),
+    "message absurdly long in a chunk": Case("bare", partial(wrong_length_in_chunk, 1 << 60), "in the chunk", 2, 1),
+    "message too short": Case(
+        "no chunks, no checksums", partial(in_record, MESSAGE, 40, 1, b"\x05\x00"), "kind|record", 2, 1
+    ),
+    "message too long": Case(
+        "no chunks, no checksums", partial(in_record, MESSAGE, 40, 1, b"\x00\x02"), "kind|record", 2, 1
+    ),
+    "message absurdly long": Case(
+        "no chunks, no checksums", partial(in_record, MESSAGE, 40, 1, b"\xff" * 8), "kind|record", 2, 1
+    ),
+    "flip in an attachment": Case("zstd", partial(flip_in, ATTACHMENT, 0, -6), "checksum of an attachment", 0),
+}
+
+
+def test_the_matrix_is_large() -> None:
+    assert len(MATRIX) >= 25
+
+
+@pytest.mark.parametrize("name", MATRIX)
+def test_damage_is_refused_with_its_place_and_the_rest_is_saved(name: str, tmp_path: Path) -> None:
+    case, path = MATRIX[name], tmp_path / "dive.mcap"
+    path.write_bytes(case.harm(small_log(case.kind, extras=True)))
+    with pytest.raises(LogError, match=rf"dive\.mcap: is damaged at byte \d+: .*(?:{case.sentence})") as refused:
+        everything(path, allow_damaged=False)
+    log, found = everything(path, allow_damaged=True)
+    lost = MESSAGES - len(found)
+    assert case.least <= lost <= case.most
+    assert len(set(found)) == len(found)
+    gone = true_messages() - set(found)
+    if name == ALTERED:
+        assert len(gone) == 1
+        gone = set()
+    else:
+        assert set(found) <= true_messages()
+    [note] = [note for note in log.notes if note.code == "log_damaged"]
+    assert note.severity == "warning"
+    assert_loss_is_told(note.text, sorted(time_ns for _, time_ns, _ in gone))
+    assert_hint(refused.value, len(found))
+
+
+LOSS = re.compile(
+    r"places?, (?:(?P<none>no messages are lost)"
+    r"|(?P<count>\d+|at least \d+|an unknown number of) messages? \((?P<time>[^)]*)\) (?:is|are) lost)(?P<why>; [^(]*)?"
+)
+
+
+def assert_loss_is_told(text: str, lost_ns: list[int]) -> None:
+    """Hold what is said of the loss against what was lost: exact, or at least so much and why not more is known."""
+    told = LOSS.search(text)
+    assert told
+    if told["none"]:
+        assert not lost_ns
+        return
+    span_s = (lost_ns[-1] - lost_ns[0]) * 1e-9
+    if told["count"].isdigit():
+        assert int(told["count"]) == len(lost_ns)
+    elif told["count"].startswith("at least"):
+        assert 0 < int(told["count"].removeprefix("at least ")) <= len(lost_ns)
+    if told["time"].endswith(" s") and not told["time"].startswith("at least"):
+        assert span_s - 3 * STEP_S <= float(told["time"].removesuffix(" s")) <= span_s + CHUNK_S
+    elif told["time"].startswith("at least"):
+        assert 0.0 < float(told["time"].removeprefix("at least ").removesuffix(" s")) <= span_s + 0.001
+    is_known = told["count"].isdigit() and told["time"][0].isdigit()
+    assert is_known == (told["why"] is None)
+
+
+def everything(path: Path, *, allow_damaged: bool) -> tuple[Log, list[tuple[str, int, bytes]]]:
+    log = Log(path, allow_damaged=allow_damaged)
+    found = messages(log)
+    log.sha256()
+    return log, found
+
+
+def assert_hint(error: LogError, saved: int) -> None:
+    if saved:
+        assert error.hint.startswith("--allow-damaged uses the ")
+        assert f" s and {saved} messages that can be read" in error.hint
+    else:
+        assert "no message in it can be read" in error.hint
+
+
+def repeated_into(place: int, size: int, source: int, data: bytes) -> bytes:
+    return data[:place] + data[source : source + size] + data[place:]
+
+
+@pytest.mark.parametrize(
+    ("kind", "harm"),
+    [
+        ("no chunks", partial(repeated_into, 74602, 1709, 134674)),
+        ("no chunks", partial(repeated_into, 46615, 3221, 100974)),
+        ("uncompressed", partial(repeated_into, 77350, 3773, 127426)),
+        ("no summary", partial(repeated_into, 31476, 3227, 30732)),
+        ("no chunks", lambda data: changed(data, 51432, b"\xff" * 8)),
+    ],
+)
+def test_bytes_written_twice_do_not_hide_a_loss(kind: str, harm: Harm, tmp_path: Path) -> None:
+    path = tmp_path / "dive.mcap"
+    path.write_bytes(harm(small_log(kind, extras=True)))
+    log, found = everything(path, allow_damaged=True)
+    gone = true_messages() - set(found)
+    assert gone
+    [note] = log.notes
+    assert "no messages are lost" not in note.text
+    assert_loss_is_told(note.text, sorted(time_ns for _, time_ns, _ in gone))
+
+
+def test_a_log_that_is_wrong_in_two_ways_is_always_refused_in_the_same_words(tmp_path: Path) -> None:
+    """The checksum of a chunk and that of all messages are wrong, which are found at the same time."""
+    path, said = tmp_path / "dive.mcap", set()
+    path.write_bytes(flip_payload(small_log("all checksums")))
+    for _ in range(30):
+        with pytest.raises(LogError) as refused:
+            read_dive(path, Config())
+        said.add(str(refused.value))
+    assert len(said) == 1
+
+
+def test_a_chunk_is_told_once_however_many_channels_its_indexes_leave_out(tmp_path: Path) -> None:
+    path, data = tmp_path / "dive.mcap", small_log("zstd")
+    for which in (3, 2):  # the last ones behind the first chunk become records of somebody else
+        data = in_record(INDEX, which, 0, b"\x90", data)
+    path.write_bytes(data)
+    log, found = everything(path, allow_damaged=True)
+    assert len(found) == MESSAGES
+    [note] = [note for note in log.notes if note.code == "log_damaged"]
+    assert "no index of a chunk names 16 of its messages (channel 3, 4)" in note.text
+    assert "is damaged in 2 places, no messages are lost" in note.text
+
+
+def test_loss_is_told_in_messages_and_seconds(tmp_path: Path) -> None:
+    path = tmp_path / "dive.mcap"
+    path.write_bytes(flip_payload(small_log("zstd")))
+    log, found = everything(path, allow_damaged=True)
+    [note] = log.notes
+    lost = MESSAGES - len(found)
+    times = sorted(time_ns for _, time_ns, _ in true_messages() - set(found))
+    span_s = (times[-1] - times[0]) * 1e-9
+    assert f"in 1 place, {lost} messages ({span_s:.3f} s) are lost" in note.text
+
+
+def test_the_command_refuses_with_exit_3_or_uses_what_is_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "dive.mcap"
+    path.write_bytes(flip_payload(small_log("zstd")))
+    arguments = ["run", str(path), "-o", str(tmp_path), "--set", "initial.source=level", "--set"]
+    arguments += ["initial.heading_deg=0", "--set", "initial.latitude_deg=60"]
+    assert run_command_line(arguments) == 3
+    assert "is damaged at byte" in capsys.readouterr().err
+    assert run_command_line([*arguments, "--allow-damaged"]) == 0
+    assert "log_damaged" in (tmp_path / "dive" / "report.json").read_text()
+
+
+# Mutations
+
+CHECKED = ("zstd", "lz4", "uncompressed", "no message index", "no chunk index", "no summary", "no chunks")
+"""Kinds of containers of which every byte that matters has a checksum, so that no change can go unnoticed."""
+
+
+def mutated(data: bytes, rng: np.random.Generator) -> bytes:
+    """Harm a log as disks, networks and bugs do: change bytes, cut, fill, move, repeat."""
+    size = len(data)
+    place = int(rng.integers(8, size))
+    length = int(rng.integers(1, 1 << int(rng.integers(1, 13))))
+    other = int(rng.integers(8, size))
+    return [
+        lambda: flipped(data, place, int(rng.integers(8))),
+        lambda: changed(data, place, rng.bytes(min(length, size - place))),
+        lambda: changed(data, place, bytes(min(length, size - place))),
+        lambda: changed(data, place, b"\xff" * min(8, size - place)),
+        lambda: data[:place],
+        lambda: data[:place] + data[place + length :],
+        lambda: data[:place] + data[other : other + length] + data[place:],
+        lambda: data[:place] + bytes(size - place),
+    ][int(rng.integers(8))]()
+
+
+def assert_told(original: Dive, path: Path) -> bool:
+    """Read a harmed log both ways; tell whether it was refused."""
+    for allow_damaged in (False, True):
+        start_s = time.monotonic()
+        try:
+            dive = read_dive(path, Config(), allow_damaged=allow_damaged)
+        except (LogError, ConfigError):
+            refused = not allow_damaged
+        else:
+            refused = False
+            if not same_columns(original, dive):
+                assert dive.notes != original.notes
+                assert any(note.severity == "warning" or note.code == "unknown_records" for note in dive.notes)
+        assert time.monotonic() - start_s < 5.0
+        if not allow_damaged:
+            first = refused
+    return first
+
+
+def same_columns(one: Dive, other: Dive) -> bool:
+    pairs = [
+        (one.imu.time_ns, other.imu.time_ns),
+        (one.imu.specific_force_b, other.imu.specific_force_b),
+        (one.imu.angular_rate_b, other.imu.angular_rate_b),
+        (one.dvl.time_ns, other.dvl.time_ns),
+        (one.dvl.velocity_d, other.dvl.velocity_d),
+    ]
+    return all(np.array_equal(a, b) for a, b in pairs if a is not None and b is not None)
+
+
+STATUS = Path("/proc/self/status")
+
+
+def memory_kb(kind: str) -> int:
+    """Of this process, now (VmRSS) or at most since `forget_peak` (VmHWM); 0 where the system does not tell."""
+    if not STATUS.is_file():
+        return 0
+    return next(int(line.split()[1]) for line in STATUS.read_text().splitlines() if line.startswith(kind))
+
+
+def forget_peak() -> None:
+    if STATUS.is_file():
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+# A harmed number may be as large as numbers get, and its square larger.
+
+
+@pytest.mark.parametrize(
+    ("seed", "count"), [(1, 140), *(pytest.param(seed, 620, marks=pytest.mark.slow) for seed in (2, 3, 4))]
+)
+def test_no_mutation_brings_a_traceback_a_hang_or_silent_change(seed: int, count: int, tmp_path: Path) -> None:
+    rng, path = np.random.default_rng(seed), tmp_path / "dive.mcap"
+    refused, before_kb = 0, memory_kb("VmRSS")
+    forget_peak()
+    for i in range(count):
+        data = small_log(CHECKED[i % len(CHECKED)], extras=True)
+        path.write_bytes(data)
+        original = read_dive(path, Config())
+        harmed = mutated(data, rng)
+        path.write_bytes(harmed)
+        try:
+            refused += assert_told(original, path)
+        except BaseException as error:
+            error.add_note(f"mutation {i} of a log with container '{CHECKED[i % len(CHECKED)]}'")
+            raise
+    assert refused > 0.8 * count
+    assert memory_kb("VmHWM") - before_kb < 350 * 1024, "beside the 150 MB of a program that has read nothing"
+
+
+@pytest.mark.parametrize("kind", ["no checksums", "bare", "no chunks, no checksums"])
+def test_without_checksums_no_mutation_brings_a_traceback(kind: str, tmp_path: Path) -> None:
+    rng, path = np.random.default_rng(5), tmp_path / "dive.mcap"
+    assert kind in CONTAINERS
+    for _ in range(20):
+        path.write_bytes(mutated(small_log(kind), rng))
+        for allow_damaged in (False, True):
+            try:
+                read_dive(path, Config(), allow_damaged=allow_damaged)
+            except (LogError, ConfigError):
+                continue

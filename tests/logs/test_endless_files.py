@@ -1,0 +1,74 @@
+"""Files without an end, links without an end, and lists that mean more than they say."""
+
+from pathlib import Path
+
+import pytest
+
+from insdvl_replay.batch.dive_paths import find_dives
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.gates.gate_file import load_gates
+from insdvl_replay.logs.container.bag import bag_parts
+from insdvl_replay.logs.container.mcap_file import Log
+from insdvl_replay.logs.container.recording import open_recording
+
+needs_devices = pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs /dev/zero (not Windows)")
+
+
+@needs_devices
+def test_settings_gates_and_lists_have_an_end() -> None:
+    with pytest.raises(ConfigError, match="/dev/zero: cannot be read: File too large"):
+        load_config(file=Path("/dev/zero"))
+    with pytest.raises(ConfigError, match="/dev/zero: cannot be read: File too large"):
+        load_gates(Path("/dev/zero"))
+
+
+def test_a_mark_in_front_of_the_text_is_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "marked.toml").write_bytes(b"\xef\xbb\xbf[dvl]\nscale = 1.25\n")
+    assert load_config(file=tmp_path / "marked.toml").dvl.scale == 1.25
+
+
+def test_a_folder_that_links_to_itself_is_walked_once(tmp_path: Path) -> None:
+    (tmp_path / "dive.mcap").touch()
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "other.mcap").touch()
+    for name in ("a", "b", "below/c"):
+        (tmp_path / name).symlink_to(tmp_path)
+    found = find_dives([str(tmp_path)])
+    assert found == [tmp_path / "below" / "other.mcap", tmp_path / "dive.mcap"]
+
+
+def test_a_log_that_links_to_itself_is_told_as_one_that_cannot_be_read(tmp_path: Path) -> None:
+    (tmp_path / "dive.mcap").symlink_to("dive.mcap")
+    (found,) = find_dives([str(tmp_path / "dive.mcap")])
+    with pytest.raises(LogError, match="cannot be read: Too many levels of symbolic links"):
+        Log(found)
+    with pytest.raises(LogError, match="cannot be read: Too many levels of symbolic links"):
+        open_recording([found, found.with_name("later.mcap")])
+
+
+def bomb() -> str:
+    """Nine aliases of nine aliases: a thousand million names."""
+    levels = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    levels += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 9)]
+    return "\n".join([*levels, "rosbag2_bagfile_information: {relative_file_paths: *a8}"])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (bomb(), "has aliases"),
+        ("a: 2020-99-99", "is no YAML"),
+        (f"a: {'9' * 5000}", "is no YAML|lists no files"),
+        ("[" * 5000, "has aliases or deep nesting"),
+        ("a: " * 5000, "is no YAML"),
+        ("rosbag2_bagfile_information: {relative_file_paths: [[a.mcap]]}", "lists no files"),
+        (f"rosbag2_bagfile_information: {{relative_file_paths: [{'a' * 5000}]}}", "lists a+, which is not there"),
+    ],
+    ids=["aliases", "date", "number", "depth", "keys", "list", "name"],
+)
+def test_a_list_of_parts_that_cannot_be_is_refused(text: str, reason: str, tmp_path: Path) -> None:
+    (tmp_path / "metadata.yaml").write_text(text)
+    (tmp_path / "a.mcap").touch()
+    with pytest.raises(LogError, match=rf"metadata\.yaml: ({reason})"):
+        bag_parts(tmp_path)

@@ -1,0 +1,185 @@
+"""Layouts of CDR messages, against the encoders of mcap-ros2-support and rosbags."""
+
+import io
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap_ros2.writer import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.encoding.layout import dynamic_lengths, layout_for_texts, layout_of
+from insdvl_replay.logs.encoding.ros2msg import parse_definitions
+
+TYPE = "pkg/msg/Everything"
+TEXT = """\
+uint8 A=1
+bool flag
+string word
+float64 number
+pkg/Empty empty
+int16 small
+float64[] numbers
+byte[] bytes
+string[] words
+pkg/Nested[] nested
+pkg/Nested[2] pair
+float32[3] fixed
+uint64 last
+================================================================================
+MSG: pkg/Empty
+================================================================================
+MSG: pkg/Nested
+int8 level
+string<=20 label
+float64 value
+uint16[] counts
+"""
+DEFINITIONS = parse_definitions(TYPE, TEXT)
+
+words = st.text(st.characters(codec="utf-8", exclude_characters="\0", exclude_categories=("Cs",)), max_size=7)
+numbers = st.floats(allow_nan=False)
+nested = st.fixed_dictionaries(
+    {
+        "level": st.integers(-128, 127),
+        "label": words,
+        "value": numbers,
+        "counts": st.lists(st.integers(0, 65535), max_size=3),
+    }
+)
+messages = st.fixed_dictionaries(
+    {
+        "flag": st.booleans(),
+        "word": words,
+        "number": numbers,
+        "small": st.integers(-32768, 32767),
+        "numbers": st.lists(numbers, max_size=3),
+        "bytes": st.lists(st.integers(0, 255), max_size=5),
+        "words": st.lists(words, max_size=3),
+        "nested": st.lists(nested, max_size=3),
+        "pair": st.lists(nested, min_size=2, max_size=2),
+        "fixed": st.lists(st.floats(width=32, allow_nan=False), min_size=3, max_size=3),
+        "last": st.integers(0, 2**64 - 1),
+    }
+)
+
+
+def encoded(text: str, message: dict[str, Any]) -> bytes:
+    """Serialise a message with mcap-ros2-support."""
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    schema = writer.register_msgdef(TYPE, text)
+    writer.write_message("/topic", schema, message, log_time=0)
+    writer.finish()
+    [(_, _, record)] = make_reader(io.BytesIO(stream.getvalue())).iter_messages()
+    return bytes(record.data)
+
+
+def flat(path: str, value: Any) -> dict[str, Any]:
+    """Name the values of a nested message as layouts do."""
+    if isinstance(value, dict):
+        prefix = f"{path}." if path else ""
+        items = [flat(f"{prefix}{name}", inner) for name, inner in value.items()]
+        return {name: inner for item in items for name, inner in item.items()}
+    if isinstance(value, list) and path.rpartition(".")[2] in ("words", "nested", "pair"):
+        items = [flat(f"{path}[{i}]", inner) for i, inner in enumerate(value)]
+        return {name: inner for item in items for name, inner in item.items()}
+    return {path: value.encode() if isinstance(value, str) else value}
+
+
+@given(messages)
+@settings(max_examples=200, deadline=None, derandomize=True)
+def test_layout_finds_every_field_where_mcap_ros2_support_wrote_it(message: dict[str, Any]) -> None:
+    data = encoded(TEXT, message)
+    lengths = dynamic_lengths(DEFINITIONS, TYPE, data)
+    layout = layout_of(DEFINITIONS, TYPE, lengths)
+    assert layout.size == layout.dtype.itemsize == len(data)
+    assert layout.lengths == lengths
+    [row] = np.frombuffer(data, layout.dtype)
+    values = flat("", message) | {"empty.structure_needs_at_least_one_member": 0}
+    assert set(layout.dtype.names or ()) == set(values)
+    for path, value in values.items():
+        np.testing.assert_array_equal(row[path], value, err_msg=path)
+
+
+@given(messages)
+@settings(max_examples=100, deadline=None, derandomize=True)
+def test_filled_messages_are_the_bytes_of_mcap_ros2_support(message: dict[str, Any]) -> None:
+    data = encoded(TEXT, message)
+    layout = layout_of(DEFINITIONS, TYPE, dynamic_lengths(DEFINITIONS, TYPE, data))
+    rows = layout.new_messages(3)
+    for path, value in flat("", message).items():
+        rows[path] = value
+    assert rows.tobytes() == 3 * data
+
+
+@given(st.lists(numbers, max_size=2), words, st.floats(width=32, allow_nan=False))
+@example([], "", 1.0)
+@settings(max_examples=50, deadline=None, derandomize=True)
+def test_layout_agrees_with_rosbags(values: list[float], word: str, number: float) -> None:
+    text = "float64[] values\nuint8 between\nstring word\nfloat32 number\n"
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, TYPE))
+    message = store.types[TYPE](values=np.array(values), between=9, word=word, number=number)
+    data = bytes(store.serialize_cdr(message, TYPE))
+    definitions = parse_definitions(TYPE, text)
+    layout = layout_of(definitions, TYPE, dynamic_lengths(definitions, TYPE, data))
+    [row] = np.frombuffer(data, layout.dtype, count=1)
+    assert (row["between"], row["word"], row["number"]) == (9, word.encode(), np.float32(number))
+    np.testing.assert_array_equal(row["values"], values)
+
+
+def test_length_words_stand_where_the_layout_says() -> None:
+    data = encoded("string word\nuint8[] bytes", {"word": "abc", "bytes": [1, 2]})
+    definitions = parse_definitions(TYPE, "string word\nuint8[] bytes")
+    layout = layout_of(definitions, TYPE, dynamic_lengths(definitions, TYPE, data))
+    assert layout.lengths == (4, 2)
+    assert [data[offset] for offset in layout.length_offsets] == [4, 2]
+
+
+def test_layout_for_texts_makes_room_for_them() -> None:
+    definitions = parse_definitions(TYPE, "string first\nstring second\nuint8 last")
+    layout = layout_for_texts(definitions, TYPE, {"second": b"abc"})
+    assert layout.lengths == (1, 4)
+
+
+def test_no_messages_are_an_empty_array() -> None:
+    assert layout_of(parse_definitions(TYPE, "float64 x"), TYPE, ()).new_messages(0).shape == (0,)
+
+
+def test_cut_messages_are_refused() -> None:
+    message = {"word": "abc", "numbers": [1.0], "words": ["a"], "nested": [{}], "pair": [{}, {}]}
+    data = encoded(TEXT, message)
+    for length in range(len(data)):
+        with pytest.raises(LogError, match=r"shorter than its schema|starts with bytes"):
+            dynamic_lengths(DEFINITIONS, TYPE, data[:length])
+
+
+def test_damaged_lengths_are_refused() -> None:
+    definitions = parse_definitions(TYPE, "float64[] x")
+    data = bytearray(encoded("float64[] x", {"x": [1.0]}))
+    data[4:8] = b"\xff\xff\xff\xff"
+    with pytest.raises(LogError, match="shorter than its schema"):
+        dynamic_lengths(definitions, TYPE, bytes(data))
+
+
+@pytest.mark.parametrize("header", [b"\x00\x00", b"\x00\x03", b"\x00\x07", b"\x01\x00"])
+def test_other_encodings_are_refused(header: bytes) -> None:
+    with pytest.raises(LogError, match=header.hex(" ")):
+        dynamic_lengths(DEFINITIONS, TYPE, header + encoded(TEXT, {})[2:])
+
+
+def test_wide_strings_are_refused() -> None:
+    definitions = parse_definitions(TYPE, "wstring w")
+    with pytest.raises(LogError, match="wstring"):
+        layout_of(definitions, TYPE, ())
+
+
+@pytest.mark.parametrize("lengths", [(), (1, 1)])
+def test_lengths_must_be_as_many_as_strings(lengths: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="strings and sequences"):
+        layout_of(parse_definitions(TYPE, "string s"), TYPE, lengths)

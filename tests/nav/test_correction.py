@@ -1,0 +1,91 @@
+"""What a correction does to the covariance, against finite differences of the error that it has to leave alone."""
+
+import numpy as np
+import pytest
+from jacobian import assert_jacobian
+from scipy.spatial.transform import Rotation
+
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.states import BA, BG, DV, PHI
+from insdvl_replay.geometry.rotation import skew
+from insdvl_replay.nav.correction import correct, keep_invariant_error
+from insdvl_replay.nav.strapdown import NavState
+from insdvl_replay.nav.vector_algebra import matrix, vector
+
+VELOCITY_N = np.array([1.2, -0.7, 0.3])
+CHANGE_N = np.array([0.2, 0.3, -0.1])  # taken off the velocity
+NOTHING = (0.0, 0.0, 0.0)
+
+
+def turned(phi: Floats) -> Floats:
+    return Rotation.from_rotvec(phi).as_matrix()
+
+
+def invariant_error(velocity_n: Floats, dx: Floats) -> Floats:
+    """Give ``v_hat - C_hat C' v``: the velocity error that is left when the true dive is turned by the misalignment."""
+    return velocity_n - turned(dx[PHI]) @ (velocity_n - dx[DV])
+
+
+def expressed_about_the_corrected_velocity(dx: Floats) -> Floats:
+    """Give the error about the corrected velocity that has the same invariant error as ``dx`` before."""
+    after = VELOCITY_N - CHANGE_N
+    true = turned(dx[PHI]).T @ (after - invariant_error(VELOCITY_N, dx))
+    return np.concatenate([after - true, dx[3:]])
+
+
+def transformation() -> Floats:
+    T = np.eye(12)
+    T[DV, PHI] = skew(CHANGE_N)
+    return T
+
+
+def random_cov(seed: int) -> Floats:
+    root = np.random.default_rng(seed).normal(size=(12, 12))
+    return root @ root.T
+
+
+def test_transformation_leaves_the_invariant_error_alone() -> None:
+    assert_jacobian(transformation(), expressed_about_the_corrected_velocity, np.zeros(12), atol=1e-9, step=1e-5)
+
+
+def test_covariance_is_transformed_as_the_matrices_say() -> None:
+    P, T = random_cov(3), transformation()
+    expected = T @ P @ T.T
+    keep_invariant_error(P, vector(CHANGE_N))
+    np.testing.assert_allclose(P, expected, rtol=1e-13)
+    np.testing.assert_array_equal(P, P.T)
+
+
+@pytest.mark.parametrize("degrees", [0.5, 20.0, 90.0])
+def test_an_error_that_is_estimated_as_it_is_vanishes_whatever_its_size(degrees: float) -> None:
+    """What H is exact for is ``v_hat - C_hat C' v``: told it and the misalignment, the state is the true one."""
+    phi = np.deg2rad(degrees) * np.array([0.48, 0.6, 0.64])
+    true_n, true_nb = np.array([1.9, -0.4, 0.2]), turned(np.array([0.3, -0.1, 2.0]))
+    xi = np.array([4.0, -3.0, 0.5])
+    off_n = turned(phi) @ true_n + xi
+    dx = np.concatenate([xi - np.cross(off_n, phi), phi, np.zeros(6)])
+    state = NavState((0.57, 0.6, -20.0), vector(off_n), matrix(turned(phi) @ true_nb), NOTHING, NOTHING)
+    KT = np.zeros((3, 12))
+    KT[0] = dx
+    corrected = correct(state, random_cov(6), KT, (1.0, 0.0, 0.0), np.empty(12))
+    np.testing.assert_allclose(corrected.velocity_n, true_n, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(corrected.mat_nb, true_nb, rtol=0.0, atol=1e-15)
+
+
+def test_estimated_errors_are_taken_out_of_the_state() -> None:
+    mat_nb = turned(np.array([0.3, -0.1, 2.0]))
+    bias_b, P, dx_room = (0.01, -0.02, 0.03), random_cov(4), np.empty(12)
+    state = NavState((0.57, 0.6, -20.0), vector(VELOCITY_N), matrix(mat_nb), bias_b, bias_b)
+    K, z = 0.1 * np.random.default_rng(5).normal(size=(12, 3)), np.array([0.2, -0.1, 0.3])
+    dx = K @ z
+    expected_cov = P.copy()
+    expected_n = turned(dx[PHI]).T @ (VELOCITY_N - dx[DV] - np.cross(VELOCITY_N, dx[PHI]))
+    corrected = correct(state, P, np.ascontiguousarray(K.T), vector(z), dx_room)
+    np.testing.assert_allclose(dx_room, dx, rtol=1e-14)
+    keep_invariant_error(expected_cov, vector(VELOCITY_N - corrected.velocity_n))
+    np.testing.assert_array_equal(P, expected_cov)
+    assert corrected.position == state.position
+    np.testing.assert_allclose(corrected.velocity_n, expected_n, rtol=1e-13)
+    np.testing.assert_allclose(corrected.mat_nb, turned(-dx[PHI]) @ mat_nb, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(corrected.accel_bias_b, bias_b + dx[BA], rtol=1e-14)
+    np.testing.assert_allclose(corrected.gyro_bias_b, bias_b + dx[BG], rtol=1e-14)

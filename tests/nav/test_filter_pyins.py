@@ -1,0 +1,31 @@
+"""The baseline against python-ins: another's mechanisation, error model and Kalman filter on the same readings."""
+
+import numpy as np
+import pytest
+from python_ins import Case, our_belief, their_belief
+from scipy.spatial.transform import Rotation
+
+from insdvl_replay.core.states import PHI
+from insdvl_replay.replay import replay_dive
+
+
+@pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")  # python-ins calls pandas the old way
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(Case("straight"), id="straight"),
+        pytest.param(Case(), id="turns"),
+        pytest.param(Case(beams=(0, 1, 3)), id="three beams"),
+        pytest.param(Case(lever_arm_m=(-1.8, 0.3, 0.5)), id="lever arm"),
+        pytest.param(Case(mounting_rpy_deg=(3.0, -2.0, 45.0)), id="mounting rotation"),
+    ],
+)
+def test_baseline_believes_what_python_ins_believes(case: Case) -> None:
+    dive = case.dive()
+    (history,) = replay_dive(dive, case.config()).histories
+    ours, theirs = our_belief(history, int(dive.dvl.time_ns[-1])), their_belief(dive, case.velocities(dive))
+    turned = Rotation.from_matrix(ours.mat_nb @ theirs.mat_nb.T).as_rotvec()
+    np.testing.assert_allclose(ours.bias_sd, theirs.bias_sd, rtol=0.005)
+    np.testing.assert_allclose(ours.biases / ours.bias_sd, theirs.biases / ours.bias_sd, rtol=0.0, atol=0.06)
+    np.testing.assert_allclose(ours.velocity_n, theirs.velocity_n, rtol=0.0, atol=1e-3)
+    np.testing.assert_allclose(turned / history.sd[-1, PHI], 0.0, atol=0.1)

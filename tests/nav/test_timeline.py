@@ -1,0 +1,156 @@
+"""Nodes stand at the times of validity, to the nanosecond, and readings between samples on the line through them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from instants import instants
+from scipy.interpolate import make_interp_spline
+
+from insdvl_replay.core.columns import Floats, ImuColumns, TimeNs
+from insdvl_replay.nav.timeline import Timeline, build_timeline
+
+EPOCH_NS = 1_704_067_200_000_000_001
+"""A date in nanoseconds, which a float would round to multiples of 256."""
+MS = 1_000_000
+NONE = np.empty(0, dtype=np.int64)
+
+
+def imu_at(time_ns: TimeNs, seed: int = 1) -> ImuColumns:
+    rng = np.random.default_rng(seed)
+    return ImuColumns(time_ns, rng.normal(size=(len(time_ns), 3)), rng.normal(size=(len(time_ns), 3)))
+
+
+def imu_100_hz(samples: int = 11) -> ImuColumns:
+    return imu_at(EPOCH_NS + 10 * MS * np.arange(samples))
+
+
+def ns(*offsets: int) -> TimeNs:
+    return EPOCH_NS + np.array(offsets, dtype=np.int64)
+
+
+def whole(imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs = NONE) -> Timeline:
+    return build_timeline(imu, ping_ns, reference_ns, int(imu.time_ns[0]), int(imu.time_ns[-1]))
+
+
+def integral(timeline: Timeline) -> Floats:
+    at = instants(timeline)
+    return np.array(np.trapezoid(at.specific_force_b, at.time_s, axis=0))
+
+
+@pytest.mark.parametrize(
+    ("offset_ns", "nodes"),
+    [
+        (20 * MS, 11),
+        (20 * MS + 1, 12),
+        (25 * MS, 12),
+        (30 * MS - 1, 12),
+        (1, 12),
+        (100 * MS - 1, 12),
+        (100 * MS, 11),
+    ],
+    ids=["on a sample", "just after", "between", "just before", "first nanosecond", "last but one", "at the end"],
+)
+def test_ping_has_its_own_node_at_its_own_nanosecond(offset_ns: int, nodes: int) -> None:
+    at = instants(whole(imu_100_hz(), ns(offset_ns)))
+    assert len(at.time_ns) == nodes
+    row = int(np.flatnonzero(at.ping >= 0).item())
+    assert at.ping[row] == 0
+    assert at.time_ns[row] == EPOCH_NS + offset_ns
+    assert at.record[row]
+    assert at.time_s[row] == pytest.approx(offset_ns * 1e-9, abs=1e-15)
+
+
+@pytest.mark.parametrize("imu_hz", [50, 100, 400])
+@pytest.mark.parametrize("dvl_hz", [1, 3, 10])
+def test_every_sample_ping_and_reference_has_one_node(imu_hz: int, dvl_hz: int) -> None:
+    imu = imu_at(EPOCH_NS + np.rint(np.arange(5 * imu_hz + 1) * 1e9 / imu_hz).astype(np.int64))
+    ping_ns = EPOCH_NS + np.rint((0.0137 + np.arange(4 * dvl_hz)) * 1e9 / dvl_hz).astype(np.int64)
+    reference_ns = EPOCH_NS + np.rint(np.arange(21) * 0.25e9).astype(np.int64)
+    at = instants(whole(imu, ping_ns, reference_ns))
+    assert set(at.time_ns.tolist()) == {*imu.time_ns.tolist(), *ping_ns.tolist(), *reference_ns.tolist()}
+    assert (np.diff(at.time_ns) > 0).all()
+    np.testing.assert_array_equal(at.time_ns[at.ping >= 0], ping_ns)
+    np.testing.assert_array_equal(at.ping[at.ping >= 0], np.arange(len(ping_ns)))
+    assert set(at.time_ns[at.record].tolist()) == {*ping_ns.tolist(), *reference_ns.tolist()}
+
+
+def test_reference_at_the_time_of_a_ping_shares_its_node() -> None:
+    at = instants(whole(imu_100_hz(), ns(33 * MS), ns(33 * MS, 66 * MS)))
+    assert (at.time_ns[at.record] - EPOCH_NS).tolist() == [0, 33 * MS, 66 * MS, 100 * MS]
+    assert (at.time_ns[at.ping >= 0] - EPOCH_NS).tolist() == [33 * MS]
+
+
+def test_reference_outside_the_span_is_left_out() -> None:
+    reference_ns = ns(-1, 0, 14 * MS, 15 * MS, 50 * MS, 85 * MS, 86 * MS, 101 * MS)
+    at = instants(build_timeline(imu_100_hz(), NONE, reference_ns, *ns(15 * MS, 85 * MS).tolist()))
+    assert (at.time_ns[at.record] - EPOCH_NS).tolist() == [15 * MS, 50 * MS, 85 * MS]
+
+
+def test_span_may_begin_and_end_between_samples() -> None:
+    at = instants(build_timeline(imu_100_hz(), ns(85 * MS), NONE, *ns(15 * MS, 85 * MS).tolist()))
+    assert (at.time_ns[[0, 1, -2, -1]] - EPOCH_NS).tolist() == [15 * MS, 20 * MS, 80 * MS, 85 * MS]
+    assert at.time_s[0] == 0.0
+    assert at.record[[0, -1]].all()
+    assert at.ping[-1] == 0
+
+
+def test_readings_lie_on_the_line_between_samples() -> None:
+    imu = imu_100_hz()
+    ping_ns = ns(1, 5 * MS, 10 * MS, 37 * MS, 100 * MS - 1)
+    at = instants(whole(imu, ping_ns))
+    at_s, sample_s = (ping_ns - EPOCH_NS) * 1e-9, (imu.time_ns - EPOCH_NS) * 1e-9
+    for made, readings in ((at.specific_force_b, imu.specific_force_b), (at.angular_rate_b, imu.angular_rate_b)):
+        np.testing.assert_allclose(made[at.ping >= 0], make_interp_spline(sample_s, readings, k=1)(at_s), atol=1e-12)
+        np.testing.assert_array_equal(made[np.isin(at.time_ns, imu.time_ns)], readings)
+
+
+def test_readings_are_those_of_numpy_to_the_last_bit() -> None:
+    imu = imu_at(EPOCH_NS + 10 * MS * np.arange(500) + np.random.default_rng(2).integers(0, 5 * MS, 500))
+    at = instants(whole(imu, imu.time_ns[0] + 37 * MS * np.arange(1, 100) + 12_345))
+    sample_s = (imu.time_ns - imu.time_ns[0]) * 1e-9
+    np.testing.assert_array_equal(at.angular_rate_b[:, 1], np.interp(at.time_s, sample_s, imu.angular_rate_b[:, 1]))
+
+
+def test_a_time_line_does_not_copy_the_readings_unless_the_loop_cannot_take_them() -> None:
+    imu = imu_100_hz()
+    assert np.shares_memory(whole(imu, NONE).specific_force_b, imu.specific_force_b)
+    strided = ImuColumns(imu.time_ns, np.asfortranarray(imu.specific_force_b), imu.angular_rate_b)
+    assert whole(strided, NONE).specific_force_b.flags.c_contiguous
+    assert integral(whole(strided, NONE)).tolist() == integral(whole(imu, NONE)).tolist()
+
+
+def test_a_time_line_takes_memory_for_its_events_alone() -> None:
+    """A copy of what stands in the samples would be the largest part of a long dive."""
+    imu = imu_100_hz(100_000)
+    timeline = whole(imu, imu.time_ns[0] + 10_000 * MS * np.arange(1, 100))
+    of_samples = {"sample_ns", "specific_force_b", "angular_rate_b"}
+    own = sum(column.nbytes for name, column in timeline._asdict().items() if name not in of_samples)
+    assert own < 0.01 * imu.specific_force_b.nbytes
+    assert all(
+        np.shares_memory(getattr(timeline, name), getattr(imu, name.replace("sample", "time"))) for name in of_samples
+    )
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.sets(st.integers(1, 100 * MS), max_size=30))
+def test_pings_do_not_change_what_the_readings_add_up_to(offsets_ns: set[int]) -> None:
+    imu = imu_100_hz()
+    np.testing.assert_allclose(integral(whole(imu, ns(*sorted(offsets_ns)))), integral(whole(imu, NONE)), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("ping_offset_ns", "start_offset_ns", "end_offset_ns", "message"),
+    [
+        (50 * MS, -1, 100 * MS, "the span lies outside"),
+        (50 * MS, 0, 100 * MS + 1, "the span lies outside"),
+        (20 * MS, 20 * MS, 80 * MS, "a ping lies outside"),
+        (80 * MS + 1, 20 * MS, 80 * MS, "a ping lies outside"),
+    ],
+    ids=["starts before the samples", "ends after them", "ping at the start", "ping after the end"],
+)
+def test_one_nanosecond_outside_is_refused(
+    ping_offset_ns: int, start_offset_ns: int, end_offset_ns: int, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        build_timeline(imu_100_hz(), ns(ping_offset_ns), NONE, *ns(start_offset_ns, end_offset_ns).tolist())

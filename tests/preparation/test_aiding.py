@@ -1,0 +1,137 @@
+"""Whose noise a filter takes: its own before the common one, whichever key either stands in."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from insdvl_replay.batch.noise_tuning import with_control
+from insdvl_replay.core.columns import Dive
+from insdvl_replay.core.config import Config, Dvl, Filter, Noise
+from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
+from insdvl_replay.preparation.aiding import dvl_noise, filter_measurements, filter_noise, inertial_noise
+from insdvl_replay.replay import replay_dive
+from insdvl_replay.sim.dive import exact_dive, simulate_dive
+from insdvl_replay.studies.simulated_run import matched_errors
+
+BEAM, VELOCITY = "beam_sd_mps", "velocity_sd_mps"
+
+# What [dvl] names, what the filter names, and what holds with beams and without, by the digits of each value:
+# 1 and 2 stand in [dvl], 3 and 4 in the filter.
+TABLE = [
+    ({VELOCITY: 0.1}, {}, (VELOCITY, 0.1), (VELOCITY, 0.1)),
+    ({VELOCITY: 0.1}, {VELOCITY: 0.3}, (VELOCITY, 0.3), (VELOCITY, 0.3)),
+    ({VELOCITY: 0.1}, {BEAM: 0.4}, (BEAM, 0.4), (VELOCITY, 0.1)),
+    ({VELOCITY: 0.1}, {VELOCITY: 0.3, BEAM: 0.4}, (BEAM, 0.4), (VELOCITY, 0.3)),
+    ({VELOCITY: 0.1, BEAM: 0.2}, {}, (BEAM, 0.2), (VELOCITY, 0.1)),
+    ({VELOCITY: 0.1, BEAM: 0.2}, {VELOCITY: 0.3}, (VELOCITY, 0.3), (VELOCITY, 0.3)),
+    ({VELOCITY: 0.1, BEAM: 0.2}, {BEAM: 0.4}, (BEAM, 0.4), (VELOCITY, 0.1)),
+    ({VELOCITY: 0.1, BEAM: 0.2}, {VELOCITY: 0.3, BEAM: 0.4}, (BEAM, 0.4), (VELOCITY, 0.3)),
+]
+COMBINATIONS = pytest.mark.parametrize(("common", "own", "with_beams", "without"), TABLE)
+Named = dict[str, float]
+Expected = tuple[str, float]
+
+
+def configured(common: Named, own: Named) -> tuple[Config, Filter]:
+    filter_ = Filter(aiding=("velocity",), **own)
+    return Config(dvl=Dvl(**common), filters={"baseline": filter_}), filter_
+
+
+@pytest.fixture(scope="module")
+def dive() -> Dive:
+    return simulate_dive("straight", seed=3, duration_s=40.0, imu_rate_hz=20.0)
+
+
+@pytest.fixture(scope="module")
+def from_beams(dive: Dive) -> DvlVelocities:
+    return dvl_velocities(dive.dvl, np.eye(3))
+
+
+def reports_velocities(dive: Dive) -> Dive:
+    """The same dive from a DVL that keeps its beams to itself."""
+    velocities = dvl_velocities(dive.dvl, np.eye(3))
+    return replace(
+        dive, dvl=replace(dive.dvl, beam_velocity_mps=None, beam_vectors_d=None, velocity_d=velocities.velocity_b)
+    )
+
+
+@COMBINATIONS
+def test_the_filters_own_noise_goes_before_the_common_one(
+    common: Named, own: Named, with_beams: Expected, without: Expected
+) -> None:
+    config, filter_ = configured(common, own)
+    assert dvl_noise(filter_, config, from_beams=True) == with_beams
+    assert dvl_noise(filter_, config, from_beams=False) == without
+
+
+@COMBINATIONS
+def test_the_filter_is_given_what_was_resolved(
+    dive: Dive, from_beams: DvlVelocities, common: Named, own: Named, with_beams: Expected, without: Expected
+) -> None:
+    config, filter_ = configured(common, own)
+    (measurement,) = filter_measurements(filter_, from_beams, config, np.inf)
+    shape = {BEAM: from_beams.full_shape_b, VELOCITY: np.eye(3)}
+    key, sd_mps = with_beams
+    np.testing.assert_allclose(measurement.cov_b[0], sd_mps**2 * shape[key], rtol=0.0, atol=1e-12)
+    plain = dvl_velocities(reports_velocities(dive).dvl, np.eye(3))
+    (measurement,) = filter_measurements(filter_, plain, config, np.inf)
+    np.testing.assert_allclose(measurement.cov_b[0], without[1] ** 2 * np.eye(3), rtol=0.0, atol=1e-12)
+
+
+@COMBINATIONS
+def test_simulated_sensors_err_as_the_filter_is_told(
+    common: Named, own: Named, with_beams: Expected, without: Expected
+) -> None:
+    """What the drawn noise scatters by, against R of the filter that it is drawn for."""
+    del with_beams, without
+    config, filter_ = configured(common, own)
+    errors = matched_errors(config)[1]
+    exact = exact_dive("straight", duration_s=4000.0, imu_rate_hz=2.0).dvl
+    assert exact.beam_vectors_d is not None
+    rng, pings = np.random.default_rng(4), len(exact.time_ns)
+    beams = errors.beam_sd_mps * rng.standard_normal((pings, 4))
+    beams += errors.velocity_sd_mps * rng.standard_normal((pings, 3)) @ exact.beam_vectors_d.T
+    noise = dvl_velocities(replace(exact, beam_velocity_mps=beams), np.eye(3))
+    (measurement,) = filter_measurements(filter_, noise, config, np.inf)
+    R = measurement.cov_b[0]
+    np.testing.assert_allclose(np.cov(noise.velocity_b.T), R, rtol=0.0, atol=0.1 * R.max())
+
+
+@COMBINATIONS
+def test_the_control_fits_the_noise_that_the_baseline_has(
+    dive: Dive,
+    monkeypatch: pytest.MonkeyPatch,
+    common: Named,
+    own: Named,
+    with_beams: Expected,
+    without: Expected,
+) -> None:
+    """A search that may not leave its start ends there."""
+    for edge in ("LOWEST", "HIGHEST"):
+        monkeypatch.setattr(f"insdvl_replay.batch.noise_tuning.{edge}", 1.0)
+    config, _ = configured(common, own)
+    for from_one, (key, sd_mps) in ((dive, with_beams), (reports_velocities(dive), without)):
+        tuned = with_control(from_one, config)[0].filters["tuned"]
+        assert getattr(tuned, key) == pytest.approx(sd_mps)
+        assert dvl_noise(tuned, config, from_beams=from_one is dive) == (key, pytest.approx(sd_mps))
+        assert filter_noise(tuned, config) == pytest.approx(filter_noise(config.filters["baseline"], config))
+
+
+def test_own_velocity_noise_moves_the_result_under_a_common_noise_of_beams(dive: Dive) -> None:
+    velocity = Filter(aiding=("velocity",))
+    noisy = Filter(aiding=("velocity",), velocity_sd_mps=0.2)
+    baseline, own = replay_dive(
+        dive, Config(dvl=Dvl(beam_sd_mps=0.01), filters={"baseline": velocity, "noisy": noisy})
+    ).histories
+    (alone,) = replay_dive(dive, Config(dvl=Dvl(velocity_sd_mps=0.2), filters={"baseline": velocity})).histories
+    np.testing.assert_array_equal(own.sd, alone.sd)
+    assert (own.sd[-1, :3] > 1.3 * baseline.sd[-1, :3]).all()
+
+
+@pytest.mark.parametrize("key", Noise.__struct_fields__)
+def test_a_density_of_the_filters_own_goes_before_the_common_one(key: str) -> None:
+    config, own = Config(), msgspec.structs.replace(Filter(aiding=("velocity",)), **{key: 0.0})
+    assert inertial_noise(own, config) == msgspec.structs.replace(config.noise, **{key: 0.0})
+    assert np.count_nonzero(filter_noise(own, config)) == 9

@@ -1,0 +1,65 @@
+"""The reference's point of measurement: moving it to the IMU undoes what the lever arm did."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
+from insdvl_replay.core.config import Config, Noise, Reference
+from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
+from insdvl_replay.preparation.lever_arm import reference_at_imu
+from insdvl_replay.replay import replay_dive
+from insdvl_replay.sim.dive import exact_dive
+
+ARM_B = np.array([1.8, -0.4, 0.3])
+
+
+@pytest.fixture(scope="module")
+def turning() -> Dive:
+    """An exact dive through a turn at 17 deg/s, its reference fine enough to differentiate."""
+    return exact_dive("figure-eight", duration_s=130.0, imu_rate_hz=50.0, reference_rate_hz=50.0)
+
+
+def north_east_down_m(reference: ReferenceColumns) -> Floats:
+    latitude, longitude, height_m = (reference.position - reference.position[0]).T
+    start = reference.position[0, 0]
+    north_m, east_m = meridian_radius_m(start), transverse_radius_m(start) * np.cos(start)
+    return np.column_stack([latitude * north_m, longitude * east_m, -height_m])
+
+
+def test_velocity_of_the_moved_point_is_the_rate_of_its_way(turning: Dive) -> None:
+    assert turning.reference is not None
+    moved = reference_at_imu(turning.reference, turning.imu, ARM_B)
+    apart_n = -turning.reference.mat_nb @ ARM_B
+    change_n = np.gradient(apart_n, seconds(moved.time_ns, moved.time_ns[0]), axis=0)
+    inside = slice(1, -1)
+    np.testing.assert_allclose(
+        (moved.velocity_n - turning.reference.velocity_n)[inside], change_n[inside], rtol=0.0, atol=2e-3
+    )
+    apart_m = north_east_down_m(moved) - north_east_down_m(turning.reference)
+    np.testing.assert_allclose(apart_m, apart_n - apart_n[0], rtol=0.0, atol=0.01)
+
+
+def test_reference_of_another_point_is_as_good_once_its_lever_arm_is_known(turning: Dive) -> None:
+    assert turning.reference is not None
+    elsewhere = replace(turning, reference=reference_at_imu(turning.reference, turning.imu, -ARM_B))
+    noise = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=2e-6)
+    known = Config(noise=noise, reference=Reference(lever_arm_m=(1.8, -0.4, 0.3)))
+    rms_m = [
+        replay_dive(dive, config).tables["reference_error"].set_index("quantity").loc["position_h", "rmse"]
+        for dive, config in ((turning, Config(noise=noise)), (elsewhere, known), (elsewhere, Config(noise=noise)))
+    ]
+    assert rms_m[1] == pytest.approx(rms_m[0], abs=1e-3)
+    assert rms_m[2] > 0.5
+
+
+def test_zero_lever_arm_leaves_a_partial_reference_whole(turning: Dive) -> None:
+    assert turning.reference is not None
+    partial = replace(turning.reference, mat_nb=np.full_like(turning.reference.mat_nb, np.nan))
+    assert reference_at_imu(partial, turning.imu, np.zeros(3)) is partial
+
+
+def test_dependent_reference_is_noted(turning: Dive) -> None:
+    replay = replay_dive(turning, Config(reference=Reference(independent=False)))
+    assert "reference_not_independent" in {note.code for note in replay.notes}

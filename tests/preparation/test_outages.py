@@ -1,0 +1,70 @@
+"""What is said of long outages of the DVL, and the height at which gravity is taken through them."""
+
+import dataclasses
+
+import msgspec
+import numpy as np
+import pytest
+
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.nav.gravity_height import HOLD_AFTER_S, GravityHeight, followed
+from insdvl_replay.preparation.outages import outage_notes
+from insdvl_replay.replay import replay_dive
+from insdvl_replay.sim import dive as sim_dive
+from insdvl_replay.sim.dive import exact_dive, simulate_dive
+from insdvl_replay.sim.trajectories import Scenario, Wave
+from insdvl_replay.studies.simulated_run import make_world, run_seed, simulated_run
+
+
+def pings_ns(*spans_s: tuple[float, float]) -> np.ndarray:
+    return np.concatenate([np.arange(start_s, end_s) * 1e9 for start_s, end_s in spans_s]).astype(np.int64)
+
+
+@pytest.mark.parametrize(
+    ("spans_s", "count", "words"),
+    [
+        ([(1.0, 300.0), (590.0, 2000.0)], 0, ""),
+        ([(1.0, 300.0), (601.0, 2000.0)], 1, "the longest 302 s from 299 s after the start on"),
+        ([(400.0, 900.0), (1300.0, 2000.0)], 2, "the longest 401 s from 899 s"),
+        ([(1.0, 700.0)], 1, "the longest 1301 s from 699 s"),
+    ],
+)
+def test_long_outages_are_told(spans_s: list[tuple[float, float]], count: int, words: str) -> None:
+    notes = outage_notes(pings_ns(*spans_s), 0, 2_000_000_000_000)
+    assert [(note.code, note.severity, note.count) for note in notes] == [("dvl_outages", "warning", count)] * bool(
+        count
+    )
+    assert not notes or words in notes[0].text
+
+
+def test_gravity_follows_the_height_and_is_held_without_velocities() -> None:
+    gravity = followed(GravityHeight(-20.0, 0.0, 0.0), -21.0, HOLD_AFTER_S)
+    assert gravity == GravityHeight(-21.0, 0.0, 0.0)
+    gravity = followed(gravity, 400.0, HOLD_AFTER_S + 1.0)
+    assert gravity == GravityHeight(-21.0, 421.0, 0.0)
+    again = GravityHeight(gravity.height_m, gravity.drift_m, 1000.0)
+    assert followed(again, 395.0, 1001.0) == GravityHeight(-26.0, 421.0, 1000.0)
+
+
+def test_gravity_that_is_held_costs_little_in_a_descent() -> None:
+    """Twelve minutes down at 0.7 m/s before the DVL finds the bottom are 490 m."""
+    sinking = Scenario("", 1000.0, Wave(2.0), pitch_deg=Wave(-20.0))
+    config = load_config("fog", overrides=["initial.accel_bias_sd_mg=0.04"])
+    config = msgspec.structs.replace(config, filters={"baseline": config.filters["baseline"]})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sim_dive, "SCENARIOS", {"sinking": sinking})
+        exact = exact_dive("sinking", imu_rate_hz=20.0, reference_at_pings=True, outages=[(0.0, 720.0)])
+    world = dataclasses.replace(make_world("straight", config, "matched", 10.0), exact=exact)
+    runs = [simulated_run(world, run_seed(1, run))[0] for run in range(20)]
+    assert np.mean([run.nees[-1] for run in runs]) < 25.0
+
+
+def test_published_accelerations_take_gravity_where_the_mechanisation_does() -> None:
+    """After an outage the INS's height is off by 400 m, which is 1.2 mm/s^2 of gravity."""
+    config = load_config("tactical", overrides=["filters.aided.acceleration.model='published'"])
+    dive = simulate_dive("straight", seed=1, duration_s=1700.0, grade="tactical", outages=[(20.0, 1300.0)])
+    aided = replay_dive(dive, config).histories[1]
+    published = aided.innovations[1]
+    late = published.time_ns > dive.imu.time_ns[0] + 1_400_000_000_000
+    assert abs(aided.position[-1, 2] + 20.0) > 100.0
+    assert abs(published.innovation_b[late, 2].mean()) < 3e-4

@@ -1,0 +1,248 @@
+"""The documents are tested like code: what they name exists, and what they claim is so."""
+
+import ast
+import importlib
+import os
+import pkgutil
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import typer.main
+from ruamel.yaml import YAML
+
+from insdvl_replay import __version__, nav, preparation
+from insdvl_replay.cli.app import app
+
+PROJECT = Path(__file__).resolve().parents[2]
+DOCUMENTS = ("README.md", "EQUATIONS.md", "CONTRIBUTING.md", "CHANGELOG.md")
+LEFT_BEHIND = {"build", "dist", "replay", "checked", "__pycache__", "node_modules"}
+
+
+def text_of(name: str) -> str:
+    return (PROJECT / name).read_text("utf-8")
+
+
+def project_files() -> Iterator[Path]:
+    """Every file of the project, without what tools leave behind."""
+    for folder, below, files in os.walk(PROJECT):
+        below[:] = [name for name in below if name == ".ci" or (not name.startswith(".") and name not in LEFT_BEHIND)]
+        yield from (Path(folder, name) for name in files)
+
+
+# --- EQUATIONS.md.
+
+
+class Row(NamedTuple):
+    """One equation."""
+
+    id: str
+    equation: str
+    source: str
+    functions: tuple[str, ...]
+    tests: tuple[str, ...]
+    status: str
+
+
+def equations() -> list[Row]:
+    """Read all tables of EQUATIONS.md that have the columns of `Row`."""
+    rows = []
+    for table in re.findall(r"^\| id \|.*\n\|[-|]+\|\n((?:\|.*\n)+)", text_of("EQUATIONS.md"), re.MULTILINE):
+        for line in table.splitlines():
+            id_, equation, source, functions, tests, status = (cell.strip() for cell in line.strip("|").split("|"))
+            rows.append(Row(id_, equation, source, code_words(functions), code_words(tests), status))
+    return rows
+
+
+def code_words(cell: str) -> tuple[str, ...]:
+    return tuple(re.findall(r"`([^`]+)`", cell))
+
+
+@cache
+def names_of_tests(file: str) -> set[str]:
+    (found,) = (PROJECT / "tests").rglob(file)
+    tree = ast.parse(found.read_text("utf-8"))
+    return {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+def resolve(name: str) -> Any:
+    """Find a dotted name below the package: as many modules as there are, then attributes."""
+    found: Any = importlib.import_module("insdvl_replay")
+    for part in name.split("."):
+        if not hasattr(found, part):
+            importlib.import_module(f"{found.__name__}.{part}")
+        found = getattr(found, part)
+    return found
+
+
+def test_every_equation_has_a_name_of_its_own() -> None:
+    ids = [row.id for row in equations()]
+    assert len(ids) > 60
+    assert len(ids) == len(set(ids))
+
+
+@pytest.mark.parametrize("row", equations(), ids=lambda row: row.id)
+def test_equation_has_a_function_a_test_and_a_status(row: Row) -> None:
+    assert row.status in {"as printed", "corrected", "derived", "not used"}
+    if row.status == "not used":
+        assert not row.functions
+        assert not row.tests
+        return
+    assert row.functions
+    assert row.tests
+    for function in row.functions:
+        assert callable(resolve(function)), function
+    for test in row.tests:
+        file, name = test.split("::")
+        assert name in names_of_tests(file), test
+
+
+def test_what_is_corrected_or_not_used_is_explained() -> None:
+    explained = set(re.findall(r"\*\*([\w-]+)\*\*", "".join(re.findall(r"^- \*\*.*:", text_of("EQUATIONS.md"), re.M))))
+    assert {row.id for row in equations() if row.status in {"corrected", "not used"}} <= explained
+
+
+def test_derived_equations_name_what_they_follow_from() -> None:
+    rows = equations()
+    ids = {row.id for row in rows}
+    for row in rows:
+        if row.status == "derived":
+            assert set(row.source.split(", ")) <= ids, row
+
+
+def test_every_numbered_equation_of_the_paper_has_a_row(paper: Path) -> None:
+    printed = (paper / "paper.tex").read_text("utf-8").count(r"\begin{equation}")
+    named = {
+        int(number)
+        for row in equations()
+        for numbers in re.findall(r"L&K ((?:\(\d+\)(?:, )?)+)", row.source)
+        for number in re.findall(r"\d+", numbers)
+    }
+    assert named == set(range(1, printed + 1))
+
+
+def test_every_module_of_the_mathematics_has_an_equation() -> None:
+    rooms = (nav, preparation)
+    found = [module.name for room in rooms for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}.")]
+    modules = {name.removeprefix("insdvl_replay.") for name in found}
+    # They hand settings to the mathematics, a start to the filter, and results to the history.
+    without = {"preparation.aiding", "preparation.prepared", "preparation.start_position", "nav.state_log"}
+    named = {".".join(function.split(".")[:2]) for row in equations() for function in row.functions}
+    assert modules - without == {name for name in named if name.startswith(("nav.", "preparation."))}
+
+
+def test_tests_named_in_the_text_exist() -> None:
+    for document in DOCUMENTS:
+        for file, name in re.findall(r"`(test_\w+\.py)::(\w+)`", text_of(document)):
+            assert name in names_of_tests(file), (document, name)
+
+
+# --- README.md and CONTRIBUTING.md: commands, options, exit codes.
+
+
+def commands() -> dict[str, set[str]]:
+    """Options by command, as the program knows them."""
+    return dict(_commands("", typer.main.get_command(app)))
+
+
+def _commands(name: str, command: Any) -> Iterator[tuple[str, set[str]]]:
+    """Give a command with its options, and those below it."""
+    yield name, {"--help"} | {option for parameter in command.params for option in parameter.opts}
+    for below, child in getattr(command, "commands", {}).items():
+        yield from _commands(f"{name} {below}".strip(), child)
+
+
+def code_of(document: str) -> list[str]:
+    """Lines of fenced blocks, continuations joined, and code words in the text."""
+    text = text_of(document)
+    fenced = re.findall(r"^```\w*\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    lines = "\n".join(fenced).replace("\\\n", " ").splitlines()
+    return lines + re.findall(r"`([^`\n]+)`", re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL))
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_commands_and_options_exist(document: str) -> None:
+    known = commands()
+    for line in code_of(document):
+        for call in re.findall(r"\binsdvl-replay((?:[ ]+[^#|&;`]+)?)", line):
+            command, *words = call.split() or [""]
+            if command.startswith("-"):
+                command, words = "", [command, *words]
+            if words and f"{command} {words[0]}" in known:
+                command = f"{command} {words[0]}"
+            assert command in known, f"insdvl-replay{call}"
+            options = {word.split("=")[0] for word in words if re.match(r"--?[a-z]", word)}
+            assert options <= known[command], f"insdvl-replay{call}"
+    alone = {word.split("=")[0] for line in code_of(document) for word in re.findall(r"^--[a-z][\w=-]*", line)}
+    assert alone <= set().union(*known.values())
+
+
+def test_every_command_stands_in_the_readme() -> None:
+    text = text_of("README.md")
+    assert {name for name in commands() if f"insdvl-replay {name}" not in text} == set()
+
+
+def test_exit_codes_are_those_of_the_contract() -> None:
+    table = text_of("README.md").split("## Exit codes")[1].split("\n## ")[0]
+    assert re.findall(r"^\| *(\d+) *\|", table, re.MULTILINE) == ["0", "1", "2", "3", "4", "130"]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_make_targets_exist(document: str) -> None:
+    targets = set(re.findall(r"^(\w+):", text_of("Makefile"), re.MULTILINE))
+    assert {target for line in code_of(document) for target in re.findall(r"\bmake (\w+)", line)} <= targets
+
+
+def test_continuous_integration_runs_everything() -> None:
+    assert re.search(r"^make test$", text_of(".ci/run"), re.MULTILINE)
+
+
+# --- All files.
+
+
+def test_relative_links_lead_somewhere() -> None:
+    for path in project_files():
+        if path.suffix != ".md":
+            continue
+        for target in re.findall(r"\]\(([^)\s]+)\)", path.read_text("utf-8")):
+            if re.match(r"[a-z]+:", target):
+                continue
+            file, _, anchor = target.partition("#")
+            linked = path.parent / file if file else path
+            assert linked.exists(), f"{path.name}: {target}"
+            assert not anchor or anchor in anchors(linked), f"{path.name}: {target}"
+
+
+def anchors(markdown: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.+)$", markdown.read_text("utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_nothing_is_left_to_do_and_no_machine_is_named() -> None:
+    unfinished = re.compile(r"\b(TO[D]O|FIX[M]E|XX[X])\b")
+    machine = re.compile(r"(?<![\w.~>/)}])/(home|Users|tmp|root|work|mnt|media)/\w|\b[A-Z]:\\\w")
+    for path in project_files():
+        try:
+            text = path.read_text("utf-8")
+        except UnicodeDecodeError:
+            continue
+        assert not unfinished.search(text), path
+        assert not machine.search(text), path
+
+
+def test_citation_has_what_it_needs_and_the_version() -> None:
+    citation = YAML(typ="safe").load(text_of("CITATION.cff"))
+    assert citation["cff-version"] == "1.2.0"
+    assert {"message", "title", "type", "authors", "license", "version", "references"} <= citation.keys()
+    assert (citation["type"], citation["license"]) == ("software", "Apache-2.0")
+    assert citation["version"] == __version__
+    paper, *_ = citation["references"]
+    assert [author["family-names"] for author in paper["authors"]] == ["Levy", "Klein"]
+
+
+def test_changelog_tells_of_this_version() -> None:
+    first = re.findall(r"^## (\S+)", text_of("CHANGELOG.md"), re.MULTILINE)[0]
+    assert first == __version__

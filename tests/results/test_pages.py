@@ -1,0 +1,90 @@
+"""Pages of several dives and of studies, in the frame of the page of one dive."""
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pandas as pd
+from taken_apart import Document
+from test_report import report
+
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import Note
+from insdvl_replay.report.display_table import ShownTable
+from insdvl_replay.report.page_parts import picture
+from insdvl_replay.report.pictures import picture_bytes
+from insdvl_replay.results.index_page import index_page
+from insdvl_replay.results.summary import Failure
+from insdvl_replay.studies.observability_picture import draw_singular_values
+from insdvl_replay.studies.study_report import StudyReport, write_study
+
+VALUES = pd.DataFrame(
+    [(aiding, number, 5.0 / number) for aiding in "abcde" for number in range(1, 13)],
+    columns=["aiding", "number", "singular_value"],
+)
+
+
+def study() -> StudyReport:
+    return StudyReport(
+        study="observability",
+        title="Observability study: <straight>",
+        arguments={"dive": "straight", "earth_rate": True},
+        sentences=("rank 9 of 12", "rank 6 of 12"),
+        tables={"singular_values": VALUES},
+        shown=(ShownTable("Ranks", ("aiding", "rank"), "lr", (("velocity", "9"),)),),
+        config=Config(),
+        notes=(Note("imu_gaps", "the IMU pauses 3 times", 3, "warning"),),
+    )
+
+
+def test_index_leads_to_every_dive_and_says_why_one_failed() -> None:
+    document = Document(index_page([report("a b"), report("two"), Failure("three", "three.mcap: is empty")]).decode())
+    links = [attributes["href"] for tag, attributes in document.elements if tag == "a"]
+    assert links == ["a%20b/report.html", "two/report.html"]
+    rows = [row.split("\n") for row in document.texts["tr"]]
+    assert len(rows) == 1 + 3
+    assert document.texts["h1"] == ["3 dives, 1 of them failed"]
+    assert "three.mcap: is empty" in document.texts["td"]
+    assert document.texts["td"][:4] == ["a b", "aided", "not borne out", "6.7 %"]
+
+
+def test_index_allows_its_own_script_alone() -> None:
+    document = Document(index_page([report()]).decode())
+    [policy] = [attributes["content"] for _, attributes in document.elements if "http-equiv" in attributes]
+    assert re.fullmatch(r"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-[\w+/]{43}='", policy)
+    assert len(document.texts["script"]) == 1
+
+
+def test_page_of_a_study_shows_its_findings_pictures_tables_and_losses(tmp_path: Path) -> None:
+    figure = draw_singular_values("Singular values", VALUES, 1e-6)
+    write_study(study(), tmp_path, {"singular_values": figure}, png=True)
+    names = {"singular_values.csv", "singular_values.svg", "singular_values.png", "config.toml", "report.json"}
+    assert {path.name for path in tmp_path.iterdir()} == names | {"report.html"}
+    document = Document((tmp_path / "report.html").read_text("utf-8"))
+    assert document.texts["p"][:2] == ["rank 9 of 12", "rank 6 of 12"]
+    assert document.texts["h1"] == ["Observability study: <straight>"]
+    assert document.count("figure", "picture") == 1
+    assert {"velocity", "9", "the IMU pauses 3 times [imu_gaps]"} <= set(document.texts["td"])
+    assert {"straight", "True"} <= set(document.texts["dd"])
+    assert "Singular values" in document.texts["text"]
+
+
+def test_study_without_pictures_has_a_page_and_the_same_bytes(tmp_path: Path) -> None:
+    pages = []
+    for name in ("once", "again"):
+        (tmp_path / name).mkdir()
+        write_study(study(), tmp_path / name)
+        pages.append((tmp_path / name / "report.html").read_bytes())
+    assert pages[0] == pages[1]
+
+
+def test_picture_takes_the_colours_of_the_page_and_names_of_its_own() -> None:
+    svg = picture_bytes(draw_singular_values("Singular values", VALUES, 1e-6), "svg")
+    one, two = (picture(name, svg).text for name in ("first", "second"))
+    ET.fromstring(one.replace("xlink:", ""))
+    assert not re.search(r"#[0-9a-f]{6}\b", one)
+    ids = [set(re.findall(r'id="([^"]+)"', text)) for text in (one, two)]
+    assert ids[0]
+    assert not ids[0] & ids[1]
+    for text, named in zip((one, two), ids, strict=True):
+        assert set(re.findall(r'(?:url\(|href=")#([^")]+)', text)) <= named

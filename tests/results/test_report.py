@@ -1,0 +1,348 @@
+"""The report room: tables to bytes, and results that appear all at once or not at all."""
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from insdvl_replay.cli.json_schemas import SCHEMAS
+from insdvl_replay.core.channel import Channel
+from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import ConfigError, Note
+from insdvl_replay.core.states import NINE, STATES
+from insdvl_replay.evaluation.believed import mean_over_nine
+from insdvl_replay.report.csv_tables import report_csv, table_csv
+from insdvl_replay.report.display_table import number, percent
+from insdvl_replay.report.markup import latex_report, markdown_report
+from insdvl_replay.report.terminal import terminal_report
+from insdvl_replay.results.dive_sentences import closing_lines, heading
+from insdvl_replay.results.dive_tables import glance_table
+from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
+from insdvl_replay.results.json_report import Candidate, Report, Tool, build_report, decode_report, encode_report
+from insdvl_replay.results.run_log import run_log
+from insdvl_replay.results.summary import Failure, summary_csv
+
+NAN = float("nan")
+HEADERS = {
+    "improvement": "log,filter,state,unit,baseline_sd,sd,improvement_pct,status",
+    "convergence": "log,filter,state,unit,target_sd,baseline_s,reached_s,improvement_pct,status",
+    "reference_error": (
+        "log,filter,quantity,unit,baseline_rmse,rmse,improvement_pct,baseline_final,final,samples,status"
+    ),
+    "consistency": "log,filter,measurement,dof,used,rejected,mean_nis,low,high,verdict,"
+    "autocorrelation,autocorrelation_limit,whiteness",
+    "credibility": (
+        "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,effective_samples"
+    ),
+}
+"""What other people's scripts rely on."""
+SCHEMA_FOLDER = Path(__file__).resolve().parents[2] / "schemas"
+
+
+def tables() -> dict[str, pd.DataFrame]:
+    improvement = [
+        ("dive", "aided", state.id, state.unit, 1.0, 0.8, 20.0 if state in NINE[:3] else NAN, "improved")
+        for state in STATES
+    ]
+    convergence = [
+        ("dive", "aided", state.id, state.unit, 0.1 + 0.2, 424.0, NAN, NAN, "never") for state in STATES[:-1]
+    ] + [("dive", "aided", "bg_z", "deg/h", 9.0, 424.0, 106.0, 75.0, "reached")]
+    reference = [
+        ("dive", "aided", "position_h", "m", 1.25, 1.5, -20.0, 2.0, 2.5, 424, "compared"),
+        ("dive", "aided", "position_h_pct", "%", 0.125, 0.15, -20.0, 0.2, 0.25, 424, "compared"),
+        ("dive", "aided", "heading", "deg", NAN, NAN, NAN, NAN, NAN, 0, "not in reference"),
+    ]
+    consistency = [
+        ("dive", "baseline", "velocity", 3, 424, 0, 3.01, 2.77, 3.24, "consistent", -0.05, 0.095, "white"),
+        ("dive", "aided", "velocity", 3, 424, 0, 3.01, 2.77, 3.24, "consistent", 0.3, 0.095, "correlated"),
+        ("dive", "aided", "acceleration", 3, 420, 2, 5.0, 2.77, 3.24, "over-confident", NAN, NAN, "not finite"),
+        ("dive", "aided", "acceleration_x", 1, 420, 2, 12.0, 0.9, 1.1, "over-confident", 0.1, 0.095, "white"),
+    ]
+    credibility = [
+        ("dive", "aided", "velocity_n", 1, 424, 1.1, 0.87, 1.14, 66.0, 99.5, "consistent", 400.1),
+        ("dive", "aided", "heading", 1, 0, NAN, NAN, NAN, NAN, NAN, "not in reference", NAN),
+        ("dive", "aided", "ba_x", 1, 424, 5.0, 0.01, 4.9, 10.0, 90.0, "over-confident", 1.2),
+        ("dive", "aided", "all", 5, 424, 9.0, 3.9, 6.1, 30.0, 97.0, "over-confident", 40.0),
+    ]
+    rows: dict[str, list[Any]] = {
+        "improvement": improvement,
+        "convergence": convergence,
+        "reference_error": reference,
+        "consistency": consistency,
+        "credibility": credibility,
+    }
+    return {name: pd.DataFrame(rows[name], columns=header.split(",")) for name, header in HEADERS.items()}
+
+
+def report(name: str = "dive", **changes: pd.DataFrame) -> Report:
+    nothing = pd.array([], dtype="int64").to_numpy()
+    dive = Dive(
+        name,
+        ImuColumns(nothing, nothing, nothing),
+        DvlColumns(nothing),
+        sha256="ab" * 32,
+        channels=(Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "imu", 42400),),
+    )
+    notes = [Note("imu_gaps", "the IMU pauses 3 times", 3, "warning", "imu.max_gap_s")]
+    used = {**tables(), **changes}
+    aided = Candidate(
+        "aided believes in smaller errors",
+        "not borne out",
+        "consistent",
+        mean_over_nine(used["improvement"], "aided"),
+        mean_over_nine(used["convergence"], "aided"),
+        float("nan"),
+        "over-confident",
+    )
+    return build_report(dive, Config(), used, {"aided": aided}, notes, 1_000_000_000, 425_000_000_000)
+
+
+def test_csv_numbers_are_read_back_exactly_and_missing_ones_are_empty() -> None:
+    table = tables()["convergence"]
+    data = table_csv(table)
+    rows = list(csv.DictReader(io.StringIO(data.decode(), newline="")))
+    assert b"\r" not in data
+    assert [float(row["target_sd"]) for row in rows] == list(table["target_sd"])
+    assert {row["reached_s"] for row in rows} == {"", "106.0"}
+    assert rows[0]["status"] == "never"
+
+
+def test_csv_quotes_a_name_with_a_comma() -> None:
+    table = pd.DataFrame({"log": ['a,"b'], "samples": [3]})
+    assert next(csv.reader(io.StringIO(table_csv(table).decode().split("\n")[1]))) == ['a,"b', "3"]
+
+
+def test_mean_counts_a_missing_improvement_as_zero() -> None:
+    means = report().filters["aided"]
+    assert means.mean_improvement_pct == pytest.approx(3 * 20.0 / 9, abs=1e-12)
+    assert means.mean_convergence_improvement_pct == pytest.approx(75.0 / 9, abs=1e-12)
+
+
+def test_mean_is_missing_when_a_standard_deviation_is_not_finite() -> None:
+    table = tables()["improvement"]
+    table.loc[table["state"] == "ba_z", "status"] = "not finite"
+    assert report(improvement=table).filters["aided"].mean_improvement_pct is None
+
+
+def test_report_json_holds_the_tables_row_for_row() -> None:
+    document = json.loads(encode_report(report()), parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
+    for name, table in tables().items():
+        expected = [
+            {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}
+            for row in table.to_dict("records")
+        ]
+        assert document["tables"][name] == expected
+        assert list(document["tables"][name][0]) == list(table.columns)
+    assert document["notes"] == [
+        {
+            "code": "imu_gaps",
+            "text": "the IMU pauses 3 times",
+            "count": 3,
+            "severity": "warning",
+            "hint": "imu.max_gap_s",
+        }
+    ]
+    assert document["log"]["duration_s"] == pytest.approx(424.0, abs=1e-9)
+    assert document["config"]["filters"]["aided"]["acceleration"]["sd_mps2"] == 0.103
+
+
+def test_report_survives_being_saved_and_read() -> None:
+    first = encode_report(report())
+    assert encode_report(report()) == first
+    assert encode_report(decode_report(first)) == first
+    assert set(json.loads(first)["tool"].values()) == {"insdvl-replay", Tool().version, None}
+
+
+def test_report_from_before_there_were_these_columns_is_still_read() -> None:
+    document = json.loads(encode_report(report()))
+    del document["tables"]["credibility"], document["filters"]["aided"]["credibility"]
+    for row in document["tables"]["consistency"]:
+        del row["autocorrelation"], row["autocorrelation_limit"], row["whiteness"]
+    early = decode_report(json.dumps(document).encode())
+    assert early.tables.credibility == []
+    assert early.tables.consistency[0].verdict == "consistent"
+    assert "Consistency" in markdown_report(early)
+    assert "Innovations" not in markdown_report(early)
+    assert b"velocity consistent; acceleration over-confident," in summary_csv([early])
+
+
+@pytest.mark.parametrize("name", sorted(SCHEMAS))
+def test_schema_file_is_what_the_code_generates(name: str) -> None:
+    assert (SCHEMA_FOLDER / f"{name}.schema.json").read_bytes() == SCHEMAS[name](), (
+        f"run: insdvl-replay schema {name} > schemas/{name}.schema.json"
+    )
+
+
+def test_terminal_tables_fit_80_columns_and_are_whole_when_piped() -> None:
+    for width in (80, 1000):
+        console = Console(width=width, record=True, file=io.StringIO())
+        console.print(terminal_report(report()))
+        text = console.export_text()
+        assert max(len(line.rstrip()) for line in text.split("\n")) <= width
+        assert "…" not in text
+    for cell in (
+        "accelerometer bias, z",
+        "deg/h",
+        "75.0 %",
+        "over-confident",
+        "not in reference",
+        "accel. bias, x",
+        "correlated",
+    ):
+        assert cell in text
+    assert "mean improvement over nine states 6.7 %" in text
+    assert "believed by the filter's own covariance; see reference error and consistency" in text
+
+
+def test_no_gain_stands_beside_a_filter_that_is_not_judged() -> None:
+    judged = report()
+    aided = msgspec.structs.replace(judged.filters["aided"], improvement="not judged")
+    unjudged = msgspec.structs.replace(judged, filters={"aided": aided})
+    assert glance_table(unjudged).rows[0][:5] == ("aided", "not judged", "-", "-", "-")
+    assert heading(unjudged).endswith("aided: NOT JUDGED")
+    assert (len(closing_lines(judged)), len(closing_lines(unjudged))) == (1, 0)
+
+
+def test_markdown_tables_have_one_cell_per_column() -> None:
+    lines = [line for line in markdown_report(report()).split("\n") if line.startswith("|")]
+    assert len(lines) == 12 + 12 + 3 + 3 + 4 + 3 + 6 * 2
+    assert {line.count("|") for line in lines} == {7, 8, 9}
+    assert "| accelerometer bias, z | mg | 1.000 | 0.8000 | - | improved |" in lines
+
+
+def test_latex_escapes_what_latex_would_read() -> None:
+    text = latex_report(report())
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 6
+    assert r"20.0 \% & improved \\" in text
+    assert r"m/s & 1.000" in text
+
+
+def test_csv_of_a_report_is_cut_apart_by_its_first_column() -> None:
+    text = report_csv(report())
+    for name, table in tables().items():
+        block = next(block for block in text.split("\n\n") if f"\n{name}," in block)
+        assert block.split("\n")[0] == ",".join(["table", *table.columns])
+        assert sum(line.startswith(f"{name},") for line in text.split("\n")) == len(table)
+
+
+def test_summary_has_a_row_for_each_log_and_a_reason_for_a_failed_one() -> None:
+    rows = list(
+        csv.DictReader(io.StringIO(summary_csv([report("one"), Failure("two", "two.mcap: is empty")]).decode()))
+    )
+    assert [(row["log"], row["filter"], row["status"]) for row in rows] == [
+        ("one", "aided", "done"),
+        ("two", "", "failed"),
+    ]
+    assert (rows[0]["position_h_baseline_rmse_m"], rows[0]["position_h_rmse_m"]) == ("1.25", "1.5")
+    assert rows[0]["verdicts"] == "velocity consistent; acceleration over-confident; errors over-confident"
+    assert rows[1]["reason"] == "two.mcap: is empty"
+
+
+def test_run_log_names_every_channel_and_note() -> None:
+    text = run_log(report())
+    assert "channel /imu (sensor_msgs/msg/Imu, cdr): 42400 messages, imu\n" in text
+    assert "warning imu_gaps [3]: the IMU pauses 3 times (hint: imu.max_gap_s)\n" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (None, "-"),
+        (9.81274, "9.813"),
+        (-0.0123456, "-0.01235"),
+        (12345.6, "12346"),
+        (1.5e-7, "1.50e-07"),
+        (2e9, "2.00e+09"),
+    ],
+)
+def test_shown_numbers_have_four_significant_digits(value: float | None, text: str) -> None:
+    assert number(value) == text
+
+
+def test_shown_percentages_have_one_digit() -> None:
+    assert (percent(18.449), percent(-0.3), percent(None)) == ("18.4 %", "-0.3 %", "-")
+
+
+def write_result(
+    target: Path, word: str, *, force: bool = False, interruption: type[BaseException] | None = None
+) -> None:
+    with result_folder(target, force=force) as folder:
+        (folder / COMPLETE).write_text(json.dumps({"tool": {"name": "insdvl-replay"}, "word": word}))
+        if interruption:
+            raise interruption
+
+
+def word_of(target: Path) -> str:
+    return str(json.loads((target / COMPLETE).read_bytes())["word"])
+
+
+def write_file(target: Path, word: str, *, force: bool = False, fail: bool = False) -> None:
+    with result_file(target, force=force) as path:
+        path.write_text(word)
+        if fail:
+            raise RuntimeError
+
+
+def test_folder_appears_when_complete(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "dive"
+    with result_folder(target) as folder:
+        (folder / COMPLETE).write_text('{"tool": {}}')
+        assert not target.exists()
+    assert json.loads((target / COMPLETE).read_bytes())["tool"] == {}
+    assert list(target.parent.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, RuntimeError, SystemExit])
+def test_folder_leaves_nothing_behind_and_the_old_one_alone(tmp_path: Path, interruption: type[BaseException]) -> None:
+    target = tmp_path / "dive"
+    write_result(target, "old")
+    with pytest.raises(interruption):
+        write_result(target, "half", force=True, interruption=interruption)
+    assert list(tmp_path.iterdir()) == [target]
+    assert word_of(target) == "old"
+
+
+def test_folder_is_replaced_only_when_asked_to(tmp_path: Path) -> None:
+    target = tmp_path / "dive"
+    write_result(target, "old")
+    with pytest.raises(ConfigError, match="dive: exists"):
+        write_result(target, "new")
+    write_result(target, "new", force=True)
+    assert word_of(target) == "new"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_folder_that_is_no_result_is_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter1.tex").write_text("years of work")
+    with pytest.raises(ConfigError, match="not a result folder"):
+        write_result(tmp_path / "thesis", "new", force=True)
+    assert (tmp_path / "thesis" / "chapter1.tex").read_text() == "years of work"
+
+
+def test_folder_under_a_file_is_refused_in_words(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="cannot be written"):
+        write_result(tmp_path / "file" / "dive", "new")
+
+
+def test_file_is_replaced_only_when_asked_to_and_complete(tmp_path: Path) -> None:
+    target = tmp_path / "dive.mcap"
+    target.write_text("old")
+    with pytest.raises(ConfigError, match=r"dive\.mcap: exists"):
+        write_file(target, "new")
+    with pytest.raises(RuntimeError):
+        write_file(target, "half", force=True, fail=True)
+    assert target.read_text() == "old"
+    write_file(target, "new", force=True)
+    assert target.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [target]
