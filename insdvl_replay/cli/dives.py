@@ -15,12 +15,11 @@ from insdvl_replay.cli.messages import emit, tell, tell_failure, tell_notes
 from insdvl_replay.cli.run import Format
 from insdvl_replay.cli.screen import DivesBar, compiling, patience, rendered
 from insdvl_replay.core.errors import ConfigError, LogError
-from insdvl_replay.report.csv_tables import report_csv
-from insdvl_replay.report.markup import latex_report, markdown_report
 from insdvl_replay.report.page import is_page
 from insdvl_replay.results.folder import refuse_existing_file, result_file
 from insdvl_replay.results.index_page import index_page
 from insdvl_replay.results.json_report import Report, encode_report
+from insdvl_replay.results.output import latex_report, markdown_report, report_csv
 from insdvl_replay.results.summary import Failure, is_summary, summary_csv
 
 OVERVIEWS: Final = {"summary.csv": (summary_csv, is_summary), "index.html": (index_page, is_page)}

@@ -8,8 +8,9 @@ from rich.console import Console, RenderableType
 
 from insdvl_replay.core.compiled import is_warm
 from insdvl_replay.core.progress import told_to
-from insdvl_replay.report.terminal import spoken, terminal_report
+from insdvl_replay.report.terminal import spoken
 from insdvl_replay.results.json_report import Report
+from insdvl_replay.results.output import terminal_report
 
 PIPED_COLUMNS = 10_000
 """Wide enough that nothing is ever folded where no terminal limits the width."""

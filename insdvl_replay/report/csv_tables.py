@@ -7,12 +7,9 @@ import csv
 import io
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Final, get_args, get_type_hints
-
-import msgspec
+from typing import TYPE_CHECKING, Final
 
 from insdvl_replay.core.plain_text import visible
-from insdvl_replay.results.json_report import Report, Tables
 
 if TYPE_CHECKING:
     # Only its type is needed, and whoever compares stored results must not wait for it.
@@ -35,26 +32,6 @@ def table_csv(table: "pd.DataFrame") -> bytes:
         Header and rows. Floats have as many digits as it takes to read them back exactly.
     """
     return rows_csv(list(table.columns), table.itertuples(index=False, name=None)).encode()
-
-
-def report_csv(report: Report) -> str:
-    """Write the tables one after the other, a blank line between them.
-
-    Parameters
-    ----------
-    report : Report
-
-    Returns
-    -------
-    str
-        Every line begins with the column ``table``, the header's too, so that one table is easily cut out.
-    """
-    blocks = []
-    for name, rows_type in get_type_hints(Tables).items():
-        header = ("table", *get_args(rows_type)[0].__struct_fields__)
-        rows = [(name, *msgspec.structs.astuple(row)) for row in getattr(report.tables, name)]
-        blocks.append(rows_csv(header, rows))
-    return "\n".join(blocks)
 
 
 def rows_csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -1,4 +1,4 @@
-"""A report as Markdown, for a merge request, and as LaTeX, for a paper.
+"""Tables and sentences as Markdown, for a merge request, and as LaTeX, for a paper.
 
 Text is shown as everywhere (`plain_text`) and cannot leave its place: no HTML and no link of its own in Markdown, no
 line break that would end a comment in LaTeX. Backticks stay, since hints have commands between them.
@@ -10,9 +10,6 @@ from typing import Final
 
 from insdvl_replay.core.plain_text import visible, visible_lines
 from insdvl_replay.report.display_table import CellText, ShownTable, cell_lines
-from insdvl_replay.results.dive_sentences import closing_lines, heading, verdict_lines
-from insdvl_replay.results.dive_tables import shown_tables
-from insdvl_replay.results.json_report import Report
 
 _LATEX: Final = {
     "\\": r"\textbackslash{}",
@@ -20,20 +17,6 @@ _LATEX: Final = {
     "~": r"\textasciitilde{}",
     **{character: f"\\{character}" for character in "&%$#_{}"},
 }
-
-
-def markdown_report(report: Report) -> str:
-    """Dress a report in Markdown with pipe tables.
-
-    Parameters
-    ----------
-    report : Report
-
-    Returns
-    -------
-    str
-    """
-    return markdown_page(heading(report), verdict_lines(report), shown_tables(report), closing_lines(report))
 
 
 def markdown_page(title: str, opening: Sequence[str], tables: Sequence[ShownTable], closing: Sequence[str] = ()) -> str:
@@ -89,21 +72,6 @@ def markdown_code(text: str, language: str) -> str:
     longest = max((len(run) for run in re.findall("`+", text)), default=0)
     fence = "`" * max(3, longest + 1)
     return f"{fence}{language}\n{visible_lines(text.rstrip())}\n{fence}"
-
-
-def latex_report(report: Report) -> str:
-    """Dress a report in LaTeX, one ``table`` with booktabs rules for each table.
-
-    Parameters
-    ----------
-    report : Report
-
-    Returns
-    -------
-    str
-        Needs ``\\usepackage{booktabs}``.
-    """
-    return latex_page(heading(report), [*verdict_lines(report), *closing_lines(report)], shown_tables(report))
 
 
 def latex_page(title: str, opening: Sequence[str], tables: Sequence[ShownTable]) -> str:

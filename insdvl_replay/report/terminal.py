@@ -1,38 +1,16 @@
-"""A report on a terminal: calm tables that fit 80 columns."""
+"""Tables and sentences on a terminal: calm tables that fit 80 columns."""
 
 from typing import Final
 
 from rich import box
-from rich.console import Group, JustifyMethod, RenderableType
+from rich.console import JustifyMethod
 from rich.table import Table
 from rich.text import Text
 
 from insdvl_replay.core.plain_text import visible, visible_lines
 from insdvl_replay.report.display_table import ShownTable, cell_lines
-from insdvl_replay.results.dive_sentences import closing_lines, heading, verdict_lines
-from insdvl_replay.results.dive_tables import shown_tables
-from insdvl_replay.results.json_report import Report
 
 _JUSTIFY: Final[dict[str, JustifyMethod]] = {"l": "left", "r": "right"}
-
-
-def terminal_report(report: Report) -> Group:
-    """Dress a report for a terminal.
-
-    Parameters
-    ----------
-    report : Report
-
-    Returns
-    -------
-    rich.console.Group
-        To be printed by a rich console, which decides about width and colour.
-    """
-    parts: list[RenderableType] = [spoken(heading(report), "bold"), *map(spoken, verdict_lines(report))]
-    for table in shown_tables(report):
-        parts += [Text(), dressed(table)]
-    parts += [Text(), *map(spoken, closing_lines(report))]
-    return Group(*parts)
 
 
 def spoken(sentence: str, style: str = "") -> Text:

@@ -19,14 +19,13 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.report.csv_tables import report_csv, table_csv
+from insdvl_replay.report.csv_tables import table_csv
 from insdvl_replay.report.display_table import number, percent
-from insdvl_replay.report.markup import latex_report, markdown_report
-from insdvl_replay.report.terminal import terminal_report
 from insdvl_replay.results.dive_sentences import closing_lines, heading
 from insdvl_replay.results.dive_tables import glance_table
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.json_report import Candidate, Report, Tool, build_report, decode_report, encode_report
+from insdvl_replay.results.output import latex_report, markdown_report, report_csv, terminal_report
 from insdvl_replay.results.run_log import run_log
 from insdvl_replay.results.summary import Failure, summary_csv
 
