@@ -12,10 +12,11 @@ import numpy as np
 
 from insdvl_replay.checks.imu import Check
 from insdvl_replay.checks.plausibility import plausibility_checks
+from insdvl_replay.core.clock import Clock
 from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, Note, UserError
-from insdvl_replay.inspection.inventory import Clock, Obstacle, PingFacts, ReferenceFacts
+from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.clocks import clock_notes
 from insdvl_replay.logs.columns.decode import decode_imu
 from insdvl_replay.logs.columns.pings import decode_dvl

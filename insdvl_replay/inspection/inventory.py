@@ -6,6 +6,7 @@ Times count from the log's first message, on the recorder's clock.
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from insdvl_replay.core.clock import Clock
 from insdvl_replay.core.errors import Note
 
 Reading = Literal["sample", "whole"]
@@ -106,38 +107,6 @@ class RoleFacts:
     reason: str
     candidates: tuple[str, ...]
     fields: dict[str, str]
-
-
-@dataclass(frozen=True)
-class Clock:
-    """The stamps of a topic against the times at which it was recorded.
-
-    Attributes
-    ----------
-    role, topic : str
-    stamp : str
-        Where the stamps come from, as the configuration names it.
-    messages : int
-        How many were read to know it.
-    log_minus_stamp_s : float
-        Median.
-    spread_s : float
-        From the 5th to the 95th percentile of log time minus stamp.
-    back_steps, repeats : int
-        Stamps that lie before, or at, the one before in the file.
-    rate_hz : float or None
-        By the stamps: those that differ, over the time between the first and the last; None where all repeat.
-    """
-
-    role: str
-    topic: str
-    stamp: str
-    messages: int
-    log_minus_stamp_s: float
-    spread_s: float
-    back_steps: int
-    repeats: int
-    rate_hz: float | None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from insdvl_replay.checks.plausibility import gyro_scale
+from insdvl_replay.core.clock import Clock
 from insdvl_replay.core.columns import ImuColumns
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import toml_value
@@ -17,7 +18,7 @@ from insdvl_replay.inspection.dry_run import Examination
 from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, judged_dvl
 from insdvl_replay.inspection.field_proposal import listed_settings
 from insdvl_replay.inspection.imu_proposal import imu_settings, imu_topic, judged_imu, judged_rates, measured_scale
-from insdvl_replay.inspection.inventory import Clock, Obstacle
+from insdvl_replay.inspection.inventory import Obstacle
 from insdvl_replay.inspection.proposed_settings import Setting, decisions, not_yet_set, settings_toml, with_settings
 from insdvl_replay.inspection.reference_proposal import reference_settings, reference_topic
 from insdvl_replay.inspection.stamp_proposal import recorder_stamps

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Final
 
+from insdvl_replay.core.clock import Clock
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.inspection.inventory import Clock
 from insdvl_replay.inspection.proposed_settings import Setting
 from insdvl_replay.inspection.topic_probe import SeenTopic
 from insdvl_replay.inspection.vectors import time_paths

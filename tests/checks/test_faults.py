@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from insdvl_replay import checks, logs
+from insdvl_replay.core.clock import Clock
 from insdvl_replay.core.columns import Dive, DvlColumns
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.inspection.inventory import Clock
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.columns.clocks import clock_notes
 from insdvl_replay.replay import Replay, replay_log

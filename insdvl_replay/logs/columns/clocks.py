@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.core.clock import Clock
 from insdvl_replay.core.columns import TimeNs, distinct
 from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.inspection.inventory import Clock
 
 SAME_CLOCK_S: Final = 1.0
 """Messages are not under way for longer than this; clocks further apart are two clocks."""

@@ -6,9 +6,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.core.clock import Clock
 from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.inspection.inventory import Clock
 from insdvl_replay.logs.columns.clocks import measure_clock, stamp_unit
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.damaged_file import refused
