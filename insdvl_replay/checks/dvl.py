@@ -15,8 +15,8 @@ from insdvl_replay.core.columns import DvlColumns, ReferenceColumns, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.units import FASTEST_MPS
 from insdvl_replay.geometry.rotation import wrap_angle
-from insdvl_replay.logs.columns.decode import FASTEST_MPS
 
 SCALE_DOUBT: Final = 0.1
 """Share of a speed or a rate beyond what temperature, sound speed and lever arm explain."""

@@ -8,10 +8,10 @@ from typing import Final
 from insdvl_replay.checks.dvl_comparison import Fit, dvl_by_velocity
 from insdvl_replay.core.columns import DvlColumns, ReferenceColumns
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.units import VELOCITY_UNITS
 from insdvl_replay.inspection.proposed_settings import Setting
 from insdvl_replay.inspection.stamp_proposal import stamp_setting
 from insdvl_replay.inspection.topic_probe import Candidate, SeenTopic
-from insdvl_replay.logs.columns.decode import VELOCITY_UNITS
 from insdvl_replay.logs.container.recording import Recording
 
 _DVL_WORDS: Final = re.compile(r"dvl|doppler|bottom")

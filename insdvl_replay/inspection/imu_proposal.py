@@ -11,10 +11,11 @@ from insdvl_replay.checks.imu import SPIN_RADPS
 from insdvl_replay.checks.plausibility import TRACK_DOUBT, UNIT_WRONG, GyroScale
 from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.config import Imu
+from insdvl_replay.core.units import ANGULAR_RATE_UNITS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.inspection.proposed_settings import Setting
 from insdvl_replay.inspection.stamp_proposal import stamp_setting
 from insdvl_replay.inspection.topic_probe import Candidate, SeenTopic
-from insdvl_replay.logs.columns.decode import ANGULAR_RATE_UNITS, FRD, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS, in_frd
+from insdvl_replay.logs.columns.decode import FRD, in_frd
 from insdvl_replay.logs.container.recording import Recording
 
 _SAME: Final = 0.1

@@ -11,8 +11,8 @@ import numpy as np
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.units import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.inspection.vectors import scalar_paths, vector_paths
-from insdvl_replay.logs.columns.decode import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.channel import LogChannel
 from insdvl_replay.logs.container.recording import Recording

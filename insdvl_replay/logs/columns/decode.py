@@ -8,7 +8,7 @@ import numpy as np
 from insdvl_replay.core.columns import Floats, ImuColumns, TruthColumns
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import ConfigError, Note
-from insdvl_replay.core.states import DEG, MG
+from insdvl_replay.core.units import ANGULAR_RATE_UNITS, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS, SPECIFIC_FORCE_UNITS
 from insdvl_replay.logs.columns.cleaning import Cleaner
 from insdvl_replay.logs.columns.lost_samples import note_lost_samples
 from insdvl_replay.logs.columns.order import Mask
@@ -16,23 +16,8 @@ from insdvl_replay.logs.columns.pauses import note_bursts, note_clock_set, note_
 from insdvl_replay.logs.columns.spikes import drop_spikes
 from insdvl_replay.logs.columns.tables import Table
 
-SPECIFIC_FORCE_UNITS: Final = {"m/s2": 1.0, "g": 1000.0 * MG, "mg": MG}
-"""m/s^2 of one unit."""
-ANGULAR_RATE_UNITS: Final = {"rad/s": 1.0, "deg/s": DEG}
-"""rad/s of one unit."""
-VELOCITY_UNITS: Final = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}
-"""m/s of one unit."""
-
-LARGEST_FORCE_MPS2: Final = 500.0
-"""50 g; no vehicle that carries a DVL feels it."""
-LARGEST_RATE_RADPS: Final = 35.0
-"""2000 deg/s, the range of the quickest gyros on vehicles."""
-FASTEST_MPS: Final = 20.0
-"""No vehicle with a DVL is faster over ground."""
 FRD: Final = "frd"
 """The project's axes, which are assumed where nothing tells them."""
-GRAVITY_MPS2: Final = 9.81
-"""Near enough to tell a unit by."""
 
 _LOST_HINT: Final = "imu.specific_force and imu.angular_rate name other fields; imu.max_gap_s says what is bridged"
 _NAMED_AXES: Final = {"frd": "+x+y+z", "flu": "+x-y-z"}

@@ -11,9 +11,10 @@ from insdvl_replay.core.columns import DvlColumns, Floats, seconds
 from insdvl_replay.core.config import Dvl
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.runs import find_runs
+from insdvl_replay.core.units import FASTEST_MPS, VELOCITY_UNITS
 from insdvl_replay.logs.columns.beams import beam_vectors, note_contradiction
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, same_rows
-from insdvl_replay.logs.columns.decode import FASTEST_MPS, FRD, VELOCITY_UNITS, in_frd
+from insdvl_replay.logs.columns.decode import FRD, in_frd
 from insdvl_replay.logs.columns.lost_samples import note_lost_samples
 from insdvl_replay.logs.columns.order import Mask
 from insdvl_replay.logs.columns.pauses import note_bursts
