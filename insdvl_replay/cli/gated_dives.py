@@ -18,7 +18,7 @@ from insdvl_replay.gates.check_json import check_json
 from insdvl_replay.gates.check_pages import baseline_text, check_markdown, check_sentence, check_text
 from insdvl_replay.gates.checking import (
     Checked,
-    checked_outcome,
+    checked_replay,
     checked_results,
     compare_with_baselines,
     judge_dives,
@@ -166,7 +166,8 @@ def _checked(paths: Sequence[Path], order: Order, replaying: Replaying) -> Itera
             if _is_result(path):
                 yield from checked_results(path)
             else:
-                yield checked_outcome(next(replays))
+                outcome = next(replays)
+                yield checked_replay(outcome.task.target.name, outcome.result)
 
 
 def _update(gates: Gates, checked: Sequence[Checked]) -> None:

@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import msgspec
 
-from insdvl_replay.batch.jobs import Outcome
 from insdvl_replay.core.dive_names import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ConfigError, ResultError, UserError
 from insdvl_replay.core.stored_result import StoredReport, StoredResult
@@ -23,19 +22,20 @@ Checked = tuple[str, StoredReport | Exception]
 _ORDER: Final[tuple[Status, ...]] = ("unusable", "failed", "warning", "off", "passed")
 
 
-def checked_outcome(outcome: Outcome) -> Checked:
-    """Take a replay as a dive to be judged.
+def checked_replay(name: str, result: Report | Exception) -> Checked:
+    """Take what a replay gave as a dive to be judged.
 
     Parameters
     ----------
-    outcome : Outcome
+    name : str
+        Of the dive.
+    result : Report or Exception
 
     Returns
     -------
     tuple of str and StoredReport or Exception
     """
-    result = outcome.result
-    return outcome.task.target.name, result if isinstance(result, Exception) else _stored(result)
+    return name, result if isinstance(result, Exception) else _stored(result)
 
 
 def _stored(report: Report) -> StoredReport:
