@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from insdvl_replay import logs
 from insdvl_replay.core.columns import Dive, TimeNs
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
@@ -31,6 +30,7 @@ from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation.aiding import filter_measurements, filter_noise
 from insdvl_replay.preparation.outages import outage_notes
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
+from insdvl_replay.preparation.reading import read_checked_dive
 
 MOST_COVARIANCES = 20_000
 """So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times."""
@@ -108,7 +108,7 @@ def replay_log(
 
 
 def _read(path: Path | Sequence[Path], config: Config, allow_damaged: bool, name: str | None) -> Dive:
-    dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
+    dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
     return replace(dive, name=name or dive.name)
 
 

@@ -17,11 +17,11 @@ import pandas as pd
 import pictures
 from written import PROJECT, markdown_table, renewed
 
-from insdvl_replay import logs
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.states import NINE
 from insdvl_replay.evaluation.ensemble import Ensemble
+from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.studies.montecarlo import study_montecarlo
 from insdvl_replay.studies.observability import study_observability
@@ -99,7 +99,7 @@ def fog_study(scenario: str, preset: str) -> StudyReport:
 
 def sample(name: str, config: Config) -> Replay:
     """Replay a sample log, and keep all of P."""
-    return replay_dive(logs.read_dive(PROJECT / "sample_logs" / f"{name}.mcap", config), config, keep_cov=True)
+    return replay_dive(read_checked_dive(PROJECT / "sample_logs" / f"{name}.mcap", config), config, keep_cov=True)
 
 
 def written(found: Findings) -> str:

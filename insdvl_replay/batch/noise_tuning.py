@@ -12,7 +12,6 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay import logs
 from insdvl_replay.core.columns import Dive, Floats, ImuColumns
 from insdvl_replay.core.config import Config, Filter
 from insdvl_replay.core.errors import ConfigError, Note
@@ -20,6 +19,7 @@ from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.aiding import dvl_noise, inertial_noise
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
+from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.replay import Replay, replay_dive, run_filters
 
 NAME = "tuned"
@@ -67,7 +67,7 @@ def replay_with_control(
     LogError, ConfigError
         As of `replay.replay_log` and `with_control`.
     """
-    dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
+    dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
     config, notes = with_control(dive, config)
     return replay_dive(replace(dive, name=name or dive.name, notes=(*dive.notes, *notes)), config)
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from insdvl_replay import logs
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import UserError
 from insdvl_replay.inspection.inventory import Inventory, Obstacle
@@ -44,8 +43,9 @@ def inspect_log(
             return inventory
         # Not imported before it is needed: a look at the file alone takes less than the filters' import.
         from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
+        from insdvl_replay.preparation.reading import read_checked_dive
 
-        dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
+        dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
         notes = prepare_dive(with_reference_at_imu(dive, config), config).notes
     except UserError as error:
         obstacle = Obstacle(error.message, error.hint)

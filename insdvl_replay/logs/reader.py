@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from insdvl_replay.checks.plausibility import plausibility_notes
 from insdvl_replay.core.channel import Channel
 from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
@@ -36,13 +35,14 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     Returns
     -------
     Dive
-        Clean columns; every loss is a note. The span of the configuration is not applied.
+        Clean columns; every loss is a note. Whether they can be so is not asked, and the span of the configuration is
+        not applied.
 
     Raises
     ------
     LogError
         The file cannot be read, changes meanwhile or is damaged, has no IMU or DVL, is not clear about which topic is
-        which, mixes clocks, or holds what cannot be so.
+        which, or mixes clocks.
     ConfigError
         The axes or the beam geometry of the configuration cannot be.
     """
@@ -66,7 +66,6 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     truth, truth_notes = decode_truth(tables.pop()) if roles.truth else (None, [])
     reference, reference_notes = decode_reference(tables, config.reference)
     notes += [*imu_notes, *dvl_notes, *reference_notes, *truth_notes]
-    notes += plausibility_notes(place, imu, dvl, reference, config)
     return Dive(
         name=dive_name(log.path),
         imu=imu,

@@ -6,7 +6,6 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay import logs
 from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Acceleration, Config, Filter, Initial
 from insdvl_replay.core.errors import ConfigError
@@ -20,6 +19,7 @@ from insdvl_replay.nav.remaining import remaining_cov
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation.aiding import filter_measurements, filter_noise
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
+from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS
 from insdvl_replay.studies.observability_document import observability_sentences, shown_observability
@@ -113,7 +113,7 @@ def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
     """Read the log, or make the scenario's exact dive, whose sensors have no scale and no biases to take out."""
     path = Path(dive_or_scenario)
     if path.exists():
-        return with_reference_at_imu(logs.read_dive(path, config), config), config
+        return with_reference_at_imu(read_checked_dive(path, config), config), config
     if dive_or_scenario not in SCENARIOS:
         raise ConfigError(f"{dive_or_scenario}: is neither a log nor a scenario", f"scenarios: {', '.join(SCENARIOS)}")
     dvl = msgspec.structs.replace(config.dvl, scale=1.0)

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from insdvl_replay import logs
 from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.config import Acceleration, Config
 from insdvl_replay.core.dive_names import dive_name
@@ -27,6 +26,7 @@ from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, wi
 from insdvl_replay.nav.gaps import Gaps
 from insdvl_replay.preparation.lever_arm import reference_at_imu
 from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.studies.study_report import StudyReport, write_study
 from insdvl_replay.studies.window_document import shown_windows, window_sentences
 from insdvl_replay.studies.window_picture import draw_windows
@@ -159,7 +159,7 @@ def _studied(
     studied, refused = [], []
     for path in paths:
         try:
-            studied.append(dive_windows(logs.read_dive(path, config), config, longest))
+            studied.append(dive_windows(read_checked_dive(path, config), config, longest))
         except LogError as error:
             refused.append(error)
     if not studied:

@@ -14,8 +14,9 @@ from insdvl_replay.core.clock import Clock
 from insdvl_replay.core.columns import Dive, DvlColumns
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.logs import write_dive
 from insdvl_replay.logs.columns.clocks import clock_notes
+from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.replay import Replay, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -119,7 +120,7 @@ def test_dvl_that_never_changes_is_refused(value: float, dive: Dive, tmp_path: P
         tmp_path / "dive.mcap", replace(dive, dvl=DvlColumns(dive.dvl.time_ns, velocity_d=np.full((60, 3), value)))
     )
     with pytest.raises(LogError, match=r"/dvl: the values of all 60 pings are the same for 59\.0 s") as refused:
-        read_dive(tmp_path / "dive.mcap", CONFIG)
+        read_checked_dive(tmp_path / "dive.mcap", CONFIG)
     assert "dvl.velocity" in refused.value.hint
 
 
@@ -143,7 +144,7 @@ def test_dvl_in_another_unit_is_refused_with_and_without_a_reference(dive: Dive,
     for name, wrong in (("with", milli), ("without", replace(milli, reference=None))):
         write_dive(tmp_path / f"{name}.mcap", wrong)
         with pytest.raises(LogError) as refused:
-            read_dive(tmp_path / f"{name}.mcap", CONFIG)
+            read_checked_dive(tmp_path / f"{name}.mcap", CONFIG)
         assert 'dvl.velocity_unit = "mm/s"' in refused.value.hint
 
 

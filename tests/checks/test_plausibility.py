@@ -16,7 +16,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
-from insdvl_replay.logs import read_dive
+from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -75,7 +75,7 @@ def test_simulated_dives_are_in_order(scenario: str, grade: str) -> None:
 @pytest.mark.parametrize("run", ["01", "02", "05", "07", "08", "09", "11", "12"])
 def test_real_dives_are_in_order(run: str) -> None:
     config = load_config(file=PROJECT / "examples" / "snapir.toml")
-    dive = read_dive(DATA / "snapir" / f"snapir_{run}.mcap", config)
+    dive = read_checked_dive(DATA / "snapir" / f"snapir_{run}.mcap", config)
     assert set(notes_of(dive, config)) == ({"reference_scale"} if run in ("11", "12") else set())
     assert not notes_of(positions_only(dive), config)
     assert not notes_of(replace(dive, reference=None), config)
@@ -300,7 +300,7 @@ def test_axis_of_the_dvl_that_is_turned_is_named(signs: tuple[int, int, int], na
 @pytest.mark.parametrize("run", ["01", "07", "11"])
 def test_turned_axes_of_a_real_dvl_are_named(run: str) -> None:
     config = load_config(file=PROJECT / "examples" / "snapir.toml", overrides=["dvl.axes=flu"])
-    dive = read_dive(DATA / "snapir" / f"snapir_{run}.mcap", config)
+    dive = read_checked_dive(DATA / "snapir" / f"snapir_{run}.mcap", config)
     assert "starboard and down" in notes_of(dive, config)["dvl_axes"].text
 
 
@@ -380,7 +380,7 @@ def test_few_samples_are_not_judged() -> None:
 
 def blueye(file: str, *overrides: str) -> tuple[Dive, Config]:
     config = load_config(file=PROJECT / "examples" / "blueye_x3.toml", overrides=overrides)
-    return read_dive(DATA / "blueye_x3" / f"{file}.mcap", config), config
+    return read_checked_dive(DATA / "blueye_x3" / f"{file}.mcap", config), config
 
 
 @needs_data
@@ -416,7 +416,7 @@ def test_real_imu_that_is_too_slow_and_not_in_rad_per_s() -> None:
     overrides += ["imu.topic=/coug2/modem_imu", "reference.topic=/coug2/odom"]
     path = DATA / "cougars" / "so_lastbag.mcap"
     with pytest.raises(LogError) as spinning:
-        read_dive(path, load_config(overrides=overrides))
+        read_checked_dive(path, load_config(overrides=overrides))
     assert 'imu.angular_rate_unit = "deg/s"' in spinning.value.hint
     with pytest.raises(LogError, match=r"the IMU has 10\.0 samples a second"):
-        read_dive(path, load_config(overrides=[*overrides, "imu.angular_rate_unit=deg/s"]))
+        read_checked_dive(path, load_config(overrides=[*overrides, "imu.angular_rate_unit=deg/s"]))

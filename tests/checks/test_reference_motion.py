@@ -13,7 +13,8 @@ from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.logs import write_dive
+from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.sim.dive import START_NS, exact_dive
 
 SECOND = 1_000_000_000
@@ -186,7 +187,7 @@ def test_gyros_of_a_wrong_scale_make_no_jumps(turning: Dive, scale: float) -> No
 def test_jump_is_a_note_of_the_log(tmp_path: Path, turning: Dive) -> None:
     path = tmp_path / "dive.mcap"
     write_dive(path, replace(turning, reference=jumped(20.0, 60.2)(reference_of(turning))))
-    assert "reference_jump" in {note.code for note in read_dive(path, Config()).notes}
+    assert "reference_jump" in {note.code for note in read_checked_dive(path, Config()).notes}
 
 
 # --- Real dives.
@@ -195,12 +196,12 @@ def test_jump_is_a_note_of_the_log(tmp_path: Path, turning: Dive) -> None:
 @pytest.mark.parametrize(("number", "percent"), [("11", -0.6), ("12", 0.8)])
 def test_two_real_references_contradict_themselves(snapir: Path, number: str, percent: float) -> None:
     path, config = snapir / f"snapir_{number}.mcap", load_config()
-    (note,) = (note for note in read_dive(path, config).notes if note.code == "reference_scale")
+    (note,) = (note for note in read_checked_dive(path, config).notes if note.code == "reference_scale")
     says = float(note.text.split(" go ")[1].split(" ")[0]) * (1.0 if "further" in note.text else -1.0)
     assert says == pytest.approx(percent, abs=0.06)
 
 
 @pytest.mark.parametrize("number", ["01", "02", "05", "07", "08", "09"])
 def test_the_other_real_references_do_not(snapir: Path, number: str) -> None:
-    codes = {note.code for note in read_dive(snapir / f"snapir_{number}.mcap", load_config()).notes}
+    codes = {note.code for note in read_checked_dive(snapir / f"snapir_{number}.mcap", load_config()).notes}
     assert not codes & {"reference_scale", "reference_jump", "reference_contradiction", "reference_not_finite"}

@@ -17,6 +17,7 @@ from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.columns.decode import in_frd
 from insdvl_replay.logs.encoding.ros2msg import definition_text
+from insdvl_replay.preparation.reading import read_checked_dive
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real logs in ../shared/data are not here")
@@ -139,7 +140,7 @@ def test_units_and_axes_of_the_imu(log: Any) -> None:
     dive = read_dive(path, Config(imu=settings))
     np.testing.assert_allclose(dive.imu.specific_force_b[0], [0.0, -0.980665, -9.80665], rtol=1e-15)
     np.testing.assert_allclose(dive.imu.angular_rate_b[0], [0.0, -np.pi / 2, 0.0], rtol=1e-15)
-    assert {"imu_gravity"} <= counts(read_dive(path, Config())).keys()
+    assert {"imu_gravity"} <= counts(read_checked_dive(path, Config())).keys()
 
 
 def test_stamp_sources_and_latency(log: Any) -> None:
@@ -183,8 +184,8 @@ def test_covariance_of_minus_one_means_not_measured(log: Any) -> None:
 
 def test_upside_down_imu_is_noticed(log: Any) -> None:
     path = log([imu(0.01 * i, (0.0, 0.0, 9.8)) for i in range(5)] + good()[100:])
-    assert "imu_upside_down" in counts(read_dive(path, Config()))
-    assert "imu_upside_down" not in counts(read_dive(path, Config(imu=Imu(axes="flu"))))
+    assert "imu_upside_down" in counts(read_checked_dive(path, Config()))
+    assert "imu_upside_down" not in counts(read_checked_dive(path, Config(imu=Imu(axes="flu"))))
 
 
 # The DVL
@@ -341,7 +342,7 @@ def test_real_dive_agrees_with_the_official_decoder(name: str) -> None:
     with path.open("rb") as stream:
         for _, channel, _, message in make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
             decoded[channel.topic].append(message)
-    dive = read_dive(path, Config())
+    dive = read_checked_dive(path, Config())
     assert [note.code for note in dive.notes] == ["reference_scale"] * (name in OWN_WAY)
     _assert_columns(dive.imu.time_ns, decoded["/imu"], _stamp_ns)
     _assert_columns(dive.imu.specific_force_b, decoded["/imu"], lambda m: _vector(m.linear_acceleration))

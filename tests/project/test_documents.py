@@ -129,7 +129,13 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
     found = [module.name for room in rooms for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}.")]
     modules = {name.removeprefix("insdvl_replay.") for name in found}
     # They hand settings to the mathematics, a start to the filter, and results to the history.
-    without = {"preparation.aiding", "preparation.prepared", "preparation.start_position", "nav.state_log"}
+    without = {
+        "preparation.aiding",
+        "preparation.prepared",
+        "preparation.reading",
+        "preparation.start_position",
+        "nav.state_log",
+    }
     named = {".".join(function.split(".")[:2]) for row in equations() for function in row.functions}
     assert modules - without == {name for name in named if name.startswith(("nav.", "preparation."))}
 

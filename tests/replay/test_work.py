@@ -26,6 +26,7 @@ from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.local_earth import Place, place_at
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import Timeline, first_node, is_last, next_node
+from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.results.result_files import save_replay
 from insdvl_replay.sim.dive import simulate_dive
@@ -94,7 +95,7 @@ def test_the_readings_are_gone_when_the_tables_are_made(tmp_path: Path, monkeypa
     write_dive(path, dive_of(SHORT_S))
 
     def watched(*arguments: Any, **options: Any) -> Dive:
-        dive = read_dive(*arguments, **options)
+        dive = read_checked_dive(*arguments, **options)
         readings.extend(weakref.ref(column) for column in (dive.imu.specific_force_b, dive.imu.angular_rate_b))
         return dive
 
@@ -102,7 +103,7 @@ def test_the_readings_are_gone_when_the_tables_are_made(tmp_path: Path, monkeypa
         assert [alive() for alive in readings] == [None, None]
         return make_tables(*arguments)
 
-    monkeypatch.setattr(replay.logs, "read_dive", watched)
+    monkeypatch.setattr(replay, "read_checked_dive", watched)
     monkeypatch.setattr(replay, "_tables", tables_of)
     replay.replay_log(path, Config())
 
