@@ -1,8 +1,4 @@
-"""Long gaps of the IMU: where they are, what a vehicle may have done in them, and the longest part without one.
-
-In a gap the readings are the line between its two ends. The true force and rate are unknown there, and an error that
-lasts from end to end is the worst of them: its density ``sd^2 T`` gives after a gap of T the deviation ``sd T``.
-"""
+"""Long gaps of the IMU: where they are, which nodes a time line needs in them, and the longest part without one."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -10,16 +6,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, TimeNs, nanoseconds, seconds
-from insdvl_replay.core.config import Imu
-from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.states import DEG, DV, PHI, STATES
-from insdvl_replay.geometry.rotation import skew
+from insdvl_replay.core.columns import Floats, TimeNs, seconds
+from insdvl_replay.core.states import STATES
 
-LONGEST_BRIDGE_S: Final = 3600.0
-"""Through a longer gap the line between two readings says nothing; the dive has to be split there."""
-WIDEST_ATTITUDE_RAD: Final = np.pi / 2.0
-"""Where an attitude may be off by more, errors no longer add up and no filter is honest: the dive is split there."""
 BRIDGE_STEP_S: Final = 1.0
 """Spacing of the nodes inside a gap: short enough that growing uncertainties see each other grow."""
 
@@ -101,127 +90,6 @@ class Gaps:
         ends = np.concatenate([inside.start_ns, [end_ns]])
         longest = int(np.argmax(ends - starts))
         return int(starts[longest]), int(ends[longest])
-
-
-def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
-    """Find the pauses between samples that are too long to be bridged as if nothing happened in them.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-        Times of the IMU's samples.
-    imu : Imu
-        Settings: how long is long, and what a vehicle may do unseen.
-
-    Returns
-    -------
-    Gaps
-    """
-    rows = np.flatnonzero(np.diff(time_ns) > nanoseconds(imu.max_gap_s))
-    start_ns, end_ns = time_ns[rows], time_ns[rows + 1]
-    length_s = seconds(end_ns, start_ns)[:, None]
-    density = np.zeros((len(rows), len(STATES)))
-    density[:, DV] = imu.gap_accel_mps2**2 * length_s
-    # No attitude is less known than by half a turn, however long nobody looked.
-    density[:, PHI] = np.minimum(imu.gap_rate_degps * DEG * length_s, np.pi) ** 2 / length_s
-    return Gaps(start_ns, end_ns, density)
-
-
-def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats, imu: Imu) -> Floats:
-    """Give the covariance of ``w x l`` at pings inside a gap, where the turn rate is unknown; zero elsewhere.
-
-    Parameters
-    ----------
-    gaps : Gaps
-    time_ns : ndarray, shape (m,)
-        Times of the pings.
-    lever_arm_b : ndarray, shape (3,)
-        IMU to DVL, m.
-    imu : Imu
-        Settings.
-
-    Returns
-    -------
-    ndarray, shape (m, 3, 3), m^2/s^2
-    """
-    inside = gaps.overlap(time_ns, time_ns)
-    arm = skew(lever_arm_b)
-    return inside[:, None, None] * (imu.gap_rate_degps * DEG) ** 2 * (arm @ arm.T)
-
-
-def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int) -> tuple[int, int, tuple[Note, ...]]:
-    """Do with the long gaps of a span what the configuration wants, and say so.
-
-    Parameters
-    ----------
-    gaps : Gaps
-    imu : Imu
-        Settings.
-    start_ns, end_ns : int
-        Span to replay.
-    origin_ns : int
-        The dive's start, from which the notes count seconds.
-
-    Returns
-    -------
-    start_ns, end_ns : int
-        Span without what was split off.
-    notes : tuple of Note
-
-    Raises
-    ------
-    LogError
-        A gap is too long to be bridged.
-    """
-    inside = gaps.within(start_ns, end_ns)
-    if not len(inside.start_ns):
-        return start_ns, end_ns, ()
-    split_at = (
-        inside if imu.long_gaps == "split" else inside.where(_turns_unseen_rad(inside, imu) > WIDEST_ATTITUDE_RAD)
-    )
-    notes: tuple[Note, ...] = ()
-    if len(split_at.start_ns):
-        kept_ns = split_at.longest_stretch(start_ns, end_ns)
-        notes = (_split_note(split_at, imu, (start_ns, end_ns), kept_ns, origin_ns),)
-        (start_ns, end_ns), inside = kept_ns, inside.within(*kept_ns)
-    if not len(inside.start_ns):
-        return start_ns, end_ns, notes
-    found = _found(inside, imu, origin_ns)
-    split = "--set imu.long_gaps=split replays the longest part without"
-    if inside.length_s.max() > LONGEST_BRIDGE_S:
-        raise LogError(f"{found}; over {LONGEST_BRIDGE_S:g} s nothing can bridge it", split)
-    text = f"{found}; they are bridged, and the filters' uncertainty grows in them"
-    return start_ns, end_ns, (*notes, Note("imu_long_gaps", text, len(inside.start_ns), "warning", split))
-
-
-def _turns_unseen_rad(gaps: Gaps, imu: Imu) -> Floats:
-    """Give the deviation of what a vehicle may have turned in each gap."""
-    return np.asarray(imu.gap_rate_degps * DEG * gaps.length_s)
-
-
-def _split_note(gaps: Gaps, imu: Imu, span_ns: tuple[int, int], kept_ns: tuple[int, int], origin_ns: int) -> Note:
-    """Say what is left of a dive that is split, and which setting bridges its gaps."""
-    from_s, to_s = ((time_ns - origin_ns) * 1e-9 for time_ns in kept_ns)
-    left_out_s = (span_ns[1] - span_ns[0] - kept_ns[1] + kept_ns[0]) * 1e-9
-    hint, why = "--set imu.long_gaps=grow bridges those in which the attitude is not lost", ""
-    if imu.long_gaps == "grow":
-        widest_deg = float(_turns_unseen_rad(gaps, imu).max()) / DEG
-        why = f" ({imu.gap_rate_degps:g} deg/s unseen leave the attitude unknown by {widest_deg:.0f} deg)"
-        hint = "a smaller imu.gap_rate_degps, if the vehicle cannot have turned so fast, bridges them"
-    text = f"{_found(gaps, imu, origin_ns)}{why}; only {from_s:.1f} to {to_s:.1f} s are replayed, "
-    return Note("imu_split", f"{text}{left_out_s:.1f} s are left out", len(gaps.start_ns), "warning", hint)
-
-
-def _found(gaps: Gaps, imu: Imu, origin_ns: int) -> str:
-    longest_s, first_s = float(gaps.length_s.max()), (int(gaps.start_ns[0]) - origin_ns) * 1e-9
-    return (
-        f"the IMU has {_counted(len(gaps.start_ns))} longer than {imu.max_gap_s:g} s, the first at {first_s:.1f} s, "
-        f"the longest of {longest_s:.1f} s, {gaps.length_s.sum():.1f} s in all"
-    )
-
-
-def _counted(gaps: int) -> str:
-    return "1 gap" if gaps == 1 else f"{gaps} gaps"
 
 
 NO_GAPS: Final = Gaps(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, len(STATES))))

@@ -9,7 +9,7 @@ from insdvl_replay.core.columns import Floats, TimeNs
 from insdvl_replay.core.config import Config, Filter, Noise
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.error_model import noise_density
-from insdvl_replay.nav.gaps import NO_GAPS, Gaps, swing_cov
+from insdvl_replay.nav.gaps import NO_GAPS, Gaps
 from insdvl_replay.nav.levelling import SensorNoise
 from insdvl_replay.nav.measurements import (
     PUBLISHED,
@@ -19,6 +19,7 @@ from insdvl_replay.nav.measurements import (
     velocity_cov,
     velocity_measurement,
 )
+from insdvl_replay.preparation.long_gaps import swing_cov
 
 
 class DvlNoise(NamedTuple):

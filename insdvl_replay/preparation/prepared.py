@@ -10,10 +10,11 @@ from insdvl_replay.core.errors import ConfigError, LogError, Note, about
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
-from insdvl_replay.nav.gaps import Gaps, find_gaps, settle_gaps
+from insdvl_replay.nav.gaps import Gaps
 from insdvl_replay.preparation.aiding import sensor_noise
 from insdvl_replay.preparation.alignment import Alignment, align
 from insdvl_replay.preparation.lever_arm import reference_at_imu
+from insdvl_replay.preparation.long_gaps import find_gaps, settle_gaps
 
 
 @dataclass(frozen=True)
