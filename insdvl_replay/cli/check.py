@@ -1,22 +1,11 @@
 """``insdvl-replay check``. The work is in `gated_dives`, which is imported only once there is work to do."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.options import Jobs, Rerun, Scheduler, SchedulerPatience, Settings, Verbose
-
-
-class CheckFormat(StrEnum):
-    """How it is told what became of the gates."""
-
-    TEXT = "text"
-    MARKDOWN = "md"
-    JSON = "json"
-    JUNIT = "junit"
-    GITHUB = "github"
+from insdvl_replay.cli.options import CheckFormat, Jobs, Rerun, Scheduler, SchedulerPatience, Settings, Verbose
 
 
 def check(

@@ -1,33 +1,12 @@
 """``insdvl-replay compare``."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from insdvl_replay.cli.messages import tell_notes
-from insdvl_replay.cli.options import Verbose
-
-
-class Sort(StrEnum):
-    """The order of rows."""
-
-    TABLE = "table"
-    NAME = "name"
-    CHANGE = "change"
-    WORSE = "worse"
-
-
-class ComparisonFormat(StrEnum):
-    """How a comparison is printed: as all tables are, or as a page."""
-
-    TABLE = "table"
-    JSON = "json"
-    CSV = "csv"
-    MARKDOWN = "md"
-    LATEX = "latex"
-    HTML = "html"
+from insdvl_replay.cli.options import ComparisonFormat, Sort, Verbose
 
 
 def compare(

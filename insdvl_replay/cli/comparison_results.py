@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from typing import Final
 
-from insdvl_replay.cli.compare import ComparisonFormat
 from insdvl_replay.cli.messages import emit
+from insdvl_replay.cli.options import ComparisonFormat
 from insdvl_replay.cli.screen import printed
 from insdvl_replay.comparison.output import (
     comparison_csv,

@@ -12,7 +12,7 @@ from insdvl_replay.batch.executors import Workers
 from insdvl_replay.batch.jobs import Order, Outcome, Task, known_reports, plan_tasks, replay_archive
 from insdvl_replay.batch.worker_processes import local_workers
 from insdvl_replay.cli.messages import emit, tell, tell_failure, tell_notes
-from insdvl_replay.cli.run import Format
+from insdvl_replay.cli.options import Format
 from insdvl_replay.cli.screen import DivesBar, compiling, patience, rendered
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.report.page import is_page

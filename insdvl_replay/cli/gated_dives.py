@@ -8,9 +8,9 @@ from pathlib import Path
 from insdvl_replay.batch.cluster import Cluster
 from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.batch.jobs import Order, plan_tasks
-from insdvl_replay.cli.check import CheckFormat
 from insdvl_replay.cli.dives import outcomes
 from insdvl_replay.cli.messages import emit, tell, tell_failure
+from insdvl_replay.cli.options import CheckFormat
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, about

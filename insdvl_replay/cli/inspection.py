@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from insdvl_replay.cli.messages import emit, tell_failure
-from insdvl_replay.cli.options import Logs, OneDive, Preset, Settings, Verbose
-from insdvl_replay.cli.run import Format
+from insdvl_replay.cli.options import Format, Logs, OneDive, Preset, Settings, Verbose
 
 if TYPE_CHECKING:
     from insdvl_replay.inspection.inventory import Inventory

@@ -1,11 +1,53 @@
-"""Options that several commands share."""
+"""Options that several commands share, and the words that options choose from."""
 
+from enum import StrEnum
 from typing import Annotated
 
 import typer
 
 from insdvl_replay.cli.completion import preset_names, scenario_names
 from insdvl_replay.core.errors import ConfigError
+
+
+class Format(StrEnum):
+    """How results are printed."""
+
+    TABLE = "table"
+    JSON = "json"
+    CSV = "csv"
+    MARKDOWN = "md"
+    LATEX = "latex"
+
+
+class ComparisonFormat(StrEnum):
+    """How a comparison is printed: as all tables are, or as a page."""
+
+    TABLE = "table"
+    JSON = "json"
+    CSV = "csv"
+    MARKDOWN = "md"
+    LATEX = "latex"
+    HTML = "html"
+
+
+class Sort(StrEnum):
+    """The order of rows."""
+
+    TABLE = "table"
+    NAME = "name"
+    CHANGE = "change"
+    WORSE = "worse"
+
+
+class CheckFormat(StrEnum):
+    """How it is told what became of the gates."""
+
+    TEXT = "text"
+    MARKDOWN = "md"
+    JSON = "json"
+    JUNIT = "junit"
+    GITHUB = "github"
+
 
 Preset = Annotated[
     str | None,

@@ -1,6 +1,5 @@
 """``insdvl-replay run``. The work is in `dives`, which is imported only once there is work to do."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +7,7 @@ import typer
 
 from insdvl_replay.cli.options import (
     Force,
+    Format,
     Jobs,
     Logs,
     OneDive,
@@ -18,16 +18,6 @@ from insdvl_replay.cli.options import (
     Settings,
     Verbose,
 )
-
-
-class Format(StrEnum):
-    """How results are printed."""
-
-    TABLE = "table"
-    JSON = "json"
-    CSV = "csv"
-    MARKDOWN = "md"
-    LATEX = "latex"
 
 
 def run(

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.options import Force, Outages, Preset, Scenario, Settings, Verbose, outage_spans
-from insdvl_replay.cli.run import Format
+from insdvl_replay.cli.options import Force, Format, Outages, Preset, Scenario, Settings, Verbose, outage_spans
 
 study = typer.Typer(rich_markup_mode=None, no_args_is_help=True)
 

@@ -1,7 +1,7 @@
 """Print what a study found."""
 
 from insdvl_replay.cli.messages import emit
-from insdvl_replay.cli.run import Format
+from insdvl_replay.cli.options import Format
 from insdvl_replay.cli.screen import printed
 from insdvl_replay.studies.study_json import study_json
 from insdvl_replay.studies.study_report import (
