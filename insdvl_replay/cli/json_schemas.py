@@ -10,7 +10,6 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.gates.check_json import CheckReport
 from insdvl_replay.inspection.inventory import Inventory
 from insdvl_replay.results.json_report import Report, as_json
-from insdvl_replay.studies.study_json import StudyResult
 
 
 def config_schema() -> bytes:
@@ -30,6 +29,9 @@ def inspection_schema() -> bytes:
 
 def study_schema() -> bytes:
     """Describe the report.json of a study as JSON schema (draft 2020-12)."""
+    # Its tables and pictures are heavy to import, and no other schema waits for that.
+    from insdvl_replay.studies.study_report import StudyResult
+
     return _schema(StudyResult, "insdvl-replay study")
 
 

@@ -3,10 +3,10 @@
 from insdvl_replay.cli.messages import emit
 from insdvl_replay.cli.options import Format
 from insdvl_replay.cli.screen import printed
-from insdvl_replay.studies.study_json import study_json
 from insdvl_replay.studies.study_report import (
     StudyReport,
     study_csv,
+    study_json,
     study_latex,
     study_markdown,
     study_terminal,

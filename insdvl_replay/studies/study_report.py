@@ -1,12 +1,14 @@
-"""The result of a study: sentences and tables, for people, for scripts and for the folder that keeps them."""
+"""The result of a study: sentences and tables, for people, for scripts, as a page, and the folder that keeps them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import pandas as pd
 from matplotlib.figure import Figure
+from msgspec import Meta, Struct
 from rich.console import Group, RenderableType
 from rich.text import Text
 
@@ -16,11 +18,12 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.report.csv_tables import rows_csv, table_csv
 from insdvl_replay.report.display_table import ShownTable
 from insdvl_replay.report.markup import latex_page, markdown_page
+from insdvl_replay.report.page import Heading, Lead, Part, page
+from insdvl_replay.report.page_parts import facts, losses, picture, settings_details
 from insdvl_replay.report.pictures import picture_bytes
 from insdvl_replay.report.terminal import dressed, spoken
 from insdvl_replay.results.folder import COMPLETE, PAGE
-from insdvl_replay.studies.study_json import study_json
-from insdvl_replay.studies.study_page import study_page
+from insdvl_replay.results.json_report import Files, Tool, as_json, package_versions, records, this_tool
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,22 @@ class StudyReport:
     config: Config
     notes: tuple[Note, ...] = ()
     series: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+
+
+class StudyResult(Struct, frozen=True):
+    """What a study keeps as JSON."""
+
+    tool: Tool
+    versions: Annotated[dict[str, str], Meta(description="of Python and the packages that may move a number")]
+    study: Annotated[str, Meta(description="name of the command")]
+    arguments: Annotated[dict[str, Any], Meta(description="what it was asked")]
+    sentences: Annotated[list[str], Meta(description="what it found, in words")]
+    tables: Annotated[
+        dict[str, list[dict[str, Any]]], Meta(description="row for row as in the CSV files; null for what is missing")
+    ]
+    notes: Annotated[list[Note], Meta(description="what was dropped, assumed or found odd")]
+    config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
+    files: Files = {}
 
 
 def write_study(
@@ -112,3 +131,53 @@ def study_terminal(report: StudyReport) -> Group:
     for table in report.shown:
         parts += [Text(), dressed(table)]
     return Group(*parts)
+
+
+def study_json(report: StudyReport) -> bytes:
+    """Write a study as JSON, null for what is missing. The same study gives the same bytes."""
+    result = StudyResult(
+        tool=this_tool(),
+        versions=package_versions(),
+        study=report.study,
+        arguments=dict(report.arguments),
+        sentences=list(report.sentences),
+        tables={name: records(table) for name, table in report.tables.items()},
+        notes=list(report.notes),
+        config=msgspec.to_builtins(report.config),
+    )
+    return as_json(result)
+
+
+def study_page(report: StudyReport, pictures: Mapping[str, bytes]) -> bytes:
+    """Write the page of a study.
+
+    Parameters
+    ----------
+    report : StudyReport
+    pictures : mapping of str to bytes
+        SVG by name.
+
+    Returns
+    -------
+    bytes
+        The same study gives the same bytes.
+    """
+    tool = Tool()
+    asked = {
+        name: ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+        for name, value in report.arguments.items()
+    }
+    versions = ", ".join(f"{name} {version}" for name, version in package_versions().items())
+    parts: list[Part] = [
+        *map(Lead, report.sentences),
+        Heading("Pictures"),
+        *(picture(name, svg) for name, svg in pictures.items()),
+        Heading("Tables"),
+        *report.shown,
+        Heading("What was lost or assumed"),
+        losses(report.notes),
+        Heading("Provenance"),
+        facts({**asked, "tool": f"{tool.name} {tool.version}", "with": versions}),
+        settings_details(render_toml(report.config)),
+    ]
+    return page(report.title, parts)
