@@ -13,7 +13,7 @@ from insdvl_replay.cli.messages import emit, tell, tell_failure
 from insdvl_replay.cli.options import CheckFormat
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.errors import ConfigError, about
+from insdvl_replay.core.errors import ConfigError, about, looked_for
 from insdvl_replay.gates.check_json import check_json
 from insdvl_replay.gates.check_pages import baseline_text, check_markdown, check_sentence, check_text
 from insdvl_replay.gates.checking import (
@@ -148,8 +148,11 @@ def _refuse_to_overwrite(told: Told, inputs: Sequence[Path]) -> None:
 def _settings(gates: Gates, config: Path | None, settings: Sequence[str]) -> Config:
     named = gates.content.config
     file = config if config or named is None else gates.path.parent / named
-    if file != config and file is not None and not file.is_file():
-        raise ConfigError(f"{gates.path}: config names {file}, which is no file", "paths are seen from the gate file")
+    if file != config and file is not None:
+        with looked_for(file):
+            if not file.is_file():
+                found = f"{gates.path}: config names {file}, which is no file"
+                raise ConfigError(found, "paths are seen from the gate file")
     return load_config(gates.content.preset, file, settings)
 
 

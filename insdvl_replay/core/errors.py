@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Final, Literal
 
 Severity = Literal["info", "warning"]
@@ -72,6 +73,15 @@ def about(place: str) -> Iterator[None]:
         yield
     except UserError as error:
         raise type(error)(f"{place}: {error.message}", error.hint) from error
+
+
+@contextmanager
+def looked_for(path: Path) -> Iterator[None]:
+    """Tell why the system cannot look for a file: too long a name, or a folder that may not be entered."""
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be looked for: {error.strerror}", "check the path") from error
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

@@ -7,7 +7,7 @@ from typing import Any, Final
 import msgspec
 
 from insdvl_replay.core.dive_names import LONGEST_NAME, is_dive_name
-from insdvl_replay.core.errors import ConfigError, ResultError, UserError
+from insdvl_replay.core.errors import ConfigError, ResultError, UserError, looked_for
 from insdvl_replay.core.stored_result import StoredReport, StoredResult
 from insdvl_replay.gates.findings import gate_findings
 from insdvl_replay.gates.gate_file import Gates
@@ -129,8 +129,9 @@ def baseline_path(gates: Gates, gate: Gate, dive: str) -> Path:
 
 def _baseline(gates: Gates, gate: Gate, result: StoredReport) -> StoredReport:
     path, command = baseline_path(gates, gate, result.log.name), f"`insdvl-replay check {gates.path} --update`"
-    if not path.is_file():
-        raise ConfigError(f"{path}: there is no baseline yet", f"{command} makes it")
+    with looked_for(path):
+        if not path.is_file():
+            raise ConfigError(f"{path}: there is no baseline yet", f"{command} makes it")
     baseline = _stored_baseline(path)
     if baseline is None:
         raise ConfigError(f"{path}: is not a result that can be read", f"{command} makes it anew")

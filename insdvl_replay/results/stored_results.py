@@ -8,7 +8,7 @@ from typing import NoReturn
 import msgspec
 
 from insdvl_replay import __version__
-from insdvl_replay.core.errors import ConfigError, Note, ResultError
+from insdvl_replay.core.errors import ConfigError, Note, ResultError, looked_for
 from insdvl_replay.core.result_tables import TABLES
 from insdvl_replay.core.stored_result import StoredReport, StoredResult
 from insdvl_replay.results.folder import COMPLETE
@@ -62,8 +62,9 @@ def _below(folder: Path, root: Path) -> str:
 
 def _report_files(root: Path) -> Iterator[Path]:
     """Give the report of each result; folders whose name begins with a dot are results that are still written."""
-    if not root.exists():
-        raise ConfigError(f"{root}: does not exist", "name a result folder, a report.json or a folder of results")
+    with looked_for(root):
+        if not root.exists():
+            raise ConfigError(f"{root}: does not exist", "name a result folder, a report.json or a folder of results")
     if root.is_file():
         yield root
         return

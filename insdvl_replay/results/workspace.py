@@ -49,8 +49,8 @@ def workspace_beside(target: Path) -> Iterator[Path]:
     ConfigError
         The disk refuses.
     """
-    made = [parent for parent in target.parents if not parent.exists()]
     try:
+        made = [parent for parent in target.parents if not parent.exists()]
         target.parent.mkdir(parents=True, exist_ok=True)
         clear_leftovers(target.parent)
         workspace, lock = _new_workspace(target)

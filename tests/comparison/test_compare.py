@@ -397,6 +397,7 @@ def place(tmp_path: Path) -> Path:
         (["old", "stranger", "--pair", "aded=tuned"], 2, "filter 'aded' is not known; hint: did you mean aided?"),
         (["more", "other"], 2, "no dive of dive, second is among one, two"),
         (["old", "absent"], 2, "absent: does not exist"),
+        (["old", "a" * 5000], 2, "a: cannot be looked for: File name too long"),
         (["old", "empty"], 2, "empty: holds no result; hint: name a folder that `insdvl-replay run"),
         (["old", "study"], 2, "study: holds results of studies alone"),
         (["old"], 2, "missing argument"),

@@ -223,6 +223,16 @@ def test_a_result_that_cannot_be_read_is_3(tmp_path: Path) -> None:
     assert done.stdout.startswith("NO RESULT  dive: ba_z converges\n    dive/report.json: is not a report")
 
 
+def test_names_that_no_file_can_have_are_told(tmp_path: Path) -> None:
+    write(tmp_path / "dive", content())
+    done = check(tmp_path, BASELINE.replace("{log}", "a" * 5000), "dive")
+    assert done.returncode == 1
+    assert ".json: cannot be looked for: File name too long; check the path" in done.stdout
+    done = check(tmp_path, f'config = "{"a" * 5000}"\n{PASSING}', "dive")
+    assert done.returncode == 2
+    assert done.stderr.endswith("a: cannot be looked for: File name too long; hint: check the path\n")
+
+
 @pytest.mark.parametrize("column", ["filter", "state"])
 def test_a_result_with_a_row_without_a_name_does_not_stop_the_others(column: str, tmp_path: Path) -> None:
     report = content("broken")

@@ -161,3 +161,9 @@ def test_project_definitions_are_found_beside_the_package_and_inside_it() -> Non
     _, inside, beside = ros2msg._definition_folders()
     assert inside == ROOT / "insdvl_replay" / "schemas"
     assert beside == ROOT / "schemas"
+
+
+@pytest.mark.parametrize("name", ["x/msg/" + "N" * 5000, "../../etc/msg/Passwd", "x/msg/../Imu"])
+def test_a_name_that_no_file_of_ours_can_have_is_no_known_type(name: str) -> None:
+    with pytest.raises(LogError, match="no definition of this type comes with the tool"):
+        definition_text(name)

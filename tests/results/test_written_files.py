@@ -94,6 +94,12 @@ def test_a_link_that_leads_to_no_file_is_refused_in_words(
     assert link.readlink() == Path(leads)
 
 
+@pytest.mark.parametrize("name", ["a" * 255, "a" * 5000, "a" * 5000 + "/dive"])
+def test_a_name_that_no_folder_can_have_is_told(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be written: File name too long"), result_folder(tmp_path / name):
+        pass
+
+
 def test_a_pipe_gets_nothing_of_what_failed(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)

@@ -39,6 +39,8 @@ _LONGEST_ARRAY: Final = 2**32 - 1
 _SEPARATOR: Final = "=" * 80
 _ANY_SEPARATOR: Final = re.compile(r"^={3,}[ \t]*$", re.MULTILINE)
 _SECTION_NAME: Final = re.compile(r"\s*MSG:\s*(\S+)[^\n]*\n?")
+_TYPE_NAME: Final = re.compile(r"[a-z]\w{0,99}/msg/[A-Z]\w{0,99}", re.ASCII)
+"""Type that may come with the tool; other names are too long for a file, or lead elsewhere."""
 _LINE: Final = re.compile(
     r"(?P<base>[A-Za-z][\w/]*)(<=\d+)?(?P<brackets>\[(?P<bounded><=)?(?P<length>\d*)\])?"
     r"\s+(?P<name>[A-Za-z]\w*)(?:\s*(?P<constant>=)|\s|#|$)"
@@ -241,7 +243,7 @@ def _with_dependencies(type_name: str) -> list[str]:
 @cache
 def _known_text(type_name: str) -> str:
     package, _, name = type_name.partition("/msg/")
-    for folder in _definition_folders():
+    for folder in _definition_folders() if _TYPE_NAME.fullmatch(type_name) else ():
         file = folder / package / "msg" / f"{name}.msg"
         if file.is_file():
             return file.read_text("utf-8")
