@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import typer
 
 from insdvl_replay.core.errors import LogError, Note, UserError
+from insdvl_replay.core.memory import is_nearly_used_up
 from insdvl_replay.core.plain_text import visible, visible_lines, without_commands
 
 OUR_MISTAKE = 4
@@ -79,7 +80,7 @@ def _explained(error: Exception) -> tuple[int, str, str]:
         return error.exit_code, error.message, error.hint
     if isinstance(error, UsageError):
         return _explained_usage(error)
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or is_nearly_used_up():
         found = f"there is not enough memory{f': {error}' if str(error) else ''}"
         return LogError.exit_code, found, "run it where a process may have more; `ulimit -v` shows a limit"
     return (

@@ -2,10 +2,14 @@
 
 import gc
 import os
+import resource
 import sys
+from pathlib import Path
 from typing import Final
 
 _MANY_OBJECTS: Final = 200_000
+_LARGEST_LIBRARY: Final = 256 << 20
+"""Address space that a library may ask for at once as it is loaded, and more."""
 
 
 def collect_rarely() -> None:
@@ -37,3 +41,21 @@ def return_freed_memory() -> None:
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:
             trim(0)
+
+
+def is_nearly_used_up() -> bool:
+    """Say whether the limit of the address space, as `ulimit -v` sets it, has left too little to load a library.
+
+    Then any failure may be one of memory: not all libraries say so.
+    """
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return limit != resource.RLIM_INFINITY and limit - _most_mapped() < _LARGEST_LIBRARY
+
+
+def _most_mapped() -> int:
+    """Give the most bytes of address space that this process has had; 0 where the system does not tell."""
+    try:
+        lines = Path("/proc/self/status").read_text("ascii").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return 0
+    return next((int(line.split()[1]) << 10 for line in lines if line.startswith("VmPeak:")), 0)

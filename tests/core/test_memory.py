@@ -18,6 +18,15 @@ with suppress(SystemExit):
 from numpy._core.multiarray import _get_madvise_hugepage
 sys.exit(int(_get_madvise_hugepage()))
 """
+FAIL = """
+import resource
+import sys
+from insdvl_replay.cli.messages import tell_failure
+from insdvl_replay.memory import _most_mapped
+most = _most_mapped() + (int(sys.argv[1]) << 20)
+resource.setrlimit(resource.RLIMIT_AS, (most, most))
+sys.exit(tell_failure(ImportError("no segment"), 0))
+"""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has huge pages that numpy asks for")
@@ -29,3 +38,12 @@ def test_numpy_asks_for_huge_pages_only_if_the_user_wants_it(wish: str | None) -
     result = subprocess.run([sys.executable, "-c", INSPECT, LOG], env=environment, capture_output=True, text=True)
     assert result.stdout.startswith("{"), result.stderr
     assert result.returncode == int(wish or "0")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells how much address space was used")
+@pytest.mark.parametrize(("room_mb", "code"), [(100, 3), (1000, 4)])
+def test_a_failure_where_memory_has_ended_is_one_of_memory(room_mb: int, code: int) -> None:
+    command = [sys.executable, "-c", FAIL, str(room_mb)]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == code, result.stderr
+    assert ("there is not enough memory: no segment" in result.stderr) == (code == 3)
