@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import Floats, ImuColumns, TimeNs, distinct, nanoseconds, seconds
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.geometry.earth import EARTH_RATE
+from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, skew
 from insdvl_replay.nav.dvl import DvlVelocities
 
@@ -201,7 +201,7 @@ def _earth_rate_b(mean_force_b: Floats, heading: float, latitude: float) -> Floa
     """Give the Earth's rotation in b; a level that is wrong by 3 deg moves the result by 0.001 deg."""
     x, y, z = mean_force_b
     mat_nb = mat_from_rpy(np.array([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), heading]))
-    rate_ie_b: Floats = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)]) @ mat_nb
+    rate_ie_b: Floats = earth_rate_n(latitude) @ mat_nb
     return rate_ie_b
 
 

@@ -15,7 +15,7 @@ from insdvl_replay.nav.vector_algebra import Vector
 REACH_RAD: Final = 1e-7
 REACH_M: Final = 30.0
 
-for _formula in (earth.gravity_of, earth.meridian_radius_of, earth.transverse_radius_of):
+for _formula in (earth.earth_rate_of, earth.gravity_of, earth.meridian_radius_of, earth.transverse_radius_of):
     inlined(_formula)
 normal_gravity = inlined(earth.normal_gravity)
 _meridian_radius_m = inlined(earth.meridian_radius_m)
@@ -54,22 +54,6 @@ class Place(NamedTuple):
 
 
 @inlined
-def earth_rate_n(latitude: float) -> Vector:
-    """Give the Earth's rotation rate w_ie in n.
-
-    Parameters
-    ----------
-    latitude : float
-        rad
-
-    Returns
-    -------
-    tuple of 3 float, rad/s
-    """
-    return earth.EARTH_RATE * math.cos(latitude), 0.0, -earth.EARTH_RATE * math.sin(latitude)
-
-
-@inlined
 def place_at(latitude: float, height_m: float) -> Place:
     """Compute what there is to know of a place.
 
@@ -89,7 +73,7 @@ def place_at(latitude: float, height_m: float) -> Place:
         height_m,
         math.cos(latitude),
         math.tan(latitude),
-        earth_rate_n(latitude),
+        earth.earth_rate_of(math.sin(latitude), math.cos(latitude)),
         _meridian_radius_m(latitude),
         _transverse_radius_m(latitude),
         gravity,

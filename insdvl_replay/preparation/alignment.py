@@ -8,7 +8,7 @@ from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns, sec
 from insdvl_replay.core.config import Initial
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
-from insdvl_replay.geometry import earth
+from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.initial_state import Start, start_cov
@@ -260,8 +260,7 @@ def _dvl_velocity(
         return level.velocity_b, _dvl_note(away_s)
     nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
     rate_ib_b = at_time(imu.time_ns, imu.angular_rate_b, int(velocities.time_ns[nearest])) - _gyro_bias_b(initial)
-    rate_ie_n = earth.EARTH_RATE * np.array([np.cos(position[0]), 0.0, -np.sin(position[0])])
-    rate_eb_b = rate_ib_b - mat_nb.T @ rate_ie_n
+    rate_eb_b = rate_ib_b - mat_nb.T @ earth_rate_n(position[0])
     away_s = abs(int(velocities.time_ns[nearest]) - start_ns) * 1e-9
     velocity_b: Floats = velocities.velocity_b[nearest] - np.cross(rate_eb_b, lever_arm_b)
     return velocity_b, _dvl_note(away_s)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns, seconds
-from insdvl_replay.geometry import earth
+from insdvl_replay.geometry.earth import earth_rate_n
+from insdvl_replay.geometry.frames import moved_position
 
 
 def reference_at_imu(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: Floats) -> ReferenceColumns:
@@ -32,15 +33,11 @@ def reference_at_imu(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: 
 
 
 def _moved(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: Floats) -> ReferenceColumns:
-    latitude, height_m = reference.position[:, 0], reference.position[:, 2]
     arm_n = reference.mat_nb @ lever_arm_b
     arm_velocity_n = np.einsum("kij,kj->ki", reference.mat_nb, np.cross(_rate_eb_b(reference, imu), lever_arm_b))
-    level_m = np.where(np.isfinite(height_m), height_m, 0.0)
-    north = arm_n[:, 0] / (earth.meridian_radius_m(latitude) + level_m)
-    east = arm_n[:, 1] / ((earth.transverse_radius_m(latitude) + level_m) * np.cos(latitude))
     return replace(
         reference,
-        position=reference.position - np.column_stack([north, east, -arm_n[:, 2]]),
+        position=moved_position(reference.position, -arm_n),
         velocity_n=reference.velocity_n - arm_velocity_n,
     )
 
@@ -49,6 +46,6 @@ def _rate_eb_b(reference: ReferenceColumns, imu: ImuColumns) -> Floats:
     sample_s, row_s = seconds(imu.time_ns, imu.time_ns[0]), seconds(reference.time_ns, imu.time_ns[0])
     columns = [np.interp(row_s, sample_s, column, np.nan, np.nan) for column in imu.angular_rate_b.T]
     latitude = np.where(np.isfinite(reference.position[:, 0]), reference.position[:, 0], 0.0)
-    rate_ie_n = earth.EARTH_RATE * np.column_stack([np.cos(latitude), np.zeros_like(latitude), -np.sin(latitude)])
-    rate_eb_b: Floats = np.column_stack(columns) - np.einsum("kji,kj->ki", reference.mat_nb, rate_ie_n)
+    rate_ie_b = np.einsum("kji,kj->ki", reference.mat_nb, earth_rate_n(latitude))
+    rate_eb_b: Floats = np.column_stack(columns) - rate_ie_b
     return rate_eb_b

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from insdvl_replay.core.columns import DvlColumns, Floats
-from insdvl_replay.geometry import janus
+from insdvl_replay.geometry.beams import beam_vectors
 from insdvl_replay.geometry.rotation import turned
 from insdvl_replay.sim.imu_errors import quantise
 
@@ -64,7 +64,7 @@ def beam_vectors_d() -> Floats:
     -------
     ndarray, shape (4, 3)
     """
-    return np.round(janus.beam_vectors(), 12)
+    return np.round(beam_vectors(), 12)
 
 
 def add_dvl_errors(exact: DvlColumns, errors: DvlErrors, rng: np.random.Generator) -> DvlColumns:

@@ -8,12 +8,11 @@ from numpy.polynomial import Polynomial
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.columns import DvlColumns, Floats
-from insdvl_replay.geometry.janus import beam_vectors
+from insdvl_replay.geometry.beams import beam_vectors, solve_beams
 from insdvl_replay.nav.dvl import (
     derivative_weights,
     dvl_velocities,
     slope_windows,
-    solve_beams,
     taylor_fit,
     windowed_sum,
 )
