@@ -14,9 +14,9 @@ from insdvl_replay.checks.gyro_comparison import ENOUGH, LONGEST_STEP_S, lies_wi
 from insdvl_replay.core.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, nanoseconds, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR
-from insdvl_replay.geometry.beams import solve_beams
+from insdvl_replay.geometry.beams import DvlMounting, solve_beams
 from insdvl_replay.geometry.frames import north_east_m
-from insdvl_replay.geometry.rotation import mat_from_rpy, wrap_angle
+from insdvl_replay.geometry.rotation import wrap_angle
 
 _LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and a lever arm's swing
 _LEAST_SWING_MPS: Final = 0.015  # below it a DVL shows its noise
@@ -206,8 +206,8 @@ def _pings(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:
     else:
         raise ValueError("a DVL gives beams with their vectors, or velocities")
     good = np.isfinite(velocity_d).all(axis=1)
-    mounting_bd = mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG)
-    return dvl.time_ns[good], velocity_d[good] @ mounting_bd.T / config.dvl.scale
+    mounting = DvlMounting.of(config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale)
+    return dvl.time_ns[good], mounting.velocity_b(velocity_d[good])
 
 
 def _pause_s(time_ns: TimeNs, at_ns: TimeNs) -> Floats:

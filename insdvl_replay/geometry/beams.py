@@ -1,17 +1,47 @@
 """The beams of a DVL: where those of a Janus point, tilted from the z axis and evenly around it, and what they tell."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.rotation import mat_from_rpy
 
 TILT_DEG: Final = 30.0
 """From the z axis; most instruments have 20, 22.5, 25 or 30."""
 AZIMUTH_DEG: Final = (45.0, 135.0, 225.0, 315.0)
 """From forward towards starboard."""
+
+
+@dataclass(frozen=True)
+class DvlMounting:
+    """How a DVL is built into a vehicle.
+
+    Attributes
+    ----------
+    lever_arm_b : ndarray, shape (3,)
+        IMU to DVL, m.
+    mat_bd : ndarray, shape (3, 3)
+        Mounting rotation C_d^b.
+    scale : float
+        Measured over true velocity.
+    """
+
+    lever_arm_b: Floats = field(default_factory=lambda: np.zeros(3))
+    mat_bd: Floats = field(default_factory=lambda: np.eye(3))
+    scale: float = 1.0
+
+    @classmethod
+    def of(cls, lever_arm_m: Sequence[float], rpy_deg: Sequence[float], scale: float) -> "DvlMounting":
+        """Make it of a lever arm in b, of roll, pitch and heading from d to b, and of a scale."""
+        return cls(np.array(lever_arm_m), mat_from_rpy(np.array(rpy_deg) * DEG), scale)
+
+    def velocity_b(self, velocity_d: Floats) -> Floats:
+        """Divide the scale out of velocities in d, shape (m, 3), and turn them to b."""
+        return velocity_d @ self.mat_bd.T / self.scale
 
 
 def beam_vectors(tilt_deg: float = TILT_DEG, azimuth_deg: Sequence[float] = AZIMUTH_DEG) -> Floats:

@@ -110,19 +110,3 @@ def transverse_radius_m(latitude: Any) -> Any:
 def transverse_radius_of(sin2: Any) -> Any:
     """Give `transverse_radius_m` where the sine of the latitude has this square."""
     return SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_2 * sin2)
-
-
-def metres_per_radian_of(sin2: Any, cosine: Any, height_m: Any) -> tuple[Any, Any]:
-    """Return the metres to a radian of latitude and to one of longitude: R_N + h and (R_E + h) cos L.
-
-    Parameters
-    ----------
-    sin2, cosine : float or ndarray
-        Of the latitude: its sine squared, and its cosine.
-    height_m : float or ndarray
-
-    Returns
-    -------
-    north_m, east_m : float or ndarray
-    """
-    return meridian_radius_of(sin2) + height_m, (transverse_radius_of(sin2) + height_m) * cosine

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.core.columns import Floats
-from insdvl_replay.geometry.earth import metres_per_radian_of
+from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.rotation import quat_from_mat, wrap_angle
 
 MAT_ENU_NED: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -26,11 +26,9 @@ def north_east_m(position: Floats, origin: Floats, touching: Floats) -> tuple[Fl
     -------
     north_m, east_m : ndarray, shape (...,)
     """
-    north_m, east_m = _metres_per_radian(touching)
-    return (
-        (position[..., 0] - origin[..., 0]) * north_m,
-        wrap_angle(position[..., 1] - origin[..., 1]) * east_m,
-    )
+    latitude, longitude = position[..., 0] - origin[..., 0], wrap_angle(position[..., 1] - origin[..., 1])
+    radius_north_m, radius_east_m, cosine = _radii_m(touching)
+    return latitude * radius_north_m, longitude * radius_east_m * cosine
 
 
 def north_east_down_m(position: Floats, origin: Floats) -> Floats:
@@ -62,8 +60,9 @@ def east_north_up_m(position: Floats, origin: Floats) -> Floats:
     -------
     ndarray, shape (k, 3), m
     """
-    north_m, east_m = north_east_m(position, origin, (position + origin) / 2.0)
-    return np.stack([east_m, north_m, position[..., 2] - origin[..., 2]], axis=-1)
+    latitude, longitude, up_m = (position - origin).T
+    radius_north_m, radius_east_m, cosine = _radii_m((position + origin) / 2.0)
+    return np.stack([wrap_angle(longitude) * (radius_east_m * cosine), latitude * radius_north_m, up_m], axis=-1)
 
 
 def moved_position(position: Floats, way_n: Floats) -> Floats:
@@ -80,16 +79,16 @@ def moved_position(position: Floats, way_n: Floats) -> Floats:
     ndarray, shape (..., 3)
         Latitude rad, longitude rad, height m.
     """
-    north_m, east_m = _metres_per_radian(position)
-    return position + np.stack([way_n[..., 0] / north_m, way_n[..., 1] / east_m, -way_n[..., 2]], axis=-1)
+    radius_north_m, radius_east_m, cosine = _radii_m(position)
+    north, east = way_n[..., 0] / radius_north_m, way_n[..., 1] / (radius_east_m * cosine)
+    return position + np.stack([north, east, -way_n[..., 2]], axis=-1)
 
 
-def _metres_per_radian(position: Floats) -> tuple[Floats, Floats]:
+def _radii_m(position: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return R_N + h, R_E + h and the cosine of the latitude; a height that is not finite counts as 0."""
     latitude, height_m = position[..., 0], position[..., 2]
-    north_m, east_m = metres_per_radian_of(
-        np.sin(latitude) ** 2, np.cos(latitude), np.where(np.isfinite(height_m), height_m, 0.0)
-    )
-    return north_m, east_m
+    level_m = np.where(np.isfinite(height_m), height_m, 0.0)
+    return meridian_radius_m(latitude) + level_m, transverse_radius_m(latitude) + level_m, np.cos(latitude)
 
 
 def quat_enu_flu(mat_nb: Floats) -> Floats:

@@ -7,7 +7,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import DvlColumns, Floats, TimeNs
-from insdvl_replay.geometry.beams import solve_beams, whole_ping_cov
+from insdvl_replay.geometry.beams import DvlMounting, solve_beams, whole_ping_cov
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class DvlVelocities:
 
 
 def dvl_velocities(
-    dvl: DvlColumns, mounting_bd: Floats, scale: float = 1.0, max_residual_mps: float = np.inf
+    dvl: DvlColumns, mounting: DvlMounting | None = None, max_residual_mps: float = np.inf
 ) -> DvlVelocities:
     """Solve the pings for velocities, divide out the scale, and turn them to body axes.
 
@@ -68,10 +68,8 @@ def dvl_velocities(
     ----------
     dvl : DvlColumns
         Beams or velocities.
-    mounting_bd : ndarray, shape (3, 3)
-        Mounting rotation C_d^b.
-    scale : float
-        Measured over true velocity.
+    mounting : DvlMounting, optional
+        Left out: the DVL's axes are the body's.
     max_residual_mps : float
         Pings whose beams disagree by more are left out.
 
@@ -91,17 +89,18 @@ def dvl_velocities(
         beams_used = np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
     else:
         raise ValueError("a DVL gives beams with their vectors, or velocities")
+    mounting = mounting or DvlMounting()
     solved = np.isfinite(velocity_d).all(axis=1)
     bad = solved & (residual_mps > max_residual_mps)
     keep = solved & ~bad
     return DvlVelocities(
         time_ns=dvl.time_ns[keep],
-        velocity_b=velocity_d[keep] @ mounting_bd.T / scale,
-        shape_b=mounting_bd @ shape_d[keep] @ mounting_bd.T,
-        full_shape_b=mounting_bd @ full_shape_d @ mounting_bd.T,
+        velocity_b=mounting.velocity_b(velocity_d[keep]),
+        shape_b=mounting.mat_bd @ shape_d[keep] @ mounting.mat_bd.T,
+        full_shape_b=mounting.mat_bd @ full_shape_d @ mounting.mat_bd.T,
         from_beams=from_beams,
         beams_used=beams_used[keep],
-        residual_mps=residual_mps[keep] / scale,
+        residual_mps=residual_mps[keep] / mounting.scale,
         pings_without_velocity=int(np.sum(~solved)),
         pings_with_bad_residual=int(np.sum(bad)),
     )

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import Floats, ImuColumns, TimeNs, distinct, nanoseconds, seconds
-from insdvl_replay.core.errors import LogError
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, skew
 from insdvl_replay.nav.dvl import DvlVelocities
@@ -114,24 +113,13 @@ def levelling_samples(imu: ImuColumns, start_ns: int) -> ImuColumns:
     Returns
     -------
     ImuColumns
-
-    Raises
-    ------
-    LogError
-        Hardly a sample follows the start.
+        With fewer than `FEWEST_SAMPLES` the level is not found.
     """
     first = int(np.searchsorted(imu.time_ns, start_ns))
     last = int(np.searchsorted(imu.time_ns, start_ns + nanoseconds(LEVELLING_S), side="right"))
     pauses = np.flatnonzero(np.diff(imu.time_ns[first:last]) > nanoseconds(LONGEST_PAUSE_S))
     rows = slice(first, first + 1 + int(pauses[0]) if pauses.size else last)
-    samples = ImuColumns(imu.time_ns[rows], imu.specific_force_b[rows], imu.angular_rate_b[rows])
-    if len(samples.time_ns) < FEWEST_SAMPLES:
-        raise LogError(
-            f"only {len(samples.time_ns)} IMU samples without a pause lie in the {LEVELLING_S:g} s after the start, "
-            "too few to find the level",
-            "choose another --start",
-        )
-    return samples
+    return ImuColumns(imu.time_ns[rows], imu.specific_force_b[rows], imu.angular_rate_b[rows])
 
 
 def find_level(

@@ -12,7 +12,14 @@ from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.initial_state import Start, start_cov
-from insdvl_replay.nav.levelling import Level, SensorNoise, find_level, levelling_samples
+from insdvl_replay.nav.levelling import (
+    FEWEST_SAMPLES,
+    LEVELLING_S,
+    Level,
+    SensorNoise,
+    find_level,
+    levelling_samples,
+)
 from insdvl_replay.preparation.start_position import FAR_S, apart_s, at_time, configured_latitude_deg, start_position
 
 HEADING_DOUBT = 10.0 * DEG
@@ -193,6 +200,12 @@ def _levelled(
     """Find the level, and the attitude with the configured heading."""
     heading = _configured_heading_deg(initial) * DEG
     samples = levelling_samples(imu, start_ns)
+    if len(samples.time_ns) < FEWEST_SAMPLES:
+        raise LogError(
+            f"only {len(samples.time_ns)} IMU samples without a pause lie in the {LEVELLING_S:g} s after the start, "
+            "too few to find the level",
+            "choose another --start",
+        )
     unbiased = replace(
         samples,
         specific_force_b=samples.specific_force_b - _accel_bias_b(initial),

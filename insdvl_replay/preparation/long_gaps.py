@@ -42,10 +42,10 @@ def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
     density[:, DV] = imu.gap_accel_mps2**2 * length_s
     # No attitude is less known than by half a turn, however long nobody looked.
     density[:, PHI] = np.minimum(imu.gap_rate_degps * DEG * length_s, np.pi) ** 2 / length_s
-    return Gaps(start_ns, end_ns, density)
+    return Gaps(start_ns, end_ns, density, imu.gap_rate_degps * DEG)
 
 
-def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats, imu: Imu) -> Floats:
+def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats) -> Floats:
     """Give the covariance of ``w x l`` at pings inside a gap, where the turn rate is unknown; zero elsewhere.
 
     Parameters
@@ -55,8 +55,6 @@ def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats, imu: Imu) -> Flo
         Times of the pings.
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
-    imu : Imu
-        Settings.
 
     Returns
     -------
@@ -64,7 +62,7 @@ def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats, imu: Imu) -> Flo
     """
     inside = gaps.overlap(time_ns, time_ns)
     arm = skew(lever_arm_b)
-    return inside[:, None, None] * (imu.gap_rate_degps * DEG) ** 2 * (arm @ arm.T)
+    return inside[:, None, None] * gaps.rate_sd_radps**2 * (arm @ arm.T)
 
 
 def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int) -> tuple[int, int, tuple[Note, ...]]:
@@ -94,9 +92,7 @@ def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int
     inside = gaps.within(start_ns, end_ns)
     if not len(inside.start_ns):
         return start_ns, end_ns, ()
-    split_at = (
-        inside if imu.long_gaps == "split" else inside.where(_turns_unseen_rad(inside, imu) > WIDEST_ATTITUDE_RAD)
-    )
+    split_at = inside if imu.long_gaps == "split" else inside.where(_turns_unseen_rad(inside) > WIDEST_ATTITUDE_RAD)
     notes: tuple[Note, ...] = ()
     if len(split_at.start_ns):
         kept_ns = split_at.longest_stretch(start_ns, end_ns)
@@ -112,9 +108,9 @@ def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int
     return start_ns, end_ns, (*notes, Note("imu_long_gaps", text, len(inside.start_ns), "warning", split))
 
 
-def _turns_unseen_rad(gaps: Gaps, imu: Imu) -> Floats:
+def _turns_unseen_rad(gaps: Gaps) -> Floats:
     """Give the deviation of what a vehicle may have turned in each gap."""
-    return np.asarray(imu.gap_rate_degps * DEG * gaps.length_s)
+    return np.asarray(gaps.rate_sd_radps * gaps.length_s)
 
 
 def _split_note(gaps: Gaps, imu: Imu, span_ns: tuple[int, int], kept_ns: tuple[int, int], origin_ns: int) -> Note:
@@ -123,7 +119,7 @@ def _split_note(gaps: Gaps, imu: Imu, span_ns: tuple[int, int], kept_ns: tuple[i
     left_out_s = (span_ns[1] - span_ns[0] - kept_ns[1] + kept_ns[0]) * 1e-9
     hint, why = "--set imu.long_gaps=grow bridges those in which the attitude is not lost", ""
     if imu.long_gaps == "grow":
-        widest_deg = float(_turns_unseen_rad(gaps, imu).max()) / DEG
+        widest_deg = float(_turns_unseen_rad(gaps).max()) / DEG
         why = f" ({imu.gap_rate_degps:g} deg/s unseen leave the attitude unknown by {widest_deg:.0f} deg)"
         hint = "a smaller imu.gap_rate_degps, if the vehicle cannot have turned so fast, bridges them"
     text = f"{_found(gaps, imu, origin_ns)}{why}; only {from_s:.1f} to {to_s:.1f} s are replayed, "

@@ -7,12 +7,11 @@ import numpy as np
 from insdvl_replay.core.columns import Dive, nanoseconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, LogError, Note, about
-from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry.rotation import mat_from_rpy
+from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.gaps import Gaps
-from insdvl_replay.preparation.aiding import sensor_noise
 from insdvl_replay.preparation.alignment import Alignment, align
+from insdvl_replay.preparation.filters import ResolvedFilter, dvl_mounting, resolve_filters
 from insdvl_replay.preparation.lever_arm import reference_at_imu
 from insdvl_replay.preparation.long_gaps import find_gaps, settle_gaps
 
@@ -31,6 +30,9 @@ class Prepared:
         End of the span.
     gaps : Gaps
         The IMU's long gaps inside the span, which the filters bridge.
+    mounting : DvlMounting
+    filters : tuple of ResolvedFilter
+        The first is the baseline.
     notes : tuple of Note
         What was dropped or assumed on the way.
     """
@@ -39,6 +41,8 @@ class Prepared:
     alignment: Alignment
     end_ns: int
     gaps: Gaps
+    mounting: DvlMounting
+    filters: tuple[ResolvedFilter, ...]
     notes: tuple[Note, ...]
 
 
@@ -99,27 +103,26 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     """
     if len(dive.imu.specific_force_b) != len(dive.imu.time_ns):
         raise ValueError(f"{dive.name}: the readings of its IMU were let go; read the log anew")
-    velocities, notes = _velocities(dive, config)
+    mounting = dvl_mounting(config)
+    velocities, notes = _velocities(dive, mounting, config.dvl.max_beam_residual_mps)
+    filters = resolve_filters(config, from_beams=velocities.from_beams)
     start_ns, end_ns = _span(dive, velocities, config)
-    lever_arm_b = np.array(config.dvl.lever_arm_m)
     gaps = find_gaps(dive.imu.time_ns, config.imu)
     with about(dive.name):
         start_ns, end_ns, gap_notes = settle_gaps(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
-        noise = sensor_noise(config.filters[config.baseline], velocities, config)
-        alignment = align(dive.imu, velocities, noise, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
+        noise = filters[0].sensor_noise(velocities)
+        alignment = align(
+            dive.imu, velocities, noise, dive.reference, config.initial, mounting.lever_arm_b, start_ns, end_ns
+        )
     inside = velocities.within(alignment.start_ns, end_ns)
     notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside)
-    return Prepared(inside, alignment, end_ns, gaps.within(alignment.start_ns, end_ns), notes)
+    gaps = gaps.within(alignment.start_ns, end_ns)
+    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, notes)
 
 
-def _velocities(dive: Dive, config: Config) -> tuple[DvlVelocities, tuple[Note, ...]]:
+def _velocities(dive: Dive, mounting: DvlMounting, limit_mps: float | None) -> tuple[DvlVelocities, tuple[Note, ...]]:
     """Solve the pings, and count those that gave no velocity."""
-    velocities = dvl_velocities(
-        dive.dvl,
-        mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG),
-        config.dvl.scale,
-        config.dvl.max_beam_residual_mps or np.inf,
-    )
+    velocities = dvl_velocities(dive.dvl, mounting, limit_mps or np.inf)
     if not len(velocities.time_ns):
         raise LogError(
             f"{dive.name}: none of the DVL's {len(dive.dvl.time_ns)} pings has a velocity",
@@ -131,8 +134,8 @@ def _velocities(dive: Dive, config: Config) -> tuple[DvlVelocities, tuple[Note, 
             Note("dvl_no_velocity", f"{lost} pings have fewer than three valid beams or no finite velocity", lost)
         )
     if bad := velocities.pings_with_bad_residual:
-        limit = config.dvl.max_beam_residual_mps
-        notes.append(Note("dvl_bad_residual", f"{bad} pings have beams that disagree by more than {limit:g} m/s", bad))
+        text = f"{bad} pings have beams that disagree by more than {limit_mps:g} m/s"
+        notes.append(Note("dvl_bad_residual", text, bad))
     if three := int(np.sum(velocities.beams_used == 3)):
         notes.append(Note("dvl_three_beams", f"{three} pings are solved from three beams, without a check", three))
     return velocities, tuple(notes)

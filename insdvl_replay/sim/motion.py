@@ -13,13 +13,7 @@ from scipy.integrate import cumulative_simpson
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry.earth import (
-    earth_rate_of,
-    gravity_of,
-    meridian_radius_of,
-    metres_per_radian_of,
-    transverse_radius_of,
-)
+from insdvl_replay.geometry.earth import earth_rate_of, gravity_of, meridian_radius_of, transverse_radius_of
 from insdvl_replay.geometry.rotation import mat_from_sines, turned
 from insdvl_replay.sim.sines import sine_and_cosine
 from insdvl_replay.sim.trajectories import Scenario
@@ -155,8 +149,9 @@ class _Place:
     def position_rate(self, velocity_n: Floats) -> Floats:
         """Give the rates of latitude, longitude and height."""
         north_mps, east_mps, down_mps = velocity_n.T
-        north_m, east_m = metres_per_radian_of(self._sin2, self._cosine, self._height_m)
-        return np.stack([north_mps / north_m, east_mps / east_m, -down_mps], axis=-1)
+        latitude_rate = north_mps / (meridian_radius_of(self._sin2) + self._height_m)
+        longitude_rate = east_mps / ((transverse_radius_of(self._sin2) + self._height_m) * self._cosine)
+        return np.stack([latitude_rate, longitude_rate, -down_mps], axis=-1)
 
     def gravity(self) -> Floats:
         """Give the magnitude of gravity."""
