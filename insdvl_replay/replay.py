@@ -29,7 +29,7 @@ from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
-from insdvl_replay.preparation.outages import outage_notes
+from insdvl_replay.preparation.long_gaps import outage_notes
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 

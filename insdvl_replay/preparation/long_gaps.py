@@ -8,12 +8,13 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, TimeNs, nanoseconds, seconds
+from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds, seconds
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, DV, PHI, STATES
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.gaps import Gaps
+from insdvl_replay.nav.local_earth import HOLD_AFTER_S
 
 LONGEST_BRIDGE_S: Final = 3600.0
 """Through a longer gap the line between two readings says nothing; the dive has to be split there."""
@@ -136,3 +137,37 @@ def _found(gaps: Gaps, imu: Imu, origin_ns: int) -> str:
 
 def _counted(gaps: int) -> str:
     return "1 gap" if gaps == 1 else f"{gaps} gaps"
+
+
+_TRUSTED: Final = "5 min with micromechanical sensors, 1 h with tactical and 2 h with fibre-optic ones"
+"""How long standard deviations hold without a velocity, by the presets; see EQUATIONS.md."""
+_HINT: Final = "--start and --end leave it out"
+
+
+def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> tuple[Note, ...]:
+    """Say of long outages that gravity is held in them, and beyond which length standard deviations do not hold.
+
+    Parameters
+    ----------
+    ping_ns : ndarray, shape (m,)
+        Times of the velocities.
+    start_ns, end_ns : int
+        Span of the replay.
+
+    Returns
+    -------
+    tuple of Note
+        One that counts the outages beyond `local_earth.HOLD_AFTER_S`, or none.
+    """
+    ends_ns = np.concatenate([[start_ns], ping_ns, [end_ns]])
+    length_ns = np.diff(ends_ns)
+    count, longest = int(np.count_nonzero(length_ns > nanoseconds(HOLD_AFTER_S))), int(np.argmax(length_ns))
+    if not count:
+        return ()
+    longest_s, since_s = length_ns[longest] / NS_PER_S, (ends_ns[longest] - start_ns) / NS_PER_S
+    text = (
+        f"the DVL gives no velocity for over {HOLD_AFTER_S:g} s, {count} x, the longest {longest_s:.0f} s from "
+        f"{since_s:.0f} s after the start on; from then on gravity is taken at the height of before, since an unaided "
+        f"height runs away, and standard deviations in and after it hold up to {_TRUSTED}"
+    )
+    return (Note("dvl_outages", text, count, "warning", _HINT),)

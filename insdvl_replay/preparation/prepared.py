@@ -1,18 +1,19 @@
-"""Before the filters: solve the pings, find the span, bridge or split gaps, and align."""
+"""Before the filters: move the reference to the IMU, solve the pings, find the span, settle gaps, and align."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from insdvl_replay.core.columns import Dive, nanoseconds
+from insdvl_replay.core.columns import Dive, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, LogError, Note, about
 from insdvl_replay.geometry.beams import DvlMounting
+from insdvl_replay.geometry.earth import earth_rate_n
+from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.gaps import Gaps
 from insdvl_replay.preparation.alignment import Alignment, align
 from insdvl_replay.preparation.filters import ResolvedFilter, dvl_mounting, resolve_filters
-from insdvl_replay.preparation.lever_arm import reference_at_imu
 from insdvl_replay.preparation.long_gaps import find_gaps, settle_gaps
 
 
@@ -175,3 +176,45 @@ def _outside_notes(name: str, velocities: DvlVelocities, inside: DvlVelocities) 
     if not outside:
         return ()
     return (Note("dvl_outside_span", f"{outside} pings lie before the start of the replay or after its end", outside),)
+
+
+def reference_at_imu(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: Floats) -> ReferenceColumns:
+    """Move a reference to the IMU: ``p_imu = p - C l`` and ``v_imu = v - C (w_eb x l)``.
+
+    Parameters
+    ----------
+    reference : ReferenceColumns
+        r rows.
+    imu : ImuColumns
+        Gives the angular rate, linear between samples.
+    lever_arm_b : ndarray, shape (3,)
+        IMU to the reference's point, m.
+
+    Returns
+    -------
+    ReferenceColumns
+        Rows without an attitude lose their position and velocity, rows outside the IMU's samples their velocity. Rows
+        of which no number is left are left out. With no lever arm, and numbers in all rows, the reference itself.
+    """
+    moved = _moved(reference, imu, lever_arm_b) if np.any(lever_arm_b) else reference
+    said = np.any(list(moved.known.values()), axis=0)
+    return moved if said.all() else moved.rows(said)
+
+
+def _moved(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: Floats) -> ReferenceColumns:
+    arm_n = reference.mat_nb @ lever_arm_b
+    arm_velocity_n = np.einsum("kij,kj->ki", reference.mat_nb, np.cross(_rate_eb_b(reference, imu), lever_arm_b))
+    return replace(
+        reference,
+        position=moved_position(reference.position, -arm_n),
+        velocity_n=reference.velocity_n - arm_velocity_n,
+    )
+
+
+def _rate_eb_b(reference: ReferenceColumns, imu: ImuColumns) -> Floats:
+    sample_s, row_s = seconds(imu.time_ns, imu.time_ns[0]), seconds(reference.time_ns, imu.time_ns[0])
+    columns = [np.interp(row_s, sample_s, column, np.nan, np.nan) for column in imu.angular_rate_b.T]
+    latitude = np.where(np.isfinite(reference.position[:, 0]), reference.position[:, 0], 0.0)
+    rate_ie_b = np.einsum("kji,kj->ki", reference.mat_nb, earth_rate_n(latitude))
+    rate_eb_b: Floats = np.column_stack(columns) - rate_ie_b
+    return rate_eb_b

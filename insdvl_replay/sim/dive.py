@@ -12,9 +12,16 @@ from insdvl_replay.core.errors import ConfigError, refuse_unknown
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.beams import AZIMUTH_DEG
 from insdvl_replay.geometry.rotation import mat_from_sines, turned
-from insdvl_replay.sim.dvl_errors import DvlErrors, LostBeam, add_dvl_errors, beam_vectors_d
-from insdvl_replay.sim.imu_errors import GRADES, ImuErrors, add_imu_errors
 from insdvl_replay.sim.motion import Course
+from insdvl_replay.sim.sensor_errors import (
+    GRADES,
+    DvlErrors,
+    ImuErrors,
+    LostBeam,
+    add_dvl_errors,
+    add_imu_errors,
+    beam_vectors_d,
+)
 from insdvl_replay.sim.sines import sine_and_cosine
 from insdvl_replay.sim.trajectories import SCENARIOS
 
@@ -55,7 +62,7 @@ def simulate_dive(
     seed : int
         Of every error; not negative.
     grade : str
-        A name in `imu_errors.GRADES`.
+        A name in `sensor_errors.GRADES`.
     imu_errors, dvl_errors : optional
         Instead of the grade's errors, and of the defaults of `DvlErrors`.
     duration_s, imu_rate_hz, dvl_rate_hz, reference_rate_hz, outages, lost_beams, lever_arm_m, mounting_rpy_deg

@@ -15,8 +15,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.nav.error_directions import named_directions
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.nominal_motion import NominalPings, nominal_pings
-from insdvl_replay.nav.observability import TOLERANCE, analyse, whitened_rows
-from insdvl_replay.nav.remaining import remaining_cov
+from insdvl_replay.nav.observability import TOLERANCE, analyse, remaining_cov, whitened_rows
 from insdvl_replay.preparation.filters import resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive

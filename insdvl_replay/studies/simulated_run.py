@@ -20,8 +20,7 @@ from insdvl_replay.preparation.filters import dvl_mounting, resolve_filters
 from insdvl_replay.preparation.prepared import Prepared
 from insdvl_replay.replay import prepared_timeline, run_one
 from insdvl_replay.sim.dive import add_errors, exact_dive, named
-from insdvl_replay.sim.dvl_errors import DvlErrors
-from insdvl_replay.sim.imu_errors import GRADES, ImuErrors
+from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 
 MATCHED: Final = "matched"
 """The grade of an IMU, and of the DVL beside it, that errs exactly as the first filter believes."""
@@ -63,7 +62,7 @@ def make_world(
         A name in `trajectories.SCENARIOS`.
     config : Config
     imu : str
-        `MATCHED`, or a name in `imu_errors.GRADES`.
+        `MATCHED`, or a name in `sensor_errors.GRADES`.
     duration_s : float, optional
         Left out: the scenario's own.
     outages : sequence of (start_s, end_s)

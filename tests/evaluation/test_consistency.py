@@ -16,8 +16,7 @@ from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, consistency_tab
 from insdvl_replay.evaluation.dead_filters import dead_filters
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.dvl_errors import DvlErrors
-from insdvl_replay.sim.imu_errors import ImuErrors
+from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 
 BEAM_SD_MPS = 0.005
 GATE = 25.9

@@ -131,7 +131,6 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
     # They hand settings and gaps to the mathematics, a start to the filter, and results to the history.
     without = {
         "preparation.filters",
-        "preparation.prepared",
         "preparation.reading",
         "preparation.start_position",
         "nav.gaps",

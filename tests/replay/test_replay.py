@@ -19,7 +19,7 @@ from insdvl_replay.evaluation.chi_square import SMALL_EXCESS
 from insdvl_replay.logs import write_dive
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import START_NS, exact_dive, simulate_dive
-from insdvl_replay.sim.dvl_errors import LostBeam
+from insdvl_replay.sim.sensor_errors import LostBeam
 
 SECOND = 1_000_000_000
 NOISE = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=2e-6)
