@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.memory import return_freed_memory
 from insdvl_replay.core.progress import begin
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table
-from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table, update_notes
+from insdvl_replay.evaluation.consistency import consistency_table, update_notes
 from insdvl_replay.evaluation.coverage import reference_coverage_notes, truth_coverage_notes
 from insdvl_replay.evaluation.credibility import credibility_table
 from insdvl_replay.evaluation.dead_filters import dead_filters
@@ -26,9 +27,9 @@ from insdvl_replay.evaluation.state_errors import state_errors
 from insdvl_replay.evaluation.verdicts import Verdict, verdicts
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.timeline import build_timeline
-from insdvl_replay.preparation.aiding import filter_measurements, filter_noise
-from insdvl_replay.preparation.outages import outage_notes
+from insdvl_replay.nav.timeline import Timeline, build_timeline
+from insdvl_replay.preparation.filters import ResolvedFilter
+from insdvl_replay.preparation.long_gaps import outage_notes
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 
@@ -137,7 +138,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     start = prepare_dive(dive, config)
     start_ns = start.alignment.start_ns
     judged_ns = _judged_ns(dive, start, config)
-    histories = run_filters(dive, start, config, cov_ns=judged_ns)
+    histories = run_filters(dive, start, cov_ns=judged_ns)
     dive = replace(dive, imu=dive.imu.times_only())
     return_freed_memory()
     begin("judging the filters")
@@ -190,15 +191,14 @@ def _tables(
     }
 
 
-def run_filters(dive: Dive, start: Prepared, config: Config, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
-    """Run every configured filter over a prepared dive, on a long one each in a thread of its own.
+def run_filters(dive: Dive, start: Prepared, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
+    """Run every filter over a prepared dive, on a long one each in a thread of its own.
 
     Parameters
     ----------
     dive : Dive
     start : Prepared
         From `prepared.prepare_dive`.
-    config : Config
     cov_ns : ndarray, shape (c,), optional
         Times of the reference at which the histories keep all of P.
 
@@ -208,29 +208,34 @@ def run_filters(dive: Dive, start: Prepared, config: Config, *, cov_ns: TimeNs |
         In the order of the configuration.
     """
     begin("running the filters")
+    timeline = prepared_timeline(dive, start)
+    return_freed_memory()
+    run = partial(run_one, start=start, timeline=timeline, cov_ns=cov_ns)
+    if len(dive.imu.time_ns) < WORTH_A_THREAD:
+        return tuple(map(run, start.filters))
+    with ThreadPoolExecutor() as threads:  # the compiled filter leaves the interpreter to others while it runs
+        return tuple(threads.map(run, start.filters))
+
+
+def run_one(filter_: ResolvedFilter, start: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> History:
+    """Run one filter over the time line of a prepared dive; ``cov_ns`` as of `run_filters`."""
+    return run_filter(
+        filter_.name,
+        timeline,
+        start.alignment.start,
+        filter_.noise_density,
+        filter_.measurements(start.velocities, start.mounting, start.gaps),
+        start.mounting.lever_arm_b,
+        cov_ns=cov_ns,
+    )
+
+
+def prepared_timeline(dive: Dive, start: Prepared) -> Timeline:
+    """Lay the readings, the pings and the reference's times of a prepared dive on one time line."""
     reference_ns = dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64)
-    timeline = build_timeline(
+    return build_timeline(
         dive.imu, start.velocities.time_ns, reference_ns, start.alignment.start_ns, start.end_ns, start.gaps
     )
-    return_freed_memory()
-
-    def run(name: str) -> History:
-        filter_ = config.filters[name]
-        gate = chi_square_quantile(filter_.gate_probability, 3)
-        return run_filter(
-            name,
-            timeline,
-            start.alignment.start,
-            filter_noise(filter_, config),
-            filter_measurements(filter_, start.velocities, config, gate, start.gaps),
-            np.array(config.dvl.lever_arm_m),
-            cov_ns=cov_ns,
-        )
-
-    if len(dive.imu.time_ns) < WORTH_A_THREAD:
-        return tuple(map(run, config.filters))
-    with ThreadPoolExecutor() as threads:  # the compiled filter leaves the interpreter to others while it runs
-        return tuple(threads.map(run, config.filters))
 
 
 def _reference_notes(

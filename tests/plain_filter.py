@@ -1,5 +1,6 @@
 """The velocity-aided filter as a textbook has it: matrices in numpy, one epoch after the other, nothing saved."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,6 @@ from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.timeline import Timeline, build_timeline
-from insdvl_replay.preparation.aiding import filter_measurements, filter_noise
 from insdvl_replay.preparation.prepared import prepare_dive
 
 
@@ -40,11 +40,12 @@ class Belief(NamedTuple):
 
 def baseline_inputs(dive: Dive, config: Config) -> Inputs:
     """Prepare the baseline; no innovation is too large for it."""
-    prepared, baseline = prepare_dive(dive, config), config.filters[config.baseline]
+    prepared = prepare_dive(dive, config)
+    baseline = replace(prepared.filters[0], gate_probability=1.0)
     ping_ns, nowhere = prepared.velocities.time_ns, np.empty(0, dtype=np.int64)
     timeline = build_timeline(dive.imu, ping_ns, nowhere, prepared.alignment.start_ns, prepared.end_ns)
-    (velocity,) = filter_measurements(baseline, prepared.velocities, config, gate=np.inf)
-    return Inputs(timeline, prepared.alignment.start, filter_noise(baseline, config), velocity)
+    (velocity,) = baseline.measurements(prepared.velocities, prepared.mounting)
+    return Inputs(timeline, prepared.alignment.start, baseline.noise_density, velocity)
 
 
 def run_plain_filter(inputs: Inputs) -> Belief:

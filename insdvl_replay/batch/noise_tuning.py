@@ -15,12 +15,13 @@ import numpy as np
 from insdvl_replay.core.columns import Dive, Floats, ImuColumns
 from insdvl_replay.core.config import Config, Filter
 from insdvl_replay.core.errors import ConfigError, Note
+from insdvl_replay.core.progress import begin
 from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
-from insdvl_replay.preparation.aiding import dvl_noise, inertial_noise
+from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
-from insdvl_replay.replay import Replay, replay_dive, run_filters
+from insdvl_replay.replay import Replay, prepared_timeline, replay_dive, run_one
 
 NAME = "tuned"
 """Name of the control among the filters."""
@@ -104,7 +105,7 @@ def with_control(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:
         )
     dive = with_reference_at_imu(dive, config)
     start = _first_part(prepare_dive(dive, config))
-    before = _noise(config, baseline, from_beams=start.velocities.from_beams)
+    before = _noise(start.filters[0])
     tuned = _fitted(dive, start, config, baseline, before)
     values = {key: getattr(tuned, key) for key in before}
     edges = [key for key, value in values.items() if _at_the_edge(value, before[key])]
@@ -134,10 +135,10 @@ def _beyond_their_sensors(values: Mapping[str, float], imu: ImuColumns) -> Itera
         yield Note("control_out_of_class", text, len(found), "warning", GEOMETRY_FIRST)
 
 
-def _noise(config: Config, baseline: Filter, *, from_beams: bool) -> dict[str, float]:
+def _noise(baseline: ResolvedFilter) -> dict[str, float]:
     """Give what is fitted, by key, as the baseline has it. The DVL's noise stands in one of two keys."""
-    inertial, dvl = inertial_noise(baseline, config), dvl_noise(baseline, config, from_beams=from_beams)
-    return {key: getattr(inertial, key) for key in INERTIAL} | {dvl.key: dvl.sd_mps}
+    dvl = baseline.dvl_noise
+    return {key: getattr(baseline.inertial_noise, key) for key in INERTIAL} | {dvl.key: dvl.sd_mps}
 
 
 def _first_part(start: Prepared) -> Prepared:
@@ -154,9 +155,12 @@ def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, befor
 
     from scipy.optimize import minimize  # a third of a second, which a replay without the control must not wait
 
+    begin("running the filters")
+    timeline = prepared_timeline(dive, start)
+
     def unlikelihood(logarithms: Floats) -> float:
-        alone = msgspec.structs.replace(config, filters={NAME: filter_with(logarithms)})
-        (history,) = run_filters(dive, start, alone)
+        tried = resolve_filter(NAME, filter_with(logarithms), config, from_beams=start.velocities.from_beams)
+        history = run_one(tried, start, timeline)
         return -round(log_likelihood(history.innovations[0]), LIKELIHOOD_DIGITS)
 
     best = min(np.log(STARTS), key=unlikelihood)

@@ -14,8 +14,9 @@ from insdvl_replay.checks.gyro_comparison import ENOUGH, LONGEST_STEP_S, lies_wi
 from insdvl_replay.core.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, nanoseconds, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR
-from insdvl_replay.geometry import earth
-from insdvl_replay.geometry.rotation import mat_from_rpy, wrap_angle
+from insdvl_replay.geometry.beams import DvlMounting, solve_beams
+from insdvl_replay.geometry.frames import north_east_m
+from insdvl_replay.geometry.rotation import wrap_angle
 
 _LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and a lever arm's swing
 _LEAST_SWING_MPS: Final = 0.015  # below it a DVL shows its noise
@@ -153,7 +154,7 @@ def track_by_positions(
     if len(ping_ns) < ENOUGH or len(fixes) < ENOUGH:
         return None
     fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
-    fix_ns, fixes_m = reference.time_ns[fixes], north_east_m(reference.position[fixes])
+    fix_ns, fixes_m = reference.time_ns[fixes], _track_m(reference.position[fixes])
     first, last = _windows(fix_ns, ping_ns)
     true = fixes_m[last] - fixes_m[first]
     if len(first) < ENOUGH or np.sqrt(np.mean(np.abs(true) ** 2)) < _LEAST_WINDOW_M:
@@ -200,12 +201,13 @@ def _pings(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:
     if dvl.velocity_d is not None:
         velocity_d = dvl.velocity_d
     elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
-        velocity_d = dvl.beam_velocity_mps @ np.linalg.pinv(dvl.beam_vectors_d).T
+        velocity_d = solve_beams(dvl.beam_velocity_mps, dvl.beam_vectors_d)[0]
+        velocity_d[~np.isfinite(dvl.beam_velocity_mps).all(axis=1)] = np.nan
     else:
         raise ValueError("a DVL gives beams with their vectors, or velocities")
     good = np.isfinite(velocity_d).all(axis=1)
-    mounting_bd = mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG)
-    return dvl.time_ns[good], velocity_d[good] @ mounting_bd.T / config.dvl.scale
+    mounting = DvlMounting.of(config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale)
+    return dvl.time_ns[good], mounting.velocity_b(velocity_d[good])
 
 
 def _pause_s(time_ns: TimeNs, at_ns: TimeNs) -> Floats:
@@ -214,11 +216,9 @@ def _pause_s(time_ns: TimeNs, at_ns: TimeNs) -> Floats:
     return seconds(time_ns[after], time_ns[after - 1])
 
 
-def north_east_m(position: Floats) -> Complex:
-    """Measure along a sphere that touches the ellipsoid at the first position."""
-    latitude, longitude = position[:, 0], position[:, 1]
-    north_m = (latitude - latitude[0]) * earth.meridian_radius_m(latitude[0])
-    east_m = wrap_angle(longitude - longitude[0]) * earth.transverse_radius_m(latitude[0]) * np.cos(latitude[0])
+def _track_m(position: Floats) -> Complex:
+    """Measure along the plane that touches the Earth at the first position."""
+    north_m, east_m = north_east_m(position, position[0], position[0])
     return np.asarray(north_m + 1j * east_m)
 
 

@@ -16,8 +16,8 @@ from insdvl_replay.checks.imu import Check
 from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry import earth
-from insdvl_replay.geometry.rotation import vector_from_mat, wrap_angle
+from insdvl_replay.geometry.frames import north_east_m
+from insdvl_replay.geometry.rotation import vector_from_mat
 
 _LEG_S: Final = 10.0
 """Over so long a leg, single positions of a receiver are good enough to tell a direction."""
@@ -110,9 +110,7 @@ def _ways(reference: ReferenceColumns) -> _Ways:
 
 def _gone_m(position: Floats) -> Complex:
     """Measure each step on the ellipsoid where it is made, so that long ways are as right as short ones."""
-    latitude = 0.5 * (position[1:, 0] + position[:-1, 0])
-    north_m = np.diff(position[:, 0]) * earth.meridian_radius_m(latitude)
-    east_m = wrap_angle(np.diff(position[:, 1])) * earth.transverse_radius_m(latitude) * np.cos(latitude)
+    north_m, east_m = north_east_m(position[1:], position[:-1], 0.5 * (position[1:] + position[:-1]))
     return np.asarray(north_m + 1j * east_m)
 
 

@@ -19,7 +19,7 @@ def scenario_names(incomplete: str) -> list[str]:
 
 def grade_names(incomplete: str) -> list[str]:
     """Give the grades of IMUs that begin with what is typed."""
-    from insdvl_replay.sim.imu_errors import GRADES
+    from insdvl_replay.sim.sensor_errors import GRADES
 
     return _beginning(incomplete, GRADES)
 

@@ -11,7 +11,7 @@ from insdvl_replay.cli.options import Force, Outages, Scenario, Verbose, outage_
 from insdvl_replay.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from insdvl_replay.sim.dvl_errors import LostBeam
+    from insdvl_replay.sim.sensor_errors import LostBeam
 
 
 def simulate(
@@ -62,7 +62,7 @@ def simulate(
 
 
 def _lost_beam(text: str) -> "LostBeam":
-    from insdvl_replay.sim.dvl_errors import LostBeam
+    from insdvl_replay.sim.sensor_errors import LostBeam
 
     try:
         beam, start_s, end_s = text.split(":")

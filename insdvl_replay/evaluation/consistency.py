@@ -7,76 +7,18 @@ from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
-from scipy.special import chdtri
 
 from insdvl_replay.core.columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.result_tables import AXES, axis_of
+from insdvl_replay.evaluation.chi_square import mean_interval, verdict
 from insdvl_replay.evaluation.whiteness import autocorrelation, whiteness
 
-CONFIDENCE = 0.95
-"""Share of consistent filters whose mean lies inside the interval."""
 FEWEST_UPDATES = 10
 """With fewer updates the verdict is ``too few``."""
-SMALL_EXCESS = 0.1
-"""A NIS or NEES that is off by a smaller share stands for a standard deviation that is off by less than 5 %."""
 MANY_REJECTED = 0.1
 """A gate that rejects a larger share does not keep outliers out but the DVL."""
-
-
-def chi_square_quantile(probability: float, dof: float) -> float:
-    """Give the value below which a chi-square variable lies with a probability; infinite for probability 1."""
-    return float("inf") if probability >= 1.0 else float(chdtri(dof, 1.0 - probability))
-
-
-def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Give the interval in which the mean of chi-square variables lies.
-
-    The sum of ``count`` independent variables with ``dof`` degrees of freedom has ``count * dof`` of them.
-
-    Parameters
-    ----------
-    dof : int
-        Of one variable.
-    count : float
-        How many are averaged; of variables that depend on each other the effective number, which need not be whole.
-    confidence : float
-        Probability of the interval, two-sided.
-
-    Returns
-    -------
-    low, high : float
-    """
-    tail = (1.0 - confidence) / 2.0
-    return (
-        chi_square_quantile(tail, count * dof) / count,
-        chi_square_quantile(1.0 - tail, count * dof) / count,
-    )
-
-
-def verdict(mean: float, low: float, high: float, dof: int) -> str:
-    """Say what a mean NIS or NEES means for the filter's own uncertainty.
-
-    Parameters
-    ----------
-    mean : float
-    low, high : float
-        Interval in which a consistent filter's mean lies.
-    dof : int
-        Degrees of freedom of one value, the mean of a consistent filter.
-
-    Returns
-    -------
-    str
-        ``consistent`` also where the mean is outside the interval, but too close to ``dof`` to matter: over a long dive
-        any model is found wrong.
-    """
-    if not np.isfinite(mean):
-        return "not finite"
-    if low <= mean <= high or abs(mean / dof - 1.0) <= SMALL_EXCESS:
-        return "consistent"
-    return "over-confident" if mean > high else "over-cautious"
 
 
 def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:

@@ -15,14 +15,14 @@ from scipy.special import betainc, chdtr
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.result_tables import CREDIBILITY_QUANTITIES, JOINT
 from insdvl_replay.core.states import BA, PHI
-from insdvl_replay.evaluation.consistency import (
+from insdvl_replay.evaluation.chi_square import (
     CONFIDENCE,
-    FEWEST_UPDATES,
     chi_square_quantile,
+    effective_samples,
     mean_interval,
     verdict,
 )
-from insdvl_replay.evaluation.effective_samples import effective_samples
+from insdvl_replay.evaluation.consistency import FEWEST_UPDATES
 from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
 
 FAR_SMALLER: Final = 0.25

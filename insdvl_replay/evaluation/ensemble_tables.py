@@ -8,7 +8,8 @@ import pandas as pd
 
 from insdvl_replay.core.states import STATES
 from insdvl_replay.evaluation.believed import improvement_pct
-from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, mean_interval, verdict
+from insdvl_replay.evaluation.chi_square import mean_interval, verdict
+from insdvl_replay.evaluation.consistency import FEWEST_UPDATES
 from insdvl_replay.evaluation.ensemble import Ensemble, RunErrors, Tally
 
 DOF: Final = len(STATES)

@@ -11,8 +11,8 @@ from insdvl_replay.core.result_tables import PARTLY_COVERED, REFERENCE_QUANTITIE
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.believed import improvement_pct
 from insdvl_replay.evaluation.coverage import WELL_COVERED, covered_share
-from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
-from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat, wrap_angle
+from insdvl_replay.geometry.frames import north_east_down_m
+from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat
 
 DEAD_RECKONED = ("position_h", "depth", "position_h_pct")
 """Quantities that keep what went wrong in a gap of the IMU: nothing brings position and its heading back."""
@@ -70,25 +70,6 @@ def reference_errors(history: History, reference: ReferenceColumns) -> Reference
         attitude_error(history.mat_nb[ours], reference.mat_nb[theirs]),
         distance_travelled_m(history, time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]),
     )
-
-
-def north_east_down_m(position: Floats, origin: Floats) -> Floats:
-    """Give the way from one position to a near one, in north-east-down.
-
-    Parameters
-    ----------
-    position, origin : ndarray, shape (k, 3)
-        Latitude rad, longitude rad, height m.
-
-    Returns
-    -------
-    ndarray, shape (k, 3), m
-    """
-    latitude, height_m = origin[:, 0], origin[:, 2]
-    level_m = np.where(np.isfinite(height_m), height_m, 0.0)
-    north = (position[:, 0] - latitude) * (meridian_radius_m(latitude) + level_m)
-    east = wrap_angle(position[:, 1] - origin[:, 1]) * (transverse_radius_m(latitude) + level_m) * np.cos(latitude)
-    return np.column_stack([north, east, height_m - position[:, 2]])
 
 
 def distance_travelled_m(history: History, time_ns: TimeNs) -> float:

@@ -1,1 +1,1 @@
-"""Mathematics that several rooms share: the Earth, rotations, the beams of a DVL, and positions as ROS has them."""
+"""Mathematics that several rooms share: the Earth, rotations, frames and the tangent plane, the beams of a DVL."""

@@ -1,13 +1,15 @@
 """The WGS-84 Earth: rotation, gravity, radii of curvature.
 
-Written with numpy functions that take numbers and arrays alike; `nav.place` compiles the same text for the filter's
-loop. All of it depends on the latitude by its sine squared alone, which the simulation computes in its own way.
+Written with numpy functions that take numbers and arrays alike; `nav.local_earth` compiles the same text for the
+filter's loop. What ends in ``_of`` takes sines and cosines of the latitude, which the simulation computes its own way.
 Source: NIMA TR8350.2, "Department of Defense World Geodetic System 1984", third edition, chapters 3 and 4.
 """
 
 from typing import Any, Final
 
 import numpy as np
+
+from insdvl_replay.core.columns import Floats
 
 EARTH_RATE: Final = 7.292115e-5
 """Rotation rate of the Earth, rad/s."""
@@ -23,6 +25,26 @@ FLATTENING: Final = 1.0 / 298.257223563
 """Flattening of the ellipsoid."""
 GRAVITY_RATIO: Final = 3.449786506841e-3
 """Ratio of centrifugal acceleration to gravity at the equator, m = w^2 a^2 b / GM."""
+
+
+def earth_rate_n(latitude: float | Floats) -> Floats:
+    """Return the rotation rate of the Earth in north-east-down, w_ie.
+
+    Parameters
+    ----------
+    latitude : float or ndarray, shape (...)
+        rad
+
+    Returns
+    -------
+    ndarray, shape (..., 3), rad/s
+    """
+    return np.stack(np.broadcast_arrays(*earth_rate_of(np.sin(latitude), np.cos(latitude))), axis=-1)
+
+
+def earth_rate_of(sine: Any, cosine: Any) -> tuple[Any, float, Any]:
+    """Return north, east and down of `earth_rate_n` where the latitude has this sine and cosine."""
+    return EARTH_RATE * cosine, 0.0, -EARTH_RATE * sine
 
 
 def normal_gravity(latitude: Any, height_m: Any) -> Any:

@@ -9,6 +9,7 @@ from insdvl_replay.checks.dvl_comparison import Fit, dvl_by_velocity
 from insdvl_replay.core.columns import DvlColumns, ReferenceColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.units import VELOCITY_UNITS
+from insdvl_replay.geometry.frames import MAT_FRD_FLU
 from insdvl_replay.inspection.proposed_settings import Setting
 from insdvl_replay.inspection.stamp_proposal import stamp_setting
 from insdvl_replay.inspection.topic_probe import Candidate, SeenTopic
@@ -84,7 +85,7 @@ def judged_dvl(dvl: DvlColumns, reference: ReferenceColumns | None, config: Conf
     """
     if dvl.velocity_d is None or config.dvl.axes is not None:
         return []
-    as_flu = replace(dvl, velocity_d=dvl.velocity_d * [1.0, -1.0, -1.0])
+    as_flu = replace(dvl, velocity_d=dvl.velocity_d @ MAT_FRD_FLU)
     fits = {
         axes: fit
         for axes, columns in (("frd", dvl), ("flu", as_flu))

@@ -7,6 +7,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import DvlColumns, Floats, TimeNs
+from insdvl_replay.geometry.beams import DvlMounting, solve_beams, whole_ping_cov
 
 
 @dataclass(frozen=True)
@@ -58,56 +59,8 @@ class DvlVelocities:
         )
 
 
-def solve_beams(
-    beam_velocity_mps: Floats, vectors_d: Floats, weights: Floats | None = None
-) -> tuple[Floats, Floats, Floats]:
-    """Solve velocities from beams by weighted least squares over the beams that are not NaN.
-
-    Equations (6) to (8) of Levy and Klein, with weights.
-
-    Parameters
-    ----------
-    beam_velocity_mps : ndarray, shape (m, beams)
-        NaN where a beam is lost.
-    vectors_d : ndarray, shape (beams, 3)
-        Unit vectors.
-    weights : ndarray, shape (beams,), optional
-        Inverse relative variances; all 1 when left out.
-
-    Returns
-    -------
-    velocity_d : ndarray, shape (m, 3)
-        NaN where the valid beams do not span three dimensions.
-    shape_d : ndarray, shape (m, 3, 3)
-        ``(H' W H)^-1``, the covariance for unit variance at weight 1.
-    residual_mps : ndarray, shape (m,)
-        Weighted root mean square residual over its degrees of freedom; NaN where no beam is redundant.
-    """
-    valid = np.isfinite(beam_velocity_mps)
-    weight = valid * (np.ones(len(vectors_d)) if weights is None else weights)
-    measured = np.where(valid, beam_velocity_mps, 0.0)
-    normal = np.einsum("mi,ij,ik->mjk", weight, vectors_d, vectors_d)
-    solvable = np.linalg.cond(normal) < 1e8
-    shape_d = np.full_like(normal, np.nan)
-    shape_d[solvable] = np.linalg.inv(normal[solvable])
-    velocity_d = np.einsum("mjk,mi,ik,mi->mj", shape_d, weight, vectors_d, measured, optimize=True)
-    residuals = measured - velocity_d @ vectors_d.T
-    redundancy = valid.sum(axis=1) - 3
-    squares = np.einsum("mi,mi->m", weight, residuals**2)
-    return (
-        velocity_d,
-        shape_d,
-        np.sqrt(np.divide(squares, redundancy, out=np.full(len(squares), np.nan), where=redundancy > 0)),
-    )
-
-
-def _shape_d(vectors_d: Floats) -> Floats:
-    """Give the covariance of a velocity from all beams, each with unit variance."""
-    return np.linalg.pinv(vectors_d.T @ vectors_d).astype(np.float64)
-
-
 def dvl_velocities(
-    dvl: DvlColumns, mounting_bd: Floats, scale: float = 1.0, max_residual_mps: float = np.inf
+    dvl: DvlColumns, mounting: DvlMounting | None = None, max_residual_mps: float = np.inf
 ) -> DvlVelocities:
     """Solve the pings for velocities, divide out the scale, and turn them to body axes.
 
@@ -115,10 +68,8 @@ def dvl_velocities(
     ----------
     dvl : DvlColumns
         Beams or velocities.
-    mounting_bd : ndarray, shape (3, 3)
-        Mounting rotation C_d^b.
-    scale : float
-        Measured over true velocity.
+    mounting : DvlMounting, optional
+        Left out: the DVL's axes are the body's.
     max_residual_mps : float
         Pings whose beams disagree by more are left out.
 
@@ -128,27 +79,28 @@ def dvl_velocities(
         Usable pings only, with the others counted.
     """
     if dvl.velocity_d is not None:
-        velocity_d, full_shape_d, from_beams = dvl.velocity_d, _shape_d(np.eye(3)), False
+        velocity_d, full_shape_d, from_beams = dvl.velocity_d, np.eye(3), False
         shape_d = np.broadcast_to(np.eye(3), (len(velocity_d), 3, 3))
         residual_mps = np.full(len(velocity_d), np.nan)
         beams_used = np.zeros(len(velocity_d), dtype=np.int64)
     elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
         velocity_d, shape_d, residual_mps = solve_beams(dvl.beam_velocity_mps, dvl.beam_vectors_d)
-        full_shape_d, from_beams = _shape_d(dvl.beam_vectors_d), True
+        full_shape_d, from_beams = whole_ping_cov(dvl.beam_vectors_d), True
         beams_used = np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
     else:
         raise ValueError("a DVL gives beams with their vectors, or velocities")
+    mounting = mounting or DvlMounting()
     solved = np.isfinite(velocity_d).all(axis=1)
     bad = solved & (residual_mps > max_residual_mps)
     keep = solved & ~bad
     return DvlVelocities(
         time_ns=dvl.time_ns[keep],
-        velocity_b=velocity_d[keep] @ mounting_bd.T / scale,
-        shape_b=mounting_bd @ shape_d[keep] @ mounting_bd.T,
-        full_shape_b=mounting_bd @ full_shape_d @ mounting_bd.T,
+        velocity_b=mounting.velocity_b(velocity_d[keep]),
+        shape_b=mounting.mat_bd @ shape_d[keep] @ mounting.mat_bd.T,
+        full_shape_b=mounting.mat_bd @ full_shape_d @ mounting.mat_bd.T,
         from_beams=from_beams,
         beams_used=beams_used[keep],
-        residual_mps=residual_mps[keep] / scale,
+        residual_mps=residual_mps[keep] / mounting.scale,
         pings_without_velocity=int(np.sum(~solved)),
         pings_with_bad_residual=int(np.sum(bad)),
     )

@@ -14,7 +14,6 @@ from insdvl_replay.core.history import History
 from insdvl_replay.nav.correction import correct
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
 from insdvl_replay.nav.gate import locks_out, open_state
-from insdvl_replay.nav.gravity_height import GravityHeight, followed
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import (
@@ -24,7 +23,7 @@ from insdvl_replay.nav.kalman import (
     transposed_gain,
     update_cov,
 )
-from insdvl_replay.nav.local_earth import gravity_at, place_about, place_at
+from insdvl_replay.nav.local_earth import GravityHeight, followed, gravity_at, place_about, place_at
 from insdvl_replay.nav.measurements import VELOCITY, Measurement
 from insdvl_replay.nav.state_log import (
     Records,

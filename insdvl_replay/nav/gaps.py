@@ -23,11 +23,14 @@ class Gaps:
         The samples before and after each gap.
     noise_density : ndarray, shape (g, 12)
         What each adds to the diagonal of the process noise's spectral density, see `error_model.noise_density`.
+    rate_sd_radps : float
+        How fast the vehicle may turn in them, unseen.
     """
 
     start_ns: TimeNs
     end_ns: TimeNs
     noise_density: Floats
+    rate_sd_radps: float = 0.0
 
     @property
     def length_s(self) -> Floats:
@@ -36,7 +39,7 @@ class Gaps:
 
     def where(self, keep: NDArray[np.bool_]) -> "Gaps":
         """Keep some of the gaps."""
-        return Gaps(self.start_ns[keep], self.end_ns[keep], self.noise_density[keep])
+        return Gaps(self.start_ns[keep], self.end_ns[keep], self.noise_density[keep], self.rate_sd_radps)
 
     def within(self, start_ns: int, end_ns: int) -> "Gaps":
         """Keep the gaps that a span touches."""

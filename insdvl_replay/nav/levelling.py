@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import Floats, ImuColumns, TimeNs, distinct, nanoseconds, seconds
-from insdvl_replay.core.errors import LogError
-from insdvl_replay.geometry.earth import EARTH_RATE
+from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, skew
 from insdvl_replay.nav.dvl import DvlVelocities
 
@@ -114,24 +113,13 @@ def levelling_samples(imu: ImuColumns, start_ns: int) -> ImuColumns:
     Returns
     -------
     ImuColumns
-
-    Raises
-    ------
-    LogError
-        Hardly a sample follows the start.
+        With fewer than `FEWEST_SAMPLES` the level is not found.
     """
     first = int(np.searchsorted(imu.time_ns, start_ns))
     last = int(np.searchsorted(imu.time_ns, start_ns + nanoseconds(LEVELLING_S), side="right"))
     pauses = np.flatnonzero(np.diff(imu.time_ns[first:last]) > nanoseconds(LONGEST_PAUSE_S))
     rows = slice(first, first + 1 + int(pauses[0]) if pauses.size else last)
-    samples = ImuColumns(imu.time_ns[rows], imu.specific_force_b[rows], imu.angular_rate_b[rows])
-    if len(samples.time_ns) < FEWEST_SAMPLES:
-        raise LogError(
-            f"only {len(samples.time_ns)} IMU samples without a pause lie in the {LEVELLING_S:g} s after the start, "
-            "too few to find the level",
-            "choose another --start",
-        )
-    return samples
+    return ImuColumns(imu.time_ns[rows], imu.specific_force_b[rows], imu.angular_rate_b[rows])
 
 
 def find_level(
@@ -201,7 +189,7 @@ def _earth_rate_b(mean_force_b: Floats, heading: float, latitude: float) -> Floa
     """Give the Earth's rotation in b; a level that is wrong by 3 deg moves the result by 0.001 deg."""
     x, y, z = mean_force_b
     mat_nb = mat_from_rpy(np.array([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), heading]))
-    rate_ie_b: Floats = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)]) @ mat_nb
+    rate_ie_b: Floats = earth_rate_n(latitude) @ mat_nb
     return rate_ie_b
 
 

@@ -15,7 +15,7 @@ from insdvl_replay.nav.vector_algebra import Vector
 REACH_RAD: Final = 1e-7
 REACH_M: Final = 30.0
 
-for _formula in (earth.gravity_of, earth.meridian_radius_of, earth.transverse_radius_of):
+for _formula in (earth.earth_rate_of, earth.gravity_of, earth.meridian_radius_of, earth.transverse_radius_of):
     inlined(_formula)
 normal_gravity = inlined(earth.normal_gravity)
 _meridian_radius_m = inlined(earth.meridian_radius_m)
@@ -54,22 +54,6 @@ class Place(NamedTuple):
 
 
 @inlined
-def earth_rate_n(latitude: float) -> Vector:
-    """Give the Earth's rotation rate w_ie in n.
-
-    Parameters
-    ----------
-    latitude : float
-        rad
-
-    Returns
-    -------
-    tuple of 3 float, rad/s
-    """
-    return earth.EARTH_RATE * math.cos(latitude), 0.0, -earth.EARTH_RATE * math.sin(latitude)
-
-
-@inlined
 def place_at(latitude: float, height_m: float) -> Place:
     """Compute what there is to know of a place.
 
@@ -89,7 +73,7 @@ def place_at(latitude: float, height_m: float) -> Place:
         height_m,
         math.cos(latitude),
         math.tan(latitude),
-        earth_rate_n(latitude),
+        earth.earth_rate_of(math.sin(latitude), math.cos(latitude)),
         _meridian_radius_m(latitude),
         _transverse_radius_m(latitude),
         gravity,
@@ -165,3 +149,52 @@ def transport_rate_n(curvature: Vector, velocity_n: Vector) -> Vector:
     tuple of 3 float, rad/s
     """
     return velocity_n[1] * curvature[0], -velocity_n[0] * curvature[1], -velocity_n[1] * curvature[2]
+
+
+HOLD_AFTER_S: Final = 300.0
+"""Without a velocity for so long, an acceleration error a has moved the height by a T^2 / 2, and gravity there by 14 %
+of a; after 600 s it is 55 %."""
+
+
+class GravityHeight(NamedTuple):
+    """Where gravity is taken: at the INS's own height as long as velocities hold it, then at the last of those.
+
+    Gravity falls by 3.1e-6 m/s^2 a metre. An unaided INS that takes it at its own height drives that height away,
+    e-fold in 570 s, and leaves a wrong gravity behind when velocities return, which the filter takes for an
+    accelerometer bias. Twelve states have no height in which that uncertainty could stand. A vehicle stays near its
+    depth.
+
+    Attributes
+    ----------
+    height_m : float
+    drift_m : float
+        What the INS's height has moved by while this one was held: how much higher it is.
+    aided_s : float
+        When a velocity was used last, seconds from the start.
+    """
+
+    height_m: float
+    drift_m: float
+    aided_s: float
+
+
+@inlined
+def followed(gravity: GravityHeight, height_m: float, time_s: float) -> GravityHeight:
+    """Let the height of gravity follow that of the INS, or hold it.
+
+    Parameters
+    ----------
+    gravity : GravityHeight
+        At the node before.
+    height_m : float
+        Of the INS.
+    time_s : float
+        Seconds from the start.
+
+    Returns
+    -------
+    GravityHeight
+    """
+    if time_s - gravity.aided_s <= HOLD_AFTER_S:
+        return GravityHeight(height_m - gravity.drift_m, gravity.drift_m, gravity.aided_s)
+    return GravityHeight(gravity.height_m, height_m - gravity.height_m, gravity.aided_s)

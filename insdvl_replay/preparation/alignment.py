@@ -8,11 +8,18 @@ from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns, sec
 from insdvl_replay.core.config import Initial
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
-from insdvl_replay.geometry import earth
+from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.initial_state import Start, start_cov
-from insdvl_replay.nav.levelling import Level, SensorNoise, find_level, levelling_samples
+from insdvl_replay.nav.levelling import (
+    FEWEST_SAMPLES,
+    LEVELLING_S,
+    Level,
+    SensorNoise,
+    find_level,
+    levelling_samples,
+)
 from insdvl_replay.preparation.start_position import FAR_S, apart_s, at_time, configured_latitude_deg, start_position
 
 HEADING_DOUBT = 10.0 * DEG
@@ -193,6 +200,12 @@ def _levelled(
     """Find the level, and the attitude with the configured heading."""
     heading = _configured_heading_deg(initial) * DEG
     samples = levelling_samples(imu, start_ns)
+    if len(samples.time_ns) < FEWEST_SAMPLES:
+        raise LogError(
+            f"only {len(samples.time_ns)} IMU samples without a pause lie in the {LEVELLING_S:g} s after the start, "
+            "too few to find the level",
+            "choose another --start",
+        )
     unbiased = replace(
         samples,
         specific_force_b=samples.specific_force_b - _accel_bias_b(initial),
@@ -260,8 +273,7 @@ def _dvl_velocity(
         return level.velocity_b, _dvl_note(away_s)
     nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
     rate_ib_b = at_time(imu.time_ns, imu.angular_rate_b, int(velocities.time_ns[nearest])) - _gyro_bias_b(initial)
-    rate_ie_n = earth.EARTH_RATE * np.array([np.cos(position[0]), 0.0, -np.sin(position[0])])
-    rate_eb_b = rate_ib_b - mat_nb.T @ rate_ie_n
+    rate_eb_b = rate_ib_b - mat_nb.T @ earth_rate_n(position[0])
     away_s = abs(int(velocities.time_ns[nearest]) - start_ns) * 1e-9
     velocity_b: Floats = velocities.velocity_b[nearest] - np.cross(rate_eb_b, lever_arm_b)
     return velocity_b, _dvl_note(away_s)

@@ -8,12 +8,13 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, TimeNs, nanoseconds, seconds
+from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds, seconds
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, DV, PHI, STATES
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.gaps import Gaps
+from insdvl_replay.nav.local_earth import HOLD_AFTER_S
 
 LONGEST_BRIDGE_S: Final = 3600.0
 """Through a longer gap the line between two readings says nothing; the dive has to be split there."""
@@ -42,10 +43,10 @@ def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
     density[:, DV] = imu.gap_accel_mps2**2 * length_s
     # No attitude is less known than by half a turn, however long nobody looked.
     density[:, PHI] = np.minimum(imu.gap_rate_degps * DEG * length_s, np.pi) ** 2 / length_s
-    return Gaps(start_ns, end_ns, density)
+    return Gaps(start_ns, end_ns, density, imu.gap_rate_degps * DEG)
 
 
-def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats, imu: Imu) -> Floats:
+def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats) -> Floats:
     """Give the covariance of ``w x l`` at pings inside a gap, where the turn rate is unknown; zero elsewhere.
 
     Parameters
@@ -55,8 +56,6 @@ def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats, imu: Imu) -> Flo
         Times of the pings.
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
-    imu : Imu
-        Settings.
 
     Returns
     -------
@@ -64,7 +63,7 @@ def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats, imu: Imu) -> Flo
     """
     inside = gaps.overlap(time_ns, time_ns)
     arm = skew(lever_arm_b)
-    return inside[:, None, None] * (imu.gap_rate_degps * DEG) ** 2 * (arm @ arm.T)
+    return inside[:, None, None] * gaps.rate_sd_radps**2 * (arm @ arm.T)
 
 
 def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int) -> tuple[int, int, tuple[Note, ...]]:
@@ -94,9 +93,7 @@ def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int
     inside = gaps.within(start_ns, end_ns)
     if not len(inside.start_ns):
         return start_ns, end_ns, ()
-    split_at = (
-        inside if imu.long_gaps == "split" else inside.where(_turns_unseen_rad(inside, imu) > WIDEST_ATTITUDE_RAD)
-    )
+    split_at = inside if imu.long_gaps == "split" else inside.where(_turns_unseen_rad(inside) > WIDEST_ATTITUDE_RAD)
     notes: tuple[Note, ...] = ()
     if len(split_at.start_ns):
         kept_ns = split_at.longest_stretch(start_ns, end_ns)
@@ -112,9 +109,9 @@ def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int
     return start_ns, end_ns, (*notes, Note("imu_long_gaps", text, len(inside.start_ns), "warning", split))
 
 
-def _turns_unseen_rad(gaps: Gaps, imu: Imu) -> Floats:
+def _turns_unseen_rad(gaps: Gaps) -> Floats:
     """Give the deviation of what a vehicle may have turned in each gap."""
-    return np.asarray(imu.gap_rate_degps * DEG * gaps.length_s)
+    return np.asarray(gaps.rate_sd_radps * gaps.length_s)
 
 
 def _split_note(gaps: Gaps, imu: Imu, span_ns: tuple[int, int], kept_ns: tuple[int, int], origin_ns: int) -> Note:
@@ -123,7 +120,7 @@ def _split_note(gaps: Gaps, imu: Imu, span_ns: tuple[int, int], kept_ns: tuple[i
     left_out_s = (span_ns[1] - span_ns[0] - kept_ns[1] + kept_ns[0]) * 1e-9
     hint, why = "--set imu.long_gaps=grow bridges those in which the attitude is not lost", ""
     if imu.long_gaps == "grow":
-        widest_deg = float(_turns_unseen_rad(gaps, imu).max()) / DEG
+        widest_deg = float(_turns_unseen_rad(gaps).max()) / DEG
         why = f" ({imu.gap_rate_degps:g} deg/s unseen leave the attitude unknown by {widest_deg:.0f} deg)"
         hint = "a smaller imu.gap_rate_degps, if the vehicle cannot have turned so fast, bridges them"
     text = f"{_found(gaps, imu, origin_ns)}{why}; only {from_s:.1f} to {to_s:.1f} s are replayed, "
@@ -140,3 +137,37 @@ def _found(gaps: Gaps, imu: Imu, origin_ns: int) -> str:
 
 def _counted(gaps: int) -> str:
     return "1 gap" if gaps == 1 else f"{gaps} gaps"
+
+
+_TRUSTED: Final = "5 min with micromechanical sensors, 1 h with tactical and 2 h with fibre-optic ones"
+"""How long standard deviations hold without a velocity, by the presets; see EQUATIONS.md."""
+_HINT: Final = "--start and --end leave it out"
+
+
+def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> tuple[Note, ...]:
+    """Say of long outages that gravity is held in them, and beyond which length standard deviations do not hold.
+
+    Parameters
+    ----------
+    ping_ns : ndarray, shape (m,)
+        Times of the velocities.
+    start_ns, end_ns : int
+        Span of the replay.
+
+    Returns
+    -------
+    tuple of Note
+        One that counts the outages beyond `local_earth.HOLD_AFTER_S`, or none.
+    """
+    ends_ns = np.concatenate([[start_ns], ping_ns, [end_ns]])
+    length_ns = np.diff(ends_ns)
+    count, longest = int(np.count_nonzero(length_ns > nanoseconds(HOLD_AFTER_S))), int(np.argmax(length_ns))
+    if not count:
+        return ()
+    longest_s, since_s = length_ns[longest] / NS_PER_S, (ends_ns[longest] - start_ns) / NS_PER_S
+    text = (
+        f"the DVL gives no velocity for over {HOLD_AFTER_S:g} s, {count} x, the longest {longest_s:.0f} s from "
+        f"{since_s:.0f} s after the start on; from then on gravity is taken at the height of before, since an unaided "
+        f"height runs away, and standard deviations in and after it hold up to {_TRUSTED}"
+    )
+    return (Note("dvl_outages", text, count, "warning", _HINT),)

@@ -1,19 +1,19 @@
-"""Before the filters: solve the pings, find the span, bridge or split gaps, and align."""
+"""Before the filters: move the reference to the IMU, solve the pings, find the span, settle gaps, and align."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from insdvl_replay.core.columns import Dive, nanoseconds
+from insdvl_replay.core.columns import Dive, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, LogError, Note, about
-from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry.rotation import mat_from_rpy
+from insdvl_replay.geometry.beams import DvlMounting
+from insdvl_replay.geometry.earth import earth_rate_n
+from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.gaps import Gaps
-from insdvl_replay.preparation.aiding import sensor_noise
 from insdvl_replay.preparation.alignment import Alignment, align
-from insdvl_replay.preparation.lever_arm import reference_at_imu
+from insdvl_replay.preparation.filters import ResolvedFilter, dvl_mounting, resolve_filters
 from insdvl_replay.preparation.long_gaps import find_gaps, settle_gaps
 
 
@@ -31,6 +31,9 @@ class Prepared:
         End of the span.
     gaps : Gaps
         The IMU's long gaps inside the span, which the filters bridge.
+    mounting : DvlMounting
+    filters : tuple of ResolvedFilter
+        The first is the baseline.
     notes : tuple of Note
         What was dropped or assumed on the way.
     """
@@ -39,6 +42,8 @@ class Prepared:
     alignment: Alignment
     end_ns: int
     gaps: Gaps
+    mounting: DvlMounting
+    filters: tuple[ResolvedFilter, ...]
     notes: tuple[Note, ...]
 
 
@@ -99,27 +104,26 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     """
     if len(dive.imu.specific_force_b) != len(dive.imu.time_ns):
         raise ValueError(f"{dive.name}: the readings of its IMU were let go; read the log anew")
-    velocities, notes = _velocities(dive, config)
+    mounting = dvl_mounting(config)
+    velocities, notes = _velocities(dive, mounting, config.dvl.max_beam_residual_mps)
+    filters = resolve_filters(config, from_beams=velocities.from_beams)
     start_ns, end_ns = _span(dive, velocities, config)
-    lever_arm_b = np.array(config.dvl.lever_arm_m)
     gaps = find_gaps(dive.imu.time_ns, config.imu)
     with about(dive.name):
         start_ns, end_ns, gap_notes = settle_gaps(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
-        noise = sensor_noise(config.filters[config.baseline], velocities, config)
-        alignment = align(dive.imu, velocities, noise, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)
+        noise = filters[0].sensor_noise(velocities)
+        alignment = align(
+            dive.imu, velocities, noise, dive.reference, config.initial, mounting.lever_arm_b, start_ns, end_ns
+        )
     inside = velocities.within(alignment.start_ns, end_ns)
     notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside)
-    return Prepared(inside, alignment, end_ns, gaps.within(alignment.start_ns, end_ns), notes)
+    gaps = gaps.within(alignment.start_ns, end_ns)
+    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, notes)
 
 
-def _velocities(dive: Dive, config: Config) -> tuple[DvlVelocities, tuple[Note, ...]]:
+def _velocities(dive: Dive, mounting: DvlMounting, limit_mps: float | None) -> tuple[DvlVelocities, tuple[Note, ...]]:
     """Solve the pings, and count those that gave no velocity."""
-    velocities = dvl_velocities(
-        dive.dvl,
-        mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG),
-        config.dvl.scale,
-        config.dvl.max_beam_residual_mps or np.inf,
-    )
+    velocities = dvl_velocities(dive.dvl, mounting, limit_mps or np.inf)
     if not len(velocities.time_ns):
         raise LogError(
             f"{dive.name}: none of the DVL's {len(dive.dvl.time_ns)} pings has a velocity",
@@ -131,8 +135,8 @@ def _velocities(dive: Dive, config: Config) -> tuple[DvlVelocities, tuple[Note, 
             Note("dvl_no_velocity", f"{lost} pings have fewer than three valid beams or no finite velocity", lost)
         )
     if bad := velocities.pings_with_bad_residual:
-        limit = config.dvl.max_beam_residual_mps
-        notes.append(Note("dvl_bad_residual", f"{bad} pings have beams that disagree by more than {limit:g} m/s", bad))
+        text = f"{bad} pings have beams that disagree by more than {limit_mps:g} m/s"
+        notes.append(Note("dvl_bad_residual", text, bad))
     if three := int(np.sum(velocities.beams_used == 3)):
         notes.append(Note("dvl_three_beams", f"{three} pings are solved from three beams, without a check", three))
     return velocities, tuple(notes)
@@ -172,3 +176,45 @@ def _outside_notes(name: str, velocities: DvlVelocities, inside: DvlVelocities) 
     if not outside:
         return ()
     return (Note("dvl_outside_span", f"{outside} pings lie before the start of the replay or after its end", outside),)
+
+
+def reference_at_imu(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: Floats) -> ReferenceColumns:
+    """Move a reference to the IMU: ``p_imu = p - C l`` and ``v_imu = v - C (w_eb x l)``.
+
+    Parameters
+    ----------
+    reference : ReferenceColumns
+        r rows.
+    imu : ImuColumns
+        Gives the angular rate, linear between samples.
+    lever_arm_b : ndarray, shape (3,)
+        IMU to the reference's point, m.
+
+    Returns
+    -------
+    ReferenceColumns
+        Rows without an attitude lose their position and velocity, rows outside the IMU's samples their velocity. Rows
+        of which no number is left are left out. With no lever arm, and numbers in all rows, the reference itself.
+    """
+    moved = _moved(reference, imu, lever_arm_b) if np.any(lever_arm_b) else reference
+    said = np.any(list(moved.known.values()), axis=0)
+    return moved if said.all() else moved.rows(said)
+
+
+def _moved(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: Floats) -> ReferenceColumns:
+    arm_n = reference.mat_nb @ lever_arm_b
+    arm_velocity_n = np.einsum("kij,kj->ki", reference.mat_nb, np.cross(_rate_eb_b(reference, imu), lever_arm_b))
+    return replace(
+        reference,
+        position=moved_position(reference.position, -arm_n),
+        velocity_n=reference.velocity_n - arm_velocity_n,
+    )
+
+
+def _rate_eb_b(reference: ReferenceColumns, imu: ImuColumns) -> Floats:
+    sample_s, row_s = seconds(imu.time_ns, imu.time_ns[0]), seconds(reference.time_ns, imu.time_ns[0])
+    columns = [np.interp(row_s, sample_s, column, np.nan, np.nan) for column in imu.angular_rate_b.T]
+    latitude = np.where(np.isfinite(reference.position[:, 0]), reference.position[:, 0], 0.0)
+    rate_ie_b = np.einsum("kji,kj->ki", reference.mat_nb, earth_rate_n(latitude))
+    rate_eb_b: Floats = np.column_stack(columns) - rate_ie_b
+    return rate_eb_b

@@ -8,8 +8,8 @@ from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.evaluation.acceleration import acceleration_at, reference_acceleration
-from insdvl_replay.evaluation.consistency import mean_interval
-from insdvl_replay.evaluation.reference import north_east_down_m
+from insdvl_replay.evaluation.chi_square import mean_interval
+from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import vector_from_mat
 from insdvl_replay.replay import Replay
 from insdvl_replay.report.plots.panel import Figure

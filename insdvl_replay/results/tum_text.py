@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs
-from insdvl_replay.geometry.east_north_up import east_north_up_m, quat_enu_flu
+from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
 
 
 def tum_trajectory(time_ns: TimeNs, position: Floats, mat_nb: Floats, origin: Floats) -> bytes:

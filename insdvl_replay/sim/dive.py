@@ -10,11 +10,18 @@ from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns, ReferenceCo
 from insdvl_replay.core.config import Vector
 from insdvl_replay.core.errors import ConfigError, refuse_unknown
 from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry import janus
+from insdvl_replay.geometry.beams import AZIMUTH_DEG
 from insdvl_replay.geometry.rotation import mat_from_sines, turned
-from insdvl_replay.sim.dvl_errors import DvlErrors, LostBeam, add_dvl_errors, beam_vectors_d
-from insdvl_replay.sim.imu_errors import GRADES, ImuErrors, add_imu_errors
 from insdvl_replay.sim.motion import Course
+from insdvl_replay.sim.sensor_errors import (
+    GRADES,
+    DvlErrors,
+    ImuErrors,
+    LostBeam,
+    add_dvl_errors,
+    add_imu_errors,
+    beam_vectors_d,
+)
 from insdvl_replay.sim.sines import sine_and_cosine
 from insdvl_replay.sim.trajectories import SCENARIOS
 
@@ -55,7 +62,7 @@ def simulate_dive(
     seed : int
         Of every error; not negative.
     grade : str
-        A name in `imu_errors.GRADES`.
+        A name in `sensor_errors.GRADES`.
     imu_errors, dvl_errors : optional
         Instead of the grade's errors, and of the defaults of `DvlErrors`.
     duration_s, imu_rate_hz, dvl_rate_hz, reference_rate_hz, outages, lost_beams, lever_arm_m, mounting_rpy_deg
@@ -137,7 +144,7 @@ def exact_dive(
         _check_positive(f"{sensor} rate", "Hz", rate_hz)
     if end_s * imu_rate_hz < 1.0:
         raise ConfigError(f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples", "--duration 60")
-    every_beam = range(len(janus.AZIMUTH_DEG))
+    every_beam = range(len(AZIMUTH_DEG))
     spans = [*lost_beams, *(LostBeam(beam, *outage) for outage in outages for beam in every_beam)]
     _check_spans(spans)
     course = Course(way, end_s)
@@ -231,7 +238,7 @@ def _check_positive(what: str, unit: str, value: float) -> None:
 
 
 def _check_spans(spans: Sequence[LostBeam]) -> None:
-    beams = len(janus.AZIMUTH_DEG)
+    beams = len(AZIMUTH_DEG)
     for span in spans:
         if not span.start_s < span.end_s:
             raise ConfigError(

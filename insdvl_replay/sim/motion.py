@@ -13,7 +13,7 @@ from scipy.integrate import cumulative_simpson
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry.earth import EARTH_RATE, gravity_of, meridian_radius_of, transverse_radius_of
+from insdvl_replay.geometry.earth import earth_rate_of, gravity_of, meridian_radius_of, transverse_radius_of
 from insdvl_replay.geometry.rotation import mat_from_sines, turned
 from insdvl_replay.sim.sines import sine_and_cosine
 from insdvl_replay.sim.trajectories import Scenario
@@ -160,7 +160,7 @@ class _Place:
 
     def earth_rate_n(self) -> Floats:
         """Give the rotation rate of the Earth."""
-        return EARTH_RATE * np.stack([self._cosine, np.zeros_like(self._sine), -self._sine], axis=-1)
+        return np.stack(np.broadcast_arrays(*earth_rate_of(self._sine, self._cosine)), axis=-1)
 
     def transport_rate_n(self, velocity_n: Floats) -> Floats:
         """Give the turn rate of north-east-down against the Earth as the vehicle moves on."""

@@ -53,7 +53,7 @@ def study_montecarlo(
     duration_s : float, optional
         Left out: the scenario's own.
     imu : str
-        `MATCHED`, or a name in `imu_errors.GRADES`.
+        `MATCHED`, or a name in `sensor_errors.GRADES`.
     outages : sequence of (start_s, end_s)
         Spans in which no beam finds the bottom; with any, there is a table ``outages`` of the NEES through them.
     jobs : int, optional

@@ -1,5 +1,7 @@
 """The observability study: which errors at the start of a dive its measurements can tell apart, and which not."""
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -11,15 +13,13 @@ from insdvl_replay.core.config import Acceleration, Config, Filter, Initial
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
 from insdvl_replay.nav.error_directions import named_directions
-from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.nominal_motion import NominalPings, nominal_pings
-from insdvl_replay.nav.observability import TOLERANCE, analyse, whitened_rows
-from insdvl_replay.nav.remaining import remaining_cov
-from insdvl_replay.nav.timeline import build_timeline
-from insdvl_replay.preparation.aiding import filter_measurements, filter_noise
+from insdvl_replay.nav.observability import TOLERANCE, analyse, remaining_cov, whitened_rows
+from insdvl_replay.preparation.filters import resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
+from insdvl_replay.replay import prepared_timeline, run_one
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS
 from insdvl_replay.studies.observability_document import observability_sentences, shown_observability
@@ -35,8 +35,8 @@ AIDING: Final = {
     "velocity + windowed": ("velocity", "windowed"),
 }
 """What each row of the study stacks: velocities, accelerations in either model, or both."""
-NO_GATE: Final = np.inf
-NO_TIMES: Final = np.empty(0, dtype=np.int64)
+NO_GATE: Final = 1.0
+"""Share of chi-square inside which every innovation lies."""
 
 
 def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bool = True) -> StudyReport:
@@ -68,8 +68,8 @@ def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bo
     """
     dive, config = _dive(dive_or_scenario, config)
     start = prepare_dive(dive, config)
-    nominal, pings = _nominal(dive, start, config, earth_rate)
-    measurements, arm_b = _measurements(start, config), np.array(config.dvl.lever_arm_m)
+    nominal, pings = _nominal(dive, start, earth_rate)
+    measurements, arm_b = _measurements(start, config), start.mounting.lever_arm_b
     prior_sd = start.alignment.start.sd
     found, left_sd = {}, {}
     for name, aiding in AIDING.items():
@@ -128,23 +128,20 @@ def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
     return dive, msgspec.structs.replace(config, dvl=dvl, initial=initial)
 
 
-def _nominal(dive: Dive, start: Prepared, config: Config, earth_rate: bool) -> tuple[History, NominalPings]:
+def _nominal(dive: Dive, start: Prepared, earth_rate: bool) -> tuple[History, NominalPings]:
     """Run the first filter for the nominal motion, and let errors grow and its process noise gather around it."""
-    gaps, baseline = start.gaps, config.baseline
-    start_ns, end_ns, filter_ = start.alignment.start_ns, start.end_ns, config.filters[baseline]
-    timeline = build_timeline(dive.imu, start.velocities.time_ns, NO_TIMES, start_ns, end_ns, gaps)
-    noise = filter_noise(filter_, config)
-    aided_by = filter_measurements(filter_, start.velocities, config, NO_GATE, gaps)
-    arm_b = np.array(config.dvl.lever_arm_m)
-    nominal = run_filter(baseline, timeline, start.alignment.start, noise, aided_by, arm_b)
-    return nominal, nominal_pings(timeline, nominal, noise, earth_rate=earth_rate)
+    timeline = prepared_timeline(replace(dive, reference=None), start)
+    baseline = replace(start.filters[0], gate_probability=NO_GATE)
+    nominal = run_one(baseline, start, timeline)
+    return nominal, nominal_pings(timeline, nominal, baseline.noise_density, earth_rate=earth_rate)
 
 
 def _measurements(start: Prepared, config: Config) -> dict[str, Measurement]:
     """Prepare each measurement alone."""
     prepared = {}
     for name, single in _single_aidings(config).items():
-        (prepared[name],) = filter_measurements(single, start.velocities, config, NO_GATE, start.gaps)
+        resolved = resolve_filter(name, single, config, from_beams=start.velocities.from_beams)
+        (prepared[name],) = resolved.measurements(start.velocities, start.mounting, start.gaps)
     return prepared
 
 
@@ -154,8 +151,8 @@ def _single_aidings(config: Config) -> dict[str, Filter]:
     with_acceleration = (filter_ for filter_ in config.filters.values() if filter_.acceleration is not None)
     owner = next(with_acceleration, baseline)
     acceleration = owner.acceleration or Acceleration()
-    change = msgspec.structs.replace
+    change = partial(msgspec.structs.replace, gate_probability=NO_GATE)
     return {"velocity": change(baseline, aiding=("velocity",))} | {
-        model: change(owner, aiding=("acceleration",), acceleration=change(acceleration, model=model))
+        model: change(owner, aiding=("acceleration",), acceleration=msgspec.structs.replace(acceleration, model=model))
         for model in ("published", "windowed")
     }

@@ -7,22 +7,20 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.core.columns import Dive, DvlColumns
+from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.states import BA, BG, DEG, DV, PHI
-from insdvl_replay.evaluation.consistency import chi_square_quantile
+from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.evaluation.ensemble import RunErrors, run_errors
-from insdvl_replay.geometry.rotation import mat_from_rpy
-from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
-from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.dvl import dvl_velocities
+from insdvl_replay.nav.gaps import NO_GAPS
 from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.nav.vector_algebra import rotation_from_vector, vector
-from insdvl_replay.preparation.aiding import dvl_noise, filter_measurements, filter_noise, inertial_noise
-from insdvl_replay.preparation.alignment import initial_sd
+from insdvl_replay.preparation.alignment import Alignment, initial_sd
+from insdvl_replay.preparation.filters import dvl_mounting, resolve_filters
+from insdvl_replay.preparation.prepared import Prepared
+from insdvl_replay.replay import prepared_timeline, run_one
 from insdvl_replay.sim.dive import add_errors, exact_dive, named
-from insdvl_replay.sim.dvl_errors import DvlErrors
-from insdvl_replay.sim.imu_errors import GRADES, ImuErrors
+from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 
 MATCHED: Final = "matched"
 """The grade of an IMU, and of the DVL beside it, that errs exactly as the first filter believes."""
@@ -64,7 +62,7 @@ def make_world(
         A name in `trajectories.SCENARIOS`.
     config : Config
     imu : str
-        `MATCHED`, or a name in `imu_errors.GRADES`.
+        `MATCHED`, or a name in `sensor_errors.GRADES`.
     duration_s : float, optional
         Left out: the scenario's own.
     outages : sequence of (start_s, end_s)
@@ -105,14 +103,14 @@ def matched_errors(config: Config) -> tuple[ImuErrors, DvlErrors]:
     DvlErrors
         Noise of the beams, or alike on the axes of the velocity, whichever the filter is told.
     """
-    baseline, sd = config.filters[config.baseline], initial_sd(config.initial)
+    baseline, sd = resolve_filters(config, from_beams=True)[0], initial_sd(config.initial)
     imu_errors = ImuErrors(
         accel_bias_sd_mps2=sd[BA][0],
         gyro_bias_sd_radps=sd[BG][0],
-        **msgspec.structs.asdict(inertial_noise(baseline, config)),
+        **msgspec.structs.asdict(baseline.inertial_noise),
     )
-    silent, noise = DvlErrors(0.0, 0.0, 0.0, 0.0), dvl_noise(baseline, config, from_beams=True)
-    return imu_errors, replace(silent, **{noise.key: noise.sd_mps})
+    noise = baseline.dvl_noise
+    return imu_errors, replace(DvlErrors(0.0, 0.0, 0.0, 0.0), **{noise.key: noise.sd_mps})
 
 
 def run_seed(seed: int, run: int) -> int:
@@ -150,23 +148,15 @@ def simulated_run(world: World, seed: int) -> tuple[RunErrors, ...]:
     config, dive = world.config, add_errors(world.exact, world.imu_errors, world.dvl_errors, seed)
     if dive.reference is None or dive.truth is None:
         raise ValueError("a simulated dive holds its truth")
-    velocities = _velocities(dive.dvl, config)
     start_ns, end_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
-    start = drawn_start(world, seed)
-    timeline = build_timeline(dive.imu, velocities.time_ns, dive.reference.time_ns, start_ns, end_ns)
-    errors = []
-    for name, filter_ in config.filters.items():
-        history = run_filter(
-            name,
-            timeline,
-            start,
-            filter_noise(filter_, config),
-            filter_measurements(filter_, velocities, config, chi_square_quantile(filter_.gate_probability, 3)),
-            np.array(config.dvl.lever_arm_m),
-            cov_ns=dive.reference.time_ns,
-        )
-        errors.append(run_errors(history, dive.reference, dive.truth))
-    return tuple(errors)
+    mounting = replace(dvl_mounting(config), scale=1.0)
+    velocities = dvl_velocities(dive.dvl, mounting, config.dvl.max_beam_residual_mps or np.inf)
+    filters = resolve_filters(config, from_beams=velocities.from_beams)
+    alignment = Alignment(start_ns, drawn_start(world, seed), ())
+    start = Prepared(velocities, alignment, end_ns, NO_GAPS, mounting, filters, ())
+    timeline = prepared_timeline(dive, start)
+    histories = (run_one(filter_, start, timeline, cov_ns=dive.reference.time_ns) for filter_ in filters)
+    return tuple(run_errors(history, dive.reference, dive.truth) for history in histories)
 
 
 def drawn_start(world: World, seed: int) -> Start:
@@ -195,8 +185,3 @@ def drawn_start(world: World, seed: int) -> Start:
     sd = initial_sd(world.config.initial)
     turn = np.array(rotation_from_vector(vector(sd[PHI] * rng.standard_normal(3))))
     return Start(position, velocity_n + sd[DV] * rng.standard_normal(3), turn @ mat_nb, np.diag(sd**2))
-
-
-def _velocities(dvl: DvlColumns, config: Config) -> DvlVelocities:
-    mat_bd = mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG)
-    return dvl_velocities(dvl, mat_bd, 1.0, config.dvl.max_beam_residual_mps or np.inf)

@@ -22,10 +22,10 @@ from insdvl_replay.evaluation.acceleration import (
     reference_acceleration,
     vector_rmse,
 )
+from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
 from insdvl_replay.nav.gaps import Gaps
-from insdvl_replay.preparation.lever_arm import reference_at_imu
-from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.prepared import prepare_dive, reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.studies.study_report import StudyReport, write_study
 from insdvl_replay.studies.window_document import shown_windows, window_sentences
@@ -145,7 +145,7 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> tuple[pd.DataFrame
             f"shorten the windows, such as --longest {max(2, longest // 2)}",
         )
     rows = []
-    for lever_arm, velocity_b in _velocities_at_imu(dive, velocities, config).items():
+    for lever_arm, velocity_b in _velocities_at_imu(dive, velocities, start.mounting).items():
         for (at, n), expected in expected_b.items():
             slope_b = windowed_sum(windows[n].velocity_weights, velocity_b)
             rows.append((dive.name, n, at, lever_arm, vector_rmse(slope_b, expected, judged), int(judged.sum())))
@@ -211,13 +211,13 @@ def _across_gaps(gaps: Gaps, velocities: DvlVelocities, longest: int) -> NDArray
     return gaps.overlap(velocities.time_ns[first], velocities.time_ns)
 
 
-def _velocities_at_imu(dive: Dive, velocities: DvlVelocities, config: Config) -> dict[str, Floats]:
+def _velocities_at_imu(dive: Dive, velocities: DvlVelocities, mounting: DvlMounting) -> dict[str, Floats]:
     """Take ``w x l`` out of the DVL's velocities, and leave it in.
 
     The gyro's rate stands for that against the Earth: the Earth's own moves a lever arm of a metre by 0.07 mm/s, and
     steadily.
     """
-    lever_arm_b = np.array(config.dvl.lever_arm_m)
+    lever_arm_b = mounting.lever_arm_b
     if not lever_arm_b.any():
         return {NO_ARM: velocities.velocity_b}
     ping_s, sample_s = (seconds(time_ns, dive.imu.time_ns[:1]) for time_ns in (velocities.time_ns, dive.imu.time_ns))

@@ -17,11 +17,10 @@ from insdvl_replay.core.history import Innovations
 from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.evaluation.sensor_classes import SENSORS
 from insdvl_replay.logs import read_dive
-from insdvl_replay.preparation.lever_arm import reference_at_imu
+from insdvl_replay.preparation.prepared import reference_at_imu
 from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.dvl_errors import DvlErrors
-from insdvl_replay.sim.imu_errors import GRADES, ImuErrors
+from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 
 TRUE = {"accel_white_mps_rts": 3e-3, "gyro_white_rad_rts": 2e-5, "beam_sd_mps": 0.006}
 WRONG = Config(

@@ -11,19 +11,12 @@ from scipy import stats
 from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Noise
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.evaluation.consistency import (
-    FEWEST_UPDATES,
-    chi_square_quantile,
-    consistency_table,
-    mean_interval,
-    update_notes,
-    verdict,
-)
+from insdvl_replay.evaluation.chi_square import chi_square_quantile, mean_interval, verdict
+from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, consistency_table, update_notes
 from insdvl_replay.evaluation.dead_filters import dead_filters
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.dvl_errors import DvlErrors
-from insdvl_replay.sim.imu_errors import ImuErrors
+from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 
 BEAM_SD_MPS = 0.005
 GATE = 25.9

@@ -18,10 +18,10 @@ from insdvl_replay.evaluation.reference import (
     ReferenceErrors,
     attitude_error,
     distance_travelled_m,
-    north_east_down_m,
     reference_error_table,
     reference_errors,
 )
+from insdvl_replay.geometry.frames import north_east_down_m
 
 SECOND = 1_000_000_000
 REPEATABLE = settings(derandomize=True, deadline=None)

@@ -9,7 +9,7 @@ from insdvl_replay.core.config import Filter
 from insdvl_replay.core.config_file import PRESETS, load_config
 from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.imu_errors import GRADES
+from insdvl_replay.sim.sensor_errors import GRADES
 
 STEP_S = 0.01
 DENSITY = 2e-3

@@ -8,12 +8,11 @@ from numpy.polynomial import Polynomial
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.columns import DvlColumns, Floats
-from insdvl_replay.geometry.janus import beam_vectors
+from insdvl_replay.geometry.beams import DvlMounting, beam_vectors, solve_beams
 from insdvl_replay.nav.dvl import (
     derivative_weights,
     dvl_velocities,
     slope_windows,
-    solve_beams,
     taylor_fit,
     windowed_sum,
 )
@@ -89,7 +88,7 @@ def test_beams_that_do_not_span_space_give_no_velocity(vectors: Floats) -> None:
     assert np.isnan(solved).all()
     assert np.isnan(shape).all()
     assert np.isnan(residual).all()
-    assert dvl_velocities(pings((vectors @ VELOCITY_D)[None], vectors), np.eye(3)).pings_without_velocity == 1
+    assert dvl_velocities(pings((vectors @ VELOCITY_D)[None], vectors)).pings_without_velocity == 1
 
 
 @REPEATABLE
@@ -131,17 +130,17 @@ def test_one_bad_beam_shows_in_the_residual_and_is_dropped() -> None:
     beams = np.tile(JANUS @ VELOCITY_D, (3, 1))
     beams[1, 2] += 0.2
     # Opposite beams of a Janus measure the same sum: half of one beam's error cannot be explained by any velocity.
-    np.testing.assert_allclose(dvl_velocities(pings(beams), np.eye(3)).residual_mps, [0.0, 0.1, 0.0], atol=1e-12)
-    checked = dvl_velocities(pings(beams), np.eye(3), max_residual_mps=0.09)
+    np.testing.assert_allclose(dvl_velocities(pings(beams)).residual_mps, [0.0, 0.1, 0.0], atol=1e-12)
+    checked = dvl_velocities(pings(beams), max_residual_mps=0.09)
     assert checked.time_ns.tolist() == [0, 2 * SECOND]
     assert (checked.pings_with_bad_residual, checked.pings_without_velocity) == (1, 0)
-    assert dvl_velocities(pings(beams), np.eye(3), max_residual_mps=0.11).pings_with_bad_residual == 0
+    assert dvl_velocities(pings(beams), max_residual_mps=0.11).pings_with_bad_residual == 0
 
 
 def test_three_beams_have_no_residual_to_be_dropped_for() -> None:
     beams = (JANUS @ VELOCITY_D)[None].copy()
     beams[0, :2] = np.nan, beams[0, 1] + 0.5
-    kept = dvl_velocities(pings(beams), np.eye(3), max_residual_mps=0.01)
+    kept = dvl_velocities(pings(beams), max_residual_mps=0.01)
     assert kept.beams_used.tolist() == [3]
     assert np.isnan(kept.residual_mps).all()
 
@@ -151,16 +150,16 @@ def test_mounting_turns_velocity_and_covariance_to_the_body() -> None:
     velocity_b = np.array([0.8, 0.1, -0.05])
     beams = (JANUS @ mounting.inv().apply(velocity_b))[None].copy()
     beams[0, 3] = np.nan
-    solved = dvl_velocities(pings(beams), mounting.as_matrix())
+    solved = dvl_velocities(pings(beams), DvlMounting(mat_bd=mounting.as_matrix()))
     np.testing.assert_allclose(solved.velocity_b, [velocity_b], atol=1e-12)
-    in_d = dvl_velocities(pings(beams), np.eye(3)).shape_b[0]
+    in_d = dvl_velocities(pings(beams)).shape_b[0]
     np.testing.assert_allclose(solved.shape_b[0], mounting.as_matrix() @ in_d @ mounting.inv().as_matrix(), atol=1e-12)
 
 
 def test_scale_is_divided_out() -> None:
     beams = np.tile(JANUS @ VELOCITY_D * 1.02, (2, 1))
     beams[1, 0] += 1.02 * 0.2
-    solved = dvl_velocities(pings(beams), np.eye(3), scale=1.02)
+    solved = dvl_velocities(pings(beams), DvlMounting(scale=1.02))
     np.testing.assert_allclose(solved.velocity_b[0], VELOCITY_D, atol=1e-12)
     np.testing.assert_allclose(solved.residual_mps, [0.0, 0.1], atol=1e-12)
 
@@ -169,7 +168,7 @@ def test_dvl_that_reports_velocities_is_taken_at_its_word() -> None:
     velocity_d = np.tile(VELOCITY_D, (3, 1))
     velocity_d[1, 2] = np.nan
     turn = Rotation.from_euler("Z", 90.0, degrees=True).as_matrix()
-    solved = dvl_velocities(DvlColumns(SECOND * np.arange(3), velocity_d=velocity_d), turn)
+    solved = dvl_velocities(DvlColumns(SECOND * np.arange(3), velocity_d=velocity_d), DvlMounting(mat_bd=turn))
     assert solved.time_ns.tolist() == [0, 2 * SECOND]
     np.testing.assert_allclose(solved.velocity_b, np.tile([0.3, 1.2, 0.1], (2, 1)), atol=1e-15)
     np.testing.assert_allclose(solved.shape_b, np.tile(np.eye(3), (2, 1, 1)), atol=1e-15)
@@ -180,17 +179,17 @@ def test_dvl_that_reports_velocities_is_taken_at_its_word() -> None:
 
 def test_dvl_without_readings_is_a_programmers_mistake() -> None:
     with pytest.raises(ValueError, match="beams with their vectors, or velocities"):
-        dvl_velocities(DvlColumns(np.arange(3), beam_velocity_mps=np.zeros((3, 4))), np.eye(3))
+        dvl_velocities(DvlColumns(np.arange(3), beam_velocity_mps=np.zeros((3, 4))))
 
 
 def test_no_pings_are_no_velocities() -> None:
-    assert len(dvl_velocities(pings(np.empty((0, 4))), np.eye(3)).time_ns) == 0
+    assert len(dvl_velocities(pings(np.empty((0, 4)))).time_ns) == 0
 
 
 def test_span_leaves_out_its_start_and_keeps_its_end() -> None:
     beams = np.tile(JANUS @ VELOCITY_D, (5, 1))
     beams[4, :2] = np.nan
-    inside = dvl_velocities(pings(beams), np.eye(3)).within(SECOND, 3 * SECOND)
+    inside = dvl_velocities(pings(beams)).within(SECOND, 3 * SECOND)
     assert inside.time_ns.tolist() == [2 * SECOND, 3 * SECOND]
     assert len(inside.velocity_b) == len(inside.shape_b) == len(inside.residual_mps) == len(inside.beams_used) == 2
     assert inside.pings_without_velocity == 1

@@ -17,8 +17,7 @@ from insdvl_replay.core.states import DEG_PER_HOUR, DV, MG, PHI
 from insdvl_replay.preparation.alignment import initial_sd
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
-from insdvl_replay.sim.dvl_errors import DvlErrors
-from insdvl_replay.sim.imu_errors import ImuErrors
+from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 from insdvl_replay.studies.simulated_run import make_world, run_seed, simulated_run
 
 RUNS, SEED = 50, 1

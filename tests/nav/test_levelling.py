@@ -20,8 +20,8 @@ from insdvl_replay.geometry.rotation import mat_from_vector, rpy_from_mat, vecto
 from insdvl_replay.logs import read_dive
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.levelling import UNSEEN_MPS2
-from insdvl_replay.preparation.aiding import sensor_noise
 from insdvl_replay.preparation.alignment import Alignment, align
+from insdvl_replay.preparation.filters import resolve_filters
 from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
 from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
@@ -58,8 +58,8 @@ def exact(motion: str, **options: float) -> Dive:
 
 
 def levelled(dive: Dive, config: Config) -> Alignment:
-    velocities = dvl_velocities(dive.dvl, np.eye(3))
-    noise = sensor_noise(config.filters[config.baseline], velocities, config)
+    velocities = dvl_velocities(dive.dvl)
+    noise = resolve_filters(config, from_beams=velocities.from_beams)[0].sensor_noise(velocities)
     end_ns = int(dive.imu.time_ns[-1])
     return align(dive.imu, velocities, noise, None, config.initial, np.array(ARM), START_NS, end_ns)
 

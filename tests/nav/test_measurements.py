@@ -8,9 +8,9 @@ from jacobian import assert_jacobian
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.columns import Floats
-from insdvl_replay.geometry.janus import beam_vectors
+from insdvl_replay.geometry.beams import beam_vectors, solve_beams
 from insdvl_replay.geometry.rotation import skew
-from insdvl_replay.nav.dvl import DvlVelocities, solve_beams
+from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.local_earth import place_at
 from insdvl_replay.nav.measurements import (

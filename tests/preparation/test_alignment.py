@@ -15,8 +15,8 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.levelling import LEVELLING_S
-from insdvl_replay.preparation.aiding import sensor_noise
 from insdvl_replay.preparation.alignment import Alignment, align, initial_sd
+from insdvl_replay.preparation.filters import resolve_filters
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import FIRST_PING_S, START_NS, exact_dive
 from insdvl_replay.sim.motion import Course
@@ -43,8 +43,8 @@ def aligned(
     start_s: float = 0.0,
     lever_arm_m: Vector = (0.0, 0.0, 0.0),
 ) -> Alignment:
-    velocities, config = dvl_velocities(dive.dvl, np.eye(3)), Config()
-    noise = sensor_noise(config.filters[config.baseline], velocities, config)
+    velocities, config = dvl_velocities(dive.dvl), Config()
+    noise = resolve_filters(config, from_beams=velocities.from_beams)[0].sensor_noise(velocities)
     start_ns, end_ns = START_NS + round(start_s * SECOND), int(dive.imu.time_ns[-1])
     return align(dive.imu, velocities, noise, reference, initial, np.array(lever_arm_m), start_ns, end_ns)
 

@@ -8,7 +8,7 @@ import pytest
 from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.config import Config, Noise, Reference
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
-from insdvl_replay.preparation.lever_arm import reference_at_imu
+from insdvl_replay.preparation.prepared import reference_at_imu
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import exact_dive
 

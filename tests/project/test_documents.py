@@ -130,8 +130,7 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
     modules = {name.removeprefix("insdvl_replay.") for name in found}
     # They hand settings and gaps to the mathematics, a start to the filter, and results to the history.
     without = {
-        "preparation.aiding",
-        "preparation.prepared",
+        "preparation.filters",
         "preparation.reading",
         "preparation.start_position",
         "nav.gaps",

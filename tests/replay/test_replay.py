@@ -15,11 +15,11 @@ from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Imu, In
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import STATES
-from insdvl_replay.evaluation.consistency import SMALL_EXCESS
+from insdvl_replay.evaluation.chi_square import SMALL_EXCESS
 from insdvl_replay.logs import write_dive
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import START_NS, exact_dive, simulate_dive
-from insdvl_replay.sim.dvl_errors import LostBeam
+from insdvl_replay.sim.sensor_errors import LostBeam
 
 SECOND = 1_000_000_000
 NOISE = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=2e-6)

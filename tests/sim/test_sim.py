@@ -19,9 +19,8 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive, simulate_dive
-from insdvl_replay.sim.dvl_errors import DvlErrors, LostBeam, beam_vectors_d
-from insdvl_replay.sim.imu_errors import GRADES, ImuErrors, quantise
 from insdvl_replay.sim.motion import START, Course
+from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors, LostBeam, beam_vectors_d, quantise
 from insdvl_replay.sim.sines import sine_and_cosine
 from insdvl_replay.sim.trajectories import RAMP_S, SCENARIOS, Segment, Wave, turn
 

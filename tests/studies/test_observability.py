@@ -23,8 +23,7 @@ from insdvl_replay.logs.writing.dive_log import write_dive
 from insdvl_replay.nav.error_directions import named_directions
 from insdvl_replay.nav.measurements import NEVER_REOPENED, PUBLISHED, VELOCITY, Measurement
 from insdvl_replay.nav.nominal_motion import NominalPings, nominal_pings
-from insdvl_replay.nav.observability import analyse, jacobians, whitened_rows
-from insdvl_replay.nav.remaining import remaining_cov
+from insdvl_replay.nav.observability import analyse, jacobians, remaining_cov, whitened_rows
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim import dive as sim_dive

@@ -6,7 +6,7 @@ import numpy as np
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.config import Dvl
-from insdvl_replay.geometry import janus
+from insdvl_replay.geometry import beams
 from insdvl_replay.logs.columns.cleaning import Cleaner
 from insdvl_replay.logs.columns.decode import FRD, in_frd
 from insdvl_replay.logs.columns.tables import Table
@@ -49,8 +49,8 @@ def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
         return in_frd(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), settings.axes or FRD, "dvl.axes")
     cleaner.note(
         "beam_geometry",
-        f"pings have beam vectors that cannot be true ({doubt}); a tilt of {janus.TILT_DEG:g} deg and azimuths of "
-        f"{', '.join(f'{azimuth:g}' for azimuth in janus.AZIMUTH_DEG)} deg are assumed",
+        f"pings have beam vectors that cannot be true ({doubt}); a tilt of {beams.TILT_DEG:g} deg and azimuths of "
+        f"{', '.join(f'{azimuth:g}' for azimuth in beams.AZIMUTH_DEG)} deg are assumed",
         cleaner.rows.size,
         "warning",
         _HINT,
@@ -72,7 +72,7 @@ def note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: F
     moving = np.isfinite(beam_velocity_mps).all(axis=1) & (np.linalg.norm(velocity_d, axis=1) > _MOVING_MPS)
     if not moving.any() or np.linalg.matrix_rank(vectors_d) < vectors_d.shape[1]:
         return
-    by_beams_d = beam_velocity_mps[moving] @ np.linalg.pinv(vectors_d).T
+    by_beams_d = beams.solve_beams(beam_velocity_mps[moving], vectors_d)[0]
     apart_mps = np.linalg.norm(by_beams_d - velocity_d[moving], axis=1)
     part = float(np.median(apart_mps / np.linalg.norm(velocity_d[moving], axis=1)))
     if part > _CONTRADICTION:
@@ -84,8 +84,8 @@ def note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: F
 def _geometry(settings: Dvl) -> Floats:
     """Make the configured geometry, or a Janus's where nothing is configured."""
     tilt_deg, azimuth_deg = settings.beam_tilt_deg, settings.beam_azimuth_deg
-    return janus.beam_vectors(
-        janus.TILT_DEG if tilt_deg is None else tilt_deg, janus.AZIMUTH_DEG if azimuth_deg is None else azimuth_deg
+    return beams.beam_vectors(
+        beams.TILT_DEG if tilt_deg is None else tilt_deg, beams.AZIMUTH_DEG if azimuth_deg is None else azimuth_deg
     )
 
 

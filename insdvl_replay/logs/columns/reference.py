@@ -9,6 +9,7 @@ from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, distinc
 from insdvl_replay.core.config import Reference
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, wrap_angle
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few
 from insdvl_replay.logs.columns.known_types import BLUEYE_GNSS
@@ -16,10 +17,6 @@ from insdvl_replay.logs.columns.lost_samples import note_lost_samples
 from insdvl_replay.logs.columns.tables import Table
 from insdvl_replay.logs.columns.topic_requirements import BOW_DOWN
 
-FRD_FROM_FLU: Final = np.diag([1.0, -1.0, -1.0])
-"""Takes coordinates forward-port-up to forward-starboard-down, and back."""
-NED_FROM_ENU: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""Takes coordinates east-north-up to north-east-down, and back."""
 ANGLE_UNITS: Final = {"deg": DEG, "rad": 1.0}
 """Factors to rad."""
 
@@ -132,7 +129,7 @@ def _of_receiver(table: Table, quantity: str) -> Floats:
 def _attitude(table: Table, settings: Reference) -> Floats | None:
     if "quaternion" in table and ("roll" not in table or settings.quaternion is not None):
         mat = mat_from_quat(table.values("quaternion", 4))
-        return mat if settings.axes == "ned_frd" else np.asarray(NED_FROM_ENU @ mat @ FRD_FROM_FLU)
+        return mat if settings.axes == "ned_frd" else np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
     if "roll" in table:
         pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
         rpy = np.stack([table.column("roll"), pitch, table.column("heading")], axis=1)
@@ -143,12 +140,12 @@ def _attitude(table: Table, settings: Reference) -> Floats | None:
 def _velocity_n(table: Table, settings: Reference, mat_nb: Floats | None) -> Floats | None:
     if "velocity_n" in table and ("velocity_b" not in table or settings.velocity_n is not None):
         velocity = table.values("velocity_n", 3)
-        return velocity @ NED_FROM_ENU if settings.axes == "enu_flu" else velocity
+        return velocity @ MAT_ENU_NED if settings.axes == "enu_flu" else velocity
     if "velocity_b" not in table or mat_nb is None:
         return None
     velocity_b = table.values("velocity_b", 3)
     if settings.axes != "ned_frd":
-        velocity_b = velocity_b @ FRD_FROM_FLU
+        velocity_b = velocity_b @ MAT_FRD_FLU
     return np.asarray(np.einsum("kij,kj->ki", mat_nb, velocity_b))
 
 

@@ -10,7 +10,7 @@ from insdvl_replay.core.columns import Dive, Floats, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import DEG_PER_HOUR, MG, STATES
-from insdvl_replay.geometry.east_north_up import MAT_FRD_FLU, east_north_up_m, quat_enu_flu
+from insdvl_replay.geometry.frames import MAT_FRD_FLU, east_north_up_m, quat_enu_flu
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.logs.encoding.ros2msg import Field, definition_text, parse_definitions
 from insdvl_replay.logs.writing.messages import (

@@ -9,8 +9,9 @@ import pytest
 from insdvl_replay.batch.noise_tuning import with_control
 from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config, Dvl, Filter, Noise
+from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
-from insdvl_replay.preparation.aiding import dvl_noise, filter_measurements, filter_noise, inertial_noise
+from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.studies.simulated_run import matched_errors
@@ -39,6 +40,10 @@ def configured(common: Named, own: Named) -> tuple[Config, Filter]:
     return Config(dvl=Dvl(**common), filters={"baseline": filter_}), filter_
 
 
+def resolved(filter_: Filter, config: Config, *, from_beams: bool = True) -> ResolvedFilter:
+    return resolve_filter("baseline", filter_, config, from_beams=from_beams)
+
+
 @pytest.fixture(scope="module")
 def dive() -> Dive:
     return simulate_dive("straight", seed=3, duration_s=40.0, imu_rate_hz=20.0)
@@ -46,12 +51,12 @@ def dive() -> Dive:
 
 @pytest.fixture(scope="module")
 def from_beams(dive: Dive) -> DvlVelocities:
-    return dvl_velocities(dive.dvl, np.eye(3))
+    return dvl_velocities(dive.dvl)
 
 
 def reports_velocities(dive: Dive) -> Dive:
     """The same dive from a DVL that keeps its beams to itself."""
-    velocities = dvl_velocities(dive.dvl, np.eye(3))
+    velocities = dvl_velocities(dive.dvl)
     return replace(
         dive, dvl=replace(dive.dvl, beam_velocity_mps=None, beam_vectors_d=None, velocity_d=velocities.velocity_b)
     )
@@ -62,8 +67,8 @@ def test_the_filters_own_noise_goes_before_the_common_one(
     common: Named, own: Named, with_beams: Expected, without: Expected
 ) -> None:
     config, filter_ = configured(common, own)
-    assert dvl_noise(filter_, config, from_beams=True) == with_beams
-    assert dvl_noise(filter_, config, from_beams=False) == without
+    assert resolved(filter_, config, from_beams=True).dvl_noise == with_beams
+    assert resolved(filter_, config, from_beams=False).dvl_noise == without
 
 
 @COMBINATIONS
@@ -71,12 +76,12 @@ def test_the_filter_is_given_what_was_resolved(
     dive: Dive, from_beams: DvlVelocities, common: Named, own: Named, with_beams: Expected, without: Expected
 ) -> None:
     config, filter_ = configured(common, own)
-    (measurement,) = filter_measurements(filter_, from_beams, config, np.inf)
+    (measurement,) = resolved(filter_, config).measurements(from_beams, DvlMounting())
     shape = {BEAM: from_beams.full_shape_b, VELOCITY: np.eye(3)}
     key, sd_mps = with_beams
     np.testing.assert_allclose(measurement.cov_b[0], sd_mps**2 * shape[key], rtol=0.0, atol=1e-12)
-    plain = dvl_velocities(reports_velocities(dive).dvl, np.eye(3))
-    (measurement,) = filter_measurements(filter_, plain, config, np.inf)
+    plain = dvl_velocities(reports_velocities(dive).dvl)
+    (measurement,) = resolved(filter_, config, from_beams=False).measurements(plain, DvlMounting())
     np.testing.assert_allclose(measurement.cov_b[0], without[1] ** 2 * np.eye(3), rtol=0.0, atol=1e-12)
 
 
@@ -93,8 +98,8 @@ def test_simulated_sensors_err_as_the_filter_is_told(
     rng, pings = np.random.default_rng(4), len(exact.time_ns)
     beams = errors.beam_sd_mps * rng.standard_normal((pings, 4))
     beams += errors.velocity_sd_mps * rng.standard_normal((pings, 3)) @ exact.beam_vectors_d.T
-    noise = dvl_velocities(replace(exact, beam_velocity_mps=beams), np.eye(3))
-    (measurement,) = filter_measurements(filter_, noise, config, np.inf)
+    noise = dvl_velocities(replace(exact, beam_velocity_mps=beams))
+    (measurement,) = resolved(filter_, config).measurements(noise, DvlMounting())
     R = measurement.cov_b[0]
     np.testing.assert_allclose(np.cov(noise.velocity_b.T), R, rtol=0.0, atol=0.1 * R.max())
 
@@ -115,8 +120,9 @@ def test_the_control_fits_the_noise_that_the_baseline_has(
     for from_one, (key, sd_mps) in ((dive, with_beams), (reports_velocities(dive), without)):
         tuned = with_control(from_one, config)[0].filters["tuned"]
         assert getattr(tuned, key) == pytest.approx(sd_mps)
-        assert dvl_noise(tuned, config, from_beams=from_one is dive) == (key, pytest.approx(sd_mps))
-        assert filter_noise(tuned, config) == pytest.approx(filter_noise(config.filters["baseline"], config))
+        found = resolved(tuned, config, from_beams=from_one is dive)
+        assert found.dvl_noise == (key, pytest.approx(sd_mps))
+        assert found.noise_density == pytest.approx(resolved(config.filters["baseline"], config).noise_density)
 
 
 def test_own_velocity_noise_moves_the_result_under_a_common_noise_of_beams(dive: Dive) -> None:
@@ -133,5 +139,5 @@ def test_own_velocity_noise_moves_the_result_under_a_common_noise_of_beams(dive:
 @pytest.mark.parametrize("key", Noise.__struct_fields__)
 def test_a_density_of_the_filters_own_goes_before_the_common_one(key: str) -> None:
     config, own = Config(), msgspec.structs.replace(Filter(aiding=("velocity",)), **{key: 0.0})
-    assert inertial_noise(own, config) == msgspec.structs.replace(config.noise, **{key: 0.0})
-    assert np.count_nonzero(filter_noise(own, config)) == 9
+    assert resolved(own, config).inertial_noise == msgspec.structs.replace(config.noise, **{key: 0.0})
+    assert np.count_nonzero(resolved(own, config).noise_density) == 9

@@ -1,0 +1,185 @@
+"""From the configuration of a filter to its measurements and its noise: every key resolved once."""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from insdvl_replay.core.columns import Floats, TimeNs
+from insdvl_replay.core.config import Acceleration, Config, Filter, Noise
+from insdvl_replay.geometry.beams import DvlMounting
+from insdvl_replay.nav.dvl import DvlVelocities
+from insdvl_replay.nav.error_model import noise_density
+from insdvl_replay.nav.gaps import NO_GAPS, Gaps
+from insdvl_replay.nav.levelling import SensorNoise
+from insdvl_replay.nav.measurements import (
+    PUBLISHED,
+    WINDOWED,
+    Measurement,
+    acceleration_measurement,
+    velocity_cov,
+    velocity_measurement,
+)
+from insdvl_replay.preparation.long_gaps import swing_cov
+
+
+class DvlNoise(NamedTuple):
+    """The DVL's noise as one filter takes it.
+
+    Attributes
+    ----------
+    key : {'beam_sd_mps', 'velocity_sd_mps'}
+        Whether it is that of one beam, or of each axis of a velocity from all beams.
+    sd_mps : float
+    """
+
+    key: Literal["beam_sd_mps", "velocity_sd_mps"]
+    sd_mps: float
+
+
+@dataclass(frozen=True)
+class ResolvedFilter:
+    """A filter of the configuration in which nothing is left open: its own keys, or the common ones in their place.
+
+    Attributes
+    ----------
+    name : str
+    aiding : tuple of str
+        ``velocity``, ``acceleration``, in the order in which they are applied.
+    dvl_noise : DvlNoise
+    inertial_noise : Noise
+    gate_probability : float
+        See `gate`.
+    gate_reopen_after : int
+        Rejected velocities in a row after which the INS is set to the DVL; 0: never.
+    acceleration : Acceleration
+        How accelerations are fitted, for a filter that is aided by them.
+    """
+
+    name: str
+    aiding: tuple[str, ...]
+    dvl_noise: DvlNoise
+    inertial_noise: Noise
+    gate_probability: float
+    gate_reopen_after: int
+    acceleration: Acceleration
+
+    @property
+    def gate(self) -> float:
+        """Largest NIS that is used; infinite where every innovation is."""
+        # Not imported before it is needed: what is asked before the filters run does not wait for it.
+        from insdvl_replay.evaluation.chi_square import chi_square_quantile
+
+        return chi_square_quantile(self.gate_probability, 3)
+
+    @property
+    def noise_density(self) -> Floats:
+        """Process noise, shape (12,), see `error_model.noise_density`."""
+        return noise_density(**msgspec.structs.asdict(self.inertial_noise))
+
+    def sensor_noise(self, velocities: DvlVelocities) -> SensorNoise:
+        """Return the noise with which the level is found."""
+        return SensorNoise(self._ping_cov(velocities), self.inertial_noise.accel_white_mps_rts)
+
+    def measurements(
+        self, velocities: DvlVelocities, mounting: DvlMounting, gaps: Gaps = NO_GAPS
+    ) -> tuple[Measurement, ...]:
+        """Prepare what the filter is aided by, in its order.
+
+        Parameters
+        ----------
+        velocities : DvlVelocities
+            m pings.
+        mounting : DvlMounting
+        gaps : Gaps
+            The IMU's long gaps. In one the lever arm swings unseen, and no window of accelerations spans any part of
+            one.
+
+        Returns
+        -------
+        tuple of Measurement
+        """
+        cov_b = self._ping_cov(velocities) + swing_cov(gaps, velocities.time_ns, mounting.lever_arm_b)
+        return tuple(
+            velocity_measurement(velocities, cov_b, self.gate, self.gate_reopen_after)
+            if aiding == "velocity"
+            else _seen(self._acceleration(velocities, cov_b), velocities.time_ns, gaps)
+            for aiding in self.aiding
+        )
+
+    def _ping_cov(self, velocities: DvlVelocities) -> Floats:
+        """Return the covariance of each ping's velocity as the filter is told it, shape (m, 3, 3), m^2/s^2."""
+        return velocity_cov(velocities, self.dvl_noise.sd_mps, of_one_beam=self.dvl_noise.key == "beam_sd_mps")
+
+    def _acceleration(self, velocities: DvlVelocities, cov_b: Floats) -> Measurement:
+        return acceleration_measurement(
+            velocities,
+            cov_b,
+            kind=WINDOWED if self.acceleration.model == "windowed" else PUBLISHED,
+            window=self.acceleration.window,
+            order=self.acceleration.order,
+            max_gap_s=self.acceleration.max_window_gap_s,
+            sd_mps2=self.acceleration.sd_mps2,
+            accel_white_mps_rts=self.inertial_noise.accel_white_mps_rts,
+            gate=self.gate,
+        )
+
+
+def resolve_filter(name: str, filter_: Filter, config: Config, *, from_beams: bool) -> ResolvedFilter:
+    """Resolve what a filter takes from the sections that all filters share.
+
+    Of the DVL's noise, what the filter names itself, under either key, goes before ``[dvl]``. Where one of the two
+    names both, the beams' goes first. Velocities that do not come from beams have no noise of beams, so that there
+    ``beam_sd_mps`` says nothing.
+
+    Parameters
+    ----------
+    name : str
+    filter_ : Filter
+    config : Config
+    from_beams : bool
+        Whether the velocities are solved from beams.
+
+    Returns
+    -------
+    ResolvedFilter
+    """
+    own = {key: getattr(filter_, key) for key in Noise.__struct_fields__}
+    return ResolvedFilter(
+        name,
+        filter_.aiding,
+        _dvl_noise(filter_, config, from_beams),
+        msgspec.structs.replace(config.noise, **{key: value for key, value in own.items() if value is not None}),
+        filter_.gate_probability,
+        filter_.gate_reopen_after,
+        filter_.acceleration or Acceleration(),
+    )
+
+
+def resolve_filters(config: Config, *, from_beams: bool) -> tuple[ResolvedFilter, ...]:
+    """Resolve all filters of a configuration, the baseline first; see `resolve_filter`."""
+    return tuple(
+        resolve_filter(name, filter_, config, from_beams=from_beams) for name, filter_ in config.filters.items()
+    )
+
+
+def dvl_mounting(config: Config) -> DvlMounting:
+    """Return how the configuration says that the DVL is mounted."""
+    return DvlMounting.of(config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale)
+
+
+def _dvl_noise(filter_: Filter, config: Config, from_beams: bool) -> DvlNoise:
+    for named in (filter_, config.dvl):
+        if from_beams and named.beam_sd_mps is not None:
+            return DvlNoise("beam_sd_mps", named.beam_sd_mps)
+        if named.velocity_sd_mps is not None:
+            return DvlNoise("velocity_sd_mps", named.velocity_sd_mps)
+    raise ValueError("[dvl] always has a velocity_sd_mps")
+
+
+def _seen(measurement: Measurement, time_ns: TimeNs, gaps: Gaps) -> Measurement:
+    """Withhold an acceleration wherever its window, or the reading at its ping, lies in a gap."""
+    window = measurement.velocity_weights.shape[1]
+    first = np.maximum(np.arange(len(time_ns)) - window + 1, 0)
+    return measurement._replace(available=measurement.available & ~gaps.overlap(time_ns[first], time_ns))
