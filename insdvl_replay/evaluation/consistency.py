@@ -6,13 +6,13 @@ Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Trackin
 from collections.abc import Iterator
 
 import numpy as np
-import pandas as pd
 from scipy.special import chdtri
 
 from insdvl_replay.core.columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.result_tables import AXES, axis_of
+from insdvl_replay.core.tables import AXES, ConsistencyRow, axis_of
+from insdvl_replay.core.words import Consistency
 from insdvl_replay.evaluation.whiteness import autocorrelation, whiteness
 
 CONFIDENCE = 0.95
@@ -55,7 +55,7 @@ def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tup
     )
 
 
-def verdict(mean: float, low: float, high: float, dof: int) -> str:
+def verdict(mean: float, low: float, high: float, dof: int) -> Consistency:
     """Say what a mean NIS or NEES means for the filter's own uncertainty.
 
     Parameters
@@ -68,18 +68,18 @@ def verdict(mean: float, low: float, high: float, dof: int) -> str:
 
     Returns
     -------
-    str
+    Consistency
         ``consistent`` also where the mean is outside the interval, but too close to ``dof`` to matter: over a long dive
         any model is found wrong.
     """
     if not np.isfinite(mean):
-        return "not finite"
+        return Consistency.NOT_FINITE
     if low <= mean <= high or abs(mean / dof - 1.0) <= SMALL_EXCESS:
-        return "consistent"
-    return "over-confident" if mean > high else "over-cautious"
+        return Consistency.CONSISTENT
+    return Consistency.OVER_CONFIDENT if mean > high else Consistency.OVER_CAUTIOUS
 
 
-def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
+def consistency_table(log: str, histories: tuple[History, ...]) -> list[ConsistencyRow]:
     """Judge each filter's innovations, measurement by measurement and axis by axis.
 
     Parameters
@@ -91,29 +91,22 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
 
     Returns
     -------
-    DataFrame
-        Columns log, filter, measurement, dof, used, rejected, mean_nis, low, high, verdict (``consistent``,
-        ``over-confident``, ``over-cautious``, ``too few``, ``not finite``), autocorrelation (with the innovation
-        before), autocorrelation_limit, whiteness (``white``, ``correlated``, ``too few``, ``not finite``). NIS is that
-        of all innovations; what the gate rejected counts as much as the gate is, see `history.Innovations.weight`.
-        Whiteness is that of the innovations that were used. After the row of a whole measurement, such as ``velocity``,
-        stand those of its axes in b, ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``.
+    list of ConsistencyRow
+        NIS is that of all innovations; what the gate rejected counts as much as the gate is, see
+        `history.Innovations.weight`. Whiteness is that of the innovations that were used, autocorrelation that with the
+        innovation before. After the row of a whole measurement, such as ``velocity``, stand those of its axes in b,
+        ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``.
     """
-    rows = [
-        (log, history.filter, *row)
+    return [
+        row
         for history in histories
         for innovations in history.innovations
-        for row in _rows(innovations)
+        for row in _rows(log, history.filter, innovations)
     ]
-    names = [
-        "log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict",
-        "autocorrelation", "autocorrelation_limit", "whiteness",
-    ]  # fmt: skip
-    return pd.DataFrame(rows, columns=names)
 
 
-def _rows(innovations: Innovations) -> Iterator[tuple[str | int | float, ...]]:
-    """Give the row of a whole measurement, then those of its axes, without log and filter."""
+def _rows(log: str, filter_: str, innovations: Innovations) -> Iterator[ConsistencyRow]:
+    """Give the row of a whole measurement, then those of its axes."""
     standardised, rejected = innovations.standardised_b, rejections(innovations)
     whole = (innovations.measurement, innovations.dof, innovations.nis, standardised)
     axes = (
@@ -122,14 +115,17 @@ def _rows(innovations: Innovations) -> Iterator[tuple[str | int | float, ...]]:
     )
     for name, dof, nis, components in (whole, *axes):
         correlation = autocorrelation(components, innovations.used)
-        counts = int(innovations.used.sum()), rejected
-        yield name, dof, *counts, *_judged(nis * innovations.weight, dof), *correlation, whiteness(*correlation)
+        mean_nis, low, high, word = _judged(nis * innovations.weight, dof)
+        counts = dof, int(innovations.used.sum()), rejected
+        yield ConsistencyRow(
+            *(log, filter_, name, *counts, mean_nis, low, high, word), *correlation, whiteness(*correlation)
+        )
 
 
-def _judged(nis: Floats, dof: int) -> tuple[float, float, float, str]:
+def _judged(nis: Floats, dof: int) -> tuple[float, float, float, Consistency]:
     if len(nis) < FEWEST_UPDATES:
         nan = float("nan")
-        return nan, nan, nan, "too few"
+        return nan, nan, nan, Consistency.TOO_FEW
     mean_nis = float(nis.mean())
     low, high = mean_interval(dof, len(nis))
     return mean_nis, low, high, verdict(mean_nis, low, high, dof)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.words import Whiteness
 
 FEWEST_PAIRS: Final = 10
 """With fewer neighbours the word is ``too few``."""
@@ -50,7 +51,7 @@ def autocorrelation(standardised: Floats, used: NDArray[np.bool_]) -> tuple[floa
     return float(value), NORMAL_95 / float(np.sqrt(count))
 
 
-def whiteness(value: float, limit: float) -> str:
+def whiteness(value: float, limit: float) -> Whiteness:
     """Say what an autocorrelation means.
 
     Parameters
@@ -60,12 +61,11 @@ def whiteness(value: float, limit: float) -> str:
 
     Returns
     -------
-    str
-        ``white``; ``correlated`` where it is significant and larger than `SMALL_AUTOCORRELATION`; ``too few``; ``not
-        finite``.
+    Whiteness
+        ``correlated`` where it is significant and larger than `SMALL_AUTOCORRELATION`.
     """
     if not np.isfinite(limit):
-        return "too few"
+        return Whiteness.TOO_FEW
     if not np.isfinite(value):
-        return "not finite"
-    return "correlated" if abs(value) > max(limit, SMALL_AUTOCORRELATION) else "white"
+        return Whiteness.NOT_FINITE
+    return Whiteness.CORRELATED if abs(value) > max(limit, SMALL_AUTOCORRELATION) else Whiteness.WHITE

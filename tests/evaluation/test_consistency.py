@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from frames import frame
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -72,7 +73,7 @@ def history(
 
 def judged(nis: Floats, used: Floats | NDArray[np.bool_] | None = None) -> Any:
     """Give the row of the whole measurement."""
-    return consistency_table("dive", (history("baseline", nis, used),)).iloc[0]
+    return frame(consistency_table("dive", (history("baseline", nis, used),))).iloc[0]
 
 
 # --- Chi-square.
@@ -143,7 +144,7 @@ def test_every_filter_and_measurement_has_a_row() -> None:
         history("aided", np.full(30, 3.0), measurement="acceleration"),
     )
     aided = replace(other, innovations=baseline.innovations + other.innovations)
-    table = consistency_table("dive", (baseline, aided))
+    table = frame(consistency_table("dive", (baseline, aided)))
     assert table.columns.tolist() == [
         "log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict",
         "autocorrelation", "autocorrelation_limit", "whiteness",
@@ -162,7 +163,7 @@ def with_innovations(innovation_b: Floats, sd_b: Floats, used: NDArray[np.bool_]
     """Give the rows of a velocity whose components are independent."""
     made = history("baseline", np.sum((innovation_b / sd_b) ** 2, axis=1), used)
     innovations = replace(made.innovations[0], innovation_b=innovation_b, sd_b=sd_b)
-    table = consistency_table("dive", (replace(made, innovations=(innovations,)),))
+    table = frame(consistency_table("dive", (replace(made, innovations=(innovations,)),)))
     return table.set_index("measurement")
 
 
@@ -292,7 +293,7 @@ def replayed(dive: Dive, *, beam_sd_mps: float = BEAM_SD_MPS, gate_probability: 
 
 def rows(replay: Replay) -> Any:
     """Give the rows of the measurements, without those of their axes."""
-    table = replay.tables["consistency"]
+    table = frame(replay.tables.consistency)
     return table[table["dof"] == 3].set_index(["filter", "measurement"])
 
 
