@@ -17,13 +17,11 @@ from insdvl_replay.core.progress import begin
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table
 from insdvl_replay.evaluation.consistency import chi_square_quantile, consistency_table, update_notes
-from insdvl_replay.evaluation.coverage import reference_coverage_notes, truth_coverage_notes
+from insdvl_replay.evaluation.coverage import reference_coverage_notes, reference_rate_notes, truth_coverage_notes
 from insdvl_replay.evaluation.credibility import credibility_table
-from insdvl_replay.evaluation.dead_filters import dead_filters
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
-from insdvl_replay.evaluation.reference_rate import reference_rate_notes
 from insdvl_replay.evaluation.state_errors import state_errors
-from insdvl_replay.evaluation.verdicts import verdicts
+from insdvl_replay.evaluation.verdicts import dead_filters, verdicts
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.timeline import build_timeline

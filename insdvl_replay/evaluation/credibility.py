@@ -1,7 +1,10 @@
 """Whether a filter's errors are as large as it says: errors against the reference in its own standard deviations.
 
-The reference is taken as exact: where it is no better than the filter, its own errors count as the filter's. Source:
-Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
+The reference is taken as exact: where it is no better than the filter, its own errors count as the filter's. Errors
+of neighbouring times are nearly the same number, and a mean over them is less sure than their count suggests. Sources:
+Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5;
+Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", 1946, for the
+variance of a mean of squares; Sokal, "Monte Carlo methods in statistical mechanics", 1997, for where to stop adding up.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +25,6 @@ from insdvl_replay.evaluation.consistency import (
     mean_interval,
     verdict,
 )
-from insdvl_replay.evaluation.effective_samples import effective_samples
 from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
 
 FAR_SMALLER: Final = 0.25
@@ -30,6 +32,8 @@ FAR_SMALLER: Final = 0.25
 reference, so that for a while the errors of an honest one are smaller than it says."""
 MANY_FAR_OFF: Final = 0.01
 """A smaller share of errors beyond three standard deviations is near enough to the 0.3 % of a consistent filter."""
+WINDOW_TIMES: Final = 5.0
+"""A sum over lags stops at the first beyond this many correlation times: what follows is noise."""
 
 _Judged = tuple[int, int, float, float, float, float, float, Consistency, float]
 """A row from its degrees of freedom on."""
@@ -38,8 +42,7 @@ _Judged = tuple[int, int, float, float, float, float, float, Consistency, float]
 def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, StateErrors]) -> list[CredibilityRow]:
     """Judge each filter by its errors against the reference.
 
-    Errors of neighbouring times are nearly the same, so that a mean over a dive scatters more than its number of
-    samples suggests: `effective_samples` counts the independent ones, and the interval is theirs.
+    The interval of a mean is that of its `effective_samples`.
 
     Parameters
     ----------
@@ -178,3 +181,47 @@ def probability_of(far_off: float, independent: float) -> float:
 def _ellipsoid(sigmas: float, dof: int) -> float:
     """Give the NEES that is exceeded as rarely as a normal variable exceeds so many standard deviations."""
     return chi_square_quantile(float(chdtr(1, sigmas**2)), dof)
+
+
+def effective_samples(standardised: Floats) -> float:
+    """Give the number of independent samples whose mean square would scatter as much as that of a series.
+
+    For a normal series with autocorrelation ``r_j`` the mean square of N values has the variance of one square over
+    ``N / tau``, with ``tau = 1 + 2 sum (1 - j/N) r_j^2``. With several components tau is their mean, which makes the
+    variance right for the sum of their squares.
+
+    Parameters
+    ----------
+    standardised : ndarray, shape (k, n)
+        Errors in their own standard deviations, evenly spaced in time; of several components uncorrelated ones. Their
+        mean is taken to be zero and not taken off: an error that stays is one sample, however often it is looked at.
+
+    Returns
+    -------
+    float
+        From 1 to k.
+    """
+    k = len(standardised)
+    times = [_correlation_time(component) for component in standardised.T]
+    return float(np.clip(k / np.mean(times), 1.0, k))
+
+
+def _correlation_time(series: Floats) -> float:
+    """Add up squared autocorrelations until they are noise."""
+    k = len(series)
+    correlation, weight = _autocorrelation(series), 1.0 - np.arange(k) / k
+    times = 2.0 * np.cumsum(weight * correlation**2) - 1.0
+    beyond = np.arange(k) >= WINDOW_TIMES * times
+    return float(times[np.argmax(beyond)] if beyond.any() else times[-1])
+
+
+def _autocorrelation(series: Floats) -> Floats:
+    """Correlate a series with itself at every lag; 1 at all of them where it is zero throughout."""
+    k = len(series)
+    # Zeros in as great a number keep the series from meeting its own other end.
+    spectrum = np.fft.rfft(series, 2 * k)
+    products = np.fft.irfft(np.abs(spectrum) ** 2, 2 * k)[:k] / (k - np.arange(k))
+    if products[0] == 0.0:
+        return np.ones(k)
+    correlation: Floats = np.clip(products / products[0], -1.0, 1.0)
+    return correlation

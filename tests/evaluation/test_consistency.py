@@ -20,7 +20,7 @@ from insdvl_replay.evaluation.consistency import (
     update_notes,
     verdict,
 )
-from insdvl_replay.evaluation.dead_filters import dead_filters
+from insdvl_replay.evaluation.verdicts import dead_filters
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.dvl_errors import DvlErrors

@@ -15,8 +15,13 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import BA, DEG, PHI, STATES
 from insdvl_replay.core.tables import CREDIBILITY_QUANTITIES
 from insdvl_replay.evaluation.consistency import mean_interval
-from insdvl_replay.evaluation.credibility import FAR_SMALLER, MANY_FAR_OFF, credibility_table, probability_of
-from insdvl_replay.evaluation.effective_samples import effective_samples
+from insdvl_replay.evaluation.credibility import (
+    FAR_SMALLER,
+    MANY_FAR_OFF,
+    credibility_table,
+    effective_samples,
+    probability_of,
+)
 from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from insdvl_replay.core.columns import Floats
-from insdvl_replay.evaluation.effective_samples import effective_samples
+from insdvl_replay.evaluation.credibility import effective_samples
 
 
 def autoregressive(rng: np.random.Generator, coefficient: float, runs: int, k: int) -> Floats:
