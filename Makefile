@@ -63,6 +63,7 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema study > schemas/study.schema.json
 	$(BIN)/insdvl-replay schema comparison > schemas/comparison.schema.json
 	$(BIN)/insdvl-replay schema check > schemas/check.schema.json
+	$(BIN)/python pages/row_messages.py
 
 pictures: .venv/run.stamp
 	$(BIN)/python pages/pictures.py

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from insdvl_replay.core.columns import Dive, TimeNs
 from insdvl_replay.core.config import Config
@@ -16,15 +15,14 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.memory import return_freed_memory
 from insdvl_replay.core.progress import begin
+from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table
 from insdvl_replay.evaluation.consistency import consistency_table, update_notes
-from insdvl_replay.evaluation.coverage import reference_coverage_notes, truth_coverage_notes
+from insdvl_replay.evaluation.coverage import reference_coverage_notes, reference_rate_notes, truth_coverage_notes
 from insdvl_replay.evaluation.credibility import credibility_table
-from insdvl_replay.evaluation.dead_filters import dead_filters
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
-from insdvl_replay.evaluation.reference_rate import reference_rate_notes
 from insdvl_replay.evaluation.state_errors import state_errors
-from insdvl_replay.evaluation.verdicts import Verdict, verdicts
+from insdvl_replay.evaluation.verdicts import dead_filters, verdicts
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.timeline import Timeline, build_timeline
@@ -58,10 +56,9 @@ class Replay:
         The first is the baseline.
     errors : dict of str to ReferenceErrors
         By filter name; empty without a reference.
-    tables : dict of str to DataFrame
-        ``improvement``, ``convergence``, ``reference_error``, ``consistency``, ``credibility``.
-    verdicts : tuple of Verdict
-        One for each candidate.
+    tables : Tables
+    verdicts : dict of str to Candidate
+        What there is to say of each candidate, by name.
     notes : tuple of Note
         What was dropped, assumed or found odd.
     """
@@ -73,8 +70,8 @@ class Replay:
     velocities: DvlVelocities
     histories: tuple[History, ...]
     errors: dict[str, ReferenceErrors]
-    tables: dict[str, pd.DataFrame]
-    verdicts: tuple[Verdict, ...]
+    tables: Tables
+    verdicts: dict[str, Candidate]
     notes: tuple[Note, ...]
 
 
@@ -168,9 +165,7 @@ def _inside(reference_ns: TimeNs, start: Prepared) -> TimeNs:
     return reference_ns[(reference_ns >= start.alignment.start_ns) & (reference_ns <= start.end_ns)]
 
 
-def _tables(
-    dive: Dive, start: Prepared, histories: tuple[History, ...]
-) -> tuple[dict[str, ReferenceErrors], dict[str, pd.DataFrame]]:
+def _tables(dive: Dive, start: Prepared, histories: tuple[History, ...]) -> tuple[dict[str, ReferenceErrors], Tables]:
     """Compare the filters with the reference and with each other."""
     errors, in_states = {}, {}
     if dive.reference is not None:
@@ -180,15 +175,13 @@ def _tables(
             for history in histories
         }
     names = [history.filter for history in histories]
-    return errors, {
-        "improvement": improvement_table(dive.name, histories),
-        "convergence": convergence_table(dive.name, histories),
-        "reference_error": reference_error_table(
-            dive.name, histories, errors, bridged_gaps=len(start.gaps.start_ns) > 0
-        ),
-        "consistency": consistency_table(dive.name, histories),
-        "credibility": credibility_table(dive.name, names, in_states),
-    }
+    return errors, Tables(
+        improvement_table(dive.name, histories),
+        convergence_table(dive.name, histories),
+        reference_error_table(dive.name, histories, errors, bridged_gaps=len(start.gaps.start_ns) > 0),
+        consistency_table(dive.name, histories),
+        credibility_table(dive.name, names, in_states),
+    )
 
 
 def run_filters(dive: Dive, start: Prepared, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:

@@ -3,11 +3,13 @@
 Every claim is judged by a rule, so that the word beside it follows from the number.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 import pandas as pd
+from msgspec import Struct
 
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import STATES
@@ -40,8 +42,8 @@ def judged(place: str, says: str, found: str, holds: bool) -> Claim:
 def straight_claims(replay: Replay) -> Iterator[Claim]:
     """Check what is said of the straight line."""
     place = "straight line"
-    improvement = by_state(replay.tables["improvement"], "aided")["improvement_pct"]
-    reached = by_state(replay.tables["convergence"], "aided")
+    improvement = by_state(frame(replay.tables.improvement), "aided")["improvement_pct"]
+    reached = by_state(frame(replay.tables.convergence), "aided")
     baseline, aided = named(replay.histories, "baseline"), named(replay.histories, "aided")
 
     velocity = improvement[["dv_n", "dv_e", "dv_d"]]
@@ -254,7 +256,7 @@ def position_errors(dives: list[Replay]) -> pd.DataFrame:
     """Give the rms position error of each filter in each dive, m."""
     rows = {}
     for replay in dives:
-        table = replay.tables["reference_error"]
+        table = frame(replay.tables.reference_error)
         table = table[table["quantity"] == "position_h"].set_index("filter")
         rows[replay.dive.name] = {"baseline": table["baseline_rmse"].iloc[0], **table["rmse"].to_dict()}
     return pd.DataFrame.from_dict(rows, orient="index")
@@ -262,13 +264,17 @@ def position_errors(dives: list[Replay]) -> pd.DataFrame:
 
 def mean_nis(dives: list[Replay]) -> pd.Series:
     """Give the mean NIS of the first filter's velocities in each dive."""
-    tables = {replay.dive.name: replay.tables["consistency"].iloc[0] for replay in dives}
-    return pd.Series({name: row["mean_nis"] for name, row in tables.items()})
+    return pd.Series({replay.dive.name: replay.tables.consistency[0].mean_nis for replay in dives})
 
 
 def mean_over(replay: Replay, table: str, filter_: str = "aided") -> float:
     """Give the paper's mean over nine states; what did not improve counts as 0."""
-    return mean_over_nine(replay.tables[table], filter_)
+    return mean_over_nine(getattr(replay.tables, table), filter_)
+
+
+def frame(rows: Sequence[Struct]) -> pd.DataFrame:
+    """Give the rows of a table as pandas has them."""
+    return pd.DataFrame([msgspec.to_builtins(row) for row in rows])
 
 
 def by_state(table: pd.DataFrame, filter_: str) -> pd.DataFrame:

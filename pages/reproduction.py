@@ -132,7 +132,7 @@ def limits(_: Findings) -> str:
 def sigmas(found: Findings) -> str:
     """The straight line's sigmas at the end."""
     published = pd.read_csv(PUBLISHED).set_index("state")
-    ours = claims.by_state(found.straight.tables["improvement"], "aided")
+    ours = claims.by_state(claims.frame(found.straight.tables.improvement), "aided")
     there = published["improvement_pct"].fillna(0.0).mean()
     here = claims.mean_over(found.straight, "improvement")
     return markdown_table(
@@ -162,7 +162,7 @@ def _sigmas(published: pd.Series, ours: pd.Series) -> tuple[str, ...]:
 def times(found: Findings) -> str:
     """The straight line's times to the baseline's final sigma."""
     published = pd.read_csv(PUBLISHED).set_index("state")
-    ours = claims.by_state(found.straight.tables["convergence"], "aided")
+    ours = claims.by_state(claims.frame(found.straight.tables.convergence), "aided")
     there = published["convergence_improvement_pct"].fillna(0.0).mean()
     here = claims.mean_over(found.straight, "convergence")
     return markdown_table(
@@ -231,13 +231,13 @@ def verdicts(found: Findings) -> str:
 
 def _verdicts(replay: Replay) -> Iterator[tuple[str, ...]]:
     errors = claims.position_errors([replay]).iloc[0]
-    for verdict in replay.verdicts:
+    for name, verdict in replay.verdicts.items():
         yield (
             replay.dive.name,
-            verdict.filter,
-            percent(verdict.believed_pct),
+            name,
+            percent(verdict.mean_improvement_pct),
             f"{errors['baseline']:.2f}",
-            f"{errors[verdict.filter]:.2f}",
+            f"{errors[name]:.2f}",
             f"{verdict.improvement}, {verdict.consistency}",
         )
 
@@ -291,7 +291,7 @@ def geometry(found: Findings) -> str:
 
 
 def _worse(dives: list[Replay], name: str) -> str:
-    verdicts = [verdict for replay in dives for verdict in replay.verdicts if verdict.filter == name]
+    verdicts = [replay.verdicts[name] for replay in dives if name in replay.verdicts]
     return f"{sum(verdict.improvement == 'worse' for verdict in verdicts)} of {len(verdicts)}"
 
 

@@ -6,7 +6,7 @@ from statistics import median
 from typing import Final
 
 from insdvl_replay.core.changes import Aggregate, Change, Counts, Tally, Word
-from insdvl_replay.core.result_tables import LAYOUTS
+from insdvl_replay.core.tables import LAYOUTS
 
 _CHIEF: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.chief, *layout.words)}
 """Columns that a reader looks at first, and words with a rank, which sum up numbers."""

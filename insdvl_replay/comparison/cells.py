@@ -1,8 +1,8 @@
 """The cells of a comparison as text: values, changes, and where they stand."""
 
 from insdvl_replay.core.changes import Aggregate, Change
-from insdvl_replay.core.result_tables import PERCENTAGE
 from insdvl_replay.core.stored_result import Cell
+from insdvl_replay.core.table_layout import PERCENTAGE
 from insdvl_replay.report.display_table import MISSING, number
 
 _FINE_PCT = 0.95

@@ -10,8 +10,9 @@ from insdvl_replay.comparison.filter_pairs import refuse_strangers, with_new_nam
 from insdvl_replay.comparison.provenance import differences
 from insdvl_replay.core.changes import Change, Comparison, DiveComparison
 from insdvl_replay.core.errors import ConfigError, Note, refuse_unknown
-from insdvl_replay.core.result_tables import LAYOUTS, TableLayout
 from insdvl_replay.core.stored_result import StoredResult
+from insdvl_replay.core.table_layout import TableLayout
+from insdvl_replay.core.tables import LAYOUTS
 from insdvl_replay.evaluation.row_changes import compare_tables, named_rows
 from insdvl_replay.results.stored_results import read_results
 

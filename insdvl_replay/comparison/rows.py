@@ -6,7 +6,7 @@ from typing import Final, TypeVar
 
 from insdvl_replay.comparison.cells import change_text, growth, is_percentage, old_and_new, percent_text
 from insdvl_replay.core.changes import Aggregate, Change
-from insdvl_replay.core.result_tables import CANDIDATES, LAYOUTS
+from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
 from insdvl_replay.report.display_table import MISSING, ShownTable, row_label
 
 _BETTER: Final = {(layout.name, column): better for layout in LAYOUTS for column, better in layout.better.items()}

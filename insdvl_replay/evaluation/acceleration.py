@@ -6,14 +6,9 @@ reference of 1 Hz says nothing of it inside a sharp turn, while the body's own v
 """
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, seconds
-
-POOLED = "*"
-"""Stands for the log in rows that pool several."""
-WINDOW_COLUMNS = ["log", "n", "at", "lever_arm", "rmse_mps2", "samples"]
 
 
 def reference_acceleration(reference: ReferenceColumns, max_gap_s: float) -> Floats:
@@ -95,38 +90,3 @@ def vector_rmse(estimated: Floats, reference: Floats, rows: NDArray[np.bool_]) -
     if not rows.any():
         return float("nan")
     return float(np.sqrt(np.mean(np.sum((estimated[rows] - reference[rows]) ** 2, axis=1))))
-
-
-def pooled_windows(table: pd.DataFrame) -> pd.DataFrame:
-    """Pool the logs of a window study, each sample with the same weight.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Columns `WINDOW_COLUMNS`.
-
-    Returns
-    -------
-    DataFrame
-        The same columns; one row for each n, at and lever_arm, whose log is `POOLED`.
-    """
-    squares = table.assign(squares=table["samples"] * table["rmse_mps2"] ** 2)
-    sums = squares.groupby(["lever_arm", "at", "n"], sort=False, as_index=False)[["squares", "samples"]].sum()
-    return sums.assign(log=POOLED, rmse_mps2=np.sqrt(sums["squares"] / sums["samples"]))[WINDOW_COLUMNS]
-
-
-def best_windows(table: pd.DataFrame) -> pd.DataFrame:
-    """Find the number of velocities with the least error, for each log, place and lever arm.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Columns `WINDOW_COLUMNS`.
-
-    Returns
-    -------
-    DataFrame
-        The rows of the optima, in the order of the table.
-    """
-    least = table.groupby(["log", "lever_arm", "at"], sort=False)["rmse_mps2"].idxmin()
-    return table.loc[least].reset_index(drop=True)

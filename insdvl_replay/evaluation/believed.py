@@ -5,19 +5,22 @@ do. Both are read where a filter has just used a ping: between pings the uncerta
 time would measure the time since the last ping. The end of the dive is its last ping.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
-import pandas as pd
 
 from insdvl_replay.core.columns import Floats, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import NINE, STATES
+from insdvl_replay.core.tables import ConvergenceRow, ImprovementRow, finite
+from insdvl_replay.core.words import ConvergenceStatus, ImprovementStatus
 
 SAME_PCT = 0.05
 """A smaller change of a standard deviation is called ``same``; shown with one digit it would read 0.0 %."""
 
 
-def improvement_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
-    """Compare the standard deviations at the end of the dive, state by state.
+def improvement_table(log: str, histories: tuple[History, ...]) -> list[ImprovementRow]:
+    """Compare the standard deviations at the end of the dive, 12 states for each candidate.
 
     Parameters
     ----------
@@ -28,21 +31,17 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
 
     Returns
     -------
-    DataFrame
-        Columns log, filter, state, unit, baseline_sd, sd, improvement_pct, status (``improved``, ``same``, ``worse``,
-        or ``not finite``); 12 rows for each candidate.
+    list of ImprovementRow
     """
     baseline, *candidates = histories
     rows = []
     for candidate in candidates:
         for state in STATES:
-            before, after = (_final_sd(history)[state.index] / state.factor for history in (baseline, candidate))
+            before, after = (float(_final_sd(history)[state.index]) / state.factor for history in (baseline, candidate))
             change_pct = improvement_pct(before, after)
             status = _improvement_status(change_pct)
-            rows.append((log, candidate.filter, state.id, state.unit, before, after, change_pct, status))
-    return pd.DataFrame(
-        rows, columns=["log", "filter", "state", "unit", "baseline_sd", "sd", "improvement_pct", "status"]
-    )
+            rows.append(ImprovementRow(log, candidate.filter, state.id, state.unit, before, after, change_pct, status))
+    return rows
 
 
 def _final_sd(history: History) -> Floats:
@@ -58,16 +57,16 @@ def improvement_pct(before: float, after: float) -> float:
     return float(100.0 * (before - after) / before)
 
 
-def _improvement_status(change_pct: float) -> str:
+def _improvement_status(change_pct: float) -> ImprovementStatus:
     if not np.isfinite(change_pct):
-        return "not finite"
+        return ImprovementStatus.NOT_FINITE
     if abs(change_pct) < SAME_PCT:
-        return "same"
-    return "improved" if change_pct > 0.0 else "worse"
+        return ImprovementStatus.SAME
+    return ImprovementStatus.IMPROVED if change_pct > 0.0 else ImprovementStatus.WORSE
 
 
-def convergence_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
-    """Say when each candidate became, and stayed, as sure as the baseline is at the end.
+def convergence_table(log: str, histories: tuple[History, ...]) -> list[ConvergenceRow]:
+    """Say when each candidate became, and stayed, as sure as the baseline is at the end, in 12 states.
 
     Parameters
     ----------
@@ -78,10 +77,8 @@ def convergence_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
 
     Returns
     -------
-    DataFrame
-        Columns log, filter, state, unit, target_sd, baseline_s, reached_s, improvement_pct, status (``reached``,
-        ``at_start``, ``never``); 12 rows for each candidate. Times are seconds from the start, the
-        baseline's that of the last ping.
+    list of ConvergenceRow
+        Times are seconds from the start, the baseline's that of the last ping.
     """
     baseline, *candidates = histories
     baseline_s = float(seconds(baseline.time_ns[baseline.updated], baseline.time_ns[0])[-1])
@@ -92,14 +89,13 @@ def convergence_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
         for state in STATES:
             target = float(_final_sd(baseline)[state.index])
             reached_s, status = time_to_stay_below(time_s, candidate.sd[read, state.index], target)
-            faster_pct = improvement_pct(baseline_s, reached_s) if status == "reached" else float("nan")
-            shown = target / state.factor
-            rows.append((log, candidate.filter, state.id, state.unit, shown, baseline_s, reached_s, faster_pct, status))
-    names = ["log", "filter", "state", "unit", "target_sd", "baseline_s", "reached_s", "improvement_pct", "status"]
-    return pd.DataFrame(rows, columns=names)
+            faster_pct = improvement_pct(baseline_s, reached_s) if status == ConvergenceStatus.REACHED else float("nan")
+            named = log, candidate.filter, state.id, state.unit
+            rows.append(ConvergenceRow(*named, target / state.factor, baseline_s, reached_s, faster_pct, status))
+    return rows
 
 
-def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float, str]:
+def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float, ConvergenceStatus]:
     """Find the first time after which a standard deviation stays at or below a target.
 
     Parameters
@@ -112,29 +108,27 @@ def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float
     -------
     float
         Interpolated between the samples, s; NaN unless reached.
-    str
+    ConvergenceStatus
         ``reached``, ``at_start`` (never above the target) or ``never`` (above it, or not finite, at the end).
     """
     above = np.flatnonzero(~(sd <= target))
     if len(above) == 0:
-        return float("nan"), "at_start"
+        return float("nan"), ConvergenceStatus.AT_START
     last = int(above[-1])
     if last == len(sd) - 1:
-        return float("nan"), "never"
+        return float("nan"), ConvergenceStatus.NEVER
     drop = sd[last] - sd[last + 1]
     fraction = (sd[last] - target) / drop if np.isfinite(drop) else 1.0
-    return float(time_s[last] + fraction * (time_s[last + 1] - time_s[last])), "reached"
+    return float(time_s[last] + fraction * (time_s[last + 1] - time_s[last])), ConvergenceStatus.REACHED
 
 
-def mean_over_nine(table: pd.DataFrame, filter_name: str) -> float:
+def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: str) -> float:
     """Average a table's improvement over the nine states without the velocity errors, as the paper does.
 
     Parameters
     ----------
-    table : DataFrame
-        From `improvement_table` or `convergence_table`.
-    filter_name : str
-        A candidate.
+    table : sequence of ImprovementRow or ConvergenceRow
+    candidate : str
 
     Returns
     -------
@@ -143,7 +137,7 @@ def mean_over_nine(table: pd.DataFrame, filter_name: str) -> float:
         such. NaN if a standard deviation is not finite.
     """
     nine = {state.id for state in NINE}
-    rows = table[(table["filter"] == filter_name) & table["state"].isin(nine)]
-    if (rows["status"] == "not finite").any():
+    rows = [row for row in table if row.filter == candidate and row.state in nine]
+    if any(row.status == ImprovementStatus.NOT_FINITE for row in rows):
         return float("nan")
-    return float(rows["improvement_pct"].fillna(0.0).mean())
+    return float(np.mean(np.nan_to_num([finite(row.improvement_pct) for row in rows])))

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from insdvl_replay.core.changes import Word
-from insdvl_replay.core.result_tables import PERCENTAGE, Better
 from insdvl_replay.core.stored_result import Cell
+from insdvl_replay.core.table_layout import PERCENTAGE, Better
 
 PRINTED_DIGITS: Final = 4
 """Significant digits of a printed number."""

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.words import Consistency
 
 CONFIDENCE: Final = 0.95
 """Share of consistent filters whose mean lies inside the interval."""
@@ -52,7 +53,7 @@ def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tup
     )
 
 
-def verdict(mean: float, low: float, high: float, dof: int) -> str:
+def verdict(mean: float, low: float, high: float, dof: int) -> Consistency:
     """Say what a mean NIS or NEES means for the filter's own uncertainty.
 
     Parameters
@@ -65,15 +66,15 @@ def verdict(mean: float, low: float, high: float, dof: int) -> str:
 
     Returns
     -------
-    str
+    Consistency
         ``consistent`` also where the mean is outside the interval, but too close to ``dof`` to matter: over a long dive
         any model is found wrong.
     """
     if not np.isfinite(mean):
-        return "not finite"
+        return Consistency.NOT_FINITE
     if low <= mean <= high or abs(mean / dof - 1.0) <= SMALL_EXCESS:
-        return "consistent"
-    return "over-confident" if mean > high else "over-cautious"
+        return Consistency.CONSISTENT
+    return Consistency.OVER_CONFIDENT if mean > high else Consistency.OVER_CAUTIOUS
 
 
 def effective_samples(standardised: Floats) -> float:

@@ -1,27 +1,36 @@
-"""Whether a filter's innovations are as large as it says: the mean NIS, its chi-square interval, and each axis.
+"""Whether a filter's innovations are as large as it says, axis by axis, and white: a filter that is right has used all
+that a measurement could tell, and what remains is new each time.
 
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
 """
 
 from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
-import pandas as pd
+from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.result_tables import AXES, axis_of
+from insdvl_replay.core.tables import AXES, ConsistencyRow, axis_of
+from insdvl_replay.core.words import Consistency, Whiteness
 from insdvl_replay.evaluation.chi_square import mean_interval, verdict
-from insdvl_replay.evaluation.whiteness import autocorrelation, whiteness
 
 FEWEST_UPDATES = 10
 """With fewer updates the verdict is ``too few``."""
 MANY_REJECTED = 0.1
 """A gate that rejects a larger share does not keep outliers out but the DVL."""
+FEWEST_PAIRS: Final = 10
+"""With fewer neighbours the word is ``too few``."""
+SMALL_AUTOCORRELATION: Final = 0.1
+"""A smaller one, however significant, does not matter: the mean of noise that is so correlated scatters by less than
+11 % more, or 10 % less, than that of white noise."""
+NORMAL_95: Final = 1.96
+"""Within so many standard deviations lie 95 % of a normal variable."""
 
 
-def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
+def consistency_table(log: str, histories: tuple[History, ...]) -> list[ConsistencyRow]:
     """Judge each filter's innovations, measurement by measurement and axis by axis.
 
     Parameters
@@ -33,29 +42,22 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> pd.DataFrame:
 
     Returns
     -------
-    DataFrame
-        Columns log, filter, measurement, dof, used, rejected, mean_nis, low, high, verdict (``consistent``,
-        ``over-confident``, ``over-cautious``, ``too few``, ``not finite``), autocorrelation (with the innovation
-        before), autocorrelation_limit, whiteness (``white``, ``correlated``, ``too few``, ``not finite``). NIS is that
-        of all innovations; what the gate rejected counts as much as the gate is, see `history.Innovations.weight`.
-        Whiteness is that of the innovations that were used. After the row of a whole measurement, such as ``velocity``,
-        stand those of its axes in b, ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``.
+    list of ConsistencyRow
+        NIS is that of all innovations; what the gate rejected counts as much as the gate is, see
+        `history.Innovations.weight`. Whiteness is that of the innovations that were used, autocorrelation that with the
+        innovation before. After the row of a whole measurement, such as ``velocity``, stand those of its axes in b,
+        ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``.
     """
-    rows = [
-        (log, history.filter, *row)
+    return [
+        row
         for history in histories
         for innovations in history.innovations
-        for row in _rows(innovations)
+        for row in _rows(log, history.filter, innovations)
     ]
-    names = [
-        "log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict",
-        "autocorrelation", "autocorrelation_limit", "whiteness",
-    ]  # fmt: skip
-    return pd.DataFrame(rows, columns=names)
 
 
-def _rows(innovations: Innovations) -> Iterator[tuple[str | int | float, ...]]:
-    """Give the row of a whole measurement, then those of its axes, without log and filter."""
+def _rows(log: str, filter_: str, innovations: Innovations) -> Iterator[ConsistencyRow]:
+    """Give the row of a whole measurement, then those of its axes."""
     standardised, rejected = innovations.standardised_b, rejections(innovations)
     whole = (innovations.measurement, innovations.dof, innovations.nis, standardised)
     axes = (
@@ -64,14 +66,17 @@ def _rows(innovations: Innovations) -> Iterator[tuple[str | int | float, ...]]:
     )
     for name, dof, nis, components in (whole, *axes):
         correlation = autocorrelation(components, innovations.used)
-        counts = int(innovations.used.sum()), rejected
-        yield name, dof, *counts, *_judged(nis * innovations.weight, dof), *correlation, whiteness(*correlation)
+        mean_nis, low, high, word = _judged(nis * innovations.weight, dof)
+        counts = dof, int(innovations.used.sum()), rejected
+        yield ConsistencyRow(
+            *(log, filter_, name, *counts, mean_nis, low, high, word), *correlation, whiteness(*correlation)
+        )
 
 
-def _judged(nis: Floats, dof: int) -> tuple[float, float, float, str]:
+def _judged(nis: Floats, dof: int) -> tuple[float, float, float, Consistency]:
     if len(nis) < FEWEST_UPDATES:
         nan = float("nan")
-        return nan, nan, nan, "too few"
+        return nan, nan, nan, Consistency.TOO_FEW
     mean_nis = float(nis.mean())
     low, high = mean_interval(dof, len(nis))
     return mean_nis, low, high, verdict(mean_nis, low, high, dof)
@@ -157,3 +162,53 @@ def _reopening_notes(name: str, innovations: Innovations, hint: str) -> list[Not
 def rejections(innovations: Innovations) -> int:
     """Count the innovations that the gate rejected."""
     return int(np.sum(~innovations.used & np.isfinite(innovations.nis)))
+
+
+def autocorrelation(standardised: Floats, used: NDArray[np.bool_]) -> tuple[float, float]:
+    """Correlate innovations with the ones before them.
+
+    The mean is not taken off: innovations have none, and one that stays is a correlation too.
+
+    Parameters
+    ----------
+    standardised : ndarray, shape (m, n)
+        Innovations in their own standard deviations, in the order of time. The n components are taken together.
+    used : ndarray of bool, shape (m,)
+        Which of them the gate let pass; both of a pair have to.
+
+    Returns
+    -------
+    value : float
+        Between -1 and 1; NaN with fewer than `FEWEST_PAIRS` pairs, or where nothing varies.
+    limit : float
+        Its size is smaller for 95 % of white innovations, ``1.96 / sqrt(pairs)``. For n above 1 it is too wide by up to
+        sqrt(n), and never too narrow, however the components hang together. NaN with too few pairs.
+    """
+    pairs = used[1:] & used[:-1]
+    count = int(pairs.sum())
+    if count < FEWEST_PAIRS:
+        return float("nan"), float("nan")
+    earlier, later = standardised[:-1][pairs], standardised[1:][pairs]
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        value = np.sum(earlier * later) / np.sqrt(np.sum(earlier**2) * np.sum(later**2))
+    return float(value), NORMAL_95 / float(np.sqrt(count))
+
+
+def whiteness(value: float, limit: float) -> Whiteness:
+    """Say what an autocorrelation means.
+
+    Parameters
+    ----------
+    value, limit : float
+        From `autocorrelation`.
+
+    Returns
+    -------
+    Whiteness
+        ``correlated`` where it is significant and larger than `SMALL_AUTOCORRELATION`.
+    """
+    if not np.isfinite(limit):
+        return Whiteness.TOO_FEW
+    if not np.isfinite(value):
+        return Whiteness.NOT_FINITE
+    return Whiteness.CORRELATED if abs(value) > max(limit, SMALL_AUTOCORRELATION) else Whiteness.WHITE

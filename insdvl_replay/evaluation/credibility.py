@@ -1,20 +1,23 @@
 """Whether a filter's errors are as large as it says: errors against the reference in its own standard deviations.
 
-The reference is taken as exact: where it is no better than the filter, its own errors count as the filter's. Source:
-Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
+The reference is taken as exact: where it is no better than the filter, its own errors count as the filter's. Errors
+of neighbouring times are nearly the same number, and a mean over them is less sure than their count suggests. Sources:
+Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5;
+Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", 1946, for the
+variance of a mean of squares; Sokal, "Monte Carlo methods in statistical mechanics", 1997, for where to stop adding up.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import betainc, chdtr
 
 from insdvl_replay.core.columns import Floats
-from insdvl_replay.core.result_tables import CREDIBILITY_QUANTITIES, JOINT
 from insdvl_replay.core.states import BA, PHI
+from insdvl_replay.core.tables import CREDIBILITY_QUANTITIES, JOINT, CredibilityRow
+from insdvl_replay.core.words import Consistency
 from insdvl_replay.evaluation.chi_square import (
     CONFIDENCE,
     chi_square_quantile,
@@ -31,18 +34,14 @@ reference, so that for a while the errors of an honest one are smaller than it s
 MANY_FAR_OFF: Final = 0.01
 """A smaller share of errors beyond three standard deviations is near enough to the 0.3 % of a consistent filter."""
 
-_NAMES: Final = (
-    "log", "filter", "quantity", "dof", "samples", "mean_nees", "low", "high", "within_1sd_pct", "within_3sd_pct",
-    "verdict", "effective_samples",
-)  # fmt: skip
-Row = tuple[str | int | float, ...]
+_Judged = tuple[int, int, float, float, float, float, float, Consistency, float]
+"""A row from its degrees of freedom on."""
 
 
-def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, StateErrors]) -> pd.DataFrame:
+def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, StateErrors]) -> list[CredibilityRow]:
     """Judge each filter by its errors against the reference.
 
-    Errors of neighbouring times are nearly the same, so that a mean over a dive scatters more than its number of
-    samples suggests: `effective_samples` counts the independent ones, and the interval is theirs.
+    The interval of a mean is that of its `effective_samples`.
 
     Parameters
     ----------
@@ -55,37 +54,35 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
 
     Returns
     -------
-    DataFrame
-        Columns log, filter, quantity, dof, samples, mean_nees (squared error in the filter's own standard deviations;
-        ``dof`` expected), low, high (95 % interval of a consistent filter's mean), within_1sd_pct, within_3sd_pct (68.3
-        % and 99.7 % expected; of ``all`` the shares inside the ellipsoids with these probabilities), verdict
-        (``consistent``; ``over-confident``, also where too many errors are beyond three standard deviations;
-        ``over-cautious``; ``too few`` independent samples; ``not finite``; ``not in reference``; ``no reference``),
-        effective_samples. Rows for velocity and attitude, for the biases where the log carries the true ones, and for
-        ``all`` of them with the whole of P.
+    list of CredibilityRow
+        For velocity and attitude, for the biases where the log carries the true ones, and for ``all`` of them with the
+        whole of P; of these the shares are those inside the ellipsoids with the probabilities of one and three standard
+        deviations. ``over-confident`` is also said where too many errors are beyond three of them.
     """
-    rows = [
-        (log, name, *row) for name in filters for row in (_rows(errors[name]) if errors else _missing("no reference"))
+    return [
+        CredibilityRow(log, name, quantity, *judged)
+        for name in filters
+        for quantity, judged in (_rows(errors[name]) if errors else _missing())
     ]
-    return pd.DataFrame(rows, columns=list(_NAMES))
 
 
-def _missing(word: str) -> Iterator[Row]:
+def _missing() -> Iterator[tuple[str, _Judged]]:
     for quantity in (*CREDIBILITY_QUANTITIES[: BA.start], JOINT):
-        yield quantity, *_without_numbers(1, 0, word)
+        yield quantity, _without_numbers(1, 0, Consistency.NO_REFERENCE)
 
 
-def _without_numbers(dof: int, samples: int, word: str) -> Row:
-    return dof, samples, *[float("nan")] * 5, word, float("nan")
+def _without_numbers(dof: int, samples: int, word: Consistency) -> _Judged:
+    nan = float("nan")
+    return dof, samples, nan, nan, nan, nan, nan, word, nan
 
 
-def _rows(errors: StateErrors) -> Iterator[Row]:
+def _rows(errors: StateErrors) -> Iterator[tuple[str, _Judged]]:
     known = np.isfinite(errors.error)
     standardised = _standardised(errors)
     for i, quantity in enumerate(CREDIBILITY_QUANTITIES):
         if i < BA.start or known[:, i].any():
-            yield quantity, *_judged(standardised[known[:, i], i : i + 1], _own_share(errors, i, known[:, i]))
-    yield JOINT, *_joint(errors, known)
+            yield quantity, _judged(standardised[known[:, i], i : i + 1], _own_share(errors, i, known[:, i]))
+    yield JOINT, _joint(errors, known)
 
 
 def _standardised(errors: StateErrors) -> Floats:
@@ -116,39 +113,40 @@ def _own_share(errors: StateErrors, state: int, times: NDArray[np.bool_]) -> flo
     return float(np.mean(1.0 - np.nan_to_num(by_attitude, posinf=0.0)))
 
 
-def _joint(errors: StateErrors, known: NDArray[np.bool_]) -> Row:
+def _joint(errors: StateErrors, known: NDArray[np.bool_]) -> _Judged:
     """Judge all states that are ever compared, at the times when all of them are."""
     states = np.flatnonzero(known.any(axis=0))
     times = known[:, states].all(axis=1)
     if not len(states):
-        return _without_numbers(0, 0, "not in reference")
+        return _without_numbers(0, 0, Consistency.NOT_IN_REFERENCE)
     return _judged(whitened(errors.error[np.ix_(times, states)], errors.cov[np.ix_(times, states, states)]))
 
 
-def _judged(standardised: Floats, own_share: float = 1.0) -> Row:
+def _judged(standardised: Floats, own_share: float = 1.0) -> _Judged:
     """Judge errors in standard deviations, shape (k, dof), that are uncorrelated in a consistent filter."""
     samples, dof = standardised.shape
     if not samples:
-        return _without_numbers(dof, 0, "not in reference")
+        return _without_numbers(dof, 0, Consistency.NOT_IN_REFERENCE)
     if not np.isfinite(standardised).all():
-        return _without_numbers(dof, samples, "not finite")
+        return _without_numbers(dof, samples, Consistency.NOT_FINITE)
     squared = np.sum(standardised**2, axis=1)
     mean_nees, independent = float(squared.mean()), effective_samples(standardised)
     low, high = mean_interval(dof, independent)
-    within_pct = [100.0 * float(np.mean(squared <= _ellipsoid(sigmas, dof))) for sigmas in (1.0, 3.0)]
-    too_large = _many_far_off(1.0 - within_pct[1] / 100.0, independent)
-    word = "over-confident" if too_large else _word(mean_nees, low, high, dof, independent, own_share)
-    return dof, samples, mean_nees, low, high, *within_pct, word, independent
+    near_pct, far_pct = (100.0 * float(np.mean(squared <= _ellipsoid(sigmas, dof))) for sigmas in (1.0, 3.0))
+    word = _word(mean_nees, low, high, dof, independent, own_share)
+    if _many_far_off(1.0 - far_pct / 100.0, independent):
+        word = Consistency.OVER_CONFIDENT
+    return dof, samples, mean_nees, low, high, near_pct, far_pct, word, independent
 
 
-def _word(mean_nees: float, low: float, high: float, dof: int, independent: float, own_share: float) -> str:
+def _word(mean_nees: float, low: float, high: float, dof: int, independent: float, own_share: float) -> Consistency:
     """Judge a mean NEES; few samples prove that errors are too large, but not that they are as they should be."""
     word = verdict(mean_nees, low, high, dof)
-    if word == "over-confident":
+    if word == Consistency.OVER_CONFIDENT:
         return word
     if dof * independent < FEWEST_UPDATES:
-        return "too few"
-    return "consistent" if mean_nees >= FAR_SMALLER * own_share * dof else word
+        return Consistency.TOO_FEW
+    return Consistency.CONSISTENT if mean_nees >= FAR_SMALLER * own_share * dof else word
 
 
 def _many_far_off(share: float, independent: float) -> bool:

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
 from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.history import History
-from insdvl_replay.core.result_tables import PARTLY_COVERED, REFERENCE_QUANTITIES
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.tables import REFERENCE_QUANTITIES, ReferenceErrorRow
+from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.evaluation.believed import improvement_pct
 from insdvl_replay.evaluation.coverage import WELL_COVERED, covered_share
 from insdvl_replay.geometry.frames import north_east_down_m
@@ -122,7 +122,7 @@ def attitude_error(mat_nb: Floats, mat_nb_reference: Floats) -> Floats:
 
 def reference_error_table(
     log: str, histories: tuple[History, ...], errors: dict[str, ReferenceErrors], *, bridged_gaps: bool = False
-) -> pd.DataFrame:
+) -> list[ReferenceErrorRow]:
     """Set the candidates' error against the reference beside the baseline's.
 
     Parameters
@@ -138,44 +138,38 @@ def reference_error_table(
 
     Returns
     -------
-    DataFrame
-        Columns log, filter, quantity, unit, baseline_rmse, rmse, improvement_pct, baseline_final, final, samples,
-        status (``compared``, ``no reference``, ``not in reference``, ``no distance``; ``partly covered`` where the
-        reference has the quantity for less than `coverage.WELL_COVERED` of the replay, and of the position ``lost in
-        gap`` where the IMU was silent for long: the numbers stand, but say nothing of the filters); 9 rows for each
-        candidate. Final errors keep their sign.
+    list of ReferenceErrorRow
+        9 for each candidate; final errors keep their sign. Where the status is ``partly covered``, since the reference
+        has the quantity for less than `coverage.WELL_COVERED` of the replay, or ``lost in gap``, the numbers stand, but
+        say nothing of the filters.
     """
-    names = [
-        "log", "filter", "quantity", "unit", "baseline_rmse", "rmse", "improvement_pct",
-        "baseline_final", "final", "samples", "status",
-    ]  # fmt: skip
     baseline, *candidates = (history.filter for history in histories)
     span_ns = int(histories[0].time_ns[0]), int(histories[0].time_ns[-1])
     summaries = {name: _summary(error, span_ns) for name, error in errors.items()}
-    rows = []
+    rows, nan = [], float("nan")
     for candidate in candidates:
         for quantity, unit in REFERENCE_QUANTITIES.items():
+            named = log, candidate, quantity, unit
             if not errors:
-                nan = float("nan")
-                rows.append((log, candidate, quantity, unit, nan, nan, nan, nan, nan, 0, "no reference"))
+                rows.append(ReferenceErrorRow(*named, nan, nan, nan, nan, nan, 0, ReferenceStatus.NO_REFERENCE))
                 continue
             before_rmse, before_final, samples, covered = summaries[baseline][quantity]
             rmse, final, *_ = summaries[candidate][quantity]
             status = _status(quantity, samples, covered, errors[candidate], bridged_gaps)
-            change_pct = improvement_pct(before_rmse, rmse)
-            rows.append(
-                (log, candidate, quantity, unit, before_rmse, rmse, change_pct, before_final, final, samples, status)
-            )
-    return pd.DataFrame(rows, columns=names)
+            numbers = before_rmse, rmse, improvement_pct(before_rmse, rmse), before_final, final
+            rows.append(ReferenceErrorRow(*named, *numbers, samples, status))
+    return rows
 
 
-def _status(quantity: str, samples: int, covered: float, errors: ReferenceErrors, bridged_gaps: bool) -> str:
+def _status(
+    quantity: str, samples: int, covered: float, errors: ReferenceErrors, bridged_gaps: bool
+) -> ReferenceStatus:
     if samples and bridged_gaps and quantity in DEAD_RECKONED:
-        return "lost in gap"
+        return ReferenceStatus.LOST_IN_GAP
     if samples:
-        return "compared" if covered >= WELL_COVERED else PARTLY_COVERED
+        return ReferenceStatus.COMPARED if covered >= WELL_COVERED else ReferenceStatus.PARTLY_COVERED
     known = np.isfinite(errors.position_error_ned_m[:, :2]).all(axis=1).any()
-    return "no distance" if quantity == "position_h_pct" and known else "not in reference"
+    return ReferenceStatus.NO_DISTANCE if quantity == "position_h_pct" and known else ReferenceStatus.NOT_IN_REFERENCE
 
 
 def _summary(errors: ReferenceErrors, span_ns: tuple[int, int]) -> dict[str, tuple[float, float, int, float]]:

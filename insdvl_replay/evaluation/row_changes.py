@@ -5,8 +5,9 @@ from typing import Final
 
 from insdvl_replay.core.changes import Change
 from insdvl_replay.core.errors import ResultError
-from insdvl_replay.core.result_tables import CANDIDATES, TableLayout
 from insdvl_replay.core.stored_result import Cell, Row, StoredReport, StoredResult
+from insdvl_replay.core.table_layout import TableLayout
+from insdvl_replay.core.tables import CANDIDATES
 from insdvl_replay.evaluation.cell_change import Moved, agree, judge_number, rank_word
 
 NAMES: Final = frozenset(("log", "filter", "unit"))

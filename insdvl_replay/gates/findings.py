@@ -5,8 +5,10 @@ import math
 from collections.abc import Iterator
 from typing import TypeGuard
 
-from insdvl_replay.core.result_tables import CANDIDATES, NOT_JUDGED, PARTLY_COVERED, PERCENTAGE, TABLES, TableLayout
 from insdvl_replay.core.stored_result import Cell, Row, StoredReport
+from insdvl_replay.core.table_layout import PERCENTAGE, TableLayout
+from insdvl_replay.core.tables import CANDIDATES, TABLES
+from insdvl_replay.core.words import Gain, ReferenceStatus
 from insdvl_replay.evaluation.cell_change import agree, rounding, rounding_pct, size, size_change_pct, within
 from insdvl_replay.evaluation.row_changes import rows_of
 from insdvl_replay.gates.model import ANY, Finding, Gate
@@ -88,16 +90,16 @@ def _is_unjudged(layout: TableLayout, row: Row, gate: Gate, report: StoredReport
     """Tell whether a cell speaks of what a filter gains where nothing can be said of that; the verdict itself can."""
     candidate = report.filters.get(str(row["filter"]), {})
     of_gain = not layout.baseline_too and gate.column in layout.better and gate.column != "improvement"
-    return of_gain and candidate.get("improvement") == NOT_JUDGED
+    return of_gain and candidate.get("improvement") == Gain.NOT_JUDGED
 
 
 def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None, unjudged: bool) -> str:
     """Say why a cell does not pass; nothing if it does."""
     value = row.get(gate.column)
     if unjudged:
-        return f"is {shown(value)}, and the filter is {NOT_JUDGED}"
-    if row.get("status") == PARTLY_COVERED and gate.column in layout.better:
-        return f"is {shown(value)}, and the reference does not cover the replay ({PARTLY_COVERED})"
+        return f"is {shown(value)}, and the filter is {Gain.NOT_JUDGED}"
+    if row.get("status") == ReferenceStatus.PARTLY_COVERED and gate.column in layout.better:
+        return f"is {shown(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         word = row.get("status") or row.get("verdict")
         return f"is empty{f' ({word})' if word else ''}"

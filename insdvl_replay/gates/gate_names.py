@@ -1,13 +1,12 @@
 """Whether gates name what a result can have, which is asked before anything is replayed."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any, get_args, get_type_hints
 
 from insdvl_replay.core.errors import ConfigError, about, refuse_unknown
-from insdvl_replay.core.result_tables import CANDIDATES, LAYOUTS, TableLayout
+from insdvl_replay.core.table_layout import TableLayout
+from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
 from insdvl_replay.gates.gate_file import Gates
 from insdvl_replay.gates.model import ANY, Gate
-from insdvl_replay.results.json_report import Candidate, Tables
 
 
 def refuse_unknown_names(gates: Gates, filters: Sequence[str] | None) -> None:
@@ -61,16 +60,14 @@ def _refuse_baseline(gate: Gate, layouts: Sequence[TableLayout], filters: Sequen
         )
 
 
-def _columns(layout: TableLayout) -> dict[str, Any]:
-    """Give the kind of each column that a gate may name."""
-    row = Candidate if layout is CANDIDATES else get_args(get_type_hints(Tables)[layout.name])[0]
-    kinds = get_type_hints(row)
-    return {name: kind for name, kind in kinds.items() if name not in ("log", "filter", layout.key)}
+def _columns(layout: TableLayout) -> list[str]:
+    """Give the columns that a gate may name."""
+    return [name for name in layout.columns if name not in ("log", "filter", layout.key)]
 
 
 def _refuse_unjudged(gate: Gate, layout: TableLayout) -> None:
     """Refuse a condition that the column's kind can never meet."""
-    words = _columns(layout)[gate.column] is str
+    words = layout.kinds[gate.column] == "text"
     if words and not (gate.min is None and gate.max is None):
         raise ConfigError(f"column '{gate.column}' of {layout.name} holds words, which have no limits", "use equals")
     wanted = gate.equals if isinstance(gate.equals, tuple) else (gate.equals,)

@@ -9,6 +9,9 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final
 
+from msgspec import Struct
+from msgspec.structs import astuple
+
 from insdvl_replay.core.plain_text import visible
 
 if TYPE_CHECKING:
@@ -32,6 +35,11 @@ def table_csv(table: "pd.DataFrame") -> bytes:
         Header and rows. Floats have as many digits as it takes to read them back exactly.
     """
     return rows_csv(list(table.columns), table.itertuples(index=False, name=None)).encode()
+
+
+def structs_csv(kind: type[Struct], rows: Iterable[Struct]) -> str:
+    """Write rows of one type as CSV."""
+    return rows_csv(kind.__struct_fields__, map(astuple, rows))
 
 
 def rows_csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

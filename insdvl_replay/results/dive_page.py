@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from insdvl_replay.core.result_tables import NOT_JUDGED
+from insdvl_replay.core.words import Gain
 from insdvl_replay.report.display_table import ShownTable
 from insdvl_replay.report.page import Heading, Html, Lead, LinkedTable, Part, page
 from insdvl_replay.report.page_parts import facts, losses, settings_details
@@ -13,7 +13,12 @@ from insdvl_replay.results.dive_tables import glance_table, shown_tables
 from insdvl_replay.results.figures.improvement import improvement_bars
 from insdvl_replay.results.json_report import Report
 
-_TONES: Final = {"borne out": "good", "not borne out": "bad", "worse": "bad", NOT_JUDGED: "bad"}
+_TONES: Final[dict[str, str]] = {
+    Gain.BORNE_OUT: "good",
+    Gain.NOT_BORNE_OUT: "bad",
+    Gain.WORSE: "bad",
+    Gain.NOT_JUDGED: "bad",
+}
 
 
 def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: str) -> bytes:

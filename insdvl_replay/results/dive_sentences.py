@@ -2,11 +2,16 @@
 
 from typing import Final
 
-from insdvl_replay.core.result_tables import NOT_JUDGED
+from insdvl_replay.core.tables import Candidate
+from insdvl_replay.core.words import Gain
 from insdvl_replay.report.display_table import percent
-from insdvl_replay.results.json_report import Candidate, Report
+from insdvl_replay.results.json_report import Report
 
-_IN_SHORT: Final = {"not borne out": "NOT borne out", "worse": "WORSE", "none believed": "no improvement"}
+_IN_SHORT: Final[dict[str, str]] = {
+    Gain.NOT_BORNE_OUT: "NOT borne out",
+    Gain.WORSE: "WORSE",
+    Gain.NONE_BELIEVED: "no improvement",
+}
 MEANS: Final = (
     "believed: mean over nine states, by the filter's own covariance; actual: median of the errors against the "
     "reference; sooner: mean convergence"
@@ -26,7 +31,7 @@ def heading(report: Report) -> str:
 
 
 def _in_short(candidate: Candidate) -> str:
-    if candidate.improvement == NOT_JUDGED:
+    if candidate.improvement == Gain.NOT_JUDGED:
         return "NOT JUDGED"
     word = _IN_SHORT.get(candidate.improvement, candidate.improvement)
     return f"{percent(candidate.mean_improvement_pct)} believed, {word}"
@@ -44,5 +49,5 @@ def closing_lines(report: Report) -> list[str]:
         "own covariance; see reference error and consistency), "
         f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner"
         for name, means in report.filters.items()
-        if means.improvement != NOT_JUDGED
+        if means.improvement != Gain.NOT_JUDGED
     ]

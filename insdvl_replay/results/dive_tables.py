@@ -3,18 +3,19 @@
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol, TypeVar
 
-from insdvl_replay.core.result_tables import NOT_JUDGED, is_whole
-from insdvl_replay.report.display_table import MISSING, ShownTable, decimal, number, percent, row_label
-from insdvl_replay.results.dive_sentences import MEANS
-from insdvl_replay.results.json_report import (
+from insdvl_replay.core.tables import (
     Candidate,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
     ImprovementRow,
     ReferenceErrorRow,
-    Report,
+    is_whole,
 )
+from insdvl_replay.core.words import Gain, ReferenceStatus
+from insdvl_replay.report.display_table import MISSING, ShownTable, decimal, number, percent, row_label
+from insdvl_replay.results.dive_sentences import MEANS
+from insdvl_replay.results.json_report import Report
 
 
 class _OfFilter(Protocol):
@@ -70,8 +71,8 @@ def glance_table(report: Report) -> ShownTable:
 
 def gain_cells(candidate: Candidate) -> tuple[str, str, str, str]:
     """Write what a candidate gains: the verdict on it, what is believed, what is so, and how much sooner."""
-    if candidate.improvement == NOT_JUDGED:
-        return NOT_JUDGED, MISSING, MISSING, MISSING
+    if candidate.improvement == Gain.NOT_JUDGED:
+        return Gain.NOT_JUDGED, MISSING, MISSING, MISSING
     return (
         candidate.improvement,
         percent(candidate.mean_improvement_pct),
@@ -172,7 +173,7 @@ def _not_compared(rows: Sequence[ReferenceErrorRow]) -> str:
     quantities: dict[str, list[str]] = {}
     for row in rows:
         quantities.setdefault(row.status, []).append(row_label(row.quantity))
-    quantities.pop("compared", None)
+    quantities.pop(ReferenceStatus.COMPARED, None)
     return "; ".join(
         status if len(names) == len(rows) else f"{status}: {', '.join(names)}" for status, names in quantities.items()
     )

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.result_tables import TABLES
+from insdvl_replay.core.tables import TABLES
 from insdvl_replay.results.destination import NAME_A_FILE, open_in_place, replaceable_file
 from insdvl_replay.results.file_list import REPORT, list_files
 from insdvl_replay.results.workspace import NEW, OLD, clear_leftovers, workspace_beside

@@ -1,11 +1,10 @@
 """The report: one result as data, saved as report.json, read back, and the source of everything that is shown."""
 
-import math
 import platform
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
@@ -15,13 +14,13 @@ from insdvl_replay.core.channel import Channel
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.sources import sources_digest
+from insdvl_replay.core.tables import Candidate, Tables
 
 if TYPE_CHECKING:
-    # Only their types are needed, and whoever looks into a log or a report must not wait for them.
-    import pandas as pd
-
+    # Only its type is needed, and whoever looks into a report must not wait for it.
     from insdvl_replay.core.columns import Dive
 
+T = TypeVar("T")
 NUMERICAL_PACKAGES: Final = ("numpy", "numba", "pandas", "scipy", "mcap")
 """Packages whose version may move a number."""
 
@@ -34,112 +33,6 @@ Files = Annotated[
     ),
 ]
 """As `file_list` writes it when all files are there."""
-
-
-class ImprovementRow(Struct, frozen=True):
-    """What a candidate believes of one state at the end of the dive, beside the baseline."""
-
-    log: str
-    filter: str
-    state: str
-    unit: str
-    baseline_sd: float | None
-    sd: float | None
-    improvement_pct: float | None
-    status: str
-
-
-class ConvergenceRow(Struct, frozen=True):
-    """When a candidate became, and stayed, as sure of one state as the baseline is at the end."""
-
-    log: str
-    filter: str
-    state: str
-    unit: str
-    target_sd: float | None
-    baseline_s: float | None
-    reached_s: float | None
-    improvement_pct: float | None
-    status: str
-
-
-class ReferenceErrorRow(Struct, frozen=True):
-    """How far a candidate is from the reference in one quantity, beside the baseline."""
-
-    log: str
-    filter: str
-    quantity: str
-    unit: str
-    baseline_rmse: float | None
-    rmse: float | None
-    improvement_pct: float | None
-    baseline_final: float | None
-    final: float | None
-    samples: int
-    status: str
-
-
-class ConsistencyRow(Struct, frozen=True):
-    """Whether a filter's innovations are as large as it says."""
-
-    log: str
-    filter: str
-    measurement: str
-    dof: int
-    used: int
-    rejected: int
-    mean_nis: float | None
-    low: float | None
-    high: float | None
-    verdict: str
-    autocorrelation: float | None = None
-    autocorrelation_limit: float | None = None
-    whiteness: str = ""
-
-
-class CredibilityRow(Struct, frozen=True):
-    """Whether a filter's errors against the reference, or the truth, are as large as it says."""
-
-    log: str
-    filter: str
-    quantity: str
-    dof: int
-    samples: int
-    mean_nees: float | None
-    low: float | None
-    high: float | None
-    within_1sd_pct: float | None
-    within_3sd_pct: float | None
-    verdict: str
-    effective_samples: float | None
-
-
-class Tables(Struct, frozen=True):
-    """The tables, row for row as in the CSV files; null for what is missing. Early reports lack ``credibility``."""
-
-    improvement: list[ImprovementRow]
-    convergence: list[ConvergenceRow]
-    reference_error: list[ReferenceErrorRow]
-    consistency: list[ConsistencyRow]
-    credibility: list[CredibilityRow] = []
-
-
-class Candidate(Struct, frozen=True):
-    """What there is to say of one candidate."""
-
-    verdict: Annotated[str, Meta(description="one paragraph for people: believed, actual, consistent")]
-    improvement: Annotated[
-        str, Meta(description="borne out, not borne out, worse, none believed, no reference or not judged")
-    ]
-    consistency: Annotated[str, Meta(description="the gravest verdict of its measurements")]
-    mean_improvement_pct: Annotated[
-        float | None, Meta(description="believed; nine states, without the velocity errors")
-    ]
-    mean_convergence_improvement_pct: Annotated[
-        float | None, Meta(description="the same nine; never and at start count 0")
-    ]
-    reference_improvement_pct: Annotated[float | None, Meta(description="actual; median over the compared quantities")]
-    credibility: Annotated[str, Meta(description="the verdict of its errors against the reference")] = ""
 
 
 class Log(Struct, frozen=True):
@@ -187,7 +80,7 @@ class Report(Struct, frozen=True):
 def build_report(
     dive: "Dive",
     config: Config,
-    tables: Mapping[str, "pd.DataFrame"],
+    tables: Tables,
     candidates: Mapping[str, Candidate],
     notes: Sequence[Note],
     start_ns: int,
@@ -201,8 +94,7 @@ def build_report(
     dive : Dive
     config : Config
         Resolved settings.
-    tables : mapping of str to DataFrame
-        ``improvement``, ``convergence``, ``reference_error``, ``consistency``, ``credibility``.
+    tables : Tables
     candidates : mapping of str to Candidate
         By filter name.
     notes : sequence of Note
@@ -215,14 +107,13 @@ def build_report(
     -------
     Report
     """
-    rows = msgspec.convert({name: records(table) for name, table in tables.items()}, Tables)
     return Report(
         tool=tool,
         versions=package_versions(),
         log=Log(dive.name, dive.sha256, start_ns, end_ns, (end_ns - start_ns) * 1e-9, list(dive.channels)),
         baseline=config.baseline,
-        filters={name: _without_nan(candidate) for name, candidate in candidates.items()},
-        tables=rows,
+        filters=_without_nan(dict(candidates), dict[str, Candidate]),
+        tables=_without_nan(tables, Tables),
         notes=list(notes),
         config=msgspec.to_builtins(config),
     )
@@ -264,14 +155,6 @@ def decode_report(data: bytes) -> Report:
     return msgspec.json.decode(data, type=Report)
 
 
-def records(table: "pd.DataFrame") -> list[dict[str, Any]]:
-    """Turn the rows of a table into what JSON can write: None for what is missing or not finite."""
-    return [{str(key): _finite_or_none(value) for key, value in row.items()} for row in table.to_dict("records")]
-
-
-def _without_nan(candidate: Candidate) -> Candidate:
-    return Candidate(*map(_finite_or_none, msgspec.structs.astuple(candidate)))
-
-
-def _finite_or_none(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def _without_nan(content: T, kind: type[T]) -> T:
+    """Return what JSON would give back: None for what is missing or not finite."""
+    return msgspec.json.decode(msgspec.json.encode(content), type=kind)

@@ -1,17 +1,16 @@
 """A report in every form in which it is printed."""
 
-from typing import get_args, get_type_hints
-
-import msgspec
+from msgspec.structs import astuple
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from insdvl_replay.core.tables import each_table
 from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.report.markup import latex_page, markdown_page
 from insdvl_replay.report.terminal import dressed, spoken
 from insdvl_replay.results.dive_sentences import closing_lines, heading, verdict_lines
 from insdvl_replay.results.dive_tables import shown_tables
-from insdvl_replay.results.json_report import Report, Tables
+from insdvl_replay.results.json_report import Report
 
 
 def terminal_report(report: Report) -> Group:
@@ -74,9 +73,7 @@ def report_csv(report: Report) -> str:
     str
         Every line begins with the column ``table``, the header's too, so that one table is easily cut out.
     """
-    blocks = []
-    for name, rows_type in get_type_hints(Tables).items():
-        header = ("table", *get_args(rows_type)[0].__struct_fields__)
-        rows = [(name, *msgspec.structs.astuple(row)) for row in getattr(report.tables, name)]
-        blocks.append(rows_csv(header, rows))
-    return "\n".join(blocks)
+    return "\n".join(
+        rows_csv(("table", *layout.columns), ((layout.name, *astuple(row)) for row in rows))
+        for layout, rows in each_table(report.tables)
+    )

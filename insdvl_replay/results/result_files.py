@@ -2,21 +2,18 @@
 
 from pathlib import Path
 
-import pandas as pd
-
 from insdvl_replay import __version__, logs
 from insdvl_replay.core.columns import Floats, TimeNs
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.history import History
 from insdvl_replay.core.progress import begin
-from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.evaluation.verdicts import Verdict
+from insdvl_replay.core.tables import each_table
 from insdvl_replay.replay import Replay
-from insdvl_replay.report.csv_tables import table_csv
+from insdvl_replay.report.csv_tables import structs_csv
 from insdvl_replay.results.dive_figures import replay_coverage, replay_figures
 from insdvl_replay.results.dive_page import dive_page
 from insdvl_replay.results.folder import PAGE
-from insdvl_replay.results.json_report import Candidate, build_report, encode_report, this_tool
+from insdvl_replay.results.json_report import build_report, encode_report, this_tool
 from insdvl_replay.results.run_log import run_log
 
 
@@ -35,14 +32,14 @@ def save_replay(replay: Replay, folder: Path) -> None:
         replay.dive,
         replay.config,
         replay.tables,
-        {verdict.filter: _candidate(verdict, replay.tables) for verdict in replay.verdicts},
+        replay.verdicts,
         replay.notes,
         replay.start_ns,
         replay.end_ns,
         this_tool(),
     )
-    for name, table in replay.tables.items():
-        (folder / f"{name}.csv").write_bytes(table_csv(table))
+    for layout, rows in each_table(replay.tables):
+        (folder / f"{layout.name}.csv").write_text(structs_csv(layout.row, rows), "utf-8")
     logs.write_replay(
         folder / "replay.mcap",
         dive=replay.dive,
@@ -60,18 +57,6 @@ def save_replay(replay: Replay, folder: Path) -> None:
     strips = replay_coverage(replay)  # before the figures, which hold much until they are drawn
     (folder / PAGE).write_bytes(dive_page(report, replay_figures(replay), strips, settings))
     (folder / "report.json").write_bytes(encode_report(report))
-
-
-def _candidate(verdict: Verdict, tables: dict[str, pd.DataFrame]) -> Candidate:
-    return Candidate(
-        verdict=verdict.sentence,
-        improvement=verdict.improvement,
-        consistency=verdict.consistency,
-        mean_improvement_pct=verdict.believed_pct,
-        mean_convergence_improvement_pct=mean_over_nine(tables["convergence"], verdict.filter),
-        reference_improvement_pct=verdict.actual_pct,
-        credibility=verdict.credibility,
-    )
 
 
 def _measured(histories: tuple[History, ...]) -> dict[str, tuple[TimeNs, Floats]]:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from insdvl_replay.core.plain_text import visible
-from insdvl_replay.core.result_tables import is_whole
+from insdvl_replay.core.tables import is_whole
 from insdvl_replay.results.json_report import Report
 
 

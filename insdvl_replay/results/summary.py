@@ -4,7 +4,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from insdvl_replay.core.result_tables import NOT_JUDGED, is_whole
+from insdvl_replay.core.tables import is_whole
+from insdvl_replay.core.words import Gain
 from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.results.json_report import Report
 
@@ -58,7 +59,7 @@ def _summary_rows(outcome: Report | Failure) -> Iterator[tuple[object, ...]]:
         yield (outcome.log, *[None] * (len(COLUMNS) - 3), "failed", outcome.reason)
         return
     for name, means in outcome.filters.items():
-        judged = means.improvement != NOT_JUDGED
+        judged = means.improvement != Gain.NOT_JUDGED
         yield (
             outcome.log.name,
             name,

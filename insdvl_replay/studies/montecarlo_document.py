@@ -6,6 +6,7 @@ from typing import Any
 import pandas as pd
 
 from insdvl_replay.core.states import NINE, STATES
+from insdvl_replay.core.words import Consistency
 from insdvl_replay.report.display_table import ShownTable, number, percent, row_label
 
 
@@ -27,7 +28,11 @@ def montecarlo_sentences(tables: Mapping[str, pd.DataFrame]) -> tuple[str, ...]:
 
 
 def _verdict(row: Any) -> str:
-    judged = f"{row.filter}: too few runs to judge it" if row.verdict == "too few" else f"{row.filter} is {row.verdict}"
+    judged = (
+        f"{row.filter}: too few runs to judge it"
+        if row.verdict == Consistency.TOO_FEW
+        else f"{row.filter} is {row.verdict}"
+    )
     return (
         f"{judged}; mean NEES {row.mean_nees:.4g} over {row.runs} runs, where 95 % of consistent filters have "
         f"{row.low:.4g} to {row.high:.4g}; inside at {row.inside_pct:.0f} % of the pings"

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from insdvl_replay.core.states import STATES
+from insdvl_replay.core.words import DirectionStatus
 from insdvl_replay.report.display_table import MISSING, ShownTable, number, percent, row_label
 
 _SHORT: Final = {
@@ -34,7 +35,7 @@ def observability_sentences(tables: Mapping[str, pd.DataFrame], tolerance: float
     tuple of str
     """
     directions = tables["directions"]
-    unseen = directions[directions["status"] == "unobservable"].groupby("aiding")["label"].agg(list)
+    unseen = directions[directions["status"] == DirectionStatus.UNOBSERVABLE].groupby("aiding")["label"].agg(list)
     sentences = [_rank_sentence(row, unseen.get(row["aiding"], [])) for row in tables["ranks"].to_dict("records")]
     sentences += [_grown_sentence(aiding, rows) for aiding, rows in tables["states"].groupby("aiding", sort=False)]
     return (*sentences, f"Singular values up to {tolerance:.0e} of the largest count as zero.")
@@ -110,7 +111,7 @@ def _components(row: Mapping[Any, Any]) -> Iterator[str]:
 def _directions(directions: pd.DataFrame) -> ShownTable:
     cells = {
         (row["direction"], row["aiding"]): MISSING
-        if row["status"] == "unobservable"
+        if row["status"] == DirectionStatus.UNOBSERVABLE
         else number(row["signal_to_noise"])
         for row in directions.to_dict("records")
     }

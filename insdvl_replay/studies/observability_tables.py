@@ -7,6 +7,7 @@ import pandas as pd
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.states import STATES
+from insdvl_replay.core.words import DirectionStatus
 from insdvl_replay.nav.error_directions import ErrorDirection, name_unobservable
 from insdvl_replay.nav.observability import Observability
 
@@ -79,7 +80,9 @@ def _directions(
     for aiding, one in found.items():
         for direction in directions:
             response = one.response(direction.scaled(prior_sd))
-            status = "unobservable" if direction in named[aiding] else "weak" if response < 1.0 else "seen"
+            status = DirectionStatus.WEAK if response < 1.0 else DirectionStatus.SEEN
+            if direction in named[aiding]:
+                status = DirectionStatus.UNOBSERVABLE
             rows.append((aiding, direction.id, direction.label, response, status))
     return pd.DataFrame(rows, columns=["aiding", "direction", "label", "signal_to_noise", "status"])
 

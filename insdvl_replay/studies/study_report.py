@@ -23,7 +23,7 @@ from insdvl_replay.report.page_parts import facts, losses, picture, settings_det
 from insdvl_replay.report.pictures import picture_bytes
 from insdvl_replay.report.terminal import dressed, spoken
 from insdvl_replay.results.folder import COMPLETE, PAGE
-from insdvl_replay.results.json_report import Files, Tool, as_json, package_versions, records, this_tool
+from insdvl_replay.results.json_report import Files, Tool, as_json, package_versions, this_tool
 
 
 @dataclass(frozen=True)
@@ -141,11 +141,15 @@ def study_json(report: StudyReport) -> bytes:
         study=report.study,
         arguments=dict(report.arguments),
         sentences=list(report.sentences),
-        tables={name: records(table) for name, table in report.tables.items()},
+        tables={name: _rows(table) for name, table in report.tables.items()},
         notes=list(report.notes),
         config=msgspec.to_builtins(report.config),
     )
     return as_json(result)
+
+
+def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{str(column): value for column, value in row.items()} for row in table.to_dict("records")]
 
 
 def study_page(report: StudyReport, pictures: Mapping[str, bytes]) -> bytes:

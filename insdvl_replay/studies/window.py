@@ -14,11 +14,8 @@ from insdvl_replay.core.config import Acceleration, Config
 from insdvl_replay.core.dive_names import dive_name
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.evaluation.acceleration import (
-    WINDOW_COLUMNS,
     acceleration_at,
-    best_windows,
     differentiated_over_s,
-    pooled_windows,
     reference_acceleration,
     vector_rmse,
 )
@@ -38,6 +35,9 @@ NO_ARM: Final = "none"
 MIDDLE: Final = "middle"
 END: Final = "end"
 """Where a slope is held against the reference: at the mean time of its window, or at its last ping, where it serves."""
+POOLED: Final = "*"
+"""Stands for the log in rows that pool several."""
+WINDOW_COLUMNS: Final = ["log", "n", "at", "lever_arm", "rmse_mps2", "samples"]
 LEFT_OUT: Final = "log_left_out"
 """Code of the note on a log that cannot be used."""
 
@@ -226,3 +226,38 @@ def _velocities_at_imu(dive: Dive, velocities: DvlVelocities, mounting: DvlMount
         COMPENSATED: velocities.velocity_b - np.cross(rate_b, lever_arm_b),
         IGNORED: velocities.velocity_b,
     }
+
+
+def pooled_windows(table: pd.DataFrame) -> pd.DataFrame:
+    """Pool the logs of a window study, each sample with the same weight.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns `WINDOW_COLUMNS`.
+
+    Returns
+    -------
+    DataFrame
+        The same columns; one row for each n, at and lever_arm, whose log is `POOLED`.
+    """
+    squares = table.assign(squares=table["samples"] * table["rmse_mps2"] ** 2)
+    sums = squares.groupby(["lever_arm", "at", "n"], sort=False, as_index=False)[["squares", "samples"]].sum()
+    return sums.assign(log=POOLED, rmse_mps2=np.sqrt(sums["squares"] / sums["samples"]))[WINDOW_COLUMNS]
+
+
+def best_windows(table: pd.DataFrame) -> pd.DataFrame:
+    """Find the number of velocities with the least error, for each log, place and lever arm.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns `WINDOW_COLUMNS`.
+
+    Returns
+    -------
+    DataFrame
+        The rows of the optima, in the order of the table.
+    """
+    least = table.groupby(["log", "lever_arm", "at"], sort=False)["rmse_mps2"].idxmin()
+    return table.loc[least].reset_index(drop=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from frames import frame
 from scipy import stats
 
 from insdvl_replay.batch.noise_tuning import replay_with_control, with_control
@@ -69,7 +70,7 @@ def test_fit_finds_the_noise_that_the_dive_was_made_with(dive: Dive) -> None:
     assert tuned.beam_sd_mps == pytest.approx(TRUE["beam_sd_mps"], rel=0.05)
     assert "[filters.tuned] accel_white_mps_rts = 0.00" in note.text
     assert "edge" not in note.text
-    nis = replay_dive(dive, config).tables["consistency"].set_index(["filter", "measurement"])
+    nis = frame(replay_dive(dive, config).tables.consistency).set_index(["filter", "measurement"])
     assert nis.loc[("tuned", "velocity"), "verdict"] == "consistent"
     assert nis.loc[("baseline", "velocity"), "verdict"] == "over-cautious"
 
@@ -143,14 +144,14 @@ def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(snapir: 
     config = load_config(file=Path(__file__).parents[2] / "examples" / "snapir.toml")
     for run in ("02", "05", "12"):
         replay = replay_with_control(snapir / f"snapir_{run}.mcap", config)
-        rows = replay.tables["consistency"].set_index(["filter", "measurement"])
+        rows = frame(replay.tables.consistency).set_index(["filter", "measurement"])
         assert 0.8 < rows.loc[("tuned", "velocity"), "mean_nis"] / 3.0 < 1.25
         # What gyro and DVL alone disagree by while the vehicle goes straight is 6 to 13 mm/s in these dives; from ping
         # to ping it is less.
         assert 0.002 < (replay.config.filters["tuned"].velocity_sd_mps or 0.0) < 0.013
     (tmp_path / "again.toml").write_text(render_toml(replay.config))
     again = replay_log(snapir / "snapir_12.mcap", load_config(file=tmp_path / "again.toml"))
-    assert again.tables["consistency"].equals(replay.tables["consistency"])
+    assert frame(again.tables.consistency).equals(frame(replay.tables.consistency))
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from frames import frame
 
 from insdvl_replay import checks, logs
 from insdvl_replay.core.clock import Clock
@@ -34,7 +35,7 @@ def replayed(dive: Dive, path: Path) -> Replay:
 
 
 def position_rms_m(replay: Replay) -> float:
-    return float(replay.tables["reference_error"].set_index("quantity").loc["position_h", "rmse"])
+    return float(frame(replay.tables.reference_error).set_index("quantity").loc["position_h", "rmse"])
 
 
 def with_force_spike(dive: Dive) -> Dive:

@@ -31,7 +31,7 @@ from insdvl_replay.comparison.output import (
 from insdvl_replay.comparison.sort_order import Order, arranged
 from insdvl_replay.core.changes import Change, Comparison
 from insdvl_replay.core.errors import ConfigError, ResultError
-from insdvl_replay.core.result_tables import LAYOUTS
+from insdvl_replay.core.tables import LAYOUTS
 
 
 def compared(folder: Path, old: dict[str, Any], new: dict[str, Any], **selection: Any) -> Comparison:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from frames import frame
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -12,8 +13,12 @@ from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Noise
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.evaluation.chi_square import chi_square_quantile, mean_interval, verdict
-from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, consistency_table, update_notes
-from insdvl_replay.evaluation.dead_filters import dead_filters
+from insdvl_replay.evaluation.consistency import (
+    FEWEST_UPDATES,
+    consistency_table,
+    update_notes,
+)
+from insdvl_replay.evaluation.verdicts import dead_filters
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
@@ -65,7 +70,7 @@ def history(
 
 def judged(nis: Floats, used: Floats | NDArray[np.bool_] | None = None) -> Any:
     """Give the row of the whole measurement."""
-    return consistency_table("dive", (history("baseline", nis, used),)).iloc[0]
+    return frame(consistency_table("dive", (history("baseline", nis, used),))).iloc[0]
 
 
 # --- Chi-square.
@@ -136,7 +141,7 @@ def test_every_filter_and_measurement_has_a_row() -> None:
         history("aided", np.full(30, 3.0), measurement="acceleration"),
     )
     aided = replace(other, innovations=baseline.innovations + other.innovations)
-    table = consistency_table("dive", (baseline, aided))
+    table = frame(consistency_table("dive", (baseline, aided)))
     assert table.columns.tolist() == [
         "log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict",
         "autocorrelation", "autocorrelation_limit", "whiteness",
@@ -155,7 +160,7 @@ def with_innovations(innovation_b: Floats, sd_b: Floats, used: NDArray[np.bool_]
     """Give the rows of a velocity whose components are independent."""
     made = history("baseline", np.sum((innovation_b / sd_b) ** 2, axis=1), used)
     innovations = replace(made.innovations[0], innovation_b=innovation_b, sd_b=sd_b)
-    table = consistency_table("dive", (replace(made, innovations=(innovations,)),))
+    table = frame(consistency_table("dive", (replace(made, innovations=(innovations,)),)))
     return table.set_index("measurement")
 
 
@@ -285,7 +290,7 @@ def replayed(dive: Dive, *, beam_sd_mps: float = BEAM_SD_MPS, gate_probability: 
 
 def rows(replay: Replay) -> Any:
     """Give the rows of the measurements, without those of their axes."""
-    table = replay.tables["consistency"]
+    table = frame(replay.tables.consistency)
     return table[table["dof"] == 3].set_index(["filter", "measurement"])
 
 

@@ -6,15 +6,21 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from frames import frame
 from matched_sensors import SENSORS
 from scipy import signal, stats
 
 from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.result_tables import CREDIBILITY_QUANTITIES
 from insdvl_replay.core.states import BA, DEG, PHI, STATES
+from insdvl_replay.core.tables import CREDIBILITY_QUANTITIES
 from insdvl_replay.evaluation.chi_square import effective_samples, mean_interval
-from insdvl_replay.evaluation.credibility import FAR_SMALLER, MANY_FAR_OFF, credibility_table, probability_of
+from insdvl_replay.evaluation.credibility import (
+    FAR_SMALLER,
+    MANY_FAR_OFF,
+    credibility_table,
+    probability_of,
+)
 from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
@@ -44,7 +50,7 @@ def drawn(factor: float = 1.0, seed: int = 2, k: int = K) -> StateErrors:
 
 
 def judged(errors: StateErrors) -> Any:
-    return credibility_table("dive", ["aided"], {"aided": errors}).set_index("quantity")
+    return frame(credibility_table("dive", ["aided"], {"aided": errors})).set_index("quantity")
 
 
 def without(errors: StateErrors, states: slice) -> StateErrors:
@@ -78,7 +84,7 @@ def test_errors_of_another_size_are_found_out_in_every_row(factor: float, word: 
 
 
 def test_columns_are_those_of_the_contract() -> None:
-    assert credibility_table("dive", ["aided"], {}).columns.tolist() == [
+    assert frame(credibility_table("dive", ["aided"], {})).columns.tolist() == [
         "log", "filter", "quantity", "dof", "samples", "mean_nees", "low", "high", "within_1sd_pct",
         "within_3sd_pct", "verdict", "effective_samples",
     ]  # fmt: skip
@@ -176,7 +182,7 @@ def test_joint_row_takes_the_times_when_everything_is_known() -> None:
 
 
 def test_dive_without_a_reference_says_so() -> None:
-    table = credibility_table("dive", ["baseline", "aided"], {})
+    table = frame(credibility_table("dive", ["baseline", "aided"], {}))
     assert table["quantity"].tolist() == [*CREDIBILITY_QUANTITIES[:6], "all"] * 2
     assert set(table["verdict"]) == {"no reference"}
     assert table["mean_nees"].isna().all()
@@ -213,7 +219,7 @@ def exact() -> Dive:
 
 
 def rows(replay: Replay) -> Any:
-    return replay.tables["credibility"].set_index(["filter", "quantity"])
+    return frame(replay.tables.credibility).set_index(["filter", "quantity"])
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -227,9 +233,9 @@ def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(
     assert table.loc[("published", "all"), "verdict"] == "over-confident"
     for quantity in ("roll", "pitch"):
         assert table.loc[("published", quantity), "verdict"] == "over-confident", "it leaves out w x v"
-    (verdict,) = replay.verdicts
+    verdict = replay.verdicts["published"]
     assert verdict.credibility == "over-confident"
-    assert verdict.sentence.endswith("published is over-confident, baseline consistent.")
+    assert verdict.verdict.endswith("published is over-confident, baseline consistent.")
 
 
 def test_straight_line_gives_no_false_words_on_what_its_heading_hides() -> None:

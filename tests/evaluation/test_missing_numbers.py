@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from frames import frame, frames
 
 from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.result_tables import REFERENCE_QUANTITIES
+from insdvl_replay.core.tables import REFERENCE_QUANTITIES
 from insdvl_replay.evaluation.coverage import covered_share
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.preparation.prepared import with_reference_at_imu
@@ -58,7 +59,7 @@ def notes(replay: Replay | Dive, code: str) -> list[Note]:
 
 
 def errors_of(replay: Replay) -> Any:
-    table = replay.tables["reference_error"]
+    table = frame(replay.tables.reference_error)
     return table[table["filter"] == "aided"].set_index("quantity")
 
 
@@ -125,8 +126,8 @@ def test_reference_that_turns_nan_as_a_whole(tmp_path: Path, dive: Dive) -> None
     short = reference_of(dive).rows(reference_of(dive).time_ns <= START_NS + round(ENDS_S * SECOND))
     cut = replay_dive(replace(dive, reference=short), Config())
     for name in ("reference_error", "credibility"):
-        numbers = replay.tables[name].select_dtypes("number")
-        np.testing.assert_allclose(numbers, cut.tables[name].select_dtypes("number"), rtol=1e-9)
+        numbers = frames(replay.tables)[name].select_dtypes("number")
+        np.testing.assert_allclose(numbers, frames(cut.tables)[name].select_dtypes("number"), rtol=1e-9)
     assert [note.code for note in notes(replay, "reference_slow")] == [
         note.code for note in notes(cut, "reference_slow")
     ]
@@ -148,7 +149,7 @@ def test_reference_of_nan_alone_is_none(dive: Dive) -> None:
     assert with_reference_at_imu(replace(dive, reference=nothing), Config()).reference is None
     level = Initial(source="level", heading_deg=30.0, latitude_deg=32.8)
     replay = replay_dive(replace(dive, reference=nothing), Config(initial=level))
-    assert set(replay.tables["reference_error"]["status"]) == {"no reference"}
+    assert set(frame(replay.tables.reference_error)["status"]) == {"no reference"}
 
 
 @pytest.mark.parametrize("quantities", [("position",), ("velocity_n",), ("mat_nb",), tuple(OF_QUANTITY)])
@@ -184,7 +185,7 @@ def test_truth_that_turns_nan_is_told(tmp_path: Path, dive: Dive) -> None:
     assert covered.text.startswith("gyro biases of the truth cover 20 % of the replay")
     (missing,) = notes(replay, "truth_not_finite")
     assert missing.count == 400
-    table = replay.tables["credibility"].query("filter == 'aided'").set_index("quantity")
+    table = frame(replay.tables.credibility).query("filter == 'aided'").set_index("quantity")
     assert table.loc["bg_x", "samples"] == 100
     assert table.loc["ba_x", "samples"] == 500
     assert not notes(replay_dive(dive, Config()), "truth_coverage")

@@ -6,14 +6,15 @@ from typing import Any
 import numpy as np
 import pyins.transform
 import pytest
+from frames import frame
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.columns import Floats, ReferenceColumns
 from insdvl_replay.core.history import History
-from insdvl_replay.core.result_tables import REFERENCE_QUANTITIES
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.tables import REFERENCE_QUANTITIES
 from insdvl_replay.evaluation.reference import (
     ReferenceErrors,
     attitude_error,
@@ -78,7 +79,7 @@ def history_like(
 
 def table_of(*histories: History, reference: ReferenceColumns) -> Any:
     errors = {history.filter: reference_errors(history, reference) for history in histories}
-    return reference_error_table("dive", histories, errors).set_index("quantity")
+    return frame(reference_error_table("dive", histories, errors)).set_index("quantity")
 
 
 # --- Position.
@@ -207,8 +208,10 @@ def test_rms_final_and_improvement_of_errors_that_change() -> None:
     reference = going_north(4)
     ours = history_like(reference, "aided", velocity=np.outer([9.0, 1.0, 2.0, -2.0], [1.0, 0.0, 0.0]))
     theirs = history_like(reference, "baseline", velocity=np.outer([9.0, 2.0, 4.0, 4.0], [1.0, 0.0, 0.0]))
-    table = reference_error_table(
-        "dive", (theirs, ours), {h.filter: reference_errors(h, reference) for h in (theirs, ours)}
+    table = frame(
+        reference_error_table(
+            "dive", (theirs, ours), {h.filter: reference_errors(h, reference) for h in (theirs, ours)}
+        )
     )
     assert table.columns.tolist() == [
         "log", "filter", "quantity", "unit", "baseline_rmse", "rmse", "improvement_pct",
@@ -299,7 +302,7 @@ def test_dive_without_a_reference_says_so() -> None:
     reference = going_north()
     nothing: dict[str, ReferenceErrors] = {}
     histories = history_like(reference, "baseline"), history_like(reference), history_like(reference, "third")
-    table = reference_error_table("dive", histories, nothing)
+    table = frame(reference_error_table("dive", histories, nothing))
     assert table["filter"].tolist() == ["aided"] * 9 + ["third"] * 9
     assert set(table["status"]) == {"no reference"}
     assert (table["samples"] == 0).all()

@@ -4,12 +4,20 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from insdvl_replay.core.result_tables import REFERENCE_QUANTITIES
 from insdvl_replay.core.states import STATES
-from insdvl_replay.evaluation.verdicts import Verdict, consistency_of, credibility_of, verdicts
+from insdvl_replay.core.tables import (
+    REFERENCE_QUANTITIES,
+    Candidate,
+    ConsistencyRow,
+    ConvergenceRow,
+    CredibilityRow,
+    ImprovementRow,
+    ReferenceErrorRow,
+    Tables,
+)
+from insdvl_replay.evaluation.verdicts import consistency_of, credibility_of, verdicts
 
 
 def judged(
@@ -21,41 +29,36 @@ def judged(
     errors_of_baseline: str = "consistent",
     dead: Mapping[str, str] = MappingProxyType({}),
     status: str = "compared",
-) -> Verdict:
+) -> Candidate:
     """Judge a candidate whose states all improved alike, and whose errors all did."""
-    improvement = pd.DataFrame(
-        [("dive", "aided", state.id, state.unit, 1.0, 1.0, believed_pct, "improved") for state in STATES],
-        columns=["log", "filter", "state", "unit", "baseline_sd", "sd", "improvement_pct", "status"],
-    )
     known = actual_pct is not None
     rmse = 2.0 * (1.0 - actual_pct / 100.0) if actual_pct is not None else np.nan
-    reference_error = pd.DataFrame(
+    tables = Tables(
+        [ImprovementRow("dive", "aided", state.id, state.unit, 1.0, 1.0, believed_pct, "improved") for state in STATES],
+        [ConvergenceRow("dive", "aided", state.id, state.unit, 1.0, 9.0, 9.0, 0.0, "reached") for state in STATES],
         [
-            ("aided", quantity, 2.0, rmse, actual_pct, status if known else "no reference")
-            for quantity in REFERENCE_QUANTITIES
+            ReferenceErrorRow(
+                *("dive", "aided", quantity, unit, 2.0, rmse, actual_pct, 0.0, 0.0, 9),
+                status if known else "no reference",
+            )
+            for quantity, unit in REFERENCE_QUANTITIES.items()
         ],
-        columns=["filter", "quantity", "baseline_rmse", "rmse", "improvement_pct", "status"],
-    )
-    consistency = pd.DataFrame(
         [
-            ("baseline", "velocity", of_baseline),
-            ("aided", "velocity", of_aided),
-            ("aided", "acceleration", of_aided),
+            consistency("baseline", "velocity", of_baseline),
+            consistency("aided", "velocity", of_aided),
+            consistency("aided", "acceleration", of_aided),
         ],
-        columns=["filter", "measurement", "verdict"],
+        [credibility("baseline", "all", errors_of_baseline), credibility("aided", "all", errors_of_aided)],
     )
-    credibility = pd.DataFrame(
-        [("baseline", "all", errors_of_baseline), ("aided", "all", errors_of_aided)],
-        columns=["filter", "quantity", "verdict"],
-    )
-    tables = {
-        "improvement": improvement,
-        "reference_error": reference_error,
-        "consistency": consistency,
-        "credibility": credibility,
-    }
-    (verdict,) = verdicts(tables, "baseline", ["aided"], dead)
-    return verdict
+    return verdicts(tables, "baseline", ["aided"], dead)["aided"]
+
+
+def consistency(filter_: str, measurement: str, verdict: str) -> ConsistencyRow:
+    return ConsistencyRow("dive", filter_, measurement, 3, 9, 0, 3.0, 2.0, 4.0, verdict)
+
+
+def credibility(filter_: str, quantity: str, verdict: str) -> CredibilityRow:
+    return CredibilityRow("dive", filter_, quantity, 1, 9, 1.0, 0.5, 1.5, 68.0, 99.0, verdict, 9.0)
 
 
 @pytest.mark.parametrize(
@@ -90,14 +93,14 @@ def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(dead: str, actua
         dead={dead: f"{dead} rejected 209 of 300"},
     )
     assert verdict.improvement == "not judged"
-    assert verdict.sentence == (
+    assert verdict.verdict == (
         f"aided is NOT JUDGED against baseline: {dead} rejected 209 of 300; settle that first. "
         "aided is consistent, baseline over-confident."
     )
 
 
 def test_sentence_holds_the_numbers_that_it_was_judged_by() -> None:
-    sentence = judged(40.0, -75.0, of_aided="over-confident", errors_of_aided="over-confident").sentence
+    sentence = judged(40.0, -75.0, of_aided="over-confident", errors_of_aided="over-confident").verdict
     assert "40.0 % smaller errors than baseline" in sentence
     assert "75.0 % larger in the median (position 2.00 m, now 3.50 m): it is WORSE" in sentence
     assert "aided is over-confident, baseline consistent." in sentence
@@ -106,11 +109,11 @@ def test_sentence_holds_the_numbers_that_it_was_judged_by() -> None:
 def test_errors_of_a_part_of_the_dive_decide_nothing() -> None:
     verdict = judged(40.0, 35.0, status="partly covered")
     assert verdict.improvement == "no reference"
-    assert "the reference covers too little of the replay to compare with" in verdict.sentence
+    assert "the reference covers too little of the replay to compare with" in verdict.verdict
 
 
 def test_sentence_without_a_reference_says_so() -> None:
-    assert "there is no reference to compare with: nothing tells whether that is so" in judged(40.0, None).sentence
+    assert "there is no reference to compare with: nothing tells whether that is so" in judged(40.0, None).verdict
 
 
 @pytest.mark.parametrize(
@@ -129,7 +132,7 @@ def test_sentence_without_a_reference_says_so() -> None:
 )
 def test_sentence_says_whether_innovations_or_errors_speak(innovations: str, errors: str, words: str) -> None:
     verdict = judged(40.0, 0.0, of_aided=innovations, errors_of_aided=errors)
-    assert verdict.sentence.endswith(words)
+    assert verdict.verdict.endswith(words)
     assert (verdict.consistency, verdict.credibility) == (innovations, errors)
 
 
@@ -142,7 +145,7 @@ def test_gravest_verdict_of_the_measurements_stands_for_the_filter() -> None:
         ("b", "velocity_x", "over-confident"),
         ("c", "velocity", "too few"),
     ]
-    table = pd.DataFrame(rows, columns=["filter", "measurement", "verdict"])
+    table = [consistency(*row) for row in rows]
     assert [consistency_of(table, name) for name in "abcd"] == ["over-confident", "over-cautious", "too few", "too few"]
 
 
@@ -154,5 +157,5 @@ def test_errors_of_all_states_together_stand_for_the_filter() -> None:
         ("b", "heading", "too few"),
         ("b", "all", "no reference"),
     ]
-    table = pd.DataFrame(rows, columns=["filter", "quantity", "verdict"])
+    table = [credibility(*row) for row in rows]
     assert [credibility_of(table, name) for name in "ab"] == ["consistent", "no reference"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from insdvl_replay.core.columns import Floats
-from insdvl_replay.evaluation.whiteness import FEWEST_PAIRS, autocorrelation, whiteness
+from insdvl_replay.evaluation.consistency import FEWEST_PAIRS, autocorrelation, whiteness
 
 EVERY = np.ones(2000, dtype=bool)
 

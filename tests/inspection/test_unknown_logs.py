@@ -9,12 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import unknown_logs
+from frames import frames
 from mcap.writer import Writer
 from unknown_logs import decided
 
 from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.tables import Tables
 from insdvl_replay.inspection.inspection import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.encoding.field_errors import check_path
@@ -34,10 +36,10 @@ def straight() -> Dive:
     return unknown_logs.plain_dive("straight")
 
 
-def assert_same_tables(found: dict[str, pd.DataFrame], expected: dict[str, pd.DataFrame]) -> None:
-    for name, table in expected.items():
+def assert_same_tables(found: Tables, expected: Tables) -> None:
+    for name, table in frames(expected).items():
         columns = [column for column in table.columns if column != "log"]
-        pd.testing.assert_frame_equal(found[name][columns], table[columns], rtol=1e-6, atol=1e-9)
+        pd.testing.assert_frame_equal(frames(found)[name][columns], table[columns], rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize(

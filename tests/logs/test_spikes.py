@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from frames import frame
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.columns import Dive, Floats
@@ -70,10 +71,10 @@ def test_a_spike_of_300_mps2_changes_next_to_nothing(clean: Dive, tmp_path: Path
     (note,) = [note for note in after.notes if note not in before.notes]
     assert (note.code, note.count, note.severity) == ("imu_spikes", 1, "warning")
     assert "the first 90.000 s after the first message" in note.text
-    for filter_, rows in after.tables["consistency"].groupby("filter"):
+    for filter_, rows in frame(after.tables.consistency).groupby("filter"):
         assert rows["rejected"].max() <= 0.01 * rows["used"].max(), filter_
     position = [
-        replay.tables["reference_error"].set_index("quantity").loc["position_h", ["baseline_rmse", "rmse"]]
+        frame(replay.tables.reference_error).set_index("quantity").loc["position_h", ["baseline_rmse", "rmse"]]
         for replay in (before, after)
     ]
     np.testing.assert_allclose(position[1].astype(float), position[0].astype(float), rtol=0.05)
@@ -98,13 +99,13 @@ def test_a_filter_that_is_thrown_off_comes_back(clean: Dive, tmp_path: Path, reo
     notes = {note.code: note for note in replay.notes if "baseline" in note.text}
     if not reopen_after:
         assert "gate_rejects_many" in notes
-        assert replay.verdicts[0].improvement == "not judged"
+        assert replay.verdicts["aided"].improvement == "not judged"
         return
     np.testing.assert_array_equal(np.diff(rejected), 1)
     assert np.flatnonzero(velocity.reopened).tolist() == [rejected[-1] + 1]
     assert velocity.used[velocity.reopened].all()
     assert (notes["gate_reopened"].count, notes["gate_reopened"].severity) == (1, "warning")
-    assert replay.verdicts[0].improvement != "not judged"
+    assert replay.verdicts["aided"].improvement != "not judged"
     assert dive_speed_error(replay) < 0.1
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from frames import frames
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG, MRAD, PHI
@@ -36,7 +37,7 @@ def published(paper: Path) -> pd.DataFrame:
 
 
 def table_of(replay: Replay, name: str) -> pd.DataFrame:
-    return replay.tables[name].set_index("state")
+    return frames(replay.tables)[name].set_index("state")
 
 
 def horizontal_gyro_bias_sd(noise: float, share_of_east: float) -> float:
@@ -91,7 +92,7 @@ def test_time_to_reach_the_baseline_scales_with_the_noise(straight: Replay, stat
 def test_mean_improvement_is_the_papers(straight: Replay, published: pd.DataFrame) -> None:
     papers_pct = published.improvement_pct.fillna(0.0).mean()
     assert papers_pct == pytest.approx(18.76, abs=0.01)
-    assert mean_over_nine(straight.tables["improvement"], "aided") == pytest.approx(papers_pct, abs=1.0)
+    assert mean_over_nine(straight.tables.improvement, "aided") == pytest.approx(papers_pct, abs=1.0)
 
 
 @pytest.mark.parametrize("state", ["ba_z", "bg_x", "phi_d"])

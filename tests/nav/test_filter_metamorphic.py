@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from frames import frame
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.columns import Dive, Floats, ImuColumns, ReferenceColumns
@@ -64,7 +65,7 @@ def test_like_filters_believe_alike(dive: Dive) -> None:
     like = Filter(aiding=("velocity", "acceleration"), acceleration=Acceleration())
     result = replay_dive(dive, Config(dvl=CONFIG.dvl, filters={"first": like, "second": like}))
     assert_same(*result.histories)
-    assert set(result.tables["improvement"]["status"]) == {"same"}
+    assert set(frame(result.tables.improvement)["status"]) == {"same"}
 
 
 def turned_about_down(reference: ReferenceColumns, angle: float) -> ReferenceColumns:

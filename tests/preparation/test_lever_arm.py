@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from frames import frame
 
 from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.config import Config, Noise, Reference
@@ -47,7 +48,7 @@ def test_reference_of_another_point_is_as_good_once_its_lever_arm_is_known(turni
     noise = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=2e-6)
     known = Config(noise=noise, reference=Reference(lever_arm_m=(1.8, -0.4, 0.3)))
     rms_m = [
-        replay_dive(dive, config).tables["reference_error"].set_index("quantity").loc["position_h", "rmse"]
+        frame(replay_dive(dive, config).tables.reference_error).set_index("quantity").loc["position_h", "rmse"]
         for dive, config in ((turning, Config(noise=noise)), (elsewhere, known), (elsewhere, Config(noise=noise)))
     ]
     assert rms_m[1] == pytest.approx(rms_m[0], abs=1e-3)

@@ -7,6 +7,7 @@ import pandas as pd
 import pictures
 import pytest
 import reproduction
+from frames import frame
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.states import STATES
@@ -50,7 +51,7 @@ def test_reasons_given_for_the_rows_that_disagree_hold() -> None:
     assert f"but to {aided.sd[:, phi_n.index].max() / phi_n.factor:.2f} mrad" in text
     override = "initial.misalignment_sd_deg=[0.485,0.485,0.5]"
     assert f"`--set {override}`" in text
-    rows = replay_log(SAMPLE, load_config(overrides=[override])).tables["improvement"].set_index("state")
+    rows = frame(replay_log(SAMPLE, load_config(overrides=[override])).tables.improvement).set_index("state")
     published = pd.read_csv(reproduction.PUBLISHED).set_index("state")
     for state in ("phi_n", "phi_e", "ba_x", "ba_y"):
         assert rows.loc[state, "baseline_sd"] == pytest.approx(published.loc[state, "baseline_sd"], rel=0.03)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from frames import frame
 
 from insdvl_replay.core.config import Config, Dvl, Imu
 from insdvl_replay.core.config_file import load_config
@@ -24,7 +25,7 @@ def replay() -> Replay:
 
 
 def test_square_stays_within_two_metres_of_the_satellite_track(replay: Replay) -> None:
-    rows = replay.tables["reference_error"].set_index(["filter", "quantity"])
+    rows = frame(replay.tables.reference_error).set_index(["filter", "quantity"])
     position = rows.loc[("aided", "position_h")]
     assert position["samples"] > 400
     assert position["baseline_rmse"] < 2.0
@@ -38,11 +39,11 @@ def test_dive_with_stamps_in_bursts_is_told_and_consistent_in_the_mean_with_the_
     overrides += ["noise.accel_white_mps_rts=0.05", "noise.gyro_white_rad_rts=5e-4"]
     replay = replay_log(DATA / "gnss_challenging.mcap", load_config(file=CONFIG, overrides=overrides))
     assert [note.code for note in replay.notes if note.severity == "warning"] == ["imu_bursts"]
-    judged = replay.tables["consistency"]
+    judged = frame(replay.tables.consistency)
     of_all_axes = judged[judged["dof"] == 3]
     assert set(of_all_axes["measurement"]) == {"velocity", "acceleration"}
     assert (of_all_axes["mean_nis"] - 3.0).abs().max() < 0.5
-    position = replay.tables["reference_error"].set_index("quantity").loc["position_h"]
+    position = frame(replay.tables.reference_error).set_index("quantity").loc["position_h"]
     assert position["baseline_rmse"] < 1.5
     assert position["rmse"] < 1.4
 

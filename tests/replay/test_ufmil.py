@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from frames import frame
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.logs import read_dive
@@ -21,12 +22,12 @@ def replay(request: pytest.FixtureRequest) -> Replay:
 
 
 def test_tables_say_that_there_is_no_reference(replay: Replay) -> None:
-    assert set(replay.tables["reference_error"]["status"]) == {"no reference"}
-    assert replay.tables["reference_error"]["rmse"].isna().all()
+    assert set(frame(replay.tables.reference_error)["status"]) == {"no reference"}
+    assert frame(replay.tables.reference_error)["rmse"].isna().all()
 
 
 def test_dvl_and_imu_agree_with_the_mounting_of_the_example(replay: Replay) -> None:
-    rows = replay.tables["consistency"].set_index(["filter", "measurement"])
+    rows = frame(replay.tables.consistency).set_index(["filter", "measurement"])
     velocity = rows.loc[("baseline", "velocity")]
     assert velocity["mean_nis"] < 3.5
     assert velocity["used"] > 0.95 * (velocity["used"] + velocity["rejected"])
@@ -35,11 +36,11 @@ def test_dvl_and_imu_agree_with_the_mounting_of_the_example(replay: Replay) -> N
 def test_another_mounting_does_not(replay: Replay) -> None:
     turned = load_config(file=CONFIG, overrides=["dvl.mounting_rpy_deg=[0.0, 0.0, 0.0]"])
     other = replay_log(DATA / f"{replay.dive.name}.mcap", turned)
-    velocity = other.tables["consistency"].set_index(["filter", "measurement"]).loc[("baseline", "velocity")]
+    velocity = frame(other.tables.consistency).set_index(["filter", "measurement"]).loc[("baseline", "velocity")]
     assert velocity["verdict"] == "over-confident"
     assert velocity["mean_nis"] > 4.0
-    assert other.verdicts[0].improvement == "not judged"
-    assert "baseline lost its way 4 times" in other.verdicts[0].sentence
+    assert other.verdicts["aided"].improvement == "not judged"
+    assert "baseline lost its way 4 times" in other.verdicts["aided"].verdict
 
 
 def test_gravity_is_read_as_such(replay: Replay) -> None:

@@ -5,11 +5,12 @@ import io
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pandas as pd
 import pytest
+from frames import frames
+from msgspec.structs import replace
 from rich.console import Console
 
 from insdvl_replay.cli.json_schemas import SCHEMAS
@@ -18,13 +19,22 @@ from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import NINE, STATES
+from insdvl_replay.core.tables import (
+    Candidate,
+    ConsistencyRow,
+    ConvergenceRow,
+    CredibilityRow,
+    ImprovementRow,
+    ReferenceErrorRow,
+    Tables,
+)
 from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.report.csv_tables import table_csv
+from insdvl_replay.report.csv_tables import structs_csv, table_csv
 from insdvl_replay.report.display_table import number, percent
 from insdvl_replay.results.dive_sentences import closing_lines, heading
 from insdvl_replay.results.dive_tables import glance_table
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
-from insdvl_replay.results.json_report import Candidate, Report, Tool, build_report, decode_report, encode_report
+from insdvl_replay.results.json_report import Report, Tool, build_report, decode_report, encode_report
 from insdvl_replay.results.output import latex_report, markdown_report, report_csv, terminal_report
 from insdvl_replay.results.run_log import run_log
 from insdvl_replay.results.summary import Failure, summary_csv
@@ -46,7 +56,7 @@ HEADERS = {
 SCHEMA_FOLDER = Path(__file__).resolve().parents[2] / "schemas"
 
 
-def tables() -> dict[str, pd.DataFrame]:
+def tables() -> Tables:
     improvement = [
         ("dive", "aided", state.id, state.unit, 1.0, 0.8, 20.0 if state in NINE[:3] else NAN, "improved")
         for state in STATES
@@ -71,17 +81,16 @@ def tables() -> dict[str, pd.DataFrame]:
         ("dive", "aided", "ba_x", 1, 424, 5.0, 0.01, 4.9, 10.0, 90.0, "over-confident", 1.2),
         ("dive", "aided", "all", 5, 424, 9.0, 3.9, 6.1, 30.0, 97.0, "over-confident", 40.0),
     ]
-    rows: dict[str, list[Any]] = {
-        "improvement": improvement,
-        "convergence": convergence,
-        "reference_error": reference,
-        "consistency": consistency,
-        "credibility": credibility,
-    }
-    return {name: pd.DataFrame(rows[name], columns=header.split(",")) for name, header in HEADERS.items()}
+    return Tables(
+        [ImprovementRow(*row) for row in improvement],
+        [ConvergenceRow(*row) for row in convergence],
+        [ReferenceErrorRow(*row) for row in reference],
+        [ConsistencyRow(*row) for row in consistency],
+        [CredibilityRow(*row) for row in credibility],
+    )
 
 
-def report(name: str = "dive", **changes: pd.DataFrame) -> Report:
+def report(name: str = "dive", used: Tables | None = None) -> Report:
     nothing = pd.array([], dtype="int64").to_numpy()
     dive = Dive(
         name,
@@ -91,13 +100,13 @@ def report(name: str = "dive", **changes: pd.DataFrame) -> Report:
         channels=(Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "imu", 42400),),
     )
     notes = [Note("imu_gaps", "the IMU pauses 3 times", 3, "warning", "imu.max_gap_s")]
-    used = {**tables(), **changes}
+    used = used or tables()
     aided = Candidate(
         "aided believes in smaller errors",
         "not borne out",
         "consistent",
-        mean_over_nine(used["improvement"], "aided"),
-        mean_over_nine(used["convergence"], "aided"),
+        mean_over_nine(used.improvement, "aided"),
+        mean_over_nine(used.convergence, "aided"),
         float("nan"),
         "over-confident",
     )
@@ -105,11 +114,11 @@ def report(name: str = "dive", **changes: pd.DataFrame) -> Report:
 
 
 def test_csv_numbers_are_read_back_exactly_and_missing_ones_are_empty() -> None:
-    table = tables()["convergence"]
-    data = table_csv(table)
+    table = tables().convergence
+    data = structs_csv(ConvergenceRow, table).encode()
     rows = list(csv.DictReader(io.StringIO(data.decode(), newline="")))
     assert b"\r" not in data
-    assert [float(row["target_sd"]) for row in rows] == list(table["target_sd"])
+    assert [float(row["target_sd"]) for row in rows] == [row.target_sd for row in table]
     assert {row["reached_s"] for row in rows} == {"", "106.0"}
     assert rows[0]["status"] == "never"
 
@@ -126,14 +135,13 @@ def test_mean_counts_a_missing_improvement_as_zero() -> None:
 
 
 def test_mean_is_missing_when_a_standard_deviation_is_not_finite() -> None:
-    table = tables()["improvement"]
-    table.loc[table["state"] == "ba_z", "status"] = "not finite"
-    assert report(improvement=table).filters["aided"].mean_improvement_pct is None
+    rows = [replace(row, status="not finite") if row.state == "ba_z" else row for row in tables().improvement]
+    assert report(used=replace(tables(), improvement=rows)).filters["aided"].mean_improvement_pct is None
 
 
 def test_report_json_holds_the_tables_row_for_row() -> None:
     document = json.loads(encode_report(report()), parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
-    for name, table in tables().items():
+    for name, table in frames(tables()).items():
         expected = [
             {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}
             for row in table.to_dict("records")
@@ -226,7 +234,7 @@ def test_latex_escapes_what_latex_would_read() -> None:
 
 def test_csv_of_a_report_is_cut_apart_by_its_first_column() -> None:
     text = report_csv(report())
-    for name, table in tables().items():
+    for name, table in frames(tables()).items():
         block = next(block for block in text.split("\n\n") if f"\n{name}," in block)
         assert block.split("\n")[0] == ",".join(["table", *table.columns])
         assert sum(line.startswith(f"{name},") for line in text.split("\n")) == len(table)

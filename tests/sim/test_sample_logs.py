@@ -4,6 +4,7 @@ import hashlib
 from pathlib import Path
 
 import pytest
+from frames import frame
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.evaluation.believed import mean_over_nine
@@ -46,7 +47,7 @@ def straight() -> Replay:
 
 
 def test_straight_line_improves_as_much_as_the_paper_says(straight: Replay) -> None:
-    assert mean_over_nine(straight.tables["improvement"], "aided") == pytest.approx(18.8, abs=1.0)
+    assert mean_over_nine(straight.tables.improvement, "aided") == pytest.approx(18.8, abs=1.0)
 
 
 @pytest.mark.parametrize(
@@ -56,7 +57,7 @@ def test_straight_line_improves_as_much_as_the_paper_says(straight: Replay) -> N
 def test_straight_line_ends_as_sure_as_the_paper_says(
     straight: Replay, state: str, baseline_sd: float, sd: float
 ) -> None:
-    row = straight.tables["improvement"].set_index("state").loc[state]
+    row = frame(straight.tables.improvement).set_index("state").loc[state]
     assert row["baseline_sd"] == pytest.approx(baseline_sd, rel=0.05)
     assert row["sd"] == pytest.approx(sd, rel=0.05)
 
@@ -65,10 +66,10 @@ def test_straight_line_ends_as_sure_as_the_paper_says(
 def test_straight_line_converges_when_the_paper_says(
     straight: Replay, state: str, reached_s: float, within_s: float
 ) -> None:
-    row = straight.tables["convergence"].set_index("state").loc[state]
+    row = frame(straight.tables.convergence).set_index("state").loc[state]
     assert row["reached_s"] == pytest.approx(reached_s, abs=within_s)
 
 
 def test_figure_eight_improves_as_much_as_the_paper_says() -> None:
     replay = replay_log(SAMPLES / "figure_eight.mcap", load_config())
-    assert mean_over_nine(replay.tables["improvement"], "aided") == pytest.approx(40.0, abs=2.0)
+    assert mean_over_nine(replay.tables.improvement, "aided") == pytest.approx(40.0, abs=2.0)

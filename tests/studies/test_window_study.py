@@ -15,10 +15,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.evaluation.acceleration import (
-    WINDOW_COLUMNS,
     acceleration_at,
-    best_windows,
-    pooled_windows,
     reference_acceleration,
     vector_rmse,
 )
@@ -26,7 +23,7 @@ from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.writing.dive_log import write_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.studies import window
-from insdvl_replay.studies.window import dive_windows, study_window
+from insdvl_replay.studies.window import WINDOW_COLUMNS, best_windows, dive_windows, pooled_windows, study_window
 
 SNAPIR = Path(__file__).parents[2] / "examples" / "snapir.toml"
 

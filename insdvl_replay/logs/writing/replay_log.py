@@ -1,18 +1,20 @@
 """A replay as a log: histories, innovations, errors and tables, to be looked at in any viewer of ROS 2 data."""
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
+from msgspec import Struct
 
 from insdvl_replay.core.columns import Dive, Floats, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import DEG_PER_HOUR, MG, STATES
+from insdvl_replay.core.table_layout import TableLayout
+from insdvl_replay.core.tables import Tables, each_table
 from insdvl_replay.geometry.frames import MAT_FRD_FLU, east_north_up_m, quat_enu_flu
 from insdvl_replay.geometry.rotation import rpy_from_mat
-from insdvl_replay.logs.encoding.ros2msg import Field, definition_text, parse_definitions
 from insdvl_replay.logs.writing.messages import (
     BASE_LINK,
     IMU,
@@ -29,10 +31,6 @@ from insdvl_replay.logs.writing.messages import (
     xyz,
 )
 from insdvl_replay.logs.writing.writer import write_log
-
-if TYPE_CHECKING:
-    # Only its type is needed, and whoever looks into a log must not wait for it.
-    import pandas as pd
 
 Sampled = tuple[TimeNs, Floats]
 """Times of validity, shape (m,), and vectors in body axes, shape (m, 3)."""
@@ -68,7 +66,7 @@ def write_replay(
     histories: Sequence[History],
     dvl: Mapping[str, Sampled],
     errors: Mapping[str, Errors],
-    tables: Mapping[str, "pd.DataFrame"],
+    tables: Tables,
     notes: Sequence[Note],
     config_toml: str,
     version: str,
@@ -87,8 +85,7 @@ def write_replay(
         ``velocity`` and ``acceleration``, as far as there are any.
     errors : mapping of str to Errors
         By filter, as far as there is a reference.
-    tables : mapping of str to DataFrame
-        By name, with the columns of the result folder's CSV files.
+    tables : Tables
     notes : sequence of Note
     config_toml : str
         The resolved configuration.
@@ -101,14 +98,12 @@ def write_replay(
         A time does not fit a ROS stamp.
     OSError
         The file cannot be written.
-    ValueError
-        A table does not have the columns of its message type.
     """
     end_ns = max(int(history.time_ns[-1]) for history in histories)
     batches = [batch for history in histories for batch in _filter_batches(history, errors.get(history.filter))]
     batches += [_dvl(quantity, *sampled) for quantity, sampled in dvl.items()]
-    for name, table in tables.items():
-        batches += _rows(name, table, end_ns)
+    for layout, rows in each_table(tables):
+        batches += [_row(layout, row, end_ns) for row in rows]
     batches += [_note(dive.name, note, end_ns) for note in notes]
     metadata = {"version": version, "log": dive.name, "log_sha256": dive.sha256}
     write_log(path, batches, metadata, {"config.toml": ("application/toml", config_toml.encode())})
@@ -191,23 +186,14 @@ def _dvl(quantity: str, time_ns: TimeNs, values_b: Floats) -> Batch:
     return stamped(f"/insdvl/dvl/{quantity}", type_name, time_ns, IMU, {field: values_b})
 
 
-def _rows(name: str, table: "pd.DataFrame", end_ns: int) -> Iterator[Batch]:
+def _row(layout: TableLayout, row: Struct, end_ns: int) -> Batch:
     """Give each row of a table as a batch of its own, since its texts are its own."""
-    type_name = f"insdvl_msgs/msg/{name.title().replace('_', '')}Row"
-    _, *fields = parse_definitions(type_name, definition_text(type_name))[type_name].fields
-    if list(table.columns) != [field.name for field in fields]:
-        raise ValueError(f"table {name} has the columns {list(table.columns)}, its message type has others")
-    for row in table.to_dict("records"):
-        columns = {field.name: _cell(field, row) for field in fields}
-        yield stamped(f"/insdvl/table/{name}", type_name, np.array([end_ns]), NED, columns)
-
-
-def _cell(field: Field, row: Mapping[Hashable, Any]) -> str | float:
-    value = row[field.name]
-    missing = value is None or value != value
-    if field.type_name == "string":
-        return "" if missing else str(value)
-    return np.nan if missing else value
+    columns: dict[str, Column] = {}
+    for name, kind in layout.kinds.items():
+        value = getattr(row, name)
+        columns[name] = value if value is not None else "" if kind == "text" else np.nan
+    type_name = f"insdvl_msgs/msg/{layout.row.__name__}"
+    return stamped(f"/insdvl/table/{layout.name}", type_name, np.array([end_ns]), NED, columns)
 
 
 def _note(dive_name: str, note: Note, end_ns: int) -> Batch:

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from html import escape
 from typing import Final
 
+from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.report.display_table import percent, row_label
 from insdvl_replay.results.json_report import Report
 
@@ -43,7 +44,7 @@ def _gains(report: Report, name: str) -> Iterator[tuple[str, float | None, float
     actual: dict[str, float | None] = {
         row.quantity: row.improvement_pct
         for row in report.tables.reference_error
-        if row.filter == name and row.status == "compared"
+        if row.filter == name and row.status == ReferenceStatus.COMPARED
     }
     believed: Mapping[str, float | None] = {
         row.state: row.improvement_pct for row in report.tables.improvement if row.filter == name

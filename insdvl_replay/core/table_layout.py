@@ -1,0 +1,128 @@
+"""What is known of the columns of a table beside their types, and of a table without its rows."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
+
+from msgspec import Struct
+
+Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
+"""What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES."""
+Kind = Literal["text", "count", "number"]
+PERCENTAGE: Final = "_pct"
+"""End of the name of a column whose numbers are percentages, and change by percentage points."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a row type, as an annotation of its field.
+
+    Attributes
+    ----------
+    says : str
+        What it holds, and those after it until the next one that says something.
+    better : Better or None
+        What counts as better; None for words, counts and limits that are neither better nor worse.
+    chief : bool
+        A reader looks at it first.
+    names : tuple of str or None
+        What it names, if it names the row; empty where that is the user's choice.
+    best_first : tuple of str
+        The words that have a rank.
+    """
+
+    says: str = ""
+    better: Better | None = None
+    chief: bool = False
+    names: tuple[str, ...] | None = None
+    best_first: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TableLayout:
+    """A table without its rows.
+
+    Attributes
+    ----------
+    name : str
+        As in ``report.json`` and in the name of the CSV file.
+    row : type
+        Of its rows.
+    columns : dict of str to Column
+        In the order of the files.
+    kinds : dict of str to Kind
+        What each column holds.
+    key : str
+        The column that, with log and filter, names a row.
+    better : dict of str to Better
+        Of the columns that have one.
+    chief : str
+        The column that a reader looks at first.
+    words : dict of str to tuple of str
+        By column, the words that have a rank, best first.
+    rows : tuple of str
+        What the key may name; empty where it names filters, whose names are the user's.
+    baseline_too : bool
+        The baseline has rows of its own; else it stands beside each candidate.
+    about : str
+        What a row says, for those who meet it as a message.
+    """
+
+    name: str
+    row: type[Struct]
+    columns: dict[str, Column]
+    kinds: dict[str, Kind]
+    key: str
+    better: dict[str, Better]
+    chief: str
+    words: dict[str, tuple[str, ...]]
+    rows: tuple[str, ...]
+    baseline_too: bool
+    about: str
+
+    def unit_of(self, column: str, row_unit: str) -> str:
+        """Return the unit of a column's numbers, where the row's holds for physical quantities; empty without one."""
+        if column.endswith(PERCENTAGE):
+            return "%"
+        if column.endswith("_s"):
+            return "s"
+        return row_unit if column in self.better else ""
+
+
+def layout_of(name: str, row: type[Struct]) -> TableLayout:
+    """Read the layout of a table from the type of its rows; rows without a column that names them bear a filter's name.
+
+    Parameters
+    ----------
+    name : str
+    row : type
+        A Struct whose fields are text, counts and numbers, annotated with `Column` where there is more to say.
+
+    Returns
+    -------
+    TableLayout
+    """
+    hints = get_type_hints(row, include_extras=True)
+    columns = {column: _column(hints[column]) for column in row.__struct_fields__}
+    key = next((column for column, told in columns.items() if told.names is not None), "filter")
+    return TableLayout(
+        name=name,
+        row=row,
+        columns=columns,
+        kinds={column: _kind(hints[column]) for column in columns},
+        key=key,
+        better={column: told.better for column, told in columns.items() if told.better},
+        chief=next(column for column, told in columns.items() if told.chief),
+        words={column: told.best_first for column, told in columns.items() if told.best_first},
+        rows=columns[key].names or () if key in columns else (),
+        baseline_too=getattr(row, "baseline_too", False),
+        about=getattr(row, "about", ""),
+    )
+
+
+def _column(hint: Any) -> Column:
+    return next((told for told in getattr(hint, "__metadata__", ()) if isinstance(told, Column)), Column())
+
+
+def _kind(hint: Any) -> Kind:
+    plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+    return "text" if plain is str else "count" if plain is int else "number"

@@ -1,0 +1,61 @@
+"""The row types of the tables hold for what replays give, and messages of robots for the row types."""
+
+from pathlib import Path
+
+import pytest
+from row_messages import message_definition
+
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.table_layout import TableLayout
+from insdvl_replay.core.tables import LAYOUTS, TABLES, each_table
+from insdvl_replay.core.words import Gain
+from insdvl_replay.evaluation import verdicts
+from insdvl_replay.replay import replay_dive
+from insdvl_replay.sim.dive import simulate_dive
+
+MESSAGES = Path(__file__).resolve().parents[2] / "schemas" / "insdvl_msgs" / "msg"
+
+
+def test_the_tables_have_these_names_keys_and_chief_columns() -> None:
+    assert [(layout.name, layout.key, layout.chief) for layout in LAYOUTS] == [
+        ("filters", "filter", "reference_improvement_pct"),
+        ("improvement", "state", "sd"),
+        ("convergence", "state", "reached_s"),
+        ("reference_error", "quantity", "rmse"),
+        ("consistency", "measurement", "mean_nis"),
+        ("credibility", "quantity", "mean_nees"),
+    ]
+
+
+def test_every_verdict_on_an_improvement_has_a_sentence_and_a_rank() -> None:
+    candidates, *_ = LAYOUTS
+    assert {*candidates.words["improvement"], "no reference"} == {*verdicts._CONCLUSION, Gain.NOT_JUDGED}
+
+
+def test_a_replay_has_the_rows_that_its_layouts_name() -> None:
+    replay = replay_dive(simulate_dive("straight", seed=1, duration_s=20.0), Config())
+    for layout, rows in each_table(replay.tables):
+        assert {getattr(row, layout.key) for row in rows} == set(layout.rows)
+        assert ("baseline" in {getattr(row, "filter") for row in rows}) == layout.baseline_too  # noqa: B009
+
+
+@pytest.mark.parametrize("layout", TABLES, ids=lambda layout: layout.name)
+def test_a_message_definition_is_what_the_row_type_says(layout: TableLayout) -> None:
+    file = MESSAGES / f"{layout.row.__name__}.msg"
+    assert file.read_text("utf-8") == message_definition(layout), "run: make schemas"
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "unit"),
+    [
+        ("improvement", "sd", "mg"),
+        ("improvement", "improvement_pct", "%"),
+        ("improvement", "status", ""),
+        ("convergence", "reached_s", "s"),
+        ("convergence", "target_sd", "mg"),
+        ("reference_error", "samples", ""),
+    ],
+)
+def test_a_unit_holds_for_the_physical_quantities_of_its_row(table: str, column: str, unit: str) -> None:
+    (layout,) = (layout for layout in LAYOUTS if layout.name == table)
+    assert layout.unit_of(column, "mg") == unit
