@@ -18,13 +18,12 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, Note, UserError
 from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.clocks import clock_notes
-from insdvl_replay.logs.columns.decode import decode_imu
-from insdvl_replay.logs.columns.pings import decode_dvl
+from insdvl_replay.logs.columns.dvl import decode_dvl
+from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.roles import Finding
-from insdvl_replay.logs.columns.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.columns.table_reading import read_sample, read_tables
-from insdvl_replay.logs.columns.tables import Table
+from insdvl_replay.logs.columns.tables import Table, loss_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.channel import LogChannel
 from insdvl_replay.logs.container.recording import Recording
@@ -116,7 +115,7 @@ class Examination:
             tables = [self._read(source, self._stopped_by) for source in finding.sources]
             self._remark([*schema_notes(finding.sources), *stamp_notes(tables)])
             if self.deep:
-                self._remark([*count_notes(tables), *left_out_notes(tables)])
+                self._remark(loss_notes(tables))
         except UserError as error:
             self._stopped_by(error)
             return

@@ -15,7 +15,7 @@ from insdvl_replay.core.units import ANGULAR_RATE_UNITS, GRAVITY_MPS2, SPECIFIC_
 from insdvl_replay.inspection.proposed_settings import Setting
 from insdvl_replay.inspection.stamp_proposal import stamp_setting
 from insdvl_replay.inspection.topic_probe import Candidate, SeenTopic
-from insdvl_replay.logs.columns.decode import FRD, in_frd
+from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.container.recording import Recording
 
 _SAME: Final = 0.1

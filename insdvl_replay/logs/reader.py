@@ -10,12 +10,12 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_names import dive_name
 from insdvl_replay.core.progress import begin
 from insdvl_replay.logs.columns.clocks import clock_notes
-from insdvl_replay.logs.columns.decode import decode_imu, decode_truth
-from insdvl_replay.logs.columns.pings import decode_dvl
+from insdvl_replay.logs.columns.dvl import decode_dvl
+from insdvl_replay.logs.columns.imu import decode_imu, decode_truth
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.roles import Roles, assign_roles
-from insdvl_replay.logs.columns.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.columns.table_reading import read_tables
+from insdvl_replay.logs.columns.tables import loss_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.container.channel import LogChannel
 from insdvl_replay.logs.container.recording import open_recording
 
@@ -57,8 +57,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         tables = read_tables(log, roles.sources)
         log.check_unopened()
         sha256 = log.sha256(digests.result())
-    notes = [*log.notes, *schema_notes(roles.sources), *count_notes(tables)]
-    notes += [*left_out_notes(tables), *stamp_notes(tables)]
+    notes = [*log.notes, *schema_notes(roles.sources), *loss_notes(tables), *stamp_notes(tables)]
     notes += clock_notes(place, [table.clock() for table in tables], config.clocks.max_disagreement_s)
     # The raw columns of a long dive are large, and let go one by one.
     imu, imu_notes = decode_imu(tables.pop(0), config.imu)

@@ -1,14 +1,87 @@
-"""Whether the files that are read as one dive hold one dive, or two that go on at the same time."""
+"""Messages of one topic from several channels or files: merged, each once, and refused where they are of two dives."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.columns.merging import repeated_rows
 from insdvl_replay.logs.columns.order import Mask
 from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table
+from insdvl_replay.logs.encoding.field_paths import Columns
+
+
+def merged(columns: Columns, stretches: Sequence[tuple[int, int]]) -> tuple[Columns, NDArray[np.int64], int]:
+    """Merge the messages of several channels, each of which stays in its own order, and leave out repetitions.
+
+    Parameters
+    ----------
+    columns : dict of str to ndarray, shape (k, n)
+        With ``log_time``, ns.
+    stretches : sequence of (int, int)
+        From the first message on: a channel, and how many messages in a row are of it.
+
+    Returns
+    -------
+    columns : dict of str to ndarray, shape (kept, n)
+    channel_ids : ndarray, shape (kept,)
+        Of each message; empty where all are of one.
+    repeats : int
+        Messages that another channel holds too, with the same log time and the same values.
+    """
+    if len({channel_id for channel_id, _ in stretches}) < 2:
+        return columns, np.empty(0, np.int64), 0
+    channel_ids = np.repeat(*np.transpose(stretches))
+    reached = _reached(columns["log_time"][:, 0], channel_ids)
+    if np.any(reached[1:] < reached[:-1]):
+        order = np.argsort(reached, kind="stable")
+        columns = {path: values[order] for path, values in columns.items()}
+        channel_ids = channel_ids[order]
+    repeated = repeated_rows(columns, channel_ids)
+    if not repeated.any():
+        return columns, channel_ids, 0
+    kept = {path: values[~repeated] for path, values in columns.items()}
+    return kept, channel_ids[~repeated], int(np.count_nonzero(repeated))
+
+
+def _reached(log_time: TimeNs, channel_ids: NDArray[np.int64]) -> TimeNs:
+    """Give the latest log time of each channel so far: sorted by it, no message moves against others of its channel."""
+    reached = np.empty_like(log_time)
+    for channel_id in np.unique(channel_ids):
+        rows = channel_ids == channel_id
+        reached[rows] = np.maximum.accumulate(log_time[rows])
+    return reached
+
+
+def repeated_rows(columns: Columns, origin: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which messages are as the one before, which is of another origin.
+
+    Parameters
+    ----------
+    columns : dict of str to ndarray, shape (k, n)
+        With ``log_time``, ns; NaN is as NaN.
+    origin : ndarray, shape (k,)
+        The channel or file of each message.
+
+    Returns
+    -------
+    ndarray of bool, shape (k,)
+    """
+    repeated = np.zeros(origin.size, np.bool_)
+    log_time = columns["log_time"][:, 0]
+    rows = 1 + np.flatnonzero((log_time[1:] == log_time[:-1]) & (origin[1:] != origin[:-1]))
+    same = np.ones(rows.size, np.bool_)
+    for values in columns.values():
+        same &= np.all((values[rows] == values[rows - 1]) | _both_missing(values[rows], values[rows - 1]), axis=1)
+    repeated[rows] = same
+    return repeated
+
+
+def _both_missing(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return np.isnan(one) & np.isnan(other)
+
 
 _FEW: Final = 0.05
 """Share of its messages that a recorder loses at most, so that another one alone has them."""

@@ -1,5 +1,6 @@
-"""What a log holds of one topic that plays a role, as columns."""
+"""What a log holds of one topic that plays a role, as columns, and what is said of the log by them."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -8,10 +9,10 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.clock import Clock
 from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds
-from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs.columns.clocks import measure_clock, stamp_unit
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.damaged_file import refused
+from insdvl_replay.logs.container.damage import COPY_AGAIN, refused
 from insdvl_replay.logs.encoding.field_errors import fields_hint
 from insdvl_replay.logs.encoding.field_paths import Columns, Kinds, split_paths
 
@@ -188,3 +189,56 @@ def stamp_path(stamp: str) -> str:
     str
     """
     return "header.stamp" if stamp == "header" else stamp
+
+
+def schema_notes(sources: Iterable[Source]) -> list[Note]:
+    """Say for which topics the log has no schema, so that a definition that comes with the tool was used."""
+    return [
+        Note("builtin_definition", f"{source.topic}: the log has no schema; that of {source.type_name} was assumed")
+        for source in sources
+        if source.channels[0].encoding == "cdr" and not all(channel.schema_text.strip() for channel in source.channels)
+    ]
+
+
+def loss_notes(tables: Sequence[Table]) -> list[Note]:
+    """Say where messages are missing, do not fit their schema, or are in more than one channel or file."""
+    left_out = (note for table in tables for note in (_unreadable_note(table), _repeated_note(table)))
+    return [note for note in (*map(_missing_note, tables), *left_out) if note]
+
+
+def stamp_notes(tables: Iterable[Table]) -> list[Note]:
+    """Say how stamps that are mere numbers were understood."""
+    notes = []
+    for table in tables:
+        source, numbers = table.source, table.stamp_numbers
+        if numbers is not None:
+            unit = stamp_unit(numbers, table.columns["log_time"][:, 0])[1]
+            text = f"{source.topic}: stamp '{source.stamp}' was read as {unit}"
+            notes.append(Note(f"{source.role}_stamp_unit", text))
+    return notes
+
+
+def _missing_note(table: Table) -> Note | None:
+    announced = sum(channel.messages for channel in table.source.channels)
+    found = len(table) + table.repeats + len(table.unreadable_ns)
+    if announced == found:
+        return None
+    text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
+    return Note("messages_missing", text, abs(announced - found), "warning", COPY_AGAIN)
+
+
+def _unreadable_note(table: Table) -> Note | None:
+    count = len(table.unreadable_ns)
+    if not count:
+        return None
+    behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9
+    text = (
+        f"{table.source.topic}: {count} messages cannot be read and are left out, the first {behind_s.min():.3f} s and "
+        f"the last {behind_s.max():.3f} s behind the first that can: {table.fault}"
+    )
+    return Note("messages_unreadable", text, count, "warning", COPY_AGAIN)
+
+
+def _repeated_note(table: Table) -> Note | None:
+    text = f"{table.source.topic}: {table.repeats} messages are in two channels or files; each is used once"
+    return Note("messages_repeated", text, table.repeats) if table.repeats else None

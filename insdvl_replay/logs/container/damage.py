@@ -1,7 +1,16 @@
-"""Damage: where a file is not what the format says, and which messages are gone there."""
+"""Damage: where a file is not what the format says, which messages are gone there, and the error that says so."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
+
+import numpy as np
+
+from insdvl_replay.core.columns import TimeNs, seconds
+from insdvl_replay.core.errors import LogError
+
+COPY_AGAIN: Final = "copy the log again from the recorder if it still has it"
+"""What helps where messages are lost."""
 
 Span = tuple[int, int]
 """First and last log time, ns."""
@@ -72,3 +81,28 @@ def plausible_span(first_ns: int, last_ns: int) -> Span | None:
         None where it ends before it begins, or is longer than any dive.
     """
     return (first_ns, last_ns) if first_ns > 0 and 0 <= last_ns - first_ns < _LONGEST_NS else None
+
+
+def refused(complaints: Sequence[str], saved: Iterable[TimeNs], places: str = "damaged places") -> LogError:
+    """Make the error.
+
+    Parameters
+    ----------
+    complaints : sequence of str
+        One sentence for each fault.
+    saved : iterable of ndarray, shape (k,)
+        Log times of all messages that can be read, ns.
+    places : str
+        What has the faults.
+
+    Returns
+    -------
+    LogError
+    """
+    more = f" ({len(complaints) - 1} more {places})" if len(complaints) > 1 else ""
+    times = np.concatenate([np.empty(0, np.int64), *saved])
+    if not times.size:
+        return LogError(f"{complaints[0]}{more}", "no message in it can be read; copy it again from the recorder")
+    span_s = float(seconds(times.max(), int(times.min())))
+    hint = f"--allow-damaged uses the {span_s:.1f} s and {times.size} messages that can be read"
+    return LogError(f"{complaints[0]}{more}", hint)

@@ -6,16 +6,53 @@ indexes and the log times of the messages on both sides tell what they can.
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.core.errors import Note
+from insdvl_replay.logs.container.blocks import MESSAGE, gather
 from insdvl_replay.logs.container.chunk_messages import read_chunk
 from insdvl_replay.logs.container.chunks import Chunk, chunk_header
-from insdvl_replay.logs.container.damage import DamageError, Loss, Span, plausible_span
-from insdvl_replay.logs.container.duplicates import repeated_messages
+from insdvl_replay.logs.container.damage import COPY_AGAIN, DamageError, Loss, Span, plausible_span
 from insdvl_replay.logs.container.records import RECORD_HEADER_SIZE
 from insdvl_replay.logs.container.scanner import Anatomy
+
+
+def repeated_messages(data: memoryview, anatomy: Anatomy) -> int:
+    """Count the messages that are copies of others.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    anatomy : Anatomy
+
+    Returns
+    -------
+    int
+        0 where every byte is part of a record, or all messages stand in chunks: these are copied as a whole or not
+        readable.
+    """
+    if not anatomy.passed or all(chunk.kind != "loose" for chunk in anatomy.chunks.values()):
+        return 0
+    headers = np.concatenate([np.empty(0, MESSAGE), *_headers(data, anatomy)])
+    _, first, count = np.unique(headers["log_time"], return_inverse=True, return_counts=True)
+    # Few messages share their log time, and only these are compared as a whole, which takes longer.
+    suspected = headers[count[first] > 1]
+    return len(suspected) - len(np.unique(suspected))
+
+
+def _headers(data: memoryview, anatomy: Anatomy) -> Iterator[NDArray[Any]]:
+    """Go through what stands in front of the payloads; no chunk stays open for it."""
+    for chunk in anatomy.chunks.values():
+        with suppress(DamageError):
+            for block in read_chunk(data, chunk).blocks.values():
+                yield gather(block.buffer, block.starts, MESSAGE)
+
 
 _SHOWN: Final = 3
 """Places that are told one by one."""
@@ -52,7 +89,7 @@ def damage_note(name: str, data: memoryview, anatomy: Anatomy) -> Note:
         missing = None if missing is None else missing + repeats
     loss = told_loss(found, missing, is_cut=anatomy.is_cut)
     text = f"{name} is damaged in {places}, {loss} ({shown}{more})"
-    return Note("log_damaged", text, len(damages), "warning", "copy the log again from the recorder if it still has it")
+    return Note("log_damaged", text, len(damages), "warning", COPY_AGAIN)
 
 
 def told_loss(found: Sequence[Loss], missing: int | None, *, is_cut: bool) -> str:

@@ -26,14 +26,12 @@ from insdvl_replay.logs.container.attachments import (
 )
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.channel import described
-from insdvl_replay.logs.container.chunk_messages import Content, content_of
+from insdvl_replay.logs.container.chunk_messages import Content, content_of, index_entries
 from insdvl_replay.logs.container.chunks import Chunk, chunk_header, open_chunk, opened_size
-from insdvl_replay.logs.container.damage import DamageError, Span
-from insdvl_replay.logs.container.damaged_file import refused
+from insdvl_replay.logs.container.damage import COPY_AGAIN, DamageError, Span, refused
 from insdvl_replay.logs.container.loss import chunk_span, damage_note
+from insdvl_replay.logs.container.mapped_file import mapped
 from insdvl_replay.logs.container.mcap_index import anatomy_of
-from insdvl_replay.logs.container.message_index import index_entries
-from insdvl_replay.logs.container.opening import mapped
 from insdvl_replay.logs.container.records import parsed
 
 _END_OF_TIME_NS: Final = 2**63
@@ -154,7 +152,7 @@ class Log:
             notes.append(damage_note(self.path.name, self._data, self._anatomy))
         elif missing := self._anatomy.missing:
             text = f"the summary of {self.path.name} announces {missing:+d} messages against what the log holds"
-            hint = "copy the log again from the recorder if it still has it"
+            hint = COPY_AGAIN
             notes.append(Note("log_summary", text, abs(missing), "warning", hint))
         if (last_ns := self._last_ns()) >= _END_OF_TIME_NS:
             text = (
