@@ -39,7 +39,7 @@ _NO_PINGS: Final = DvlColumns(np.empty(0, np.int64), velocity_d=np.empty((0, 3))
 
 
 @dataclass
-class Examination:
+class DryRun:
     """Looks at the messages, role by role, and keeps what it finds.
 
     Parameters
@@ -149,7 +149,7 @@ class Examination:
         """Read a topic; where its stamps are no times, tell so and go on with the recorder's."""
         table = read_tables(self.log, [source])[0] if self.deep else read_sample(self.log, source, _ENOUGH)
         if table.unreadable_ns:
-            complain(table.refusal())
+            complain(table.damage_error())
         try:
             clock = table.clock()
         except UserError as error:

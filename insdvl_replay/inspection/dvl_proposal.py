@@ -11,7 +11,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.units import VELOCITY_UNITS
 from insdvl_replay.inspection.proposed_settings import Setting
 from insdvl_replay.inspection.stamp_proposal import stamp_setting
-from insdvl_replay.inspection.topic_probe import Candidate, SeenTopic
+from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic
 from insdvl_replay.logs.container.recording import Recording
 
 _DVL_WORDS: Final = re.compile(r"dvl|doppler|bottom")
@@ -25,16 +25,16 @@ _CLEARLY: Final = 0.01
 _AXES_OPEN: Final = "frd, flu (port and up turned) or a signed permutation; the maker says which"
 
 
-def dvl_topic(seen: Sequence[SeenTopic]) -> SeenTopic | None:
+def dvl_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
     """Choose the topic of a DVL: one with a velocity, best with a name that says so.
 
     Parameters
     ----------
-    seen : sequence of SeenTopic
+    seen : sequence of ProbedTopic
 
     Returns
     -------
-    SeenTopic or None
+    ProbedTopic or None
     """
     named = [topic for topic in seen if _DVL_WORDS.search(f"{topic.topic} {topic.channel.type_name}".lower())]
     moving = [topic for topic in seen if topic.likely("velocity") or topic.likely("beam_velocity")]
@@ -42,13 +42,13 @@ def dvl_topic(seen: Sequence[SeenTopic]) -> SeenTopic | None:
     return next(iter([*both, *moving, *(topic for topic in named if topic.vectors)]), None)
 
 
-def dvl_settings(log: Recording, topic: SeenTopic) -> list[Setting]:
+def dvl_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
     """Propose topic, fields, unit and stamp of a DVL of an unknown type.
 
     Parameters
     ----------
     log : Recording
-    topic : SeenTopic
+    topic : ProbedTopic
 
     Returns
     -------
@@ -117,7 +117,7 @@ def _velocity(velocities: Sequence[Candidate]) -> Iterator[Setting]:
     yield Setting("dvl.kind", "velocity")
 
 
-def _valid(topic: SeenTopic) -> Iterator[Setting]:
+def _valid(topic: ProbedTopic) -> Iterator[Setting]:
     """Ask about flags: what a good ping is named by can only be guessed."""
     flags = [f'"{path}" (median {median:g})' for path, median in topic.scalars.items() if _FLAGS.search(path.lower())]
     if flags:
@@ -134,7 +134,7 @@ def _unit(velocity: Candidate) -> Setting:
     return Setting("dvl.velocity_unit", best, seen, f"the size leaves it open: {', '.join(VELOCITY_UNITS)}")
 
 
-def _beams(topic: SeenTopic, beams: Sequence[Candidate], has_velocity: bool) -> Iterator[Setting]:
+def _beams(topic: ProbedTopic, beams: Sequence[Candidate], has_velocity: bool) -> Iterator[Setting]:
     valid = topic.likely("beam_valid")
     if has_velocity:
         # Until a person knows where the beams point, the velocity is the safer source.

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from insdvl_replay.inspection.proposed_settings import Setting
-from insdvl_replay.inspection.topic_probe import SeenTopic
+from insdvl_replay.inspection.topic_probe import ProbedTopic
 
 _NEEDED: Final = {"imu": ("specific_force", "angular_rate"), "dvl": ("velocity",)}
 _INSTEAD: Final = {"velocity": ("beam_velocity =  # one number for each beam",)}
@@ -12,13 +12,13 @@ _LONGEST: Final = 12
 """Topics that are listed at most."""
 
 
-def listed_settings(role: str, seen: Sequence[SeenTopic]) -> Iterator[Setting]:
+def listed_settings(role: str, seen: Sequence[ProbedTopic]) -> Iterator[Setting]:
     """List every field with numbers, that a person may choose.
 
     Parameters
     ----------
     role : {'imu', 'dvl'}
-    seen : sequence of SeenTopic
+    seen : sequence of ProbedTopic
 
     Yields
     ------
@@ -38,7 +38,7 @@ def listed_settings(role: str, seen: Sequence[SeenTopic]) -> Iterator[Setting]:
         yield Setting(f"{role}.{quantity}", None, open=text, others=_INSTEAD.get(quantity, ()))
 
 
-def _lines(topic: SeenTopic) -> Iterator[str]:
+def _lines(topic: ProbedTopic) -> Iterator[str]:
     yield f'"{topic.topic}", {topic.channel.messages} messages'
     for candidate in topic.candidates:
         yield f'  "{candidate.path}"'

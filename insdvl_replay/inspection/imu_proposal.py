@@ -14,7 +14,7 @@ from insdvl_replay.core.config import Imu
 from insdvl_replay.core.units import ANGULAR_RATE_UNITS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.inspection.proposed_settings import Setting
 from insdvl_replay.inspection.stamp_proposal import stamp_setting
-from insdvl_replay.inspection.topic_probe import Candidate, SeenTopic
+from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.container.recording import Recording
 
@@ -26,28 +26,28 @@ _NAMES: Final = {"+x+y+z": "frd", "+x-y-z": "flu"}
 _UNITS_OPEN: Final = "rad/s or deg/s, which the maker says"
 
 
-def imu_topic(seen: Sequence[SeenTopic]) -> SeenTopic | None:
+def imu_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
     """Choose a topic with a specific force; an angular rate beside it and the size of gravity speak for it.
 
     Parameters
     ----------
-    seen : sequence of SeenTopic
+    seen : sequence of ProbedTopic
 
     Returns
     -------
-    SeenTopic or None
+    ProbedTopic or None
     """
-    felt = [topic for topic in seen if topic.forces and _possible_rates(topic)]
-    return max(felt, key=lambda topic: (bool(topic.rates), bool(topic.forces[0].force_unit)), default=None)
+    candidates = [topic for topic in seen if topic.forces and _possible_rates(topic)]
+    return max(candidates, key=lambda topic: (bool(topic.rates), bool(topic.forces[0].force_unit)), default=None)
 
 
-def imu_settings(log: Recording, topic: SeenTopic) -> list[Setting]:
+def imu_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
     """Propose topic, fields, unit of the force and stamp of an IMU of an unknown type.
 
     Parameters
     ----------
     log : Recording
-    topic : SeenTopic
+    topic : ProbedTopic
 
     Returns
     -------
@@ -65,7 +65,7 @@ def imu_settings(log: Recording, topic: SeenTopic) -> list[Setting]:
     ]
 
 
-def _possible_rates(topic: SeenTopic) -> list[Candidate]:
+def _possible_rates(topic: ProbedTopic) -> list[Candidate]:
     return topic.rates or [candidate for candidate in topic.vectors if candidate not in topic.forces]
 
 

@@ -14,7 +14,7 @@ from insdvl_replay.core.columns import ImuColumns
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import LogError, Note, listed
-from insdvl_replay.inspection.dry_run import Examination
+from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, judged_dvl
 from insdvl_replay.inspection.field_proposal import listed_settings
 from insdvl_replay.inspection.imu_proposal import imu_settings, imu_topic, judged_imu, judged_rates, measured_scale
@@ -22,7 +22,7 @@ from insdvl_replay.inspection.inventory import Obstacle
 from insdvl_replay.inspection.proposed_settings import Setting, decisions, not_yet_set, settings_toml, with_settings
 from insdvl_replay.inspection.reference_proposal import reference_settings, reference_topic
 from insdvl_replay.inspection.stamp_proposal import recorder_stamps
-from insdvl_replay.inspection.topic_probe import SeenTopic, see_topics
+from insdvl_replay.inspection.topic_probe import ProbedTopic, probe_topics
 from insdvl_replay.logs.columns.clocks import clock_notes
 from insdvl_replay.logs.columns.roles import Finding, explain_roles
 from insdvl_replay.logs.columns.topic_requirements import Source
@@ -82,7 +82,7 @@ def propose(
     draft = with_settings(config, settings)
     found = explain_roles(str(log.path), log.channels, draft)
     settings += _start(found, draft.initial)
-    last = Examination(log, with_settings(config, settings), deep=False)
+    last = DryRun(log, with_settings(config, settings), deep=False)
     last.examine(found)
     return Proposal(settings_toml(settings), decisions(settings), tuple(last.obstacles), notes)
 
@@ -104,17 +104,17 @@ def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> tupl
     if not wanted:
         return [], ()
     taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
-    seen, unseen = see_topics(log, [channel for channel in log.channels if channel.topic not in taken])
+    seen, unseen = probe_topics(log, [channel for channel in log.channels if channel.topic not in taken])
     settings: list[Setting] = []
     if "imu" in wanted:
-        felt = _named([topic for topic in seen if topic.topic != config.dvl.topic], config.imu.topic)
-        imu = imu_topic(felt)
-        settings += imu_settings(log, imu) if imu else listed_settings("imu", felt)
+        candidates = _named([topic for topic in seen if topic.topic != config.dvl.topic], config.imu.topic)
+        imu = imu_topic(candidates)
+        settings += imu_settings(log, imu) if imu else listed_settings("imu", candidates)
         seen = [topic for topic in seen if topic is not imu]
     if "dvl" in wanted:
-        heard = _named(seen, config.dvl.topic)
-        dvl = dvl_topic(heard)
-        settings += dvl_settings(log, dvl) if dvl else listed_settings("dvl", heard)
+        candidates = _named(seen, config.dvl.topic)
+        dvl = dvl_topic(candidates)
+        settings += dvl_settings(log, dvl) if dvl else listed_settings("dvl", candidates)
         seen = [topic for topic in seen if topic is not dvl]
     if "reference" in wanted and (reference := reference_topic(_named(seen, config.reference.topic))):
         settings += reference_settings(log, reference)
@@ -127,7 +127,7 @@ def _unseen_notes(unseen: Sequence[str]) -> Iterator[Note]:
         yield Note("topics_not_looked_at", text, len(unseen), hint="name the topic of each role in the configuration")
 
 
-def _named(seen: Sequence[SeenTopic], topic: str | None) -> Sequence[SeenTopic]:
+def _named(seen: Sequence[ProbedTopic], topic: str | None) -> Sequence[ProbedTopic]:
     """Look at the topic alone that the configuration names, if the log has it."""
     return [found for found in seen if found.topic == topic] or seen
 
@@ -135,7 +135,7 @@ def _named(seen: Sequence[SeenTopic], topic: str | None) -> Sequence[SeenTopic]:
 def _judged(log: Recording, config: Config, settings: Sequence[Setting], *, deep: bool) -> list[Setting]:
     """Judge units, axes and clocks by what the messages show, read as proposed so far."""
     findings = explain_roles(str(log.path), log.channels, config)
-    seen = Examination(log, config, deep)
+    seen = DryRun(log, config, deep)
     seen.examine(findings)
     named = {setting.key for setting in settings}
     judged = _stamps(log, findings, seen.clocks, config)
@@ -148,7 +148,7 @@ def _judged(log: Recording, config: Config, settings: Sequence[Setting], *, deep
     return judged
 
 
-def _judged_imu(seen: Examination, imu: ImuColumns, source: Source) -> Iterator[Setting]:
+def _judged_imu(seen: DryRun, imu: ImuColumns, source: Source) -> Iterator[Setting]:
     scale = gyro_scale(imu, seen.dvl, seen.solution, seen.config)
     settings = source.completed(seen.config.imu)
     judged = judged_imu(imu, settings, seen.solution, scale)

@@ -12,7 +12,7 @@ import numpy as np
 
 from insdvl_replay.core.columns import TimeNs, seconds
 from insdvl_replay.core.config import Config
-from insdvl_replay.inspection.dry_run import Examination
+from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
 from insdvl_replay.inspection.proposal import propose
 from insdvl_replay.logs.columns.roles import Finding, explain_roles
@@ -53,7 +53,7 @@ def survey_log(
 
 def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool) -> Inventory:
     findings = explain_roles(str(log.path), log.channels, config)
-    seen = Examination(log, config, deep)
+    seen = DryRun(log, config, deep)
     seen.examine(findings)
     sources = [source for finding in findings for source in (*finding.sources, *finding.candidates)]
     looked_at = {source.topic for source in sources}
@@ -61,7 +61,7 @@ def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool
     log_times = log.log_times()
     proposal = propose(log, findings, seen.obstacles, config, deep=deep)
     # Last of all, since damage inside the chunks is found as they are opened.
-    refusals = [error] if not allow_damaged and (error := log.refusal()) is not None else []
+    refusals = [error] if not allow_damaged and (error := log.damage_error()) is not None else []
     return Inventory(
         log=_log_facts(log, log_times),
         reading="whole" if deep else "sample",

@@ -79,7 +79,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class SeenTopic:
+class ProbedTopic:
     """What the first messages of a topic show.
 
     Attributes
@@ -128,7 +128,7 @@ class SeenTopic:
         return [candidate for candidate in named if candidate.is_beams == quantity.startswith("beam")]
 
 
-def see_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[SeenTopic], list[str]]:
+def probe_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[ProbedTopic], list[str]]:
     """Look at the first messages of some topics for vectors, beams and single numbers.
 
     Parameters
@@ -139,12 +139,12 @@ def see_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[See
 
     Returns
     -------
-    list of SeenTopic
+    list of ProbedTopic
         Those with any.
     list of str
         Topics that were not looked at, since there are so many fields.
     """
-    seen: list[SeenTopic] = []
+    seen: list[ProbedTopic] = []
     unseen: list[str] = []
     work = 0
     for channel in channels:
@@ -155,13 +155,13 @@ def see_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[See
             continue
         # What cannot be read cannot be proposed; it is no error before someone asks for it.
         with suppress(LogError):
-            topic, looks = _see(log, channel)
+            topic, looks = _probe(log, channel)
             seen.append(topic)
             work += looks * len(topic.known)
     return [topic for topic in seen if topic.candidates or topic.scalars], unseen
 
 
-def _see(log: Recording, channel: LogChannel) -> tuple[SeenTopic, int]:
+def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
     """Look at a topic; tell at how many fields."""
     place = f"{log.path}: {channel.topic}"
     check_encoding(channel, str(log.path))
@@ -182,7 +182,7 @@ def _see(log: Recording, channel: LogChannel) -> tuple[SeenTopic, int]:
             candidates[path] = Candidate(path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max()))
         elif len(finite) and values.shape[1] == 1:
             scalars[path] = float(np.median(finite))
-    return SeenTopic(channel, reader.known, tuple(candidates.values()), scalars), len(paths)
+    return ProbedTopic(channel, reader.known, tuple(candidates.values()), scalars), len(paths)
 
 
 def _first_of(block: Block) -> Block:

@@ -32,7 +32,7 @@ from insdvl_replay.logs.container.channel import LogChannel
 from insdvl_replay.logs.container.chunks import LARGEST_CHUNK, Chunk, most_opened, open_chunk
 from insdvl_replay.logs.container.damage import Damage
 from insdvl_replay.logs.container.mcap_file import Log
-from insdvl_replay.logs.container.scanner import Anatomy
+from insdvl_replay.logs.container.scanner import McapIndex
 from insdvl_replay.logs.container.summary import Summary
 from insdvl_replay.logs.encoding.layout import dynamic_lengths
 from insdvl_replay.logs.encoding.message_encodings import channel_paths
@@ -109,7 +109,7 @@ def test_a_chunk_without_a_record_is_opened_once(tmp_path: Path, monkeypatch: py
         return open_chunk(data, one)
 
     monkeypatch.setattr("insdvl_replay.logs.container.chunk_messages.open_chunk", counted)
-    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.chunk_reader.open_chunk", counted)
     seen = Log(write(tmp_path / "zeros.mcap", log(chunk(zstd_zeros(4 * MB), 4 * MB, "zstd"))), allow_damaged=True)
     assert not list(seen.blocks({1}))
     assert not list(seen.saved_times())
@@ -134,10 +134,10 @@ def test_many_copies_of_a_chunk_are_compared_no_more_often_than_they_are(
 
 
 def test_a_damaged_place_is_noted_once() -> None:
-    anatomy = Anatomy(Summary())
+    mcap_index = McapIndex(Summary())
     for found in ("this", "that", "this"):
-        anatomy.mark(Damage(5, found))
-    assert list(anatomy.damages) == [Damage(5, "this"), Damage(5, "that")]
+        mcap_index.add_damage(Damage(5, found))
+    assert list(mcap_index.damages) == [Damage(5, "this"), Damage(5, "that")]
 
 
 def test_a_chunk_with_many_channels_is_opened_a_few_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,7 +147,7 @@ def test_a_chunk_with_many_channels_is_opened_a_few_times(tmp_path: Path, monkey
         opened.append(one.offset)
         return open_chunk(data, one)
 
-    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.chunk_reader.open_chunk", counted)
     inventory = inspect_log(path, Config())
     assert len(inventory.clocks) >= 50
     assert len(opened) <= 2

@@ -10,7 +10,7 @@ from insdvl_replay.core.columns import Floats, TimeNs, is_new, seconds
 from insdvl_replay.core.errors import LogError, Note, Severity
 from insdvl_replay.logs.columns.clocks import SAME_CLOCK_S
 from insdvl_replay.logs.columns.order import Mask, Order, Rows, find_order
-from insdvl_replay.logs.columns.overlaps import refuse_mixture
+from insdvl_replay.logs.columns.overlaps import raise_if_two_dives
 from insdvl_replay.logs.columns.tables import Table
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -63,7 +63,7 @@ class Cleaner:
 
     def __post_init__(self) -> None:
         self.time_ns, log_time_ns = self.table.time_ns(), self.table.columns["log_time"][:, 0]
-        refuse_mixture(self.table, self.time_ns)
+        raise_if_two_dives(self.table, self.time_ns)
         order = find_order(self.time_ns, log_time_ns)
         self.rows, self._first_ns = order.rows, int(self.time_ns[order.rows[0]])
         if order.wrong.size:

@@ -13,14 +13,14 @@ from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table
 from insdvl_replay.logs.encoding.field_paths import Columns
 
 
-def merged(columns: Columns, stretches: Sequence[tuple[int, int]]) -> tuple[Columns, NDArray[np.int64], int]:
+def merge_channels(columns: Columns, runs: Sequence[tuple[int, int]]) -> tuple[Columns, NDArray[np.int64], int]:
     """Merge the messages of several channels, each of which stays in its own order, and leave out repetitions.
 
     Parameters
     ----------
     columns : dict of str to ndarray, shape (k, n)
         With ``log_time``, ns.
-    stretches : sequence of (int, int)
+    runs : sequence of (int, int)
         From the first message on: a channel, and how many messages in a row are of it.
 
     Returns
@@ -31,9 +31,9 @@ def merged(columns: Columns, stretches: Sequence[tuple[int, int]]) -> tuple[Colu
     repeats : int
         Messages that another channel holds too, with the same log time and the same values.
     """
-    if len({channel_id for channel_id, _ in stretches}) < 2:
+    if len({channel_id for channel_id, _ in runs}) < 2:
         return columns, np.empty(0, np.int64), 0
-    channel_ids = np.repeat(*np.transpose(stretches))
+    channel_ids = np.repeat(*np.transpose(runs))
     reached = _reached(columns["log_time"][:, 0], channel_ids)
     if np.any(reached[1:] < reached[:-1]):
         order = np.argsort(reached, kind="stable")
@@ -87,7 +87,7 @@ _FEW: Final = 0.05
 """Share of its messages that a recorder loses at most, so that another one alone has them."""
 
 
-def refuse_mixture(table: Table, time_ns: TimeNs) -> None:
+def raise_if_two_dives(table: Table, time_ns: TimeNs) -> None:
     """Refuse a topic of which two files hold different messages of the same time.
 
     Files may follow one another, fill each other's gaps, or hold the same messages, of which each recorder lost some.

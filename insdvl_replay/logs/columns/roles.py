@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, listed, nearest
 from insdvl_replay.logs.columns.topic_requirements import (
-    TRUTH_WISH,
+    TRUTH_REQUIREMENT,
     Source,
-    Wish,
-    dvl_wish,
-    fix_wish,
-    imu_wish,
-    solution_wish,
+    TopicRequirement,
+    dvl_requirement,
+    fix_requirement,
+    imu_requirement,
+    solution_requirement,
 )
 from insdvl_replay.logs.container.channel import LogChannel
 
@@ -63,10 +63,10 @@ def assign_roles(place: str, channels: Sequence[LogChannel], config: Config) -> 
         is not known and the configuration does not say where its fields are, or its messages are not ROS 2's.
     """
     topics = _Topics(place, channels)
-    imu = topics.need(imu_wish(config))
-    dvl = topics.need(dvl_wish(config))
+    imu = topics.need(imu_requirement(config))
+    dvl = topics.need(dvl_requirement(config))
     references = _references(topics, config, dvl.topic)
-    truth = topics.find(TRUTH_WISH)
+    truth = topics.find(TRUTH_REQUIREMENT)
     return Roles(imu, dvl, references, truth)
 
 
@@ -110,39 +110,43 @@ def explain_roles(place: str, channels: Sequence[LogChannel], config: Config) ->
         IMU, DVL, reference, and truth where the log has it.
     """
     topics = _Topics(place, channels)
-    imu = _explained(topics, imu_wish(config), lambda: (topics.need(imu_wish(config)),))
-    dvl = _explained(topics, dvl_wish(config), lambda: (topics.need(dvl_wish(config)),))
+    imu = _explained(topics, imu_requirement(config), lambda: (topics.need(imu_requirement(config)),))
+    dvl = _explained(topics, dvl_requirement(config), lambda: (topics.need(dvl_requirement(config)),))
     besides = dvl.sources[0].topic if dvl.sources else ""
-    wish = solution_wish(config)
-    reference = _explained(topics, wish, lambda: _references(topics, config, besides), besides)
-    truth = _explained(topics, TRUTH_WISH, lambda: tuple(filter(None, [topics.find(TRUTH_WISH)])))
+    required = solution_requirement(config)
+    reference = _explained(topics, required, lambda: _references(topics, config, besides), besides)
+    truth = _explained(topics, TRUTH_REQUIREMENT, lambda: tuple(filter(None, [topics.find(TRUTH_REQUIREMENT)])))
     return (imu, dvl, reference, truth) if truth.sources or truth.error else (imu, dvl, reference)
 
 
-def _explained(topics: "_Topics", wish: Wish, look: Callable[[], tuple[Source, ...]], besides: str = "") -> Finding:
+def _explained(
+    topics: "_Topics", required: TopicRequirement, look: Callable[[], tuple[Source, ...]], besides: str = ""
+) -> Finding:
     try:
         sources = look()
     except LogError as error:
-        candidates = tuple(topics.alternatives(wish, besides))
+        candidates = tuple(topics.alternatives(required, besides))
         reason = "see what stops a replay"
         if candidates:
             reason = f"{', '.join(source.topic for source in candidates)} could each be it"
-        elif wish.topic is None and not topics.candidates(wish, besides):
+        elif required.topic is None and not topics.candidates(required, besides):
             reason = topics.reason_for_none
-        return Finding(wish.role, (), reason, error, candidates)
+        return Finding(required.role, (), reason, error, candidates)
     if not sources:
-        return Finding(wish.role, (), topics.reason_for_none)
-    if wish.topic is not None:
-        return Finding(wish.role, sources, f"named by {wish.key}")
-    return Finding(wish.role, sources, "by type, which no other topic has")
+        return Finding(required.role, (), topics.reason_for_none)
+    if required.topic is not None:
+        return Finding(required.role, sources, f"named by {required.key}")
+    return Finding(required.role, sources, "by type, which no other topic has")
 
 
 def _references(topics: "_Topics", config: Config, dvl_topic: str) -> tuple[Source, ...]:
-    wish = solution_wish(config)
-    solution = topics.find(wish, besides=dvl_topic) or (topics.need(wish) if any(wish.paths.values()) else None)
+    required = solution_requirement(config)
+    solution = topics.find(required, besides=dvl_topic) or (
+        topics.need(required) if any(required.paths.values()) else None
+    )
     if solution and "latitude" in solution.fields and config.reference.fix is None:
         return (solution,)
-    fix = topics.find(fix_wish(config))
+    fix = topics.find(fix_requirement(config))
     return tuple(source for source in (solution, fix) if source is not None)
 
 
@@ -162,55 +166,55 @@ class _Topics:
         """Why no topic plays a role that none is named for."""
         return "no message is of a type known for one" if self._channels else "the log has no messages"
 
-    def need(self, wish: Wish) -> Source:
+    def need(self, required: TopicRequirement) -> Source:
         """Find the topic of a role that a replay cannot do without."""
-        source = self.find(wish)
+        source = self.find(required)
         if source is None:
-            raise self._lacks(wish)
+            raise self._lacks(required)
         return source
 
-    def _lacks(self, wish: Wish) -> LogError:
+    def _lacks(self, required: TopicRequirement) -> LogError:
         """Say that no topic plays a role, and which might have."""
-        lack = f"{self._place}: has no {wish.role.upper()}"
+        lack = f"{self._place}: has no {required.role.upper()}"
         if not self._channels:
             return LogError(f"{lack}: it has no messages at all", self._nothing_recorded())
-        wanted = ", ".join(type_name for types in wish.by_type for type_name in types)
+        wanted = ", ".join(type_name for types in required.by_type for type_name in types)
         empty = sorted(topic for topic, type_name in self._empty.items() if type_name in wanted.split(", "))
         found = sorted({one.type_name or one.topic for channels in self._channels.values() for one in channels})
         but = f"; {listed(empty)} would be, without a single message" if empty else ""
         return LogError(
             f"{lack}: no message is of a type known for one ({wanted}); it has {listed(found)}{but}",
-            wish.how_to_name(),
+            required.how_to_name(),
         )
 
     def _nothing_recorded(self) -> str:
         announced = f" Announced are {listed(sorted(self._empty))}" if self._empty else ""
         return f"was anything recorded?{announced}"
 
-    def find(self, wish: Wish, besides: str = "") -> Source | None:
+    def find(self, required: TopicRequirement, besides: str = "") -> Source | None:
         """Find the topic of a role, not looking at the topic of another."""
-        topic = self._only_topic(wish, besides) if wish.topic is None else wish.topic
-        return None if topic is None else self.source(wish, topic)
+        topic = self._only_topic(required, besides) if required.topic is None else required.topic
+        return None if topic is None else self.source(required, topic)
 
-    def source(self, wish: Wish, topic: str) -> Source:
+    def source(self, required: TopicRequirement, topic: str) -> Source:
         """Make a topic the source of a role."""
-        return wish.source(topic, self._channels_of(topic, wish.key), self._place)
+        return required.source(topic, self._channels_of(topic, required.key), self._place)
 
-    def candidates(self, wish: Wish, besides: str) -> list[str]:
+    def candidates(self, required: TopicRequirement, besides: str) -> list[str]:
         """Name the topics of the first group of types that the log has, the better types first."""
-        for types in wish.by_type:
+        for types in required.by_type:
             order = list(types)
             type_of = {topic: channels[0].type_name for topic, channels in self._channels.items() if topic != besides}
             if found := [topic for topic, type_name in type_of.items() if type_name in types]:
                 return sorted(found, key=lambda topic: order.index(type_of[topic]))
         return []
 
-    def alternatives(self, wish: Wish, besides: str) -> Iterator[Source]:
+    def alternatives(self, required: TopicRequirement, besides: str) -> Iterator[Source]:
         """Make sources of the topics between which the configuration has to choose; those that cannot be are left out.
 
         Parameters
         ----------
-        wish : Wish
+        required : TopicRequirement
         besides : str
             A topic that has another role.
 
@@ -218,17 +222,19 @@ class _Topics:
         ------
         Source
         """
-        candidates = self.candidates(wish, besides) if wish.topic is None else []
+        candidates = self.candidates(required, besides) if required.topic is None else []
         for topic in candidates if len(candidates) > 1 else []:
             with suppress(LogError):
-                yield self.source(wish, topic)
+                yield self.source(required, topic)
 
-    def _only_topic(self, wish: Wish, besides: str) -> str | None:
-        candidates = self.candidates(wish, besides)
+    def _only_topic(self, required: TopicRequirement, besides: str) -> str | None:
+        candidates = self.candidates(required, besides)
         if len(candidates) > 1:
-            named = " or ".join(f'{wish.key} = "{topic}"' for topic in candidates)
-            hint = named if wish.key else "keep one of them"
-            raise LogError(f"{self._place}: {' and '.join(candidates)} could each be the {wish.key or wish.role}", hint)
+            named = " or ".join(f'{required.key} = "{topic}"' for topic in candidates)
+            hint = named if required.key else "keep one of them"
+            raise LogError(
+                f"{self._place}: {' and '.join(candidates)} could each be the {required.key or required.role}", hint
+            )
         return next(iter(candidates), None)
 
     def _channels_of(self, topic: str, key: str) -> list[LogChannel]:

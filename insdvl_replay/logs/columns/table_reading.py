@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import NS_PER_S
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.columns.overlaps import merged
+from insdvl_replay.logs.columns.overlaps import merge_channels
 from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table, stamp_path
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.blocks import Block
@@ -27,7 +27,7 @@ _HOPELESS: Final = 1000
 
 
 @dataclass
-class Salvage:
+class PartialDecoder:
     """Reads what can be read of a topic, and remembers the rest.
 
     Attributes
@@ -84,7 +84,7 @@ class Salvage:
             raise self.error
 
 
-class Filling:
+class ColumnBuffer:
     """A column that is not complete yet. As long as all rows are alike, it holds one of them.
 
     Parameters
@@ -216,9 +216,9 @@ class _Builder:
     log: Recording
     source: Source
     readers: dict[int, FieldReader] = field(init=False)
-    filling: dict[str, Filling] = field(init=False)
-    stretches: list[tuple[int, int]] = field(default_factory=list)
-    salvage: Salvage = field(default_factory=Salvage)
+    buffers: dict[str, ColumnBuffer] = field(init=False)
+    runs: list[tuple[int, int]] = field(default_factory=list)
+    decoder: PartialDecoder = field(default_factory=PartialDecoder)
     has_whole_times: bool = False
 
     def __post_init__(self) -> None:
@@ -226,23 +226,23 @@ class _Builder:
         fields = (path for paths in self.source.fields.values() for path in split_paths(paths))
         paths = dict.fromkeys([stamp_path(self.source.stamp), "log_time", *fields])
         announced = sum(channel.messages for channel in self.source.channels)
-        self.filling = {path: Filling(announced) for path in paths}
+        self.buffers = {path: ColumnBuffer(announced) for path in paths}
         self.readers = {channel.id: self._reader(channel) for channel in self.source.channels}
 
     def _reader(self, channel: LogChannel) -> FieldReader:
-        return open_reader(channel, [path for path in self.filling if path not in RECORDER_STAMPS], self.place)
+        return open_reader(channel, [path for path in self.buffers if path not in RECORDER_STAMPS], self.place)
 
     def add(self, block: Block) -> None:
         """Read a block if it is of this topic."""
         reader = self.readers.get(block.channel_id)
         if reader is None:
             return
-        for part, fields in self.salvage.read(reader, block):
-            for path, column in self.filling.items():
+        for part, fields in self.decoder.read(reader, block):
+            for path, column in self.buffers.items():
                 is_recorders = path in RECORDER_STAMPS
                 values = getattr(part, path)[:, None] if is_recorders else self._narrowed(path, fields[path])
                 column.add(values)
-            self.stretches.append((part.channel_id, len(part)))
+            self.runs.append((part.channel_id, len(part)))
 
     def _narrowed(self, path: str, values: NDArray[Any]) -> NDArray[Any]:
         """Make one number of a stamp's seconds and nanoseconds."""
@@ -253,16 +253,16 @@ class _Builder:
 
     def table(self) -> Table:
         """Give what has been read."""
-        unreadable, error = tuple(self.salvage.unreadable_ns), self.salvage.error
-        if not all(self.filling.values()):
+        unreadable, error = tuple(self.decoder.unreadable_ns), self.decoder.error
+        if not all(self.buffers.values()):
             raise error or LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
-        read = {path: column.rows() for path, column in self.filling.items()}
-        columns, channel_ids, repeats = merged(read, self.stretches)
+        read = {path: column.rows() for path, column in self.buffers.items()}
+        columns, channel_ids, repeats = merge_channels(read, self.runs)
         fault = error.message if error else ""
         known, files = next(iter(self.readers.values())).known, _files_of(channel_ids)
         table = Table(self.place, self.source, columns, unreadable, fault, repeats, known, files, self.has_whole_times)
         if unreadable and not self.log.allow_damaged:
-            raise table.refusal()
+            raise table.damage_error()
         return table
 
 

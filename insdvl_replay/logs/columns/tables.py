@@ -12,7 +12,7 @@ from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs.columns.clocks import measure_clock, stamp_unit
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.damage import COPY_AGAIN, refused
+from insdvl_replay.logs.container.damage import COPY_AGAIN, damaged_file_error
 from insdvl_replay.logs.encoding.field_errors import fields_hint
 from insdvl_replay.logs.encoding.field_paths import Columns, Kinds, split_paths
 
@@ -155,9 +155,9 @@ class Table:
         source = self.source
         return measure_clock(source.role, source.topic, source.stamp, self.time_ns(), self.columns["log_time"][:, 0])
 
-    def refusal(self) -> LogError:
+    def damage_error(self) -> LogError:
         """Give the error with which a log is refused of which messages cannot be read."""
-        return refused([self.fault] * len(self.unreadable_ns), [self.columns["log_time"][:, 0]], "messages")
+        return damaged_file_error([self.fault] * len(self.unreadable_ns), [self.columns["log_time"][:, 0]], "messages")
 
     def _stamped(self, path: str) -> TimeNs:
         values = self.columns[path]

@@ -79,7 +79,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Wish:
+class TopicRequirement:
     """What a role needs.
 
     Attributes
@@ -175,10 +175,10 @@ class Wish:
         return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` proposes what to set'
 
 
-def imu_wish(config: Config) -> Wish:
+def imu_requirement(config: Config) -> TopicRequirement:
     """Say what an IMU needs."""
     imu = config.imu
-    return Wish(
+    return TopicRequirement(
         role="imu",
         key="imu.topic",
         topic=imu.topic,
@@ -190,10 +190,10 @@ def imu_wish(config: Config) -> Wish:
     )
 
 
-def dvl_wish(config: Config) -> Wish:
+def dvl_requirement(config: Config) -> TopicRequirement:
     """Say what a DVL needs."""
     dvl = config.dvl
-    return Wish(
+    return TopicRequirement(
         role="dvl",
         key="dvl.topic",
         topic=dvl.topic,
@@ -211,10 +211,10 @@ def dvl_wish(config: Config) -> Wish:
     )
 
 
-def solution_wish(config: Config) -> Wish:
+def solution_requirement(config: Config) -> TopicRequirement:
     """Say what a reference solution needs."""
     reference = config.reference
-    return Wish(
+    return TopicRequirement(
         role="reference",
         key="reference.topic",
         topic=reference.topic,
@@ -228,10 +228,10 @@ def solution_wish(config: Config) -> Wish:
     )
 
 
-def fix_wish(config: Config) -> Wish:
+def fix_requirement(config: Config) -> TopicRequirement:
     """Say what a geographic position needs."""
     reference = config.reference
-    return Wish(
+    return TopicRequirement(
         role="reference",
         key="reference.fix",
         topic=reference.fix,
@@ -242,7 +242,9 @@ def fix_wish(config: Config) -> Wish:
     )
 
 
-TRUTH_WISH: Final = Wish("truth", "", None, [known_types.TRUTH], enough=[{"accel_bias", "gyro_bias"}])
+TRUTH_REQUIREMENT: Final = TopicRequirement(
+    "truth", "", None, [known_types.TRUTH], enough=[{"accel_bias", "gyro_bias"}]
+)
 """What true sensor biases need."""
 
 

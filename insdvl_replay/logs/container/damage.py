@@ -83,7 +83,7 @@ def plausible_span(first_ns: int, last_ns: int) -> Span | None:
     return (first_ns, last_ns) if first_ns > 0 and 0 <= last_ns - first_ns < _LONGEST_NS else None
 
 
-def refused(complaints: Sequence[str], saved: Iterable[TimeNs], places: str = "damaged places") -> LogError:
+def damaged_file_error(complaints: Sequence[str], saved: Iterable[TimeNs], places: str = "damaged places") -> LogError:
     """Make the error.
 
     Parameters

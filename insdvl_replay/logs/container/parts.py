@@ -12,7 +12,7 @@ from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs.container.attachments import Digest
 from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.container.damage import COPY_AGAIN, refused
+from insdvl_replay.logs.container.damage import COPY_AGAIN, damaged_file_error
 from insdvl_replay.logs.container.mapped_file import UnusableFileError
 from insdvl_replay.logs.container.mcap_file import Log
 
@@ -59,7 +59,7 @@ class Parts:
             for number, part in enumerate(self.parts)
             for channel in part.channels
         )
-        self._judge()
+        self._raise_if_damaged()
 
     def _opened(self, files: Iterable[Path]) -> Iterator[Log]:
         for file in sorted(files):
@@ -106,7 +106,7 @@ class Parts:
             for number, part in enumerate(self.parts)
             for channel_id, times in part.log_times().items()
         }
-        self._judge()
+        self._raise_if_damaged()
         return times
 
     def digests(self) -> list[Digest]:
@@ -124,7 +124,7 @@ class Parts:
         digests = digests or self.digests()
         for part, digest in zip(self.parts, digests, strict=False):
             part.sha256([digest])
-        self._judge()
+        self._raise_if_damaged()
         return hashlib.sha256("".join(digest.sha256 for digest in digests).encode()).hexdigest()
 
     @contextmanager
@@ -155,25 +155,25 @@ class Parts:
             first = number * CHANNELS_OF_A_PART
             inside = {id_ - first for id_ in channel_ids if 0 <= id_ - first < CHANNELS_OF_A_PART}
             for block in part.blocks(inside):
-                self._judge()
+                self._raise_if_damaged()
                 yield replace(block, channel_id=block.channel_id + first)
-        self._judge()
+        self._raise_if_damaged()
 
     def check_unopened(self) -> None:
         """Check the chunks that nobody needed, as `Log.check_unopened`."""
         for part in self.parts:
             part.check_unopened()
-        self._judge()
+        self._raise_if_damaged()
 
-    def refusal(self) -> LogError | None:
+    def damage_error(self) -> LogError | None:
         """Give the error with which the files would be refused, by the damage found so far."""
         complaints = [complaint for part in self.parts for complaint in part.complaints()]
         complaints += [error.message for error in self._unusable.values()]
         saved = (times for part in self.parts for times in part.saved_times())
-        return refused(complaints, saved) if complaints else None
+        return damaged_file_error(complaints, saved) if complaints else None
 
-    def _judge(self) -> None:
-        if not self.allow_damaged and (error := self.refusal()) is not None:
+    def _raise_if_damaged(self) -> None:
+        if not self.allow_damaged and (error := self.damage_error()) is not None:
             raise error
 
 

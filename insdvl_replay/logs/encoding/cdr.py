@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.errors import LogError, about
-from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.encoding.cdr_numbers import LITTLE_ENDIAN, Numbers, Places, read_bits
+from insdvl_replay.logs.container.blocks import Block, gather
+from insdvl_replay.logs.encoding.cdr_numbers import LITTLE_ENDIAN, WORD, Numbers
 from insdvl_replay.logs.encoding.field_errors import check_path
 from insdvl_replay.logs.encoding.field_paths import Columns
 from insdvl_replay.logs.encoding.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
@@ -29,8 +29,6 @@ _ENCAPSULATIONS: Final = {
     0x0A: "a big-endian XCDR2 parameter list",
     0x0B: "an XCDR2 parameter list",
 }
-_ENCAPSULATION: Final = Places(np.array([0]), np.array([2]), np.array([False]))
-"""What says how a message is written."""
 _LONGEST_PADDING: Final = 3
 
 Rows = NDArray[np.int64]
@@ -97,7 +95,7 @@ class CdrReader:
     def _check_encapsulation(self, block: Block, data: NDArray[np.uint8]) -> None:
         if np.any(block.sizes < len(ENCAPSULATION)):
             raise LogError(f"{self._place}: a message of {block.sizes.min()} bytes is no CDR", "the log is damaged")
-        kinds = read_bits(data, block.offsets, _ENCAPSULATION)
+        kinds = gather(data, block.offsets, WORD)
         wrong = kinds[kinds != LITTLE_ENDIAN]
         if wrong.size:
             second, first = divmod(int(wrong[0]), 256)
