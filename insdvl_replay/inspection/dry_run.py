@@ -128,8 +128,7 @@ class DryRun:
                 self._stopped_by(error)
                 return
             # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
-            sentence = error.message.removeprefix(f"{self.log.path}: ")
-            text = f"by the first messages alone a replay would stop: {sentence}"
+            text = f"by the first messages alone a replay would stop: {error.inside(self.log.path)}"
             self.notes.append(Note("first_messages", text, 1, "warning", _LOOK_FURTHER))
 
     def _look_at_candidate(self, source: Source) -> None:
@@ -206,8 +205,8 @@ class DryRun:
         return hint if self.deep or not _MEASURED.search(hint) else _LOOK_DEEPER
 
     def _doubt(self, topic: str, error: UserError) -> None:
-        sentence = error.message.removeprefix(f"{self.log.path}: ").removeprefix(f"{topic}: ")
-        self.notes.append(Note("candidate", f"{topic}: {sentence}", 1, "warning", self._hint(error.hint)))
+        text = f"{topic}: {error.inside(self.log.path, topic)}"
+        self.notes.append(Note("candidate", text, 1, "warning", self._hint(error.hint)))
 
     def _stopped_by(self, error: UserError) -> None:
         self.obstacles.append(Obstacle(error.message, self._hint(error.hint)))
@@ -216,8 +215,8 @@ class DryRun:
 def _has_header(channel: LogChannel) -> bool:
     """Tell whether a channel has messages with a stamp; what cannot be read is no matter where nobody needs it."""
     try:
-        check_encoding(channel, "")
-        return channel.messages > 0 and "header.stamp" in channel_paths(channel, "")
+        check_encoding(channel)
+        return channel.messages > 0 and "header.stamp" in channel_paths(channel)
     except UserError:
         return False
 

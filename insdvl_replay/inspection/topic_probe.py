@@ -163,10 +163,9 @@ def probe_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[P
 
 def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
     """Look at a topic; tell at how many fields."""
-    place = f"{log.path}: {channel.topic}"
-    check_encoding(channel, str(log.path))
+    check_encoding(channel)
     blocks = [_first_of(block) for block in islice(log.blocks({channel.id}), _BLOCKS)]
-    reader = open_reader(channel, (), place)
+    reader = open_reader(channel, ())
     # In JSON without schema only the messages tell which fields there are.
     for block in blocks[:1]:
         reader.columns(block)
@@ -175,7 +174,7 @@ def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
     # Read one by one, since one field that is not what it seems would spoil the others.
     paths = [*vector_paths(reader.known), *scalar_paths(reader.known)][: _MOST_WORK // max(len(reader.known), 1)]
     for path in paths:
-        values = _values(channel, path, blocks, place)
+        values = _values(channel, path, blocks)
         finite = values[np.isfinite(values).all(axis=1)]
         sizes = np.linalg.norm(finite, axis=1)
         if len(finite) and values.shape[1] in _WIDTHS:
@@ -191,9 +190,9 @@ def _first_of(block: Block) -> Block:
     return block.part(slice(max(1, min(_MESSAGES, within))))
 
 
-def _values(channel: LogChannel, path: str, blocks: Sequence[Block], place: str) -> Floats:
+def _values(channel: LogChannel, path: str, blocks: Sequence[Block]) -> Floats:
     paths = split_paths(path)
-    reader = open_reader(channel, paths, place)
+    reader = open_reader(channel, paths)
     parts = []
     for block in blocks:
         columns = reader.columns(block)

@@ -186,6 +186,6 @@ def test_errors_about_fields_list_those_there_are(setting: str, sentence: str, s
 def test_of_many_fields_those_named_alike_are_listed() -> None:
     known = {f"temperature_{i}": "float32" for i in range(100)} | {"gyro_rate": "float64", "note": "string"}
     with pytest.raises(LogError) as raised:
-        check_path("gyro", known, "acme/msg/Imu", "dive.mcap: /imu")
+        check_path("gyro", known, "acme/msg/Imu")
     assert "the nearest one is 'gyro_rate'" in raised.value.hint
     assert "gyro_rate (float64) and 77 more" in raised.value.hint

@@ -41,7 +41,7 @@ def serialised(pings: list[dict]) -> list[bytes]:
 
 
 def reader(*paths: str) -> CdrReader:
-    return CdrReader(parse_definitions(TYPE, TEXT), TYPE, paths, "dive.mcap: /ping")
+    return CdrReader(parse_definitions(TYPE, TEXT), TYPE, paths)
 
 
 def random_pings(count: int, labels: list[str], beams: list[int]) -> list[dict]:
@@ -93,9 +93,7 @@ def test_structure_means_all_numbers_in_it() -> None:
 def test_type_without_strings_and_sequences() -> None:
     definitions = parse_definitions("test_msgs/msg/Beam", BEAM)
     payload = b"\x00\x01\x00\x00" + b"\x07" + bytes(7) + np.float64(2.5).tobytes()
-    columns = CdrReader(definitions, "test_msgs/msg/Beam", ["velocity"], "dive.mcap: /beam").columns(
-        block_of([payload, payload])
-    )
+    columns = CdrReader(definitions, "test_msgs/msg/Beam", ["velocity"]).columns(block_of([payload, payload]))
     np.testing.assert_array_equal(columns["velocity"], [[2.5], [2.5]])
 
 
@@ -127,7 +125,7 @@ def test_other_encapsulations_are_refused_by_name(kind: int, name: str) -> None:
 @pytest.mark.parametrize("change", [lambda message: message[:-9], lambda message: message + bytes(8)])
 def test_message_that_does_not_fit_its_schema_is_refused(change) -> None:  # type: ignore[no-untyped-def]
     messages = serialised(random_pings(2, ["dvl"], [4]))
-    with pytest.raises(LogError, match=r"dive\.mcap: /ping"):
+    with pytest.raises(LogError, match="a message of"):
         reader("mode").columns(block_of([messages[0], change(messages[1])]))
 
 
@@ -144,7 +142,7 @@ def test_numbers_of_every_kind_are_read_as_by_struct_wherever_they_stand() -> No
         values = struct.unpack_from(f"<41{letter}", content, place)
         expected += [[values[0]], list(values[1:]), [values[8]]]
         place += 41 * size
-    columns = CdrReader(parse_definitions(TYPE, text), TYPE, paths, "dive.mcap: /ping").columns(
+    columns = CdrReader(parse_definitions(TYPE, text), TYPE, paths).columns(
         block_of([b"\0\1\0\0" + content[:place]] * 3)
     )
     for path, values in zip(paths, expected, strict=True):

@@ -162,7 +162,7 @@ class Cleaner:
         if not self.rows.size:
             reasons = "; ".join(note.text for note in self.notes)
             hint = f"`inspect` lists the topics; {self.role}.topic names another one"
-            raise LogError(f"{self.table.place}: no message of {self.time_ns.size} can be used: {reasons}", hint)
+            raise LogError(f"no message of {self.time_ns.size} can be used: {reasons}", hint, *self.table.where)
 
     def drop_repeated_times(self, *values: Floats) -> None:
         """Keep the first of several rows with the same time.
@@ -247,9 +247,9 @@ class Cleaner:
         )
         hint = f'{self.role}.stamp = "log_time"'
         if order.jump_s > SAME_CLOCK_S:
-            raise LogError(f"{self.table.place}: {text}; their clock was set back by {order.jump_s:.3f} s", hint)
+            raise LogError(f"{text}; their clock was set back by {order.jump_s:.3f} s", hint, *self.table.where)
         if not is_few(order.wrong.size, self.time_ns.size):
-            raise LogError(f"{self.table.place}: {text}", hint)
+            raise LogError(text, hint, *self.table.where)
         self.notes.append(
             Note(f"{self.role}_wrong_stamps", f"{self.role}: {text}; dropped", order.wrong.size, "warning", hint)
         )
@@ -259,8 +259,9 @@ class Cleaner:
         reason = "messages have the time of the one before and other values, as if several were stamped together"
         if count > MOST * good.size:
             raise LogError(
-                f"{self.table.place}: {count} of {good.size} {reason}",
+                f"{count} of {good.size} {reason}",
                 f'{self.stamp_hint}; {self.role}.stamp = "log_time" takes the recorder\'s',
+                *self.table.where,
             )
         self._keep_rows(good, "same_times", reason, "warning", self.stamp_hint)
 

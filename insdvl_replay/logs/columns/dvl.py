@@ -183,8 +183,9 @@ def _reads_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> bool:
         quantity = "beam_velocity" if kind == "beams" else "velocity"
         if quantity not in table:
             raise LogError(
-                f"{table.place}: type {table.source.type_name} has no {quantity}, and dvl.kind is '{kind}'",
+                f"type {table.source.type_name} has no {quantity}, and dvl.kind is '{kind}'",
                 f'dvl.{quantity} = "field.path" names it',
+                *table.where,
             )
         return kind == "beams"
     if "beam_velocity" not in table or "velocity" not in table:
@@ -230,8 +231,9 @@ def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, l
     vectors_d = beam_vectors(table, settings, cleaner)
     if len(vectors_d) != beam_velocity_mps.shape[1]:
         raise ConfigError(
-            f"{table.place}: has {beam_velocity_mps.shape[1]} beams, and the geometry {len(vectors_d)}",
+            f"has {beam_velocity_mps.shape[1]} beams, and the geometry {len(vectors_d)}",
             "dvl.beam_azimuth_deg lists one angle for each beam",
+            *table.where,
         )
     # A reading along a beam that is infinite is as lost as one that is NaN.
     finite = cleaner.kept(np.where(np.isfinite(beam_velocity_mps), beam_velocity_mps, np.nan))
@@ -248,8 +250,9 @@ def _beam_velocity(table: Table) -> Floats:
     valid = table.values("beam_valid")
     if valid.shape != velocity.shape:
         raise LogError(
-            f"{table.place}: has {velocity.shape[1]} beam velocities and {valid.shape[1]} flags of their validity",
+            f"has {velocity.shape[1]} beam velocities and {valid.shape[1]} flags of their validity",
             "dvl.beam_velocity and dvl.beam_valid name as many numbers",
+            *table.where,
         )
     return np.where(valid > 0.0, velocity, np.nan)
 
@@ -288,8 +291,9 @@ def _note_stuck(cleaner: Cleaner, values: Floats) -> None:
         return
     if ends[long[0]] - starts[long[0]] == times.size - 1:
         raise LogError(
-            f"{cleaner.table.place}: the values of all {times.size} pings are the same for {lengths_s.max():.1f} s",
+            f"the values of all {times.size} pings are the same for {lengths_s.max():.1f} s",
             "dvl.velocity or dvl.beam_velocity names other fields, dvl.topic another DVL",
+            *cleaner.table.where,
         )
     count = int(np.sum(ends[long] - starts[long]))
     text = f"pings stand still to the last digit for over {STUCK_S:g} s, the longest run of {lengths_s.max():.1f} s"

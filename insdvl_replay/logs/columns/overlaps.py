@@ -115,9 +115,10 @@ def raise_if_two_dives(table: Table, time_ns: TimeNs) -> None:
         own, others = (int(np.count_nonzero(rows & both & alone)) for rows in (files == file, files != file))
         if min(own, others) > max(1.0, _FEW * np.count_nonzero(both)):
             raise LogError(
-                f"{table.place}: in the {(time_ns[both][-1] - time_ns[both][0]) * 1e-9:.3f} s in which the files "
+                f"in the {(time_ns[both][-1] - time_ns[both][0]) * 1e-9:.3f} s in which the files "
                 f"overlap, {own} messages of one lie among {others} others of the same topic",
                 "name only files of one dive that follow one another, or replay each alone, without --one-dive",
+                *table.where,
             )
 
 

@@ -97,7 +97,7 @@ def _keep_latitudes(position: Floats, cleaner: Cleaner) -> None:
     possible = ~(np.abs(position[:, 0]) > np.pi / 2.0)
     count, hint = int(np.count_nonzero(~possible)), "reference.angle_unit, or reference.latitude names another field"
     if not is_few(count, possible.size):
-        raise LogError(f"{cleaner.table.place}: {count} of {possible.size} latitudes are beyond the poles", hint)
+        raise LogError(f"{count} of {possible.size} latitudes are beyond the poles", hint, *cleaner.table.where)
     cleaner.keep_possible(possible, "latitudes are beyond the poles", hint)
 
 

@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.errors import LogError, listed, nearest
+from insdvl_replay.core.errors import LogError, error_context, listed, nearest
 from insdvl_replay.logs.columns.topic_requirements import (
     TRUTH_REQUIREMENT,
     Source,
@@ -63,11 +63,11 @@ def assign_roles(place: str, channels: Sequence[LogChannel], config: Config) -> 
         is not known and the configuration does not say where its fields are, or its messages are not ROS 2's.
     """
     topics = _Topics(place, channels)
-    imu = topics.need(imu_requirement(config))
-    dvl = topics.need(dvl_requirement(config))
-    references = _references(topics, config, dvl.topic)
-    truth = topics.find(TRUTH_REQUIREMENT)
-    return Roles(imu, dvl, references, truth)
+    with error_context(place):
+        imu = topics.need(imu_requirement(config))
+        dvl = topics.need(dvl_requirement(config))
+        references = _references(topics, config, dvl.topic)
+        return Roles(imu, dvl, references, topics.find(TRUTH_REQUIREMENT))
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,8 @@ def _explained(
     topics: "_Topics", required: TopicRequirement, look: Callable[[], tuple[Source, ...]], besides: str = ""
 ) -> Finding:
     try:
-        sources = look()
+        with error_context(topics.place):
+            sources = look()
     except LogError as error:
         candidates = tuple(topics.alternatives(required, besides))
         reason = "see what stops a replay"
@@ -154,7 +155,7 @@ class _Topics:
     """The topics of a log that have messages."""
 
     def __init__(self, place: str, channels: Sequence[LogChannel]) -> None:
-        self._place = place
+        self.place = place
         self._channels: dict[str, list[LogChannel]] = {}
         for channel in channels:
             if channel.messages:
@@ -175,7 +176,7 @@ class _Topics:
 
     def _lacks(self, required: TopicRequirement) -> LogError:
         """Say that no topic plays a role, and which might have."""
-        lack = f"{self._place}: has no {required.role.upper()}"
+        lack = f"has no {required.role.upper()}"
         if not self._channels:
             return LogError(f"{lack}: it has no messages at all", self._nothing_recorded())
         wanted = ", ".join(type_name for types in required.by_type for type_name in types)
@@ -198,7 +199,7 @@ class _Topics:
 
     def source(self, required: TopicRequirement, topic: str) -> Source:
         """Make a topic the source of a role."""
-        return required.source(topic, self._channels_of(topic, required.key), self._place)
+        return required.source(topic, self._channels_of(topic, required.key))
 
     def candidates(self, required: TopicRequirement, besides: str) -> list[str]:
         """Name the topics of the first group of types that the log has, the better types first."""
@@ -232,9 +233,7 @@ class _Topics:
         if len(candidates) > 1:
             named = " or ".join(f'{required.key} = "{topic}"' for topic in candidates)
             hint = named if required.key else "keep one of them"
-            raise LogError(
-                f"{self._place}: {' and '.join(candidates)} could each be the {required.key or required.role}", hint
-            )
+            raise LogError(f"{' and '.join(candidates)} could each be the {required.key or required.role}", hint)
         return next(iter(candidates), None)
 
     def _channels_of(self, topic: str, key: str) -> list[LogChannel]:
@@ -243,7 +242,7 @@ class _Topics:
             there_are = f"those with messages are {listed(sorted(self._channels))}"
             hint = there_are if self._channels else self._nothing_recorded()
             raise LogError(
-                f"{self._place}: has no messages on topic '{topic}' ({key})",
+                f"has no messages on topic '{topic}' ({key})",
                 f'the nearest is {key} = "{meant}"' if meant else hint,
             )
         return self._channels[topic]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import NS_PER_S
-from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.logs.columns.overlaps import merge_channels
 from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table, stamp_path
 from insdvl_replay.logs.columns.topic_requirements import Source
@@ -30,6 +30,11 @@ _HOPELESS: Final = 1000
 class PartialDecoder:
     """Reads what can be read of a topic, and remembers the rest.
 
+    Parameters
+    ----------
+    where : (str, str)
+        File and topic, for messages to the user.
+
     Attributes
     ----------
     readable : int
@@ -40,6 +45,7 @@ class PartialDecoder:
         What is wrong with the first of them.
     """
 
+    where: tuple[str, str]
     readable: int = 0
     unreadable_ns: list[int] = field(default_factory=list)
     error: LogError | None = None
@@ -65,7 +71,8 @@ class PartialDecoder:
             Most messages cannot be read.
         """
         try:
-            columns = reader.columns(block)
+            with error_context(*self.where):
+                columns = reader.columns(block)
         except LogError as error:
             yield from self._halves(reader, block, error)
             return
@@ -218,11 +225,12 @@ class _Builder:
     readers: dict[int, FieldReader] = field(init=False)
     buffers: dict[str, ColumnBuffer] = field(init=False)
     runs: list[tuple[int, int]] = field(default_factory=list)
-    decoder: PartialDecoder = field(default_factory=PartialDecoder)
+    decoder: PartialDecoder = field(init=False)
     has_whole_times: bool = False
 
     def __post_init__(self) -> None:
-        self.place = f"{self.log.path}: {self.source.topic}"
+        self.where = (str(self.log.path), self.source.topic)
+        self.decoder = PartialDecoder(self.where)
         fields = (path for paths in self.source.fields.values() for path in split_paths(paths))
         paths = dict.fromkeys([stamp_path(self.source.stamp), "log_time", *fields])
         announced = sum(channel.messages for channel in self.source.channels)
@@ -230,7 +238,8 @@ class _Builder:
         self.readers = {channel.id: self._reader(channel) for channel in self.source.channels}
 
     def _reader(self, channel: LogChannel) -> FieldReader:
-        return open_reader(channel, [path for path in self.buffers if path not in RECORDER_STAMPS], self.place)
+        with error_context(*self.where):
+            return open_reader(channel, [path for path in self.buffers if path not in RECORDER_STAMPS])
 
     def add(self, block: Block) -> None:
         """Read a block if it is of this topic."""
@@ -255,12 +264,11 @@ class _Builder:
         """Give what has been read."""
         unreadable, error = tuple(self.decoder.unreadable_ns), self.decoder.error
         if not all(self.buffers.values()):
-            raise error or LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
+            raise error or LogError("has no messages", "the counts in the log's summary are wrong", *self.where)
         read = {path: column.rows() for path, column in self.buffers.items()}
         columns, channel_ids, repeats = merge_channels(read, self.runs)
-        fault = error.message if error else ""
         known, files = next(iter(self.readers.values())).known, _files_of(channel_ids)
-        table = Table(self.place, self.source, columns, unreadable, fault, repeats, known, files, self.has_whole_times)
+        table = Table(self.where, self.source, columns, unreadable, error, repeats, known, files, self.has_whole_times)
         if unreadable and not self.log.allow_damaged:
             raise table.damage_error()
         return table

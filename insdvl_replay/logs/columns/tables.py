@@ -26,14 +26,14 @@ class Table:
 
     Attributes
     ----------
-    place : str
+    where : (str, str)
         File and topic, for messages to the user.
     source : Source
     columns : dict of str to ndarray, shape (k, n)
         By field path; ``log_time`` and ``publish_time`` are the recorder's.
     unreadable_ns : tuple of int
         Log times of messages that are left out because they do not fit their schema.
-    fault : str
+    fault : LogError or None
         What is wrong with the first of these.
     repeats : int
         Messages that are left out because another channel or file holds them too.
@@ -45,11 +45,11 @@ class Table:
         Whether the stamps were seconds and nanoseconds. Their column is nanoseconds, which takes half the memory.
     """
 
-    place: str
+    where: tuple[str, str]
     source: Source
     columns: Columns
     unreadable_ns: tuple[int, ...] = ()
-    fault: str = ""
+    fault: LogError | None = None
     repeats: int = 0
     known: Kinds = field(default_factory=dict)
     files: NDArray[np.int64] | None = None
@@ -87,8 +87,9 @@ class Table:
         values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
         if width is not None and values.shape[1] != width:
             raise LogError(
-                f"{self.place}: field '{path}' holds {values.shape[1]} numbers where {width} are needed",
+                f"field '{path}' holds {values.shape[1]} numbers where {width} are needed",
                 f"{self.source.role}.{quantity} must name {width} numbers; {fields_hint(self.known, path)}",
+                *self.where,
             )
         return values
 
@@ -127,8 +128,9 @@ class Table:
         time_ns = self.columns[stamp][:, 0] if stamp in RECORDER_STAMPS else self._stamped(stamp_path(stamp))
         if time_ns.size > 1 and time_ns.min() == time_ns.max():
             raise LogError(
-                f"{self.place}: stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages",
+                f"stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages",
                 f'{self.source.role}.stamp = "log_time"',
+                *self.where,
             )
         latency_ns = nanoseconds(self.source.latency_s)
         return time_ns - latency_ns if latency_ns else time_ns
@@ -157,7 +159,8 @@ class Table:
 
     def damage_error(self) -> LogError:
         """Give the error with which a log is refused of which messages cannot be read."""
-        return damaged_file_error([self.fault] * len(self.unreadable_ns), [self.columns["log_time"][:, 0]], "messages")
+        faults = [self.fault] * len(self.unreadable_ns) if self.fault else []
+        return damaged_file_error(faults, [self.columns["log_time"][:, 0]], "messages")
 
     def _stamped(self, path: str) -> TimeNs:
         values = self.columns[path]
@@ -165,13 +168,15 @@ class Table:
             return values[:, 0]
         if values.shape[1] != 1:
             raise LogError(
-                f"{self.place}: field '{path}' holds {values.shape[1]} numbers and is no time",
+                f"field '{path}' holds {values.shape[1]} numbers and is no time",
                 f"{self.source.role}.stamp names a builtin_interfaces/Time or one number",
+                *self.where,
             )
         if not np.isfinite(values).all():
             raise LogError(
-                f"{self.place}: stamp '{path}' is no number in {np.count_nonzero(~np.isfinite(values))} messages",
+                f"stamp '{path}' is no number in {np.count_nonzero(~np.isfinite(values))} messages",
                 f'{self.source.role}.stamp = "log_time"',
+                *self.where,
             )
         counted = values[:, 0] * stamp_unit(values[:, 0], self.columns["log_time"][:, 0])[0]
         return counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
@@ -229,12 +234,12 @@ def _missing_note(table: Table) -> Note | None:
 
 def _unreadable_note(table: Table) -> Note | None:
     count = len(table.unreadable_ns)
-    if not count:
+    if not count or table.fault is None:
         return None
     behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9
     text = (
         f"{table.source.topic}: {count} messages cannot be read and are left out, the first {behind_s.min():.3f} s and "
-        f"the last {behind_s.max():.3f} s behind the first that can: {table.fault}"
+        f"the last {behind_s.max():.3f} s behind the first that can: {table.fault.message}"
     )
     return Note("messages_unreadable", text, count, "warning", COPY_AGAIN)
 

@@ -7,7 +7,7 @@ from typing import Any, Final, TypeVar
 import msgspec
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.logs.columns import known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
 from insdvl_replay.logs.container.channel import LogChannel
@@ -121,7 +121,7 @@ class TopicRequirement:
         groups = (*self.by_type, self.if_named)
         return next((types[type_name] for types in groups if type_name in types), None)
 
-    def source(self, topic: str, channels: Sequence[LogChannel], place: str) -> Source:
+    def source(self, topic: str, channels: Sequence[LogChannel]) -> Source:
         """Make a topic the source of the role.
 
         Parameters
@@ -129,8 +129,6 @@ class TopicRequirement:
         topic : str
         channels : sequence of LogChannel
             Those of the topic that have messages.
-        place : str
-            The file, for messages to the user.
 
         Returns
         -------
@@ -143,27 +141,28 @@ class TopicRequirement:
             are, or the schema lacks them.
         """
         for channel in channels:
-            check_encoding(channel, place)
+            check_encoding(channel)
         type_name = channels[0].type_name
-        paths = channel_paths(channels[0], f"{place}: {topic}")
+        with error_context(topic):
+            paths = channel_paths(channels[0])
         known = self.known(type_name) or KnownType({})
         fields = {**_present(known.fields, paths), **{name: path for name, path in self.paths.items() if path}}
-        self._refuse_parts(f"{place}: topic '{topic}'", fields)
+        self._refuse_parts(topic, fields)
         if not any(quantities <= fields.keys() for quantities in self.enough):
             reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
             if known.fields:
                 reason = f"is of type {type_name}, and its schema lacks some of {', '.join(known.fields.values())}"
-            raise LogError(f"{place}: topic '{topic}' {reason}", self.how_to_name())
+            raise LogError(f"topic '{topic}' {reason}", self.how_to_name())
         stamp = self.stamp or _stamp(known.stamp, paths)
         return Source(self.role, topic, type_name, tuple(channels), fields, stamp, self.latency_s, known.conventions)
 
-    def _refuse_parts(self, place: str, fields: Fields) -> None:
+    def _refuse_parts(self, topic: str, fields: Fields) -> None:
         """Refuse quantities that say nothing without another one."""
         given = {quantity.removesuffix(BOW_DOWN) for quantity in fields}
         for quantities in self.together:
             if (lacking := sorted(quantities - given)) and (alone := sorted(quantities & given)):
                 missing = f'{self.role}.{lacking[0]} = "field.path"'
-                raise LogError(f"{place} gives {' and '.join(alone)} without {' and '.join(lacking)}", missing)
+                raise LogError(f"topic '{topic}' gives {' and '.join(alone)} without {' and '.join(lacking)}", missing)
 
     def how_to_name(self) -> str:
         """Say which keys lead to a topic of an unknown type."""

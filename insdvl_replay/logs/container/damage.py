@@ -83,13 +83,13 @@ def plausible_span(first_ns: int, last_ns: int) -> Span | None:
     return (first_ns, last_ns) if first_ns > 0 and 0 <= last_ns - first_ns < _LONGEST_NS else None
 
 
-def damaged_file_error(complaints: Sequence[str], saved: Iterable[TimeNs], places: str = "damaged places") -> LogError:
-    """Make the error.
+def damaged_file_error(faults: Sequence[LogError], saved: Iterable[TimeNs], places: str = "damaged places") -> LogError:
+    """Make the error with which a damaged log is refused: where it is damaged, and what could be saved.
 
     Parameters
     ----------
-    complaints : sequence of str
-        One sentence for each fault.
+    faults : sequence of LogError
+        At least one; the first is told, the others are counted.
     saved : iterable of ndarray, shape (k,)
         Log times of all messages that can be read, ns.
     places : str
@@ -99,10 +99,11 @@ def damaged_file_error(complaints: Sequence[str], saved: Iterable[TimeNs], place
     -------
     LogError
     """
-    more = f" ({len(complaints) - 1} more {places})" if len(complaints) > 1 else ""
+    first, *others = faults
+    what = f"{first.what} ({len(others)} more {places})" if others else first.what
     times = np.concatenate([np.empty(0, np.int64), *saved])
-    if not times.size:
-        return LogError(f"{complaints[0]}{more}", "no message in it can be read; copy it again from the recorder")
-    span_s = float(seconds(times.max(), int(times.min())))
-    hint = f"--allow-damaged uses the {span_s:.1f} s and {times.size} messages that can be read"
-    return LogError(f"{complaints[0]}{more}", hint)
+    hint = "no message in it can be read; copy it again from the recorder"
+    if times.size:
+        span_s = float(seconds(times.max(), int(times.min())))
+        hint = f"--allow-damaged uses the {span_s:.1f} s and {times.size} messages that can be read"
+    return LogError(what, hint, *first.where)

@@ -70,7 +70,7 @@ class MappedFile:
                 raise
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else str(error)
-            raise LogError(f"{path}: cannot be read: {reason}", "check the path") from error
+            raise LogError(f"cannot be read: {reason}", "check the path", path) from error
         self.data = memoryview(self._map)
         address = np.frombuffer(self._map, np.uint8).ctypes.data
         weakref.finalize(self, forget, keep_readable(address, len(self._map), self._descriptor))
@@ -79,10 +79,10 @@ class MappedFile:
         if stat.S_ISDIR(self._before.st_mode):
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         if not stat.S_ISREG(self._before.st_mode):
-            raise LogError(f"{self.path}: is a pipe or a device, not a file", "write it to a file, and name that")
+            raise LogError("is a pipe or a device, not a file", "write it to a file, and name that", self.path)
         if not self._before.st_size:
             hint = "the recording never began, or the copy failed"
-            raise UnusableFileError(f"{self.path}: is empty (0 bytes)", hint)
+            raise UnusableFileError("is empty (0 bytes)", hint, self.path)
 
     def reopened(self) -> FileIO:
         """Give the same file for reading from its start to its end, once at a time, whatever bears its name by now."""
@@ -104,7 +104,7 @@ class MappedFile:
             It was written to, cut, replaced or removed since it was opened.
         """
         if change := self._change():
-            raise ChangedLogError(f"{self.path}: {change} while it was read", _HINT)
+            raise ChangedLogError(f"{change} while it was read", _HINT, self.path)
 
     @contextmanager
     def watched(self) -> Iterator[None]:
@@ -177,6 +177,6 @@ def _goes_on_like_mcap(data: memoryview) -> bool:
 def _not_mcap(path: Path, start: bytes) -> LogError:
     for magic, (name, hint) in _OTHER_FORMATS.items():
         if start.startswith(magic):
-            return LogError(f"{path}: is {name}, not an MCAP file", hint.format(path=path))
+            return LogError(f"is {name}, not an MCAP file", hint.format(path=path), path)
     found = start[:8].hex(" ")
-    return UnusableFileError(f"{path}: is not an MCAP file: it starts with bytes '{found}'", "name an .mcap file")
+    return UnusableFileError(f"is not an MCAP file: it starts with bytes '{found}'", "name an .mcap file", path)

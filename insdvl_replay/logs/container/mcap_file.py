@@ -268,9 +268,9 @@ class Log:
         self._raise_if_damaged()
         return {channel_id: np.concatenate(times) for channel_id, times in parts.items()}
 
-    def complaints(self) -> list[str]:
-        """Give a sentence for each damaged place found so far."""
-        return [f"{self.path}: is damaged at byte {one.offset}: {one.found}" for one in self._index.damages]
+    def faults(self) -> list[LogError]:
+        """Give an error for each damaged place found so far."""
+        return [LogError(f"is damaged at byte {one.offset}: {one.found}", "", self.path) for one in self._index.damages]
 
     def saved_times(self) -> Iterator[TimeNs]:
         """Read all that can be read and give the log times, a block of messages at a time; ns."""
@@ -280,8 +280,8 @@ class Log:
 
     def damage_error(self) -> LogError | None:
         """Give the error with which the file would be refused, by the damage found so far."""
-        complaints = self.complaints()
-        return damaged_file_error(complaints, self.saved_times()) if complaints else None
+        faults = self.faults()
+        return damaged_file_error(faults, self.saved_times()) if faults else None
 
     def _raise_if_damaged(self) -> None:
         if not self.allow_damaged and (error := self.damage_error()) is not None:

@@ -167,10 +167,9 @@ class Parts:
 
     def damage_error(self) -> LogError | None:
         """Give the error with which the files would be refused, by the damage found so far."""
-        complaints = [complaint for part in self.parts for complaint in part.complaints()]
-        complaints += [error.message for error in self._unusable.values()]
+        faults = [*(fault for part in self.parts for fault in part.faults()), *self._unusable.values()]
         saved = (times for part in self.parts for times in part.saved_times())
-        return damaged_file_error(complaints, saved) if complaints else None
+        return damaged_file_error(faults, saved) if faults else None
 
     def _raise_if_damaged(self) -> None:
         if not self.allow_damaged and (error := self.damage_error()) is not None:
@@ -181,7 +180,7 @@ def _sha256(file: Path) -> str:
     try:
         return hashlib.sha256(file.read_bytes()).hexdigest()
     except OSError as error:
-        raise LogError(f"{file}: cannot be read any more: {error.strerror}", "read a copy of the recording") from error
+        raise LogError(f"cannot be read any more: {error.strerror}", "read a copy of the recording", file) from error
 
 
 def _start(part: Log) -> tuple[float, str]:

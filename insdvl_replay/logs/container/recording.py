@@ -48,9 +48,9 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
         _require_all(path / METADATA, parts, found)
     for packed in sorted(path.glob(f"*.mcap{_PACKED}")):
         if packed.with_suffix("") not in parts:
-            raise LogError(f"{packed}: is compressed as a whole with zstd", f"`zstd -d {packed}` unpacks it")
+            raise LogError("is compressed as a whole with zstd", f"`zstd -d {packed}` unpacks it", packed)
     if not parts:
-        raise LogError(f"{path}: is a folder without .mcap files", "name a log, or a folder with the parts of one")
+        raise LogError("is a folder without .mcap files", "name a log, or a folder with the parts of one", path)
     return parts
 
 
@@ -69,14 +69,16 @@ def _require_all(metadata: Path, parts: tuple[Path, ...], found: list[Path]) -> 
     for part in parts:
         if not _is_file(part):
             raise LogError(
-                f"{metadata}: lists {part.name}, which is not there",
+                f"lists {part.name}, which is not there",
                 f"copy the whole bag, or read the parts that are there: {_by_name(metadata)}",
+                metadata,
             )
     for other in found:
         if other not in parts:
             raise LogError(
-                f"{metadata}: does not list {other.name}, which lies beside the parts of the bag",
+                f"does not list {other.name}, which lies beside the parts of the bag",
                 f"move it away, or read all .mcap files of the folder: {_by_name(metadata)}",
+                metadata,
             )
 
 
@@ -109,16 +111,16 @@ def _listed(metadata: Path) -> list[str] | None:
     try:
         text, yaml = read_text(metadata), YAML(typ="safe", pure=True)
         if not _is_plain(yaml.parse(text)):
-            raise LogError(f"{metadata}: has aliases or deep nesting, which no recorder writes", by_name)
+            raise LogError("has aliases or deep nesting, which no recorder writes", by_name, metadata)
         content: Any = yaml.load(text)
     except OSError as error:
-        raise LogError(f"{metadata}: cannot be read: {error.strerror}", by_name) from error
+        raise LogError(f"cannot be read: {error.strerror}", by_name, metadata) from error
     except (YAMLError, ValueError, RecursionError) as error:  # also a day or a number that cannot be
-        raise LogError(f"{metadata}: is no YAML", by_name) from error
+        raise LogError("is no YAML", by_name, metadata) from error
     information = content.get(_INFORMATION) if isinstance(content, dict) else None
     names = information.get("relative_file_paths") if isinstance(information, dict) else None
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise LogError(f"{metadata}: lists no files", by_name)
+        raise LogError("lists no files", by_name, metadata)
     return names
 
 

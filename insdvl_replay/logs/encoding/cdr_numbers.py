@@ -113,7 +113,7 @@ def _structure(part: dict[int, _Leaf], end: int) -> tuple[int, np.dtype[np.void]
 
 def _side_by_side(parts: Iterable[NDArray[Any]], count: int) -> NDArray[Any]:
     """Set numbers side by side, shape (k, n), as integers if all are whole."""
-    columns = [_numbers(part.reshape(count, -1)) for part in parts]
+    columns = [_numbers(part if part.ndim > 1 else part[:, None]) for part in parts]
     if not columns:
         return np.empty((count, 0), np.int64)
     dtype = np.dtype(np.int64 if all(column.dtype.kind in "iu" for column in columns) else np.float64)

@@ -10,14 +10,14 @@ _LISTED: Final = 24
 """Fields that an error lists at most."""
 
 
-def check_path(path: str, known: Kinds, type_name: str, place: str) -> None:
+def check_path(path: str, known: Kinds, type_name: str) -> None:
     """Refuse a path that a type does not know, or at which there are no numbers.
 
     Parameters
     ----------
     path : str
     known : mapping of str to str
-    type_name, place : str
+    type_name : str
         For messages to the user.
 
     Raises
@@ -29,13 +29,9 @@ def check_path(path: str, known: Kinds, type_name: str, place: str) -> None:
     if kind is None:
         meant = nearest(path, known)
         hint = fields_hint(known, path)
-        raise LogError(
-            f"{place}: {type_name} has no field '{path}'", f"the nearest one is '{meant}'; {hint}" if meant else hint
-        )
+        raise LogError(f"{type_name} has no field '{path}'", f"the nearest one is '{meant}'; {hint}" if meant else hint)
     if kind in TEXTS:
-        raise LogError(
-            f"{place}: field '{path}' of {type_name} is text", f"name one of numbers; {fields_hint(known, path)}"
-        )
+        raise LogError(f"field '{path}' of {type_name} is text", f"name one of numbers; {fields_hint(known, path)}")
 
 
 def fields_hint(known: Kinds, path: str) -> str:

@@ -41,8 +41,6 @@ class JsonReader:
         A JSON schema; may be empty, then the first messages tell which fields there are.
     paths : sequence of str
         The fields, as `field_paths` says.
-    place : str
-        File and topic, for messages to the user.
 
     Raises
     ------
@@ -50,11 +48,10 @@ class JsonReader:
         The schema is no JSON.
     """
 
-    def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str], place: str) -> None:
+    def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str]) -> None:
         self._type_name = type_name or "a JSON message"
-        self._place = place
         self._paths = tuple(paths)
-        self._shape = json_shape(schema_data, place)
+        self._shape = json_shape(schema_data)
         self.known = dict(known_paths(self._shape))
         self._numbers: dict[str, Numbers] = {}
         self._decode = msgspec.json.Decoder().decode
@@ -88,7 +85,7 @@ class JsonReader:
             self._shape = _merged(self._shape, _shape_of(message))
         self.known = dict(known_paths(self._shape))
         for path in self._paths:
-            check_path(path, self.known, self._type_name, self._place)
+            check_path(path, self.known, self._type_name)
         self._numbers = {path: numbers_at(path, self._shape, _access) for path in self._paths}
 
     def _decoded(self, block: Block) -> list[Any]:
@@ -98,21 +95,19 @@ class JsonReader:
                 messages.append(self._decode(block.buffer[offset : offset + size]))
             except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
                 raise LogError(
-                    f"{self._place}: a message of {size} bytes is no JSON: {error}",
+                    f"a message of {size} bytes is no JSON: {error}",
                     "JSON knows no NaN and no infinity; a recorder must write null",
                 ) from error
         return messages
 
 
-def json_shape(schema_data: bytes, place: str) -> Shape:
+def json_shape(schema_data: bytes) -> Shape:
     """Describe messages by their JSON schema, as far as it tells.
 
     Parameters
     ----------
     schema_data : bytes
         May be empty.
-    place : str
-        File and topic, for messages to the user.
 
     Returns
     -------
@@ -128,7 +123,7 @@ def json_shape(schema_data: bytes, place: str) -> Shape:
     try:
         schema = msgspec.json.decode(schema_data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LogError(f"{place}: the JSON schema is no JSON: {error}", "a schema may also be left out") from error
+        raise LogError(f"the JSON schema is no JSON: {error}", "a schema may also be left out") from error
     described = _shape_by(schema)
     return described if described.kind == _STRUCTURE else Shape(_STRUCTURE)
 
