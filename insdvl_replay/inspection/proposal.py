@@ -24,7 +24,7 @@ from insdvl_replay.inspection.reference_proposal import reference_settings, refe
 from insdvl_replay.inspection.stamp_proposal import recorder_stamps
 from insdvl_replay.inspection.topic_probe import ProbedTopic, probe_topics
 from insdvl_replay.logs.columns.clocks import clock_notes
-from insdvl_replay.logs.columns.roles import Finding, explain_roles
+from insdvl_replay.logs.columns.roles import Finding, find_roles
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.recording import Recording
 
@@ -80,7 +80,7 @@ def propose(
     settings = [*_choices(findings), *not_yet_set(fields, config)]
     settings += _judged(log, with_settings(config, settings), settings, deep=deep)
     draft = with_settings(config, settings)
-    found = explain_roles(str(log.path), log.channels, draft)
+    found = find_roles(str(log.path), log.channels, draft)
     settings += _start(found, draft.initial)
     last = DryRun(log, with_settings(config, settings), deep=False)
     last.examine(found)
@@ -134,28 +134,28 @@ def _named(seen: Sequence[ProbedTopic], topic: str | None) -> Sequence[ProbedTop
 
 def _judged(log: Recording, config: Config, settings: Sequence[Setting], *, deep: bool) -> list[Setting]:
     """Judge units, axes and clocks by what the messages show, read as proposed so far."""
-    findings = explain_roles(str(log.path), log.channels, config)
+    findings = find_roles(str(log.path), log.channels, config)
     seen = DryRun(log, config, deep)
     seen.examine(findings)
     named = {setting.key for setting in settings}
     judged = _stamps(log, findings, seen.clocks, config)
-    if seen.imu is not None:
+    if seen.columns.imu is not None:
         (source,) = findings[0].sources
-        found = list(_judged_imu(seen, seen.imu, source))
+        found = list(_judged_imu(seen, seen.columns.imu, source))
         judged += found if "imu.angular_rate" in named else _worth_saying(found, source.topic)
-    if "dvl.velocity" in named and len(seen.dvl.time_ns):
-        judged += judged_dvl(seen.dvl, seen.solution, config)
+    if "dvl.velocity" in named and len(seen.columns.dvl.time_ns):
+        judged += judged_dvl(seen.columns.dvl, seen.columns.reference, config)
     return judged
 
 
 def _judged_imu(seen: DryRun, imu: ImuColumns, source: Source) -> Iterator[Setting]:
-    scale = gyro_scale(imu, seen.dvl, seen.solution, seen.config)
+    scale = gyro_scale(imu, seen.columns.dvl, seen.columns.reference, seen.config)
     settings = source.completed(seen.config.imu)
-    judged = judged_imu(imu, settings, seen.solution, scale)
+    judged = judged_imu(imu, settings, seen.columns.reference, scale)
     yield from judged
     if seen.deep:
         turned = judged_rates(imu, settings, judged)
-        yield from measured_scale(settings, gyro_scale(turned, seen.dvl, seen.solution, seen.config))
+        yield from measured_scale(settings, gyro_scale(turned, seen.columns.dvl, seen.columns.reference, seen.config))
 
 
 def _worth_saying(judged: Sequence[Setting], topic: str) -> list[Setting]:

@@ -15,7 +15,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
 from insdvl_replay.inspection.proposal import propose
-from insdvl_replay.logs.columns.roles import Finding, explain_roles
+from insdvl_replay.logs.columns.roles import Finding, find_roles
 from insdvl_replay.logs.container.channel import LogChannel
 from insdvl_replay.logs.container.recording import Recording, open_recording
 
@@ -52,7 +52,7 @@ def survey_log(
 
 
 def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool) -> Inventory:
-    findings = explain_roles(str(log.path), log.channels, config)
+    findings = find_roles(str(log.path), log.channels, config)
     seen = DryRun(log, config, deep)
     seen.examine(findings)
     sources = [source for finding in findings for source in (*finding.sources, *finding.candidates)]

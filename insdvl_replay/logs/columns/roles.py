@@ -19,60 +19,8 @@ from insdvl_replay.logs.container.channel import LogChannel
 
 
 @dataclass(frozen=True)
-class Roles:
-    """The topics that are read.
-
-    Attributes
-    ----------
-    imu, dvl : Source
-    references : tuple of Source
-        None, one, or two of which the second gives the position.
-    truth : Source or None
-        True sensor biases.
-    """
-
-    imu: Source
-    dvl: Source
-    references: tuple[Source, ...]
-    truth: Source | None
-
-    @property
-    def sources(self) -> tuple[Source, ...]:
-        """All topics that are read."""
-        return (self.imu, self.dvl, *self.references, *((self.truth,) if self.truth else ()))
-
-
-def assign_roles(place: str, channels: Sequence[LogChannel], config: Config) -> Roles:
-    """Find the topic for each role.
-
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-    channels : sequence of LogChannel
-    config : Config
-
-    Returns
-    -------
-    Roles
-
-    Raises
-    ------
-    LogError
-        No topic is an IMU or a DVL, several are and the configuration names none, a named topic is not there, its type
-        is not known and the configuration does not say where its fields are, or its messages are not ROS 2's.
-    """
-    topics = _Topics(place, channels)
-    with error_context(place):
-        imu = topics.need(imu_requirement(config))
-        dvl = topics.need(dvl_requirement(config))
-        references = _references(topics, config, dvl.topic)
-        return Roles(imu, dvl, references, topics.find(TRUTH_REQUIREMENT))
-
-
-@dataclass(frozen=True)
 class Finding:
-    """What was found for one role, for a person who asks.
+    """What was found for one role.
 
     Attributes
     ----------
@@ -94,8 +42,8 @@ class Finding:
     candidates: tuple[Source, ...] = ()
 
 
-def explain_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tuple[Finding, ...]:
-    """Find the topic for each role as `assign_roles` does, but go on where it would stop, and say why.
+def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tuple[Finding, ...]:
+    """Find the topic for each role.
 
     Parameters
     ----------
@@ -107,7 +55,9 @@ def explain_roles(place: str, channels: Sequence[LogChannel], config: Config) ->
     Returns
     -------
     tuple of Finding
-        IMU, DVL, reference, and truth where the log has it.
+        IMU, DVL, reference, and truth where the log has it. One has an error where no topic is an IMU or a DVL, several
+        are and the configuration names none, a named topic is not there, its type is not known and the configuration
+        does not say where its fields are, or its messages cannot be read.
     """
     topics = _Topics(place, channels)
     imu = _explained(topics, imu_requirement(config), lambda: (topics.need(imu_requirement(config)),))

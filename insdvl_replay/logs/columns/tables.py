@@ -13,8 +13,7 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs.columns.clocks import measure_clock, stamp_unit
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.damage import COPY_AGAIN, damaged_file_error
-from insdvl_replay.logs.encoding.field_errors import fields_hint
-from insdvl_replay.logs.encoding.field_paths import Columns, Kinds, split_paths
+from insdvl_replay.logs.encoding.field_paths import Columns, Kinds, fields_hint, split_paths
 
 RECORDER_STAMPS: Final = ("log_time", "publish_time")
 """Stamps that stand in no message."""

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.container.blocks import Block, gather
 from insdvl_replay.logs.encoding.cdr_numbers import LITTLE_ENDIAN, WORD, Numbers
-from insdvl_replay.logs.encoding.field_errors import check_path
-from insdvl_replay.logs.encoding.field_paths import Columns
+from insdvl_replay.logs.encoding.field_paths import Columns, check_path
 from insdvl_replay.logs.encoding.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
 from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES, Definition, full_name
 

@@ -7,7 +7,8 @@ from typing import Final
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.container.channel import LogChannel
 from insdvl_replay.logs.encoding.cdr import CdrReader, cdr_paths
-from insdvl_replay.logs.encoding.field_paths import FieldReader, Kinds, known_paths
+from insdvl_replay.logs.encoding.decoded_fields import known_paths
+from insdvl_replay.logs.encoding.field_paths import FieldReader, Kinds
 from insdvl_replay.logs.encoding.json_fields import JsonReader, json_shape
 from insdvl_replay.logs.encoding.protobuf_fields import ProtobufReader, protobuf_shape
 from insdvl_replay.logs.encoding.ros2msg import Definition, definition_text, full_name, parse_definitions

@@ -13,23 +13,11 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.encoding.field_errors import check_path
-from insdvl_replay.logs.encoding.field_paths import (
-    MOST_LEVELS,
-    MOST_PATHS,
-    NUMBER,
-    TEXT,
-    Columns,
-    Shape,
-    known_paths,
-    numbers_at,
-    rows_as_columns,
-    too_large,
-)
+from insdvl_replay.logs.encoding.decoded_fields import DecodedFields, Shape
+from insdvl_replay.logs.encoding.field_paths import MOST_LEVELS, MOST_PATHS, NUMBER, TEXT, too_large
 
 
-class ProtobufReader:
+class ProtobufReader(DecodedFields):
     """Reads some fields of all messages of one type.
 
     Parameters
@@ -48,49 +36,19 @@ class ProtobufReader:
     """
 
     def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str]) -> None:
-        self._type_name = type_name
-        self._message_class = _message_class(type_name, schema_data)
-        shape = protobuf_shape(type_name, schema_data)
-        self.known = dict(known_paths(shape))
-        for path in paths:
-            check_path(path, self.known, type_name)
-        self._numbers = {path: numbers_at(path, shape, _access) for path in paths}
+        parse = _message_class(type_name, schema_data).FromString
 
-    def columns(self, block: Block) -> Columns:
-        """Read the fields of all messages of a block.
-
-        Parameters
-        ----------
-        block : Block
-
-        Returns
-        -------
-        dict of str to ndarray, shape (k, n)
-            By path. A structure that a message lacks is NaN; a lone number that it lacks has its default, as in every
-            protobuf decoder.
-
-        Raises
-        ------
-        LogError
-            A message cannot be decoded.
-        """
-        messages = self._decoded(block)
-        return {
-            path: rows_as_columns([numbers(message) for message in messages]) for path, numbers in self._numbers.items()
-        }
-
-    def _decoded(self, block: Block) -> list[Message]:
-        parse = self._message_class.FromString
-        messages = []
-        for offset, size in zip(block.offsets.tolist(), block.sizes.tolist(), strict=True):
+        def decode(message: memoryview) -> Message:
             try:
-                messages.append(parse(bytes(block.buffer[offset : offset + size])))
+                return parse(bytes(message))
             except DecodeError as error:
                 raise LogError(
-                    f"a message of {size} bytes is no {self._type_name}: {error}",
+                    f"a message of {len(message)} bytes is no {type_name}: {error}",
                     "the schema in the log is not that of the messages, or the log is damaged",
                 ) from error
-        return messages
+
+        super().__init__(type_name, paths, decode, _access)
+        self.find(protobuf_shape(type_name, schema_data))
 
 
 def protobuf_shape(type_name: str, schema_data: bytes) -> Shape:
