@@ -16,7 +16,6 @@ from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import LogError, Note, listed
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, judged_dvl
-from insdvl_replay.inspection.field_proposal import listed_settings
 from insdvl_replay.inspection.imu_proposal import imu_settings, imu_topic, judged_imu, judged_rates, measured_scale
 from insdvl_replay.inspection.inventory import Obstacle
 from insdvl_replay.inspection.proposed_settings import Setting, decisions, not_yet_set, settings_toml, with_settings
@@ -27,6 +26,47 @@ from insdvl_replay.logs.columns.clocks import clock_notes
 from insdvl_replay.logs.columns.roles import Finding, find_roles
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.recording import Recording
+
+_NEEDED: Final = {"imu": ("specific_force", "angular_rate"), "dvl": ("velocity",)}
+_INSTEAD: Final = {"velocity": ("beam_velocity =  # one number for each beam",)}
+_LONGEST: Final = 12
+"""Topics that are listed at most."""
+
+
+def listed_settings(role: str, seen: Sequence[ProbedTopic]) -> Iterator[Setting]:
+    """List every field with numbers, that a person may choose.
+
+    Parameters
+    ----------
+    role : {'imu', 'dvl'}
+    seen : sequence of ProbedTopic
+
+    Yields
+    ------
+    Setting
+        Without values; none where no topic has numbers.
+    """
+    if not seen:
+        return
+    often = sorted(seen, key=lambda topic: -topic.channel.messages)
+    lines = [line for topic in often[:_LONGEST] for line in _lines(topic)]
+    if (more := len(often) - _LONGEST) > 0:
+        lines.append(f"and {more} topics with fewer messages")
+    text = "no topic has fields that are named like those of this role; the topics with numbers, and their fields, are"
+    yield Setting(f"{role}.topic", None, open=text, listed=tuple(lines))
+    for quantity in _NEEDED[role]:
+        text = 'one of three numbers, or three side by side as in "p, q, r"'
+        yield Setting(f"{role}.{quantity}", None, open=text, others=_INSTEAD.get(quantity, ()))
+
+
+def _lines(topic: ProbedTopic) -> Iterator[str]:
+    yield f'"{topic.topic}", {topic.channel.messages} messages'
+    for candidate in topic.candidates:
+        yield f'  "{candidate.path}"'
+        yield f"    {candidate}"
+    for path, median in topic.scalars.items():
+        yield f'  "{path}", median {median:.3g}'
+
 
 _DEFAULTS: Final = ("frd", "rad/s")
 """What a known type is taken to give; only something else is worth a setting."""

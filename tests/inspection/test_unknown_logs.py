@@ -15,7 +15,7 @@ from unknown_logs import decided
 from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.encoding.field_paths import check_path
 from insdvl_replay.replay import replay_log

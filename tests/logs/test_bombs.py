@@ -25,7 +25,7 @@ from insdvl_replay.cli.messages import tell_failure
 from insdvl_replay.core.columns import ImuColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, Note, most_like
-from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container import mcap_file
 from insdvl_replay.logs.container.channel import LogChannel

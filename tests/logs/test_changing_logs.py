@@ -13,7 +13,7 @@ from small_logs import small_log
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection import survey
-from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, reader
 
 A_PAGE = 4096
