@@ -67,7 +67,7 @@ def dvl_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
     return [*settings, stamp_setting(log, topic, "dvl"), *_mounting()]
 
 
-def judged_dvl(dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> list[Setting]:
+def measured_dvl(dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> list[Setting]:
     """Propose axes and unit by what the reference's velocity shows.
 
     Parameters

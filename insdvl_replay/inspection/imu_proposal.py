@@ -69,7 +69,7 @@ def _possible_rates(topic: ProbedTopic) -> list[Candidate]:
     return topic.rates or [candidate for candidate in topic.vectors if candidate not in topic.forces]
 
 
-def judged_imu(
+def measured_imu(
     imu: ImuColumns, settings: Imu, reference: ReferenceColumns | None, found: GyroScale | None
 ) -> list[Setting]:
     """Propose units and axes by what gravity and the reference show.
@@ -89,15 +89,15 @@ def judged_imu(
     list of Setting
         What is in order needs none.
     """
-    judged = list(_wrong_force_unit(imu, settings))
+    measured = list(_wrong_force_unit(imu, settings))
     if settings.axes is None and settings.specific_force_axes is None:
-        judged += list(_axes(imu, reference))
+        measured += list(_axes(imu, reference))
     if settings.angular_rate_unit is None:
-        judged += list(_rate_unit(imu, found))
-    return judged
+        measured += list(_rate_unit(imu, found))
+    return measured
 
 
-def judged_rates(imu: ImuColumns, settings: Imu, judged: Sequence[Setting]) -> ImuColumns:
+def corrected_rates(imu: ImuColumns, settings: Imu, measured: Sequence[Setting]) -> ImuColumns:
     """Bring the angular rate to the axes and the unit that were proposed.
 
     Parameters
@@ -106,14 +106,14 @@ def judged_rates(imu: ImuColumns, settings: Imu, judged: Sequence[Setting]) -> I
         As the settings read it.
     settings : Imu
         Completed by what is known of the type.
-    judged : sequence of Setting
-        From `judged_imu`.
+    measured : sequence of Setting
+        From `measured_imu`.
 
     Returns
     -------
     ImuColumns
     """
-    values = {setting.key: setting.value for setting in judged if setting.value is not None}
+    values = {setting.key: setting.value for setting in measured if setting.value is not None}
     read_in = settings.angular_rate_unit or "rad/s"
     unit = ANGULAR_RATE_UNITS[values.get("imu.angular_rate_unit", read_in)] / ANGULAR_RATE_UNITS[read_in]
     rate_b = in_frd(imu.angular_rate_b, values.get("imu.axes", FRD), "imu.axes", unit)

@@ -15,8 +15,8 @@ from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import LogError, Note, listed
 from insdvl_replay.inspection.dry_run import DryRun
-from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, judged_dvl
-from insdvl_replay.inspection.imu_proposal import imu_settings, imu_topic, judged_imu, judged_rates, measured_scale
+from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, measured_dvl
+from insdvl_replay.inspection.imu_proposal import corrected_rates, imu_settings, imu_topic, measured_imu, measured_scale
 from insdvl_replay.inspection.inventory import Obstacle
 from insdvl_replay.inspection.proposed_settings import Setting, decisions, not_yet_set, settings_toml, with_settings
 from insdvl_replay.inspection.reference_proposal import reference_settings, reference_topic
@@ -118,7 +118,7 @@ def propose(
         return Proposal()
     fields, notes = _fields(log, findings, config)
     settings = [*_choices(findings), *not_yet_set(fields, config)]
-    settings += _judged(log, with_settings(config, settings), settings, deep=deep)
+    settings += _measured(log, with_settings(config, settings), settings, deep=deep)
     draft = with_settings(config, settings)
     found = find_roles(str(log.path), log.channels, draft)
     settings += _start(found, draft.initial)
@@ -172,35 +172,35 @@ def _named(seen: Sequence[ProbedTopic], topic: str | None) -> Sequence[ProbedTop
     return [found for found in seen if found.topic == topic] or seen
 
 
-def _judged(log: Recording, config: Config, settings: Sequence[Setting], *, deep: bool) -> list[Setting]:
+def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, deep: bool) -> list[Setting]:
     """Judge units, axes and clocks by what the messages show, read as proposed so far."""
     findings = find_roles(str(log.path), log.channels, config)
     seen = DryRun(log, config, deep)
     seen.examine(findings)
     named = {setting.key for setting in settings}
-    judged = _stamps(log, findings, seen.clocks, config)
+    measured = _stamps(log, findings, seen.clocks, config)
     if seen.columns.imu is not None:
         (source,) = findings[0].sources
-        found = list(_judged_imu(seen, seen.columns.imu, source))
-        judged += found if "imu.angular_rate" in named else _worth_saying(found, source.topic)
+        found = list(_measured_imu(seen, seen.columns.imu, source))
+        measured += found if "imu.angular_rate" in named else _worth_saying(found, source.topic)
     if "dvl.velocity" in named and len(seen.columns.dvl.time_ns):
-        judged += judged_dvl(seen.columns.dvl, seen.columns.reference, config)
-    return judged
+        measured += measured_dvl(seen.columns.dvl, seen.columns.reference, config)
+    return measured
 
 
-def _judged_imu(seen: DryRun, imu: ImuColumns, source: Source) -> Iterator[Setting]:
+def _measured_imu(seen: DryRun, imu: ImuColumns, source: Source) -> Iterator[Setting]:
     scale = gyro_scale(imu, seen.columns.dvl, seen.columns.reference, seen.config)
     settings = source.completed(seen.config.imu)
-    judged = judged_imu(imu, settings, seen.columns.reference, scale)
-    yield from judged
+    measured = measured_imu(imu, settings, seen.columns.reference, scale)
+    yield from measured
     if seen.deep:
-        turned = judged_rates(imu, settings, judged)
+        turned = corrected_rates(imu, settings, measured)
         yield from measured_scale(settings, gyro_scale(turned, seen.columns.dvl, seen.columns.reference, seen.config))
 
 
-def _worth_saying(judged: Sequence[Setting], topic: str) -> list[Setting]:
+def _worth_saying(measured: Sequence[Setting], topic: str) -> list[Setting]:
     """Of an IMU of a known type, say only what is unlike its type, and of which topic it holds."""
-    return [replace(found, seen=f"{topic}: {found.seen}") for found in judged if found.value not in _DEFAULTS]
+    return [replace(found, seen=f"{topic}: {found.seen}") for found in measured if found.value not in _DEFAULTS]
 
 
 def _stamps(log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config) -> list[Setting]:

@@ -105,7 +105,7 @@ class ProbedTopic:
     @property
     def forces(self) -> list[Candidate]:
         """What could be the specific force: what is named like it, else what has the size of gravity."""
-        return self.likely("specific_force") or [candidate for candidate in self.sound if candidate.force_unit]
+        return self.likely("specific_force") or [candidate for candidate in self.plausible if candidate.force_unit]
 
     @property
     def rates(self) -> list[Candidate]:
@@ -115,16 +115,16 @@ class ProbedTopic:
     @property
     def vectors(self) -> list[Candidate]:
         """Those of three numbers that are not named like something else."""
-        return [candidate for candidate in self.sound if not candidate.is_beams]
+        return [candidate for candidate in self.plausible if not candidate.is_beams]
 
     @property
-    def sound(self) -> list[Candidate]:
+    def plausible(self) -> list[Candidate]:
         """Those that are not named like something else."""
         return [candidate for candidate in self.candidates if not _NEVER.search(candidate.path.lower())]
 
     def likely(self, quantity: str) -> list[Candidate]:
         """Give those that are named like a quantity, and have as many numbers as it."""
-        named = [candidate for candidate in self.sound if _WORDS[quantity].search(candidate.path.lower())]
+        named = [candidate for candidate in self.plausible if _WORDS[quantity].search(candidate.path.lower())]
         return [candidate for candidate in named if candidate.is_beams == quantity.startswith("beam")]
 
 

@@ -67,7 +67,7 @@ class Cleaner:
         order = find_order(self.time_ns, log_time_ns)
         self.rows, self._first_ns = order.rows, int(self.time_ns[order.rows[0]])
         if order.wrong.size:
-            self._tell_wrong_stamps(order, float(seconds(log_time_ns[order.wrong], log_time_ns.min()).min()))
+            self._note_wrong_stamps(order, float(seconds(log_time_ns[order.wrong], log_time_ns.min()).min()))
         if order.late.size:
             text = f"messages came after later ones (by up to {order.late_s:.3f} s); sorted"
             self.note("out_of_order", text, order.late.size, first=order.late)
@@ -204,7 +204,7 @@ class Cleaner:
         first[1:] = ~same_rows(ordered[1:], ordered[:-1])
         self._keep_rows(first, "same_values", "messages repeat the values of the one before")
 
-    def tell_missing(self, quantity: str, values: Floats) -> None:
+    def note_missing(self, quantity: str, values: Floats) -> None:
         """Count the rows that stay without a quantity which others of them give.
 
         Parameters
@@ -239,7 +239,7 @@ class Cleaner:
         since = f"the first {first_s:.3f} s after the first message"
         self.notes.append(Note(f"{self.role}_{code}", f"{self.role}: {count} {text}; {since}", count, severity, hint))
 
-    def _tell_wrong_stamps(self, order: Order, first_s: float) -> None:
+    def _note_wrong_stamps(self, order: Order, first_s: float) -> None:
         """Drop single stamps that are wrong with a warning; refuse many, and those of a clock that was set back."""
         text = (
             f"{order.wrong.size} of {self.time_ns.size} messages have stamps '{self.table.source.stamp}' that jump "

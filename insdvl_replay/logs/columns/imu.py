@@ -201,8 +201,8 @@ def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:
     accel_bias_b, gyro_bias_b = table.values("accel_bias", 3), table.values("gyro_bias", 3)
     cleaner = Cleaner(table)
     cleaner.drop_repeated_times()
-    cleaner.tell_missing("accelerometer biases", accel_bias_b)
-    cleaner.tell_missing("gyro biases", gyro_bias_b)
+    cleaner.note_missing("accelerometer biases", accel_bias_b)
+    cleaner.note_missing("gyro biases", gyro_bias_b)
     return TruthColumns(cleaner.times, cleaner.kept(accel_bias_b), cleaner.kept(gyro_bias_b)), cleaner.notes
 
 

@@ -28,7 +28,7 @@ def merge_channels(columns: Columns, runs: Sequence[tuple[int, int]]) -> tuple[C
     columns : dict of str to ndarray, shape (kept, n)
     channel_ids : ndarray, shape (kept,)
         Of each message; empty where all are of one.
-    repeats : int
+    duplicates : int
         Messages that another channel holds too, with the same log time and the same values.
     """
     if len({channel_id for channel_id, _ in runs}) < 2:

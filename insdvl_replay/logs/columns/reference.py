@@ -74,7 +74,7 @@ def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     cleaner.drop_repeated_times()
     mat_nb = _attitude(table, settings)
     velocity_n = _velocity_n(table, settings, mat_nb)
-    _tell_missing(cleaner, told, velocity_n, mat_nb)
+    _note_missing(cleaner, told, velocity_n, mat_nb)
     chosen = (None if values is None else cleaner.kept(values) for values in (position, velocity_n, mat_nb))
     return _Part(cleaner.times, *chosen), cleaner.notes
 
@@ -110,14 +110,14 @@ def _drop_zeros(position: Floats, cleaner: Cleaner) -> None:
         cleaner.note("zero", text, zero.size, "warning", "reference.fix names another topic of positions", first=zero)
 
 
-def _tell_missing(cleaner: Cleaner, position: Floats | None, velocity_n: Floats | None, mat_nb: Floats | None) -> None:
+def _note_missing(cleaner: Cleaner, position: Floats | None, velocity_n: Floats | None, mat_nb: Floats | None) -> None:
     if position is not None:
-        cleaner.tell_missing("positions", position[:, :2])
-        cleaner.tell_missing("heights", position[:, 2:])
+        cleaner.note_missing("positions", position[:, :2])
+        cleaner.note_missing("heights", position[:, 2:])
     if velocity_n is not None:
-        cleaner.tell_missing("velocities", velocity_n)
+        cleaner.note_missing("velocities", velocity_n)
     if mat_nb is not None:
-        cleaner.tell_missing("attitudes", mat_nb.reshape(-1, 9))
+        cleaner.note_missing("attitudes", mat_nb.reshape(-1, 9))
 
 
 def _of_receiver(table: Table, quantity: str) -> Floats:

@@ -266,9 +266,11 @@ class _Builder:
         if not all(self.buffers.values()):
             raise error or LogError("has no messages", "the counts in the log's summary are wrong", *self.where)
         read = {path: column.rows() for path, column in self.buffers.items()}
-        columns, channel_ids, repeats = merge_channels(read, self.runs)
+        columns, channel_ids, duplicates = merge_channels(read, self.runs)
         known, files = next(iter(self.readers.values())).known, _files_of(channel_ids)
-        table = Table(self.where, self.source, columns, unreadable, error, repeats, known, files, self.has_whole_times)
+        table = Table(
+            self.where, self.source, columns, unreadable, error, duplicates, known, files, self.has_whole_times
+        )
         if unreadable and not self.log.allow_damaged:
             raise table.damage_error()
         return table

@@ -34,7 +34,7 @@ class Table:
         Log times of messages that are left out because they do not fit their schema.
     fault : LogError or None
         What is wrong with the first of these.
-    repeats : int
+    duplicates : int
         Messages that are left out because another channel or file holds them too.
     known : mapping of str to str
         Every path that the messages have, with the type of what is there.
@@ -49,7 +49,7 @@ class Table:
     columns: Columns
     unreadable_ns: tuple[int, ...] = ()
     fault: LogError | None = None
-    repeats: int = 0
+    duplicates: int = 0
     known: Kinds = field(default_factory=dict)
     files: NDArray[np.int64] | None = None
     has_whole_times: bool = False
@@ -206,7 +206,7 @@ def schema_notes(sources: Iterable[Source]) -> list[Note]:
 
 def loss_notes(tables: Sequence[Table]) -> list[Note]:
     """Say where messages are missing, do not fit their schema, or are in more than one channel or file."""
-    left_out = (note for table in tables for note in (_unreadable_note(table), _repeated_note(table)))
+    left_out = (note for table in tables for note in (_unreadable_note(table), _duplicates_note(table)))
     return [note for note in (*map(_missing_note, tables), *left_out) if note]
 
 
@@ -224,7 +224,7 @@ def stamp_notes(tables: Iterable[Table]) -> list[Note]:
 
 def _missing_note(table: Table) -> Note | None:
     announced = sum(channel.messages for channel in table.source.channels)
-    found = len(table) + table.repeats + len(table.unreadable_ns)
+    found = len(table) + table.duplicates + len(table.unreadable_ns)
     if announced == found:
         return None
     text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
@@ -243,6 +243,6 @@ def _unreadable_note(table: Table) -> Note | None:
     return Note("messages_unreadable", text, count, "warning", COPY_AGAIN)
 
 
-def _repeated_note(table: Table) -> Note | None:
-    text = f"{table.source.topic}: {table.repeats} messages are in two channels or files; each is used once"
-    return Note("messages_repeated", text, table.repeats) if table.repeats else None
+def _duplicates_note(table: Table) -> Note | None:
+    text = f"{table.source.topic}: {table.duplicates} messages are in two channels or files; each is used once"
+    return Note("messages_repeated", text, table.duplicates) if table.duplicates else None

@@ -147,7 +147,7 @@ class TopicRequirement:
             paths = channel_paths(channels[0])
         known = self.known(type_name) or KnownType({})
         fields = {**_present(known.fields, paths), **{name: path for name, path in self.paths.items() if path}}
-        self._refuse_parts(topic, fields)
+        self._raise_if_incomplete(topic, fields)
         if not any(quantities <= fields.keys() for quantities in self.enough):
             reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
             if known.fields:
@@ -156,7 +156,7 @@ class TopicRequirement:
         stamp = self.stamp or _stamp(known.stamp, paths)
         return Source(self.role, topic, type_name, tuple(channels), fields, stamp, self.latency_s, known.conventions)
 
-    def _refuse_parts(self, topic: str, fields: Fields) -> None:
+    def _raise_if_incomplete(self, topic: str, fields: Fields) -> None:
         """Refuse quantities that say nothing without another one."""
         given = {quantity.removesuffix(BOW_DOWN) for quantity in fields}
         for quantities in self.together:

@@ -161,8 +161,8 @@ def content_of(data: memoryview, chunk: Chunk, buffer: memoryview) -> Content:
     if passed and not len(records):
         raise DamageError(chunk.offset, f"in the chunk no record is found: {passed[0][2]}")
     damages = [Damage(chunk.offset, f"in the chunk, {stop} bytes on, {reason}") for stop, _, reason in passed]
-    holes = [(start, stop) for start, stop, _ in passed] + [(len(buffer),) * 2] * (chunk.kind == "truncated")
-    span_ns = _lost_span(data, chunk, buffer, records, holes) if holes else None
+    gaps = [(start, stop) for start, stop, _ in passed] + [(len(buffer),) * 2] * (chunk.kind == "truncated")
+    span_ns = _lost_span(data, chunk, buffer, records, gaps) if gaps else None
     definitions = records.where(records.opcodes < Opcode.MESSAGE)
     content = Content(buffer, by_channel(buffer, records), definitions, damages, span_ns)
     if chunk.indexes and chunk.kind == "intact":
@@ -204,13 +204,13 @@ def _lost_span(
     chunk: Chunk,
     buffer: memoryview,
     records: Records,
-    holes: list[tuple[int, int]],
+    gaps: list[tuple[int, int]],
 ) -> Span | None:
     """Give the log times between which messages are lost: those of the messages on both sides, else of the chunk."""
     starts = records.starts[records.opcodes == Opcode.MESSAGE]
     log_time = message_field(buffer, starts, "log_time")
-    before = np.searchsorted(starts, holes[0][0])
-    behind = np.searchsorted(starts, holes[-1][1])
+    before = np.searchsorted(starts, gaps[0][0])
+    behind = np.searchsorted(starts, gaps[-1][1])
     whole = chunk_header(data, chunk.offset, chunk.length).span_ns if chunk.kind != "unchunked" else None
     first_ns = int(log_time[before - 1]) if before else whole and whole[0]
     last_ns = int(log_time[behind]) if behind < len(starts) else whole and whole[1]

@@ -82,11 +82,11 @@ def damage_note(name: str, data: memoryview, mcap_index: McapIndex) -> Note:
     shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
     more = f"; and {len(damages) - _SHOWN} more" if len(damages) > _SHOWN else ""
     places = "1 place" if len(damages) == 1 else f"{len(damages)} places"
-    found, missing, repeats = losses(data, mcap_index), mcap_index.missing, duplicate_messages(data, mcap_index)
-    if repeats:
+    found, missing, duplicates = losses(data, mcap_index), mcap_index.missing, duplicate_messages(data, mcap_index)
+    if duplicates:
         # Copies of messages from elsewhere tell nothing of the time around them.
         found = [replace(loss, span_ns=None) for loss in found]
-        missing = None if missing is None else missing + repeats
+        missing = None if missing is None else missing + duplicates
     loss = loss_text(found, missing, is_cut=mcap_index.is_cut)
     text = f"{name} is damaged in {places}, {loss} ({shown}{more})"
     return Note("log_damaged", text, len(damages), "warning", COPY_AGAIN)
