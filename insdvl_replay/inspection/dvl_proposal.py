@@ -9,7 +9,7 @@ from insdvl_replay.checks.dvl_comparison import Fit, dvl_by_velocity
 from insdvl_replay.core.columns import DvlColumns, ReferenceColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.units import VELOCITY_UNITS
-from insdvl_replay.inspection.proposed_settings import Setting
+from insdvl_replay.inspection.proposed_settings import Setting, field_setting
 from insdvl_replay.inspection.stamp_proposal import stamp_setting
 from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic
 from insdvl_replay.logs.container.recording import Recording
@@ -59,7 +59,8 @@ def dvl_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
         velocities = topic.vectors
     settings = [Setting("dvl.topic", topic.topic)]
     if velocities:
-        settings += [*_velocity(velocities), _unit(velocities[0]), *_valid(topic)]
+        settings += [field_setting("dvl.velocity", velocities), Setting("dvl.kind", "velocity")]
+        settings += [_unit(velocities[0]), *_valid(topic)]
     elif beams:
         settings.append(_unit(beams[0]))
     if beams:
@@ -110,13 +111,6 @@ def _scale(fit: Fit, config: Config) -> Iterator[Setting]:
             )
 
 
-def _velocity(velocities: Sequence[Candidate]) -> Iterator[Setting]:
-    first, *others = velocities
-    lines = tuple(f'velocity = "{other.path}"  # {other}' for other in others)
-    yield Setting("dvl.velocity", first.path, str(first), others=lines)
-    yield Setting("dvl.kind", "velocity")
-
-
 def _valid(topic: ProbedTopic) -> Iterator[Setting]:
     """Ask about flags: what a good ping is named by can only be guessed."""
     flags = [f'"{path}" (median {median:g})' for path, median in topic.scalars.items() if _FLAGS.search(path.lower())]
@@ -143,12 +137,10 @@ def _beams(topic: ProbedTopic, beams: Sequence[Candidate], has_velocity: bool) -
         text = "beams, once their angles are known, give more: kind, beam_velocity, beam_valid, beam_tilt_deg"
         yield Setting("dvl.kind", "velocity", text, others=('kind = "beams"', *lines))
         return
-    first, *others = beams
-    lines = [f'beam_velocity = "{other.path}"  # {other}' for other in others]
-    yield Setting("dvl.beam_velocity", first.path, str(first), others=tuple(lines))
+    yield field_setting("dvl.beam_velocity", beams)
     if valid:
         yield Setting("dvl.beam_valid", valid[0].path)
-    count = first.median.size
+    count = beams[0].median.size
     yield Setting("dvl.beam_tilt_deg", 30.0, open="from the instrument's z axis, as the maker says")
     azimuths = tuple(45.0 + 360.0 * beam / count for beam in range(count))
     yield Setting("dvl.beam_azimuth_deg", azimuths, open="from forward towards starboard, one angle for each beam")

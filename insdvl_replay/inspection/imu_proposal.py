@@ -12,7 +12,7 @@ from insdvl_replay.checks.plausibility import TRACK_DOUBT, UNIT_WRONG, GyroScale
 from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.units import ANGULAR_RATE_UNITS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
-from insdvl_replay.inspection.proposed_settings import Setting
+from insdvl_replay.inspection.proposed_settings import Setting, field_setting
 from insdvl_replay.inspection.stamp_proposal import stamp_setting
 from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic
 from insdvl_replay.logs.columns.imu import FRD, in_frd
@@ -53,14 +53,12 @@ def imu_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
     -------
     list of Setting
     """
-    force, *other_forces = topic.forces
-    rate, *other_rates = _possible_rates(topic)
     doubt = "" if topic.rates else "no field is named like it; this one or another"
     return [
         Setting("imu.topic", topic.topic),
-        _field("specific_force", force, other_forces),
-        _force_unit(force),
-        _field("angular_rate", rate, other_rates, doubt),
+        field_setting("imu.specific_force", topic.forces),
+        _force_unit(topic.forces[0]),
+        field_setting("imu.angular_rate", _possible_rates(topic), doubt),
         stamp_setting(log, topic, "imu"),
     ]
 
@@ -238,11 +236,6 @@ def _wrong_force_unit(imu: ImuColumns, settings: Imu) -> Iterator[Setting]:
 
 def _is_gravity(size_mps2: float) -> bool:
     return abs(size_mps2 / GRAVITY_MPS2 - 1.0) < _SAME
-
-
-def _field(quantity: str, first: Candidate, others: Sequence[Candidate], doubt: str = "") -> Setting:
-    lines = tuple(f'{quantity} = "{other.path}"  # {other}' for other in others)
-    return Setting(f"imu.{quantity}", first.path, str(first), doubt, lines)
 
 
 def _force_unit(force: Candidate) -> Setting:

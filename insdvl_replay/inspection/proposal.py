@@ -46,7 +46,7 @@ def listed_settings(role: str, seen: Sequence[ProbedTopic]) -> Iterator[Setting]
     Setting
         Without values; none where no topic has numbers.
     """
-    if not seen:
+    if not seen or role not in _NEEDED:
         return
     often = sorted(seen, key=lambda topic: -topic.channel.messages)
     lines = [line for topic in often[:_LONGEST] for line in _lines(topic)]
@@ -70,6 +70,14 @@ def _lines(topic: ProbedTopic) -> Iterator[str]:
 
 _DEFAULTS: Final = ("frd", "rad/s")
 """What a known type is taken to give; only something else is worth a setting."""
+
+
+_ROLES: Final = (
+    ("imu", imu_topic, imu_settings),
+    ("dvl", dvl_topic, dvl_settings),
+    ("reference", reference_topic, reference_settings),
+)
+"""How the topic of each role is chosen, and what is then proposed for it; what one has is no other's."""
 
 
 @dataclass(frozen=True)
@@ -146,18 +154,14 @@ def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> tupl
     taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
     seen, unseen = probe_topics(log, [channel for channel in log.channels if channel.topic not in taken])
     settings: list[Setting] = []
-    if "imu" in wanted:
-        candidates = _named([topic for topic in seen if topic.topic != config.dvl.topic], config.imu.topic)
-        imu = imu_topic(candidates)
-        settings += imu_settings(log, imu) if imu else listed_settings("imu", candidates)
-        seen = [topic for topic in seen if topic is not imu]
-    if "dvl" in wanted:
-        candidates = _named(seen, config.dvl.topic)
-        dvl = dvl_topic(candidates)
-        settings += dvl_settings(log, dvl) if dvl else listed_settings("dvl", candidates)
-        seen = [topic for topic in seen if topic is not dvl]
-    if "reference" in wanted and (reference := reference_topic(_named(seen, config.reference.topic))):
-        settings += reference_settings(log, reference)
+    for role, choose, settings_of in _ROLES:
+        if role not in wanted:
+            continue
+        free = [topic for topic in seen if role != "imu" or topic.topic != config.dvl.topic]
+        candidates = _named(free, getattr(config, role).topic)
+        topic = choose(candidates)
+        settings += settings_of(log, topic) if topic else listed_settings(role, candidates)
+        seen = [other for other in seen if other is not topic]
     return settings, tuple(_unseen_notes(unseen))
 
 

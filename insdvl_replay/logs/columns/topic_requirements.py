@@ -1,6 +1,6 @@
 """What each role needs of a topic: a type that is known by name, or the field paths of the configuration."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
@@ -176,68 +176,51 @@ class TopicRequirement:
 
 def imu_requirement(config: Config) -> TopicRequirement:
     """Say what an IMU needs."""
-    imu = config.imu
-    return TopicRequirement(
-        role="imu",
-        key="imu.topic",
-        topic=imu.topic,
-        by_type=[known_types.IMU],
-        paths={"specific_force": imu.specific_force, "angular_rate": imu.angular_rate},
-        enough=[{"specific_force", "angular_rate"}],
-        stamp=imu.stamp,
-        latency_s=imu.latency_s,
-    )
+    quantities = ("specific_force", "angular_rate")
+    return _required(config.imu, "imu", quantities, by_type=[known_types.IMU], enough=[set(quantities)])
 
 
 def dvl_requirement(config: Config) -> TopicRequirement:
     """Say what a DVL needs."""
-    dvl = config.dvl
-    return TopicRequirement(
-        role="dvl",
-        key="dvl.topic",
-        topic=dvl.topic,
+    return _required(
+        config.dvl,
+        "dvl",
+        ("beam_velocity", "beam_valid", "velocity", "valid"),
         by_type=[known_types.DVL_BEAMS, known_types.DVL_VELOCITY],
         if_named=known_types.DVL_IF_NAMED,
-        paths={
-            "beam_velocity": dvl.beam_velocity,
-            "beam_valid": dvl.beam_valid,
-            "velocity": dvl.velocity,
-            "valid": dvl.valid,
-        },
         enough=[{"beam_velocity"}, {"velocity"}],
-        stamp=dvl.stamp,
-        latency_s=dvl.latency_s,
     )
 
 
 def solution_requirement(config: Config) -> TopicRequirement:
     """Say what a reference solution needs."""
-    reference = config.reference
-    return TopicRequirement(
-        role="reference",
-        key="reference.topic",
-        topic=reference.topic,
+    return _required(
+        config.reference,
+        "reference",
+        _SOLUTION,
         by_type=[known_types.NAV_SOLUTION, known_types.ODOMETRY],
         if_named=known_types.FIX,
-        paths={quantity: getattr(reference, quantity) for quantity in _SOLUTION},
         enough=[{"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES],
         together=_ANGLES,
-        stamp=reference.stamp,
-        latency_s=reference.latency_s,
     )
 
 
 def fix_requirement(config: Config) -> TopicRequirement:
     """Say what a geographic position needs."""
-    reference = config.reference
+    enough = [{"latitude", "longitude"}]
+    return _required(config.reference, "reference", (), "fix", by_type=[known_types.FIX], enough=enough)
+
+
+def _required(section: Any, role: str, quantities: Iterable[str], key: str = "topic", **needs: Any) -> TopicRequirement:
+    """Say what a role needs, with what its section of the configuration says of topic, fields and stamp."""
     return TopicRequirement(
-        role="reference",
-        key="reference.fix",
-        topic=reference.fix,
-        by_type=[known_types.FIX],
-        enough=[{"latitude", "longitude"}],
-        stamp=reference.stamp,
-        latency_s=reference.latency_s,
+        role=role,
+        key=f"{role}.{key}",
+        topic=getattr(section, key),
+        paths={quantity: getattr(section, quantity) for quantity in quantities},
+        stamp=section.stamp,
+        latency_s=section.latency_s,
+        **needs,
     )
 
 
