@@ -18,7 +18,7 @@ from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
 from insdvl_replay.inspection.proposal import propose
 from insdvl_replay.logs.columns.roles import Finding, find_roles
-from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.container.channel import LogChannel, by_topic
 from insdvl_replay.logs.container.recording import Recording, open_recording
 from insdvl_replay.preparation.alignment import check_start
 
@@ -170,11 +170,8 @@ def _topics(
 ) -> tuple[TopicFacts, ...]:
     role_of = {source.topic: source.role for finding in reversed(findings) for source in finding.sources}
     start_ns = min((int(times.min()) for times in log_times.values() if times.size), default=0)
-    by_topic: dict[str, list[LogChannel]] = {}
-    for channel in channels:
-        by_topic.setdefault(channel.topic, []).append(channel)
     facts = []
-    for topic, same in sorted(by_topic.items()):
+    for topic, same in sorted(by_topic(channels).items()):
         log_time = np.concatenate([log_times[channel.id] for channel in same])
         facts.append(_topic_facts(same, log_time, start_ns, role_of.get(topic, "")))
     return tuple(facts)

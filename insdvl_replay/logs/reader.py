@@ -15,7 +15,7 @@ from insdvl_replay.logs.columns.roles import find_roles
 from insdvl_replay.logs.columns.table_reading import read_tables
 from insdvl_replay.logs.columns.tables import loss_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.container.channel import LogChannel, by_topic
 from insdvl_replay.logs.container.recording import open_recording
 
 
@@ -79,9 +79,6 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
 def _channels(channels: Sequence[LogChannel], sources: Sequence[Source]) -> tuple[Channel, ...]:
     """List the topics, each once, with their roles."""
     role_of = {source.topic: source.role for source in reversed(sources)}
-    by_topic: dict[str, list[LogChannel]] = {}
-    for channel in channels:
-        by_topic.setdefault(channel.topic, []).append(channel)
     return tuple(
         Channel(
             topic=topic,
@@ -90,5 +87,5 @@ def _channels(channels: Sequence[LogChannel], sources: Sequence[Source]) -> tupl
             role=role_of.get(topic, ""),
             messages=sum(channel.messages for channel in same),
         )
-        for topic, same in sorted(by_topic.items())
+        for topic, same in sorted(by_topic(channels).items())
     )

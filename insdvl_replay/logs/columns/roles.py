@@ -15,7 +15,7 @@ from insdvl_replay.logs.columns.topic_requirements import (
     imu_requirement,
     solution_requirement,
 )
-from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.container.channel import LogChannel, by_topic
 
 
 @dataclass(frozen=True)
@@ -106,10 +106,7 @@ class _Topics:
 
     def __init__(self, place: str, channels: Sequence[LogChannel]) -> None:
         self.place = place
-        self._channels: dict[str, list[LogChannel]] = {}
-        for channel in channels:
-            if channel.messages:
-                self._channels.setdefault(channel.topic, []).append(channel)
+        self._channels = by_topic(channel for channel in channels if channel.messages)
         self._empty = {channel.topic: channel.type_name for channel in channels if channel.topic not in self._channels}
 
     @property
