@@ -11,7 +11,7 @@ from mcap.writer import CompressionType, Writer
 
 from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 

@@ -90,7 +90,7 @@ def scale_notes(place: str, scale: float, dvl: DvlColumns, config: Config) -> li
         return []
     text = f"the DVL's velocity is {scale:.3f} times the reference's, from the first ping on"
     if not 1.0 / FACTOR_OF_UNITS < scale < FACTOR_OF_UNITS:
-        raise LogError(f"{place}: {text}", UNIT_HINT)
+        raise LogError(text, UNIT_HINT, place)
     hint = f"dvl.scale = {scale * config.dvl.scale:.3f}, or dvl.beam_tilt_deg"
     return [Note("dvl_scale", text, len(dvl.time_ns), "warning", hint)]
 
@@ -99,9 +99,7 @@ def _speed_notes(place: str, dvl: DvlColumns) -> list[Note]:
     """Refuse speeds that no vehicle has for long."""
     speed_mps = median_speed_mps(dvl)
     if speed_mps > FASTEST_MPS:
-        raise LogError(
-            f"{place}: the DVL's largest component is {speed_mps:g} m/s in the median of its pings", UNIT_HINT
-        )
+        raise LogError(f"the DVL's largest component is {speed_mps:g} m/s in the median of its pings", UNIT_HINT, place)
     return []
 
 

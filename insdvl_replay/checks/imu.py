@@ -94,7 +94,7 @@ def _rate_notes(place: str, imu: ImuColumns, settings: Imu) -> list[Note]:
     text = f"the IMU has {rate_hz:.1f} samples a second, too few for an INS to follow a vehicle's motion, from 0 s on"
     hint = f"imu.topic names a faster one; imu.min_rate_hz = {np.floor(rate_hz):g} tries with this one"
     if rate_hz < NOMINAL * settings.min_rate_hz:
-        raise LogError(f"{place}: {text}", hint)
+        raise LogError(text, hint, place)
     if rate_hz < SLOW_HZ:
         return [Note("imu_slow", text, len(imu.time_ns), "warning", "imu.topic names a faster one, if the log has any")]
     return []
@@ -111,7 +111,7 @@ def _dead_notes(place: str, imu: ImuColumns) -> list[Note]:
     ):
         words, hint = quantity.replace("_", " "), f'imu.{quantity} = "field.path" names another field'
         if not readings[0].any() and not readings.any():
-            raise LogError(f"{place}: the {words} is zero in all {len(readings)} samples of the IMU", hint)
+            raise LogError(f"the {words} is zero in all {len(readings)} samples of the IMU", hint, place)
         for axis in [axis for axis, column in enumerate(readings.T) if _is_constant(column)]:
             text = f"{words} {AXES[axis]} is {readings[0, axis]:g} {unit} in all {len(readings)} samples, from 0 s on"
             notes.append(Note("imu_constant", text, len(readings), "warning", hint))
@@ -148,9 +148,10 @@ def _spin_notes(place: str, imu: ImuColumns) -> list[Note]:
     turning_radps = float(np.median(np.linalg.norm(some_b, axis=1)))
     if turning_radps > SPIN_RADPS and _span_s(imu) > LEAST_S:
         raise LogError(
-            f"{place}: the angular rate is {turning_radps:.3f} rad/s in the median, {turning_radps / DEG:.0f} deg/s, "
+            f"the angular rate is {turning_radps:.3f} rad/s in the median, {turning_radps / DEG:.0f} deg/s, "
             "and no vehicle turns so fast for so long",
             'imu.angular_rate_unit = "deg/s", or imu.angular_rate = "field.path" names another field',
+            place,
         )
     return []
 
@@ -165,7 +166,7 @@ def _gravity_notes(place: str, imu: ImuColumns, reference: ReferenceColumns | No
         f"the specific force is {size:.3f} m/s^2 in the median of quiet seconds, where gravity is {gravity:.3f} m/s^2"
     )
     if not 1.0 / GRAVITY_WRONG < ratio < GRAVITY_WRONG and _span_s(imu) > LEAST_S:
-        raise LogError(f"{place}: {text}", _force_hint(ratio, settings))
+        raise LogError(text, _force_hint(ratio, settings), place)
     doubtful = np.abs(sizes / gravity - 1.0) > GRAVITY_DOUBT
     if abs(ratio - 1.0) > GRAVITY_DOUBT:
         text += f"; the first time at {_since_s(imu, starts[doubtful]):.1f} s"

@@ -156,9 +156,9 @@ def _gyro_notes(place: str, imu: ImuColumns, found: GyroScale | None, settings: 
         hint = 'imu.axes = "flu" turns y and z, and imu.specific_force_axes names those of the force where they differ'
         return [Note("imu_gyro_sign", text, len(imu.time_ns), "warning", hint)]
     if found.scale > UNIT_WRONG:
-        raise LogError(f"{place}: {text}", 'imu.angular_rate_unit = "deg/s"')
+        raise LogError(text, 'imu.angular_rate_unit = "deg/s"', place)
     if found.scale < 1.0 / UNIT_WRONG:
-        raise LogError(f"{place}: {text}", 'imu.angular_rate_unit = "rad/s"')
+        raise LogError(text, 'imu.angular_rate_unit = "rad/s"', place)
     hint = f"imu.angular_rate_scale = {found.scale * settings.angular_rate_scale:.3g}"
     return [Note("imu_gyro_scale", text, len(imu.time_ns), "warning", hint)]
 

@@ -45,8 +45,8 @@ def inspect(
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.cli.screen import patience
     from insdvl_replay.core.config_file import load_config
-    from insdvl_replay.inspection.inspection import inspect_log
     from insdvl_replay.inspection.output import encode_inventory
+    from insdvl_replay.inspection.survey import inspect_log
 
     resolved, code = load_config(preset, config, settings), 0
     found = find_dives(logs)

@@ -20,22 +20,35 @@ class UserError(Exception):
 
     Parameters
     ----------
-    message : str
-        What is wrong, where, and which value was found.
+    what : str
+        What is wrong, and which value was found.
     hint : str
         What to do about it.
+    *where : object
+        Where, from the outermost place inwards: a file, a topic. They begin the sentence.
     """
 
     exit_code = 2
 
-    def __init__(self, message: str, hint: str = "") -> None:
-        super().__init__(message)
-        self.message = message
+    def __init__(self, what: str, hint: str = "", *where: object) -> None:
+        self.what = what
         self.hint = hint
+        self.where = tuple(map(str, where))
+        super().__init__(self.message)
 
-    def __reduce__(self) -> tuple[type["UserError"], tuple[str, str]]:
-        """Keep the hint when the error crosses a process boundary."""
-        return type(self), (self.message, self.hint)
+    @property
+    def message(self) -> str:
+        """The whole sentence."""
+        return ": ".join((*self.where, self.what))
+
+    def inside(self, *known: object) -> str:
+        """Give the sentence for whom it is clear already which places are meant."""
+        places = {str(place) for place in known}
+        return ": ".join((*(place for place in self.where if place not in places), self.what))
+
+    def __reduce__(self) -> tuple[type["UserError"], tuple[str, ...]]:
+        """Keep hint and places when the error crosses a process boundary."""
+        return type(self), (self.what, self.hint, *self.where)
 
 
 class ConfigError(UserError):
@@ -67,12 +80,12 @@ _LONGEST: Final = 200
 
 
 @contextmanager
-def about(place: str) -> Iterator[None]:
-    """Begin the sentence of any user error inside with the place it concerns."""
+def error_context(*where: object) -> Iterator[None]:
+    """Begin the sentence of any user error inside with the places it concerns."""
     try:
         yield
     except UserError as error:
-        raise type(error)(f"{place}: {error.message}", error.hint) from error
+        raise type(error)(error.what, error.hint, *where, *error.where) from error
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from typing import Any, Final, get_args
 import msgspec
 from msgspec import Struct
 
-from insdvl_replay.core.errors import ConfigError, about, refuse_unknown
+from insdvl_replay.core.errors import ConfigError, error_context, refuse_unknown
 from insdvl_replay.core.plain_text import is_writable
 from insdvl_replay.core.text_files import read_text
 from insdvl_replay.core.toml_text import parsed_toml
@@ -66,15 +66,15 @@ def load_gates(path: Path) -> Gates:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: is not valid TOML: {error}", f"[[gate]] {EXAMPLE}") from error
     lines = _gate_lines(text, raw)
-    with about(_place(path, _line_of(text, 0, raw, GateFile))):
+    with error_context(_place(path, _line_of(text, 0, raw, GateFile))):
         _refuse_unknown_keys(raw, GateFile.__struct_fields__)
     for number, entry in enumerate(_entries(raw)):
-        with about(f"{_place(path, _line_of(text, lines[number], entry, Gate))}: gate {number + 1}"):
+        with error_context(f"{_place(path, _line_of(text, lines[number], entry, Gate))}: gate {number + 1}"):
             _refuse_unknown_keys(entry, Gate.__struct_fields__)
             if isinstance(level := entry.get("level"), str):
                 refuse_unknown("level", level, get_args(Level))
             _check_gate(_converted(entry, Gate))
-    with about(_place(path, _line_of(text, 0, raw, GateFile))):
+    with error_context(_place(path, _line_of(text, 0, raw, GateFile))):
         content = _converted(raw, GateFile)
         _check_all(content)
     return Gates(path, content, lines)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from insdvl_replay.core.errors import ConfigError, about, refuse_unknown
+from insdvl_replay.core.errors import ConfigError, error_context, refuse_unknown
 from insdvl_replay.core.table_layout import TableLayout
 from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
 from insdvl_replay.gates.gate_file import Gates
@@ -19,7 +19,7 @@ def refuse_unknown_names(gates: Gates, filters: Sequence[str] | None) -> None:
         Those that will be replayed, the baseline first; None if there are stored results, which may have others.
     """
     for gate in gates.content.gate:
-        with about(gates.where(gate)):
+        with error_context(gates.where(gate)):
             layouts = _layouts(gate)
             _refuse_unknown_rows(gate, layouts, filters)
             if filters is not None:

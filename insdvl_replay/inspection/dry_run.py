@@ -4,8 +4,10 @@ Where a dive is read, the first error ends the work; here each is kept, and the 
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -17,14 +19,11 @@ from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns,
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, Note, UserError
 from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
-from insdvl_replay.logs.columns.clocks import clock_notes
-from insdvl_replay.logs.columns.decode import decode_imu
-from insdvl_replay.logs.columns.pings import decode_dvl
-from insdvl_replay.logs.columns.reference import decode_reference
+from insdvl_replay.logs.columns.imu import decode_imu
+from insdvl_replay.logs.columns.role_columns import RoleColumns
 from insdvl_replay.logs.columns.roles import Finding
-from insdvl_replay.logs.columns.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.columns.table_reading import read_sample, read_tables
-from insdvl_replay.logs.columns.tables import Table
+from insdvl_replay.logs.columns.tables import Table, loss_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.channel import LogChannel
 from insdvl_replay.logs.container.recording import Recording
@@ -36,11 +35,23 @@ _ENOUGH_OF_OTHERS: Final = 10
 _MEASURED: Final = re.compile(r"(scale|heading_deg|mounting_rpy_deg) = ")
 _LOOK_DEEPER: Final = "`inspect --deep` measures by how much; the first messages only show that something is off"
 _LOOK_FURTHER: Final = "`inspect --deep` reads all messages and tells whether it is so"
-_NO_PINGS: Final = DvlColumns(np.empty(0, np.int64), velocity_d=np.empty((0, 3)))
+
+
+OnError = Callable[[UserError], None]
+"""What is done about an error that would end a replay."""
+
+
+@contextmanager
+def errors_to(on_error: OnError) -> Iterator[None]:
+    """Keep an error that arises inside, and go on behind it."""
+    try:
+        yield
+    except UserError as error:
+        on_error(error)
 
 
 @dataclass
-class Examination:
+class DryRun:
     """Looks at the messages, role by role, and keeps what it finds.
 
     Parameters
@@ -58,9 +69,7 @@ class Examination:
     obstacles : list of Obstacle
     pings : PingFacts or None
     reference : ReferenceFacts or None
-    imu : ImuColumns or None
-    dvl : DvlColumns
-    solution : ReferenceColumns or None
+    columns : RoleColumns
         What was read of the roles.
     """
 
@@ -72,10 +81,11 @@ class Examination:
     obstacles: list[Obstacle] = field(default_factory=list)
     pings: PingFacts | None = None
     reference: ReferenceFacts | None = None
-    imu: ImuColumns | None = None
-    dvl: DvlColumns = _NO_PINGS
-    solution: ReferenceColumns | None = None
+    columns: RoleColumns = field(init=False)
     _other_imus: dict[str, ImuColumns] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.columns = RoleColumns(str(self.log.path), self.config)
 
     def examine(self, findings: Sequence[Finding]) -> None:
         """Look at all topics that play a role or could.
@@ -91,11 +101,12 @@ class Examination:
             self._look_at(finding)
             for source in finding.candidates:
                 self._look_at_candidate(source)
-        if self.imu is not None:
-            self._compare_clocks()
-            self._judge(self.imu)
+        if self.columns.imu is not None:
+            with errors_to(self._stopped_by):
+                self._remark(self.columns.clock_notes(self.clocks))
+            self._check(self.columns.imu)
         for topic, imu in self._other_imus.items():
-            self._judge_candidate(topic, imu)
+            self._check_candidate(topic, imu)
 
     def examine_others(self, channels: Iterable[LogChannel]) -> None:
         """Look at the clocks of topics without a role, as far as their messages have a header.
@@ -112,45 +123,38 @@ class Examination:
                 self.notes.append(Note("other_clock", error.message))
 
     def _look_at(self, finding: Finding) -> None:
-        try:
-            tables = [self._read(source, self._stopped_by) for source in finding.sources]
-            self._remark([*schema_notes(finding.sources), *stamp_notes(tables)])
+        tables: list[Table] = []
+        with errors_to(self._stopped_by):
+            read = [self._read(source, self._stopped_by) for source in finding.sources]
+            self._remark([*schema_notes(finding.sources), *stamp_notes(read)])
             if self.deep:
-                self._remark([*count_notes(tables), *left_out_notes(tables)])
-        except UserError as error:
+                self._remark(loss_notes(read))
+            tables = read
+        if tables and finding.role != "truth":
+            with errors_to(partial(self._not_decoded, finding.role)):
+                self._decode(finding.role, tables)
+
+    def _not_decoded(self, role: str, error: UserError) -> None:
+        if self.deep or role == "imu" or isinstance(error, ConfigError):
             self._stopped_by(error)
             return
-        if not tables:
-            return
-        try:
-            self._decode(finding.role, tables)
-        except UserError as error:
-            if self.deep or finding.role == "imu" or isinstance(error, ConfigError):
-                self._stopped_by(error)
-                return
-            # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
-            sentence = error.message.removeprefix(f"{self.log.path}: ")
-            text = f"by the first messages alone a replay would stop: {sentence}"
-            self.notes.append(Note("first_messages", text, 1, "warning", _LOOK_FURTHER))
+        # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
+        text = f"by the first messages alone a replay would stop: {error.inside(self.log.path)}"
+        self.notes.append(Note("first_messages", text, 1, "warning", _LOOK_FURTHER))
 
     def _look_at_candidate(self, source: Source) -> None:
         """Keep what one of several topics would give; what is wrong with it is no obstacle yet."""
-
-        def doubt(error: UserError) -> None:
-            self._doubt(source.topic, error)
-
-        try:
+        doubt = partial(self._doubt, source.topic)
+        with errors_to(doubt):
             table = self._read(source, doubt)
             if source.role == "imu":
                 self._other_imus[source.topic], _ = decode_imu(table, self.config.imu)
-        except UserError as error:
-            doubt(error)
 
-    def _read(self, source: Source, complain: Callable[[UserError], None]) -> Table:
+    def _read(self, source: Source, complain: OnError) -> Table:
         """Read a topic; where its stamps are no times, tell so and go on with the recorder's."""
         table = read_tables(self.log, [source])[0] if self.deep else read_sample(self.log, source, _ENOUGH)
         if table.unreadable_ns:
-            complain(table.refusal())
+            complain(table.damage_error())
         try:
             clock = table.clock()
         except UserError as error:
@@ -161,41 +165,27 @@ class Examination:
         return table
 
     def _decode(self, role: str, tables: list[Table]) -> None:
-        notes: list[Note] = []
-        if role == "imu":
-            self.imu, notes = decode_imu(tables[0], self.config.imu)
-        elif role == "dvl":
-            self.dvl, notes = decode_dvl(tables[0], self.config.dvl)
-            self.pings = _ping_facts(len(tables[0]), self.dvl, notes)
-        elif role == "reference":
-            self.solution, notes = decode_reference(tables, self.config.reference)
-            if self.solution is not None and self.imu is not None and self.deep:
-                self.reference = _reference_facts(self.solution, self.imu)
+        columns, messages = self.columns, len(tables[0])
+        notes = columns.decode(role, tables)
+        if role == "dvl":
+            self.pings = _ping_facts(messages, columns.dvl, notes)
+        elif columns.reference is not None and columns.imu is not None and self.deep:
+            self.reference = _reference_facts(columns.reference, columns.imu)
         self._remark(notes)
 
-    def _compare_clocks(self) -> None:
-        try:
-            self._remark(clock_notes(str(self.log.path), self.clocks, self.config.clocks.max_disagreement_s))
-        except UserError as error:
-            self._stopped_by(error)
-
-    def _judge(self, imu: ImuColumns) -> None:
+    def _check(self, imu: ImuColumns) -> None:
         for check in self._checks(imu):
-            try:
+            with errors_to(self._stopped_by):
                 self._remark(check())
-            except UserError as error:
-                self._stopped_by(error)
 
-    def _judge_candidate(self, topic: str, imu: ImuColumns) -> None:
+    def _check_candidate(self, topic: str, imu: ImuColumns) -> None:
         for check in self._checks(imu):
-            try:
+            with errors_to(partial(self._doubt, topic)):
                 about_imu = (note for note in check() if note.code.startswith("imu"))
                 self._remark(replace(note, text=f"{topic}: {note.text}") for note in about_imu)
-            except UserError as error:
-                self._doubt(topic, error)
 
     def _checks(self, imu: ImuColumns) -> tuple[Check, ...]:
-        return plausibility_checks(str(self.log.path), imu, self.dvl, self.solution, self.config)
+        return plausibility_checks(str(self.log.path), imu, self.columns.dvl, self.columns.reference, self.config)
 
     def _remark(self, notes: Iterable[Note]) -> None:
         """Keep notes; of those from a sample the warnings alone, since its counts are not the log's."""
@@ -207,8 +197,8 @@ class Examination:
         return hint if self.deep or not _MEASURED.search(hint) else _LOOK_DEEPER
 
     def _doubt(self, topic: str, error: UserError) -> None:
-        sentence = error.message.removeprefix(f"{self.log.path}: ").removeprefix(f"{topic}: ")
-        self.notes.append(Note("candidate", f"{topic}: {sentence}", 1, "warning", self._hint(error.hint)))
+        text = f"{topic}: {error.inside(self.log.path, topic)}"
+        self.notes.append(Note("candidate", text, 1, "warning", self._hint(error.hint)))
 
     def _stopped_by(self, error: UserError) -> None:
         self.obstacles.append(Obstacle(error.message, self._hint(error.hint)))
@@ -217,8 +207,8 @@ class Examination:
 def _has_header(channel: LogChannel) -> bool:
     """Tell whether a channel has messages with a stamp; what cannot be read is no matter where nobody needs it."""
     try:
-        check_encoding(channel, "")
-        return channel.messages > 0 and "header.stamp" in channel_paths(channel, "")
+        check_encoding(channel)
+        return channel.messages > 0 and "header.stamp" in channel_paths(channel)
     except UserError:
         return False
 

@@ -10,9 +10,9 @@ from insdvl_replay.core.columns import DvlColumns, ReferenceColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.units import VELOCITY_UNITS
 from insdvl_replay.geometry.frames import MAT_FRD_FLU
-from insdvl_replay.inspection.proposed_settings import Setting
+from insdvl_replay.inspection.proposed_settings import Setting, field_setting
 from insdvl_replay.inspection.stamp_proposal import stamp_setting
-from insdvl_replay.inspection.topic_probe import Candidate, SeenTopic
+from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic
 from insdvl_replay.logs.container.recording import Recording
 
 _DVL_WORDS: Final = re.compile(r"dvl|doppler|bottom")
@@ -26,16 +26,16 @@ _CLEARLY: Final = 0.01
 _AXES_OPEN: Final = "frd, flu (port and up turned) or a signed permutation; the maker says which"
 
 
-def dvl_topic(seen: Sequence[SeenTopic]) -> SeenTopic | None:
+def dvl_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
     """Choose the topic of a DVL: one with a velocity, best with a name that says so.
 
     Parameters
     ----------
-    seen : sequence of SeenTopic
+    seen : sequence of ProbedTopic
 
     Returns
     -------
-    SeenTopic or None
+    ProbedTopic or None
     """
     named = [topic for topic in seen if _DVL_WORDS.search(f"{topic.topic} {topic.channel.type_name}".lower())]
     moving = [topic for topic in seen if topic.likely("velocity") or topic.likely("beam_velocity")]
@@ -43,13 +43,13 @@ def dvl_topic(seen: Sequence[SeenTopic]) -> SeenTopic | None:
     return next(iter([*both, *moving, *(topic for topic in named if topic.vectors)]), None)
 
 
-def dvl_settings(log: Recording, topic: SeenTopic) -> list[Setting]:
+def dvl_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
     """Propose topic, fields, unit and stamp of a DVL of an unknown type.
 
     Parameters
     ----------
     log : Recording
-    topic : SeenTopic
+    topic : ProbedTopic
 
     Returns
     -------
@@ -60,7 +60,8 @@ def dvl_settings(log: Recording, topic: SeenTopic) -> list[Setting]:
         velocities = topic.vectors
     settings = [Setting("dvl.topic", topic.topic)]
     if velocities:
-        settings += [*_velocity(velocities), _unit(velocities[0]), *_valid(topic)]
+        settings += [field_setting("dvl.velocity", velocities), Setting("dvl.kind", "velocity")]
+        settings += [_unit(velocities[0]), *_valid(topic)]
     elif beams:
         settings.append(_unit(beams[0]))
     if beams:
@@ -68,7 +69,7 @@ def dvl_settings(log: Recording, topic: SeenTopic) -> list[Setting]:
     return [*settings, stamp_setting(log, topic, "dvl"), *_mounting()]
 
 
-def judged_dvl(dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> list[Setting]:
+def measured_dvl(dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> list[Setting]:
     """Propose axes and unit by what the reference's velocity shows.
 
     Parameters
@@ -111,14 +112,7 @@ def _scale(fit: Fit, config: Config) -> Iterator[Setting]:
             )
 
 
-def _velocity(velocities: Sequence[Candidate]) -> Iterator[Setting]:
-    first, *others = velocities
-    lines = tuple(f'velocity = "{other.path}"  # {other}' for other in others)
-    yield Setting("dvl.velocity", first.path, str(first), others=lines)
-    yield Setting("dvl.kind", "velocity")
-
-
-def _valid(topic: SeenTopic) -> Iterator[Setting]:
+def _valid(topic: ProbedTopic) -> Iterator[Setting]:
     """Ask about flags: what a good ping is named by can only be guessed."""
     flags = [f'"{path}" (median {median:g})' for path, median in topic.scalars.items() if _FLAGS.search(path.lower())]
     if flags:
@@ -135,7 +129,7 @@ def _unit(velocity: Candidate) -> Setting:
     return Setting("dvl.velocity_unit", best, seen, f"the size leaves it open: {', '.join(VELOCITY_UNITS)}")
 
 
-def _beams(topic: SeenTopic, beams: Sequence[Candidate], has_velocity: bool) -> Iterator[Setting]:
+def _beams(topic: ProbedTopic, beams: Sequence[Candidate], has_velocity: bool) -> Iterator[Setting]:
     valid = topic.likely("beam_valid")
     if has_velocity:
         # Until a person knows where the beams point, the velocity is the safer source.
@@ -144,12 +138,10 @@ def _beams(topic: SeenTopic, beams: Sequence[Candidate], has_velocity: bool) -> 
         text = "beams, once their angles are known, give more: kind, beam_velocity, beam_valid, beam_tilt_deg"
         yield Setting("dvl.kind", "velocity", text, others=('kind = "beams"', *lines))
         return
-    first, *others = beams
-    lines = [f'beam_velocity = "{other.path}"  # {other}' for other in others]
-    yield Setting("dvl.beam_velocity", first.path, str(first), others=tuple(lines))
+    yield field_setting("dvl.beam_velocity", beams)
     if valid:
         yield Setting("dvl.beam_valid", valid[0].path)
-    count = first.median.size
+    count = beams[0].median.size
     yield Setting("dvl.beam_tilt_deg", 30.0, open="from the instrument's z axis, as the maker says")
     azimuths = tuple(45.0 + 360.0 * beam / count for beam in range(count))
     yield Setting("dvl.beam_azimuth_deg", azimuths, open="from forward towards starboard, one angle for each beam")

@@ -12,10 +12,10 @@ from insdvl_replay.checks.plausibility import TRACK_DOUBT, UNIT_WRONG, GyroScale
 from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.units import ANGULAR_RATE_UNITS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
-from insdvl_replay.inspection.proposed_settings import Setting
+from insdvl_replay.inspection.proposed_settings import Setting, field_setting
 from insdvl_replay.inspection.stamp_proposal import stamp_setting
-from insdvl_replay.inspection.topic_probe import Candidate, SeenTopic
-from insdvl_replay.logs.columns.decode import FRD, in_frd
+from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic
+from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.container.recording import Recording
 
 _SAME: Final = 0.1
@@ -26,50 +26,48 @@ _NAMES: Final = {"+x+y+z": "frd", "+x-y-z": "flu"}
 _UNITS_OPEN: Final = "rad/s or deg/s, which the maker says"
 
 
-def imu_topic(seen: Sequence[SeenTopic]) -> SeenTopic | None:
+def imu_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
     """Choose a topic with a specific force; an angular rate beside it and the size of gravity speak for it.
 
     Parameters
     ----------
-    seen : sequence of SeenTopic
+    seen : sequence of ProbedTopic
 
     Returns
     -------
-    SeenTopic or None
+    ProbedTopic or None
     """
-    felt = [topic for topic in seen if topic.forces and _possible_rates(topic)]
-    return max(felt, key=lambda topic: (bool(topic.rates), bool(topic.forces[0].force_unit)), default=None)
+    candidates = [topic for topic in seen if topic.forces and _possible_rates(topic)]
+    return max(candidates, key=lambda topic: (bool(topic.rates), bool(topic.forces[0].force_unit)), default=None)
 
 
-def imu_settings(log: Recording, topic: SeenTopic) -> list[Setting]:
+def imu_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
     """Propose topic, fields, unit of the force and stamp of an IMU of an unknown type.
 
     Parameters
     ----------
     log : Recording
-    topic : SeenTopic
+    topic : ProbedTopic
 
     Returns
     -------
     list of Setting
     """
-    force, *other_forces = topic.forces
-    rate, *other_rates = _possible_rates(topic)
     doubt = "" if topic.rates else "no field is named like it; this one or another"
     return [
         Setting("imu.topic", topic.topic),
-        _field("specific_force", force, other_forces),
-        _force_unit(force),
-        _field("angular_rate", rate, other_rates, doubt),
+        field_setting("imu.specific_force", topic.forces),
+        _force_unit(topic.forces[0]),
+        field_setting("imu.angular_rate", _possible_rates(topic), doubt),
         stamp_setting(log, topic, "imu"),
     ]
 
 
-def _possible_rates(topic: SeenTopic) -> list[Candidate]:
+def _possible_rates(topic: ProbedTopic) -> list[Candidate]:
     return topic.rates or [candidate for candidate in topic.vectors if candidate not in topic.forces]
 
 
-def judged_imu(
+def measured_imu(
     imu: ImuColumns, settings: Imu, reference: ReferenceColumns | None, found: GyroScale | None
 ) -> list[Setting]:
     """Propose units and axes by what gravity and the reference show.
@@ -89,15 +87,15 @@ def judged_imu(
     list of Setting
         What is in order needs none.
     """
-    judged = list(_wrong_force_unit(imu, settings))
+    measured = list(_wrong_force_unit(imu, settings))
     if settings.axes is None and settings.specific_force_axes is None:
-        judged += list(_axes(imu, reference))
+        measured += list(_axes(imu, reference))
     if settings.angular_rate_unit is None:
-        judged += list(_rate_unit(imu, found))
-    return judged
+        measured += list(_rate_unit(imu, found))
+    return measured
 
 
-def judged_rates(imu: ImuColumns, settings: Imu, judged: Sequence[Setting]) -> ImuColumns:
+def corrected_rates(imu: ImuColumns, settings: Imu, measured: Sequence[Setting]) -> ImuColumns:
     """Bring the angular rate to the axes and the unit that were proposed.
 
     Parameters
@@ -106,14 +104,14 @@ def judged_rates(imu: ImuColumns, settings: Imu, judged: Sequence[Setting]) -> I
         As the settings read it.
     settings : Imu
         Completed by what is known of the type.
-    judged : sequence of Setting
-        From `judged_imu`.
+    measured : sequence of Setting
+        From `measured_imu`.
 
     Returns
     -------
     ImuColumns
     """
-    values = {setting.key: setting.value for setting in judged if setting.value is not None}
+    values = {setting.key: setting.value for setting in measured if setting.value is not None}
     read_in = settings.angular_rate_unit or "rad/s"
     unit = ANGULAR_RATE_UNITS[values.get("imu.angular_rate_unit", read_in)] / ANGULAR_RATE_UNITS[read_in]
     rate_b = in_frd(imu.angular_rate_b, values.get("imu.axes", FRD), "imu.axes", unit)
@@ -238,11 +236,6 @@ def _wrong_force_unit(imu: ImuColumns, settings: Imu) -> Iterator[Setting]:
 
 def _is_gravity(size_mps2: float) -> bool:
     return abs(size_mps2 / GRAVITY_MPS2 - 1.0) < _SAME
-
-
-def _field(quantity: str, first: Candidate, others: Sequence[Candidate], doubt: str = "") -> Setting:
-    lines = tuple(f'{quantity} = "{other.path}"  # {other}' for other in others)
-    return Setting(f"imu.{quantity}", first.path, str(first), doubt, lines)
 
 
 def _force_unit(force: Candidate) -> Setting:

@@ -14,22 +14,70 @@ from insdvl_replay.core.columns import ImuColumns
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import LogError, Note, listed
-from insdvl_replay.inspection.dry_run import Examination
-from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, judged_dvl
-from insdvl_replay.inspection.field_proposal import listed_settings
-from insdvl_replay.inspection.imu_proposal import imu_settings, imu_topic, judged_imu, judged_rates, measured_scale
+from insdvl_replay.inspection.dry_run import DryRun
+from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, measured_dvl
+from insdvl_replay.inspection.imu_proposal import corrected_rates, imu_settings, imu_topic, measured_imu, measured_scale
 from insdvl_replay.inspection.inventory import Obstacle
 from insdvl_replay.inspection.proposed_settings import Setting, decisions, not_yet_set, settings_toml, with_settings
 from insdvl_replay.inspection.reference_proposal import reference_settings, reference_topic
 from insdvl_replay.inspection.stamp_proposal import recorder_stamps
-from insdvl_replay.inspection.topic_probe import SeenTopic, see_topics
+from insdvl_replay.inspection.topic_probe import ProbedTopic, probe_topics
 from insdvl_replay.logs.columns.clocks import clock_notes
-from insdvl_replay.logs.columns.roles import Finding, explain_roles
+from insdvl_replay.logs.columns.roles import Finding, find_roles
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.recording import Recording
 
+_NEEDED: Final = {"imu": ("specific_force", "angular_rate"), "dvl": ("velocity",)}
+_INSTEAD: Final = {"velocity": ("beam_velocity =  # one number for each beam",)}
+_LONGEST: Final = 12
+"""Topics that are listed at most."""
+
+
+def listed_settings(role: str, seen: Sequence[ProbedTopic]) -> Iterator[Setting]:
+    """List every field with numbers, that a person may choose.
+
+    Parameters
+    ----------
+    role : {'imu', 'dvl'}
+    seen : sequence of ProbedTopic
+
+    Yields
+    ------
+    Setting
+        Without values; none where no topic has numbers.
+    """
+    if not seen or role not in _NEEDED:
+        return
+    often = sorted(seen, key=lambda topic: -topic.channel.messages)
+    lines = [line for topic in often[:_LONGEST] for line in _lines(topic)]
+    if (more := len(often) - _LONGEST) > 0:
+        lines.append(f"and {more} topics with fewer messages")
+    text = "no topic has fields that are named like those of this role; the topics with numbers, and their fields, are"
+    yield Setting(f"{role}.topic", None, open=text, listed=tuple(lines))
+    for quantity in _NEEDED[role]:
+        text = 'one of three numbers, or three side by side as in "p, q, r"'
+        yield Setting(f"{role}.{quantity}", None, open=text, others=_INSTEAD.get(quantity, ()))
+
+
+def _lines(topic: ProbedTopic) -> Iterator[str]:
+    yield f'"{topic.topic}", {topic.channel.messages} messages'
+    for candidate in topic.candidates:
+        yield f'  "{candidate.path}"'
+        yield f"    {candidate}"
+    for path, median in topic.scalars.items():
+        yield f'  "{path}", median {median:.3g}'
+
+
 _DEFAULTS: Final = ("frd", "rad/s")
 """What a known type is taken to give; only something else is worth a setting."""
+
+
+_ROLES: Final = (
+    ("imu", imu_topic, imu_settings),
+    ("dvl", dvl_topic, dvl_settings),
+    ("reference", reference_topic, reference_settings),
+)
+"""How the topic of each role is chosen, and what is then proposed for it; what one has is no other's."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +126,11 @@ def propose(
         return Proposal()
     fields, notes = _fields(log, findings, config)
     settings = [*_choices(findings), *not_yet_set(fields, config)]
-    settings += _judged(log, with_settings(config, settings), settings, deep=deep)
+    settings += _measured(log, with_settings(config, settings), settings, deep=deep)
     draft = with_settings(config, settings)
-    found = explain_roles(str(log.path), log.channels, draft)
+    found = find_roles(str(log.path), log.channels, draft)
     settings += _start(found, draft.initial)
-    last = Examination(log, with_settings(config, settings), deep=False)
+    last = DryRun(log, with_settings(config, settings), deep=False)
     last.examine(found)
     return Proposal(settings_toml(settings), decisions(settings), tuple(last.obstacles), notes)
 
@@ -104,20 +152,16 @@ def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> tupl
     if not wanted:
         return [], ()
     taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
-    seen, unseen = see_topics(log, [channel for channel in log.channels if channel.topic not in taken])
+    seen, unseen = probe_topics(log, [channel for channel in log.channels if channel.topic not in taken])
     settings: list[Setting] = []
-    if "imu" in wanted:
-        felt = _named([topic for topic in seen if topic.topic != config.dvl.topic], config.imu.topic)
-        imu = imu_topic(felt)
-        settings += imu_settings(log, imu) if imu else listed_settings("imu", felt)
-        seen = [topic for topic in seen if topic is not imu]
-    if "dvl" in wanted:
-        heard = _named(seen, config.dvl.topic)
-        dvl = dvl_topic(heard)
-        settings += dvl_settings(log, dvl) if dvl else listed_settings("dvl", heard)
-        seen = [topic for topic in seen if topic is not dvl]
-    if "reference" in wanted and (reference := reference_topic(_named(seen, config.reference.topic))):
-        settings += reference_settings(log, reference)
+    for role, choose, settings_of in _ROLES:
+        if role not in wanted:
+            continue
+        free = [topic for topic in seen if role != "imu" or topic.topic != config.dvl.topic]
+        candidates = _named(free, getattr(config, role).topic)
+        topic = choose(candidates)
+        settings += settings_of(log, topic) if topic else listed_settings(role, candidates)
+        seen = [other for other in seen if other is not topic]
     return settings, tuple(_unseen_notes(unseen))
 
 
@@ -127,40 +171,40 @@ def _unseen_notes(unseen: Sequence[str]) -> Iterator[Note]:
         yield Note("topics_not_looked_at", text, len(unseen), hint="name the topic of each role in the configuration")
 
 
-def _named(seen: Sequence[SeenTopic], topic: str | None) -> Sequence[SeenTopic]:
+def _named(seen: Sequence[ProbedTopic], topic: str | None) -> Sequence[ProbedTopic]:
     """Look at the topic alone that the configuration names, if the log has it."""
     return [found for found in seen if found.topic == topic] or seen
 
 
-def _judged(log: Recording, config: Config, settings: Sequence[Setting], *, deep: bool) -> list[Setting]:
+def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, deep: bool) -> list[Setting]:
     """Judge units, axes and clocks by what the messages show, read as proposed so far."""
-    findings = explain_roles(str(log.path), log.channels, config)
-    seen = Examination(log, config, deep)
+    findings = find_roles(str(log.path), log.channels, config)
+    seen = DryRun(log, config, deep)
     seen.examine(findings)
     named = {setting.key for setting in settings}
-    judged = _stamps(log, findings, seen.clocks, config)
-    if seen.imu is not None:
+    measured = _stamps(log, findings, seen.clocks, config)
+    if seen.columns.imu is not None:
         (source,) = findings[0].sources
-        found = list(_judged_imu(seen, seen.imu, source))
-        judged += found if "imu.angular_rate" in named else _worth_saying(found, source.topic)
-    if "dvl.velocity" in named and len(seen.dvl.time_ns):
-        judged += judged_dvl(seen.dvl, seen.solution, config)
-    return judged
+        found = list(_measured_imu(seen, seen.columns.imu, source))
+        measured += found if "imu.angular_rate" in named else _worth_saying(found, source.topic)
+    if "dvl.velocity" in named and len(seen.columns.dvl.time_ns):
+        measured += measured_dvl(seen.columns.dvl, seen.columns.reference, config)
+    return measured
 
 
-def _judged_imu(seen: Examination, imu: ImuColumns, source: Source) -> Iterator[Setting]:
-    scale = gyro_scale(imu, seen.dvl, seen.solution, seen.config)
+def _measured_imu(seen: DryRun, imu: ImuColumns, source: Source) -> Iterator[Setting]:
+    scale = gyro_scale(imu, seen.columns.dvl, seen.columns.reference, seen.config)
     settings = source.completed(seen.config.imu)
-    judged = judged_imu(imu, settings, seen.solution, scale)
-    yield from judged
+    measured = measured_imu(imu, settings, seen.columns.reference, scale)
+    yield from measured
     if seen.deep:
-        turned = judged_rates(imu, settings, judged)
-        yield from measured_scale(settings, gyro_scale(turned, seen.dvl, seen.solution, seen.config))
+        turned = corrected_rates(imu, settings, measured)
+        yield from measured_scale(settings, gyro_scale(turned, seen.columns.dvl, seen.columns.reference, seen.config))
 
 
-def _worth_saying(judged: Sequence[Setting], topic: str) -> list[Setting]:
+def _worth_saying(measured: Sequence[Setting], topic: str) -> list[Setting]:
     """Of an IMU of a known type, say only what is unlike its type, and of which topic it holds."""
-    return [replace(found, seen=f"{topic}: {found.seen}") for found in judged if found.value not in _DEFAULTS]
+    return [replace(found, seen=f"{topic}: {found.seen}") for found in measured if found.value not in _DEFAULTS]
 
 
 def _stamps(log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config) -> list[Setting]:

@@ -5,7 +5,7 @@ a file that can be used as it is.
 """
 
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any, Final
@@ -15,6 +15,7 @@ import msgspec
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.plain_text import visible
+from insdvl_replay.inspection.topic_probe import Candidate
 
 _WIDTH: Final = 79
 _DECIDE: Final = "decide: "
@@ -60,6 +61,14 @@ class Setting:
     def of(self, config: Config) -> Any:
         """Give the value that a configuration has for this key."""
         return getattr(getattr(config, self.section), self.name)
+
+
+def field_setting(key: str, candidates: Sequence[Candidate], doubt: str = "") -> Setting:
+    """Propose the first of some fields, with the others as what could stand in its place."""
+    first, *others = candidates
+    name = key.partition(".")[2]
+    lines = tuple(f'{name} = "{other.path}"  # {other}' for other in others)
+    return Setting(key, first.path, str(first), doubt, lines)
 
 
 def with_settings(config: Config, settings: Iterable[Setting]) -> Config:

@@ -6,7 +6,7 @@ from typing import Final
 
 from insdvl_replay.inspection.proposed_settings import Setting
 from insdvl_replay.inspection.stamp_proposal import stamp_setting
-from insdvl_replay.inspection.topic_probe import SeenTopic
+from insdvl_replay.inspection.topic_probe import ProbedTopic
 from insdvl_replay.logs.container.recording import Recording
 
 _WORDS: Final = {
@@ -30,29 +30,29 @@ _MEANT: Final = (
 )
 
 
-def reference_topic(seen: Sequence[SeenTopic]) -> SeenTopic | None:
+def reference_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
     """Choose the topic with the most of a position, a velocity and an attitude.
 
     Parameters
     ----------
-    seen : sequence of SeenTopic
+    seen : sequence of ProbedTopic
         Those that play no other role.
 
     Returns
     -------
-    SeenTopic or None
+    ProbedTopic or None
         None where no topic has fields that are named like a latitude and longitude, or like the three angles.
     """
     return max((topic for topic in seen if _fields(topic)), key=lambda topic: len(_fields(topic)), default=None)
 
 
-def reference_settings(log: Recording, topic: SeenTopic) -> list[Setting]:
+def reference_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
     """Propose topic, fields, unit and stamp of a reference.
 
     Parameters
     ----------
     log : Recording
-    topic : SeenTopic
+    topic : ProbedTopic
         With fields that are named like a position or an attitude.
 
     Returns
@@ -66,7 +66,7 @@ def reference_settings(log: Recording, topic: SeenTopic) -> list[Setting]:
     return [*settings, _unit(max(angles)), stamp_setting(log, topic, "reference")]
 
 
-def _fields(topic: SeenTopic) -> dict[str, str]:
+def _fields(topic: ProbedTopic) -> dict[str, str]:
     """Find the fields of a solution; angles only where none is missing."""
     found = {quantity: path for quantity, words in _WORDS.items() if (path := _first(topic, words))}
     for together in (_PLACE, _ATTITUDE):
@@ -78,11 +78,11 @@ def _fields(topic: SeenTopic) -> dict[str, str]:
     return found | ({"velocity_n": velocity} if velocity else {})
 
 
-def _first(topic: SeenTopic, words: re.Pattern[str]) -> str | None:
+def _first(topic: ProbedTopic, words: re.Pattern[str]) -> str | None:
     return next((path for path in topic.scalars if words.search(path.lower())), None)
 
 
-def _velocities(topic: SeenTopic) -> Iterator[str]:
+def _velocities(topic: ProbedTopic) -> Iterator[str]:
     """Find fields such as ``vn``, ``ve``, ``vd`` or ``vel_north``, ``vel_east``, ``vel_down``."""
     for path in topic.scalars:
         if (match := _NORTH.fullmatch(path)) and (others := _OTHERS.get(match[2])):

@@ -8,7 +8,7 @@ from typing import Final
 from insdvl_replay.core.clock import Clock
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.proposed_settings import Setting
-from insdvl_replay.inspection.topic_probe import SeenTopic
+from insdvl_replay.inspection.topic_probe import ProbedTopic
 from insdvl_replay.inspection.vectors import time_paths
 from insdvl_replay.logs.columns.clocks import LARGEST_JITTER_S, stamp_unit
 from insdvl_replay.logs.columns.table_reading import read_sample
@@ -23,13 +23,13 @@ _STRAY: Final = 0.05
 """Share of the sample's length by which a clock may wander; what counts from the message before does not run at all."""
 
 
-def stamp_setting(log: Recording, seen: SeenTopic, role: str) -> Setting:
+def stamp_setting(log: Recording, seen: ProbedTopic, role: str) -> Setting:
     """Propose what stamps the messages of a topic.
 
     Parameters
     ----------
     log : Recording
-    seen : SeenTopic
+    seen : ProbedTopic
     role : str
         Section of the configuration.
 
@@ -67,7 +67,7 @@ def recorder_stamps(clocks: Sequence[Clock], text: str) -> list[Setting]:
     ]
 
 
-def _clocks(log: Recording, seen: SeenTopic) -> Iterator[tuple[Clock, str]]:
+def _clocks(log: Recording, seen: ProbedTopic) -> Iterator[tuple[Clock, str]]:
     """Give the clocks of fields that could be stamps, the likelier first, with the unit of those that are numbers."""
     times = sorted(time_paths(seen.known), key=lambda path: path != _HEADER)
     named = [path for path in seen.scalars if _NAMES.search(path.rpartition(".")[2].lower())]

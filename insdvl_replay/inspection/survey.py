@@ -4,6 +4,7 @@ Built on the functions that read a dive, so that what is said here is what a rep
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
@@ -12,12 +13,71 @@ import numpy as np
 
 from insdvl_replay.core.columns import TimeNs, seconds
 from insdvl_replay.core.config import Config
-from insdvl_replay.inspection.dry_run import Examination
+from insdvl_replay.core.errors import UserError
+from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
 from insdvl_replay.inspection.proposal import propose
-from insdvl_replay.logs.columns.roles import Finding, explain_roles
-from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.columns.roles import Finding, find_roles
+from insdvl_replay.logs.container.channel import LogChannel, by_topic
 from insdvl_replay.logs.container.recording import Recording, open_recording
+from insdvl_replay.preparation.alignment import check_start
+
+
+def inspect_log(
+    path: Path | Sequence[Path], config: Config, *, deep: bool = False, allow_damaged: bool = False
+) -> Inventory:
+    """Say what a log holds and whether it can be replayed.
+
+    Parameters
+    ----------
+    path : Path or sequence of Path
+        A log, a bag, or several of them that are one dive.
+    config : Config
+    deep : bool
+        Read the messages of all roles whole, and go as far as a replay would before its filters run; else the first
+        messages of each role tell about its clock and units.
+    allow_damaged : bool
+        Damage is told, and is no obstacle.
+
+    Returns
+    -------
+    Inventory
+
+    Raises
+    ------
+    LogError
+        The file cannot be read at all.
+    """
+    inventory = survey_log(path, config, deep=deep, allow_damaged=allow_damaged)
+    try:
+        if inventory.obstacles or not deep:
+            _check_start(inventory, config)
+            return inventory
+        # Not imported before it is needed: a look at the file alone takes less than the filters' import.
+        from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
+        from insdvl_replay.preparation.reading import read_checked_dive
+
+        dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
+        notes = prepare_dive(with_reference_at_imu(dive, config), config).notes
+    except UserError as error:
+        obstacle = Obstacle(error.message, error.hint)
+        return replace(inventory, obstacles=(*inventory.obstacles, obstacle))
+    return replace(inventory, notes=dive.notes + notes)
+
+
+def _check_start(inventory: Inventory, config: Config) -> None:
+    """Refuse what a replay would refuse for want of a start, by what the types of the reference can give."""
+    reference = next(role for role in inventory.roles if role.role == "reference")
+    if reference.candidates:
+        # Which of them is chosen decides what it gives.
+        return
+    check_start(
+        config.initial,
+        has_reference=bool(reference.fields),
+        has_position="latitude" in reference.fields,
+        has_attitude="quaternion" in reference.fields or "roll" in reference.fields,
+    )
+
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -52,8 +112,8 @@ def survey_log(
 
 
 def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool) -> Inventory:
-    findings = explain_roles(str(log.path), log.channels, config)
-    seen = Examination(log, config, deep)
+    findings = find_roles(str(log.path), log.channels, config)
+    seen = DryRun(log, config, deep)
     seen.examine(findings)
     sources = [source for finding in findings for source in (*finding.sources, *finding.candidates)]
     looked_at = {source.topic for source in sources}
@@ -61,7 +121,7 @@ def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool
     log_times = log.log_times()
     proposal = propose(log, findings, seen.obstacles, config, deep=deep)
     # Last of all, since damage inside the chunks is found as they are opened.
-    refusals = [error] if not allow_damaged and (error := log.refusal()) is not None else []
+    refusals = [error] if not allow_damaged and (error := log.damage_error()) is not None else []
     return Inventory(
         log=_log_facts(log, log_times),
         reading="whole" if deep else "sample",
@@ -110,11 +170,8 @@ def _topics(
 ) -> tuple[TopicFacts, ...]:
     role_of = {source.topic: source.role for finding in reversed(findings) for source in finding.sources}
     start_ns = min((int(times.min()) for times in log_times.values() if times.size), default=0)
-    by_topic: dict[str, list[LogChannel]] = {}
-    for channel in channels:
-        by_topic.setdefault(channel.topic, []).append(channel)
     facts = []
-    for topic, same in sorted(by_topic.items()):
+    for topic, same in sorted(by_topic(channels).items()):
         log_time = np.concatenate([log_times[channel.id] for channel in same])
         facts.append(_topic_facts(same, log_time, start_ns, role_of.get(topic, "")))
     return tuple(facts)

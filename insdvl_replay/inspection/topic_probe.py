@@ -79,7 +79,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class SeenTopic:
+class ProbedTopic:
     """What the first messages of a topic show.
 
     Attributes
@@ -105,7 +105,7 @@ class SeenTopic:
     @property
     def forces(self) -> list[Candidate]:
         """What could be the specific force: what is named like it, else what has the size of gravity."""
-        return self.likely("specific_force") or [candidate for candidate in self.sound if candidate.force_unit]
+        return self.likely("specific_force") or [candidate for candidate in self.plausible if candidate.force_unit]
 
     @property
     def rates(self) -> list[Candidate]:
@@ -115,20 +115,20 @@ class SeenTopic:
     @property
     def vectors(self) -> list[Candidate]:
         """Those of three numbers that are not named like something else."""
-        return [candidate for candidate in self.sound if not candidate.is_beams]
+        return [candidate for candidate in self.plausible if not candidate.is_beams]
 
     @property
-    def sound(self) -> list[Candidate]:
+    def plausible(self) -> list[Candidate]:
         """Those that are not named like something else."""
         return [candidate for candidate in self.candidates if not _NEVER.search(candidate.path.lower())]
 
     def likely(self, quantity: str) -> list[Candidate]:
         """Give those that are named like a quantity, and have as many numbers as it."""
-        named = [candidate for candidate in self.sound if _WORDS[quantity].search(candidate.path.lower())]
+        named = [candidate for candidate in self.plausible if _WORDS[quantity].search(candidate.path.lower())]
         return [candidate for candidate in named if candidate.is_beams == quantity.startswith("beam")]
 
 
-def see_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[SeenTopic], list[str]]:
+def probe_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[ProbedTopic], list[str]]:
     """Look at the first messages of some topics for vectors, beams and single numbers.
 
     Parameters
@@ -139,12 +139,12 @@ def see_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[See
 
     Returns
     -------
-    list of SeenTopic
+    list of ProbedTopic
         Those with any.
     list of str
         Topics that were not looked at, since there are so many fields.
     """
-    seen: list[SeenTopic] = []
+    seen: list[ProbedTopic] = []
     unseen: list[str] = []
     work = 0
     for channel in channels:
@@ -155,18 +155,17 @@ def see_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[See
             continue
         # What cannot be read cannot be proposed; it is no error before someone asks for it.
         with suppress(LogError):
-            topic, looks = _see(log, channel)
+            topic, looks = _probe(log, channel)
             seen.append(topic)
             work += looks * len(topic.known)
     return [topic for topic in seen if topic.candidates or topic.scalars], unseen
 
 
-def _see(log: Recording, channel: LogChannel) -> tuple[SeenTopic, int]:
+def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
     """Look at a topic; tell at how many fields."""
-    place = f"{log.path}: {channel.topic}"
-    check_encoding(channel, str(log.path))
+    check_encoding(channel)
     blocks = [_first_of(block) for block in islice(log.blocks({channel.id}), _BLOCKS)]
-    reader = open_reader(channel, (), place)
+    reader = open_reader(channel, ())
     # In JSON without schema only the messages tell which fields there are.
     for block in blocks[:1]:
         reader.columns(block)
@@ -175,14 +174,14 @@ def _see(log: Recording, channel: LogChannel) -> tuple[SeenTopic, int]:
     # Read one by one, since one field that is not what it seems would spoil the others.
     paths = [*vector_paths(reader.known), *scalar_paths(reader.known)][: _MOST_WORK // max(len(reader.known), 1)]
     for path in paths:
-        values = _values(channel, path, blocks, place)
+        values = _values(channel, path, blocks)
         finite = values[np.isfinite(values).all(axis=1)]
         sizes = np.linalg.norm(finite, axis=1)
         if len(finite) and values.shape[1] in _WIDTHS:
             candidates[path] = Candidate(path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max()))
         elif len(finite) and values.shape[1] == 1:
             scalars[path] = float(np.median(finite))
-    return SeenTopic(channel, reader.known, tuple(candidates.values()), scalars), len(paths)
+    return ProbedTopic(channel, reader.known, tuple(candidates.values()), scalars), len(paths)
 
 
 def _first_of(block: Block) -> Block:
@@ -191,9 +190,9 @@ def _first_of(block: Block) -> Block:
     return block.part(slice(max(1, min(_MESSAGES, within))))
 
 
-def _values(channel: LogChannel, path: str, blocks: Sequence[Block], place: str) -> Floats:
+def _values(channel: LogChannel, path: str, blocks: Sequence[Block]) -> Floats:
     paths = split_paths(path)
-    reader = open_reader(channel, paths, place)
+    reader = open_reader(channel, paths)
     parts = []
     for block in blocks:
         columns = reader.columns(block)

@@ -3,20 +3,19 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import cast
 
 from insdvl_replay.core.channel import Channel
-from insdvl_replay.core.columns import Dive
+from insdvl_replay.core.columns import Dive, ImuColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_names import dive_name
 from insdvl_replay.core.progress import begin
-from insdvl_replay.logs.columns.clocks import clock_notes
-from insdvl_replay.logs.columns.decode import decode_imu, decode_truth
-from insdvl_replay.logs.columns.pings import decode_dvl
-from insdvl_replay.logs.columns.reference import decode_reference
-from insdvl_replay.logs.columns.roles import Roles, assign_roles
-from insdvl_replay.logs.columns.table_notes import count_notes, left_out_notes, schema_notes, stamp_notes
+from insdvl_replay.logs.columns.role_columns import RoleColumns
+from insdvl_replay.logs.columns.roles import find_roles
 from insdvl_replay.logs.columns.table_reading import read_tables
-from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.columns.tables import loss_notes, schema_notes, stamp_notes
+from insdvl_replay.logs.columns.topic_requirements import Source
+from insdvl_replay.logs.container.channel import LogChannel, by_topic
 from insdvl_replay.logs.container.recording import open_recording
 
 
@@ -51,39 +50,35 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
 
     log = open_recording(path, allow_damaged=allow_damaged)
     place = str(log.path)
-    roles = assign_roles(place, log.channels, config)
+    findings = find_roles(place, log.channels, config)
+    for error in filter(None, (finding.error for finding in findings)):
+        raise error
+    sources = [source for finding in findings for source in finding.sources]
     with log.watched(), ThreadPoolExecutor(1) as checker:
         digests = checker.submit(log.digests)
-        tables = read_tables(log, roles.sources)
+        tables = read_tables(log, sources)
         log.check_unopened()
         sha256 = log.sha256(digests.result())
-    notes = [*log.notes, *schema_notes(roles.sources), *count_notes(tables)]
-    notes += [*left_out_notes(tables), *stamp_notes(tables)]
-    notes += clock_notes(place, [table.clock() for table in tables], config.clocks.max_disagreement_s)
-    # The raw columns of a long dive are large, and let go one by one.
-    imu, imu_notes = decode_imu(tables.pop(0), config.imu)
-    dvl, dvl_notes = decode_dvl(tables.pop(0), config.dvl)
-    truth, truth_notes = decode_truth(tables.pop()) if roles.truth else (None, [])
-    reference, reference_notes = decode_reference(tables, config.reference)
-    notes += [*imu_notes, *dvl_notes, *reference_notes, *truth_notes]
+    notes = [*log.notes, *schema_notes(sources), *loss_notes(tables), *stamp_notes(tables)]
+    columns = RoleColumns(place, config)
+    notes += columns.clock_notes([table.clock() for table in tables])
+    for finding in filter(lambda finding: finding.sources, findings):
+        notes += columns.decode(finding.role, [tables.pop(0) for _ in finding.sources])
     return Dive(
         name=dive_name(log.path),
-        imu=imu,
-        dvl=dvl,
-        reference=reference,
-        truth=truth,
+        imu=cast(ImuColumns, columns.imu),  # else there was an error
+        dvl=columns.dvl,
+        reference=columns.reference,
+        truth=columns.truth,
         sha256=sha256,
-        channels=_channels(log.channels, roles),
+        channels=_channels(log.channels, sources),
         notes=tuple(notes),
     )
 
 
-def _channels(channels: Sequence[LogChannel], roles: Roles) -> tuple[Channel, ...]:
+def _channels(channels: Sequence[LogChannel], sources: Sequence[Source]) -> tuple[Channel, ...]:
     """List the topics, each once, with their roles."""
-    role_of = {source.topic: source.role for source in reversed(roles.sources)}
-    by_topic: dict[str, list[LogChannel]] = {}
-    for channel in channels:
-        by_topic.setdefault(channel.topic, []).append(channel)
+    role_of = {source.topic: source.role for source in reversed(sources)}
     return tuple(
         Channel(
             topic=topic,
@@ -92,5 +87,5 @@ def _channels(channels: Sequence[LogChannel], roles: Roles) -> tuple[Channel, ..
             role=role_of.get(topic, ""),
             messages=sum(channel.messages for channel in same),
         )
-        for topic, same in sorted(by_topic.items())
+        for topic, same in sorted(by_topic(channels).items())
     )

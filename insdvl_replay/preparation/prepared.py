@@ -6,7 +6,7 @@ import numpy as np
 
 from insdvl_replay.core.columns import Dive, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.errors import ConfigError, LogError, Note, about
+from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import moved_position
@@ -109,7 +109,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     filters = resolve_filters(config, from_beams=velocities.from_beams)
     start_ns, end_ns = _span(dive, velocities, config)
     gaps = find_gaps(dive.imu.time_ns, config.imu)
-    with about(dive.name):
+    with error_context(dive.name):
         start_ns, end_ns, gap_notes = settle_gaps(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
         noise = filters[0].sensor_noise(velocities)
         alignment = align(

@@ -1,15 +1,16 @@
 """Hints about names: the one that was meant if any is like it, else a short list of what there is."""
 
+import pickle
 from pathlib import Path
 
 import pytest
 
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.errors import ConfigError, LogError, listed, nearest
-from insdvl_replay.logs.columns.roles import assign_roles
+from insdvl_replay.core.errors import ConfigError, LogError, error_context, listed, nearest
+from insdvl_replay.logs.columns.roles import find_roles
 from insdvl_replay.logs.container.channel import LogChannel
-from insdvl_replay.logs.encoding.field_errors import check_path
+from insdvl_replay.logs.encoding.field_paths import check_path
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELDS = {"header": "H", "header.frame_id": "string", "angular_velocity": "V", "angular_velocity.x": "float64"}
@@ -24,9 +25,8 @@ def channel(topic: str, type_name: str, messages: int) -> LogChannel:
 
 
 def refusal(channels: list[LogChannel], config: Config | None = None) -> LogError:
-    with pytest.raises(LogError) as refused:
-        assign_roles("a.mcap", channels, config or Config())
-    return refused.value
+    findings = find_roles("a.mcap", channels, config or Config())
+    return next(finding.error for finding in findings if finding.error)
 
 
 def test_only_what_is_spelled_alike_is_near() -> None:
@@ -67,7 +67,7 @@ def test_empty_log_is_no_matter_of_types(topic: str | None) -> None:
 )
 def test_field_that_is_like_none_is_answered_with_those_there_are(path: str, hint: str) -> None:
     with pytest.raises(LogError) as refused:
-        check_path(path, FIELDS, IMU_TYPE, "a.mcap")
+        check_path(path, FIELDS, IMU_TYPE)
     assert refused.value.hint == hint
 
 
@@ -77,3 +77,12 @@ def test_key_that_is_like_none_is_answered_with_those_there_are(tmp_path: Path) 
     with pytest.raises(ConfigError) as refused:
         load_config(file=file)
     assert refused.value.hint == "known here: start_s, end_s"
+
+
+def test_an_error_knows_its_places_apart_from_its_sentence() -> None:
+    with pytest.raises(LogError) as raised, error_context("dive.mcap", "/imu"):
+        raise LogError("has no messages", "look again")
+    error = pickle.loads(pickle.dumps(raised.value))
+    assert (error.where, error.what, error.hint) == (("dive.mcap", "/imu"), "has no messages", "look again")
+    assert str(error) == error.message == "dive.mcap: /imu: has no messages"
+    assert error.inside("dive.mcap") == "/imu: has no messages"

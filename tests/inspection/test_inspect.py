@@ -20,9 +20,9 @@ from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.states import DEG
-from insdvl_replay.inspection.inspection import inspect_log
 from insdvl_replay.inspection.inventory import Inventory
 from insdvl_replay.inspection.output import encode_inventory, terminal_inventory
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.inspection.vectors import vector_paths
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.replay import replay_log

@@ -17,9 +17,9 @@ from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.tables import Tables
-from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.logs.encoding.field_errors import check_path
+from insdvl_replay.logs.encoding.field_paths import check_path
 from insdvl_replay.replay import replay_log
 
 START = {"initial.heading_deg": "30.0", "initial.latitude_deg": "32.8"}
@@ -188,6 +188,6 @@ def test_errors_about_fields_list_those_there_are(setting: str, sentence: str, s
 def test_of_many_fields_those_named_alike_are_listed() -> None:
     known = {f"temperature_{i}": "float32" for i in range(100)} | {"gyro_rate": "float64", "note": "string"}
     with pytest.raises(LogError) as raised:
-        check_path("gyro", known, "acme/msg/Imu", "dive.mcap: /imu")
+        check_path("gyro", known, "acme/msg/Imu")
     assert "the nearest one is 'gyro_rate'" in raised.value.hint
     assert "gyro_rate (float64) and 77 more" in raised.value.hint

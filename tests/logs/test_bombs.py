@@ -25,14 +25,14 @@ from insdvl_replay.cli.messages import tell_failure
 from insdvl_replay.core.columns import ImuColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, Note, most_like
-from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container import mcap_file
 from insdvl_replay.logs.container.channel import LogChannel
 from insdvl_replay.logs.container.chunks import LARGEST_CHUNK, Chunk, most_opened, open_chunk
 from insdvl_replay.logs.container.damage import Damage
 from insdvl_replay.logs.container.mcap_file import Log
-from insdvl_replay.logs.container.scanner import Anatomy
+from insdvl_replay.logs.container.scanner import McapIndex
 from insdvl_replay.logs.container.summary import Summary
 from insdvl_replay.logs.encoding.layout import dynamic_lengths
 from insdvl_replay.logs.encoding.message_encodings import channel_paths
@@ -109,7 +109,7 @@ def test_a_chunk_without_a_record_is_opened_once(tmp_path: Path, monkeypatch: py
         return open_chunk(data, one)
 
     monkeypatch.setattr("insdvl_replay.logs.container.chunk_messages.open_chunk", counted)
-    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.chunk_reader.open_chunk", counted)
     seen = Log(write(tmp_path / "zeros.mcap", log(chunk(zstd_zeros(4 * MB), 4 * MB, "zstd"))), allow_damaged=True)
     assert not list(seen.blocks({1}))
     assert not list(seen.saved_times())
@@ -134,10 +134,10 @@ def test_many_copies_of_a_chunk_are_compared_no_more_often_than_they_are(
 
 
 def test_a_damaged_place_is_noted_once() -> None:
-    anatomy = Anatomy(Summary())
+    mcap_index = McapIndex(Summary())
     for found in ("this", "that", "this"):
-        anatomy.mark(Damage(5, found))
-    assert list(anatomy.damages) == [Damage(5, "this"), Damage(5, "that")]
+        mcap_index.add_damage(Damage(5, found))
+    assert list(mcap_index.damages) == [Damage(5, "this"), Damage(5, "that")]
 
 
 def test_a_chunk_with_many_channels_is_opened_a_few_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,7 +147,7 @@ def test_a_chunk_with_many_channels_is_opened_a_few_times(tmp_path: Path, monkey
         opened.append(one.offset)
         return open_chunk(data, one)
 
-    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.chunk_reader.open_chunk", counted)
     inventory = inspect_log(path, Config())
     assert len(inventory.clocks) >= 50
     assert len(opened) <= 2
@@ -225,7 +225,7 @@ def test_protobuf_types_are_refused_likewise(links: Callable[[int], list[int]]) 
             kind.field.add(name=f"f{other}", number=number, label=1, type=11, type_name=f".p.M{other}")
     bomb = LogChannel(1, "/imu", "p.M0", "protobuf", "protobuf", "", 1, files.SerializeToString())
     with pytest.raises(LogError, match="the schema means more than 65536 fields"):
-        channel_paths(bomb, "x.mcap: /imu")
+        channel_paths(bomb)
 
 
 def test_names_are_compared_with_a_few_of_many(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from small_logs import small_log
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection import survey
-from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, reader
 
 A_PAGE = 4096
@@ -103,7 +103,7 @@ def test_a_part_of_a_bag_that_changes_is_refused(log: Path, monkeypatch: pytest.
 def test_a_log_that_changes_while_it_is_inspected_is_refused(
     log: Path, change: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(survey, "explain_roles", changing(change, log, survey.explain_roles))
+    monkeypatch.setattr(survey, "find_roles", changing(change, log, survey.find_roles))
     with pytest.raises(LogError, match="while it was read"):
         inspect_log(log, Config())
 

@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from insdvl_replay.logs.columns.column_buffer import Filling
+from insdvl_replay.logs.columns.table_reading import ColumnBuffer
 
 NUMBERS = st.sampled_from([0.0, 1.0, np.nan])
 BLOCKS = st.lists(st.lists(NUMBERS, max_size=4), max_size=6)
 
 
 def filled(*blocks: NDArray[np.generic], announced: int = 0) -> NDArray[np.generic]:
-    column = Filling(announced)
+    column = ColumnBuffer(announced)
     for block in blocks:
         column.add(block)
     assert len(column) == sum(map(len, blocks))

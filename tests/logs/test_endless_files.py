@@ -8,9 +8,8 @@ from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.gates.gate_file import load_gates
-from insdvl_replay.logs.container.bag import bag_parts
 from insdvl_replay.logs.container.mcap_file import Log
-from insdvl_replay.logs.container.recording import open_recording
+from insdvl_replay.logs.container.recording import bag_parts, open_recording
 
 needs_devices = pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs /dev/zero (not Windows)")
 

@@ -31,7 +31,7 @@ SCHEMA = json.dumps(
 
 def columns(messages: list[Any], *paths: str, schema: bytes = b"") -> dict[str, Any]:
     texts = [message if isinstance(message, bytes) else json.dumps(message).encode() for message in messages]
-    return JsonReader("Ping", schema, paths, "dive.mcap: /ping").columns(block_of(texts))
+    return JsonReader("Ping", schema, paths).columns(block_of(texts))
 
 
 def random_messages(count: int) -> list[Any]:
@@ -110,7 +110,7 @@ def test_unknown_path_names_the_nearest_field(path: str) -> None:
 
 
 def test_what_is_no_json_is_refused() -> None:
-    with pytest.raises(LogError, match=r"dive\.mcap: /ping: a message of 10 bytes is no JSON") as raised:
+    with pytest.raises(LogError, match=r"a message of 10 bytes is no JSON") as raised:
         columns([b'{"v": NaN}'], "v")
     assert "null" in raised.value.hint
     with pytest.raises(LogError, match="the JSON schema is no JSON"):

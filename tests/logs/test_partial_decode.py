@@ -10,7 +10,7 @@ from small_logs import DVL_MESSAGES, IMU_MESSAGES, START_NS, changed, flipped, r
 from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 
 MESSAGE = 5

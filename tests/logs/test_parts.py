@@ -16,10 +16,9 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.logs.container.bag import bag_parts
-from insdvl_replay.logs.container.recording import open_recording
+from insdvl_replay.logs.container.recording import bag_parts, open_recording
 
 
 def between(start_s: float, end_s: float) -> Choice:

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the real logs in ../s
 
 
 def number_paths(channel: LogChannel) -> list[str]:
-    known = channel_paths(channel, channel.topic)
+    known = channel_paths(channel)
     numbers = [path for path, kind in known.items() if kind == NUMBER or kind in PRIMITIVES]
     return [path for path in numbers if f"{path}[*]" not in known]
 
@@ -75,7 +75,7 @@ def test_fields_equal_those_of_the_official_decoders(path: Path, every: int) -> 
         if "_Event" in channel.type_name:
             continue  # the official decoder cannot read the schemas of recorded services either
         paths = number_paths(channel)
-        reader, decode = open_reader(channel, paths, channel.topic), official_decoder(channel)
+        reader, decode = open_reader(channel, paths), official_decoder(channel)
         for block in log.blocks({channel.id}):
             compared += compare(block, reader.columns(block), decode, every)
     assert compared or path.stem == "no_messages"

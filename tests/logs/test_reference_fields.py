@@ -16,7 +16,7 @@ from insdvl_replay.core.columns import Dive, ReferenceColumns
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.states import DEG
-from insdvl_replay.inspection.inspection import inspect_log
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.sim.dive import simulate_dive
 

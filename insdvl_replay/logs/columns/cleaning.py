@@ -10,7 +10,7 @@ from insdvl_replay.core.columns import Floats, TimeNs, is_new, seconds
 from insdvl_replay.core.errors import LogError, Note, Severity
 from insdvl_replay.logs.columns.clocks import SAME_CLOCK_S
 from insdvl_replay.logs.columns.order import Mask, Order, Rows, find_order
-from insdvl_replay.logs.columns.overlaps import refuse_mixture
+from insdvl_replay.logs.columns.overlaps import raise_if_two_dives
 from insdvl_replay.logs.columns.tables import Table
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -63,11 +63,11 @@ class Cleaner:
 
     def __post_init__(self) -> None:
         self.time_ns, log_time_ns = self.table.time_ns(), self.table.columns["log_time"][:, 0]
-        refuse_mixture(self.table, self.time_ns)
+        raise_if_two_dives(self.table, self.time_ns)
         order = find_order(self.time_ns, log_time_ns)
         self.rows, self._first_ns = order.rows, int(self.time_ns[order.rows[0]])
         if order.wrong.size:
-            self._tell_wrong_stamps(order, float(seconds(log_time_ns[order.wrong], log_time_ns.min()).min()))
+            self._note_wrong_stamps(order, float(seconds(log_time_ns[order.wrong], log_time_ns.min()).min()))
         if order.late.size:
             text = f"messages came after later ones (by up to {order.late_s:.3f} s); sorted"
             self.note("out_of_order", text, order.late.size, first=order.late)
@@ -162,7 +162,7 @@ class Cleaner:
         if not self.rows.size:
             reasons = "; ".join(note.text for note in self.notes)
             hint = f"`inspect` lists the topics; {self.role}.topic names another one"
-            raise LogError(f"{self.table.place}: no message of {self.time_ns.size} can be used: {reasons}", hint)
+            raise LogError(f"no message of {self.time_ns.size} can be used: {reasons}", hint, *self.table.where)
 
     def drop_repeated_times(self, *values: Floats) -> None:
         """Keep the first of several rows with the same time.
@@ -204,7 +204,7 @@ class Cleaner:
         first[1:] = ~same_rows(ordered[1:], ordered[:-1])
         self._keep_rows(first, "same_values", "messages repeat the values of the one before")
 
-    def tell_missing(self, quantity: str, values: Floats) -> None:
+    def note_missing(self, quantity: str, values: Floats) -> None:
         """Count the rows that stay without a quantity which others of them give.
 
         Parameters
@@ -239,7 +239,7 @@ class Cleaner:
         since = f"the first {first_s:.3f} s after the first message"
         self.notes.append(Note(f"{self.role}_{code}", f"{self.role}: {count} {text}; {since}", count, severity, hint))
 
-    def _tell_wrong_stamps(self, order: Order, first_s: float) -> None:
+    def _note_wrong_stamps(self, order: Order, first_s: float) -> None:
         """Drop single stamps that are wrong with a warning; refuse many, and those of a clock that was set back."""
         text = (
             f"{order.wrong.size} of {self.time_ns.size} messages have stamps '{self.table.source.stamp}' that jump "
@@ -247,9 +247,9 @@ class Cleaner:
         )
         hint = f'{self.role}.stamp = "log_time"'
         if order.jump_s > SAME_CLOCK_S:
-            raise LogError(f"{self.table.place}: {text}; their clock was set back by {order.jump_s:.3f} s", hint)
+            raise LogError(f"{text}; their clock was set back by {order.jump_s:.3f} s", hint, *self.table.where)
         if not is_few(order.wrong.size, self.time_ns.size):
-            raise LogError(f"{self.table.place}: {text}", hint)
+            raise LogError(text, hint, *self.table.where)
         self.notes.append(
             Note(f"{self.role}_wrong_stamps", f"{self.role}: {text}; dropped", order.wrong.size, "warning", hint)
         )
@@ -259,8 +259,9 @@ class Cleaner:
         reason = "messages have the time of the one before and other values, as if several were stamped together"
         if count > MOST * good.size:
             raise LogError(
-                f"{self.table.place}: {count} of {good.size} {reason}",
+                f"{count} of {good.size} {reason}",
                 f'{self.stamp_hint}; {self.role}.stamp = "log_time" takes the recorder\'s',
+                *self.table.where,
             )
         self._keep_rows(good, "same_times", reason, "warning", self.stamp_hint)
 

@@ -108,7 +108,7 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
         by_recorder = f"--set imu.stamp=log_time --set {other.role}.stamp=log_time stamps both by the recorder"
         if apart_s > max_disagreement_s:
             hint = f"{by_recorder}; if they do belong together, raise clocks.max_disagreement_s"
-            raise LogError(f"{place}: {text}", hint)
+            raise LogError(text, hint, place)
         if apart_s > SAME_CLOCK_S:
             text += "; clocks.max_disagreement_s allows it"
             notes.append(Note("clocks_apart", text, other.messages, "warning", by_recorder))

@@ -1,20 +1,93 @@
-"""Whether the files that are read as one dive hold one dive, or two that go on at the same time."""
+"""Messages of one topic from several channels or files: merged, each once, and refused where they are of two dives."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.columns.merging import repeated_rows
 from insdvl_replay.logs.columns.order import Mask
 from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table
+from insdvl_replay.logs.encoding.field_paths import Columns
+
+
+def merge_channels(columns: Columns, runs: Sequence[tuple[int, int]]) -> tuple[Columns, NDArray[np.int64], int]:
+    """Merge the messages of several channels, each of which stays in its own order, and leave out repetitions.
+
+    Parameters
+    ----------
+    columns : dict of str to ndarray, shape (k, n)
+        With ``log_time``, ns.
+    runs : sequence of (int, int)
+        From the first message on: a channel, and how many messages in a row are of it.
+
+    Returns
+    -------
+    columns : dict of str to ndarray, shape (kept, n)
+    channel_ids : ndarray, shape (kept,)
+        Of each message; empty where all are of one.
+    duplicates : int
+        Messages that another channel holds too, with the same log time and the same values.
+    """
+    if len({channel_id for channel_id, _ in runs}) < 2:
+        return columns, np.empty(0, np.int64), 0
+    channel_ids = np.repeat(*np.transpose(runs))
+    reached = _reached(columns["log_time"][:, 0], channel_ids)
+    if np.any(reached[1:] < reached[:-1]):
+        order = np.argsort(reached, kind="stable")
+        columns = {path: values[order] for path, values in columns.items()}
+        channel_ids = channel_ids[order]
+    repeated = repeated_rows(columns, channel_ids)
+    if not repeated.any():
+        return columns, channel_ids, 0
+    kept = {path: values[~repeated] for path, values in columns.items()}
+    return kept, channel_ids[~repeated], int(np.count_nonzero(repeated))
+
+
+def _reached(log_time: TimeNs, channel_ids: NDArray[np.int64]) -> TimeNs:
+    """Give the latest log time of each channel so far: sorted by it, no message moves against others of its channel."""
+    reached = np.empty_like(log_time)
+    for channel_id in np.unique(channel_ids):
+        rows = channel_ids == channel_id
+        reached[rows] = np.maximum.accumulate(log_time[rows])
+    return reached
+
+
+def repeated_rows(columns: Columns, origin: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which messages are as the one before, which is of another origin.
+
+    Parameters
+    ----------
+    columns : dict of str to ndarray, shape (k, n)
+        With ``log_time``, ns; NaN is as NaN.
+    origin : ndarray, shape (k,)
+        The channel or file of each message.
+
+    Returns
+    -------
+    ndarray of bool, shape (k,)
+    """
+    repeated = np.zeros(origin.size, np.bool_)
+    log_time = columns["log_time"][:, 0]
+    rows = 1 + np.flatnonzero((log_time[1:] == log_time[:-1]) & (origin[1:] != origin[:-1]))
+    same = np.ones(rows.size, np.bool_)
+    for values in columns.values():
+        same &= np.all((values[rows] == values[rows - 1]) | _both_missing(values[rows], values[rows - 1]), axis=1)
+    repeated[rows] = same
+    return repeated
+
+
+def _both_missing(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return np.isnan(one) & np.isnan(other)
+
 
 _FEW: Final = 0.05
 """Share of its messages that a recorder loses at most, so that another one alone has them."""
 
 
-def refuse_mixture(table: Table, time_ns: TimeNs) -> None:
+def raise_if_two_dives(table: Table, time_ns: TimeNs) -> None:
     """Refuse a topic of which two files hold different messages of the same time.
 
     Files may follow one another, fill each other's gaps, or hold the same messages, of which each recorder lost some.
@@ -42,9 +115,10 @@ def refuse_mixture(table: Table, time_ns: TimeNs) -> None:
         own, others = (int(np.count_nonzero(rows & both & alone)) for rows in (files == file, files != file))
         if min(own, others) > max(1.0, _FEW * np.count_nonzero(both)):
             raise LogError(
-                f"{table.place}: in the {(time_ns[both][-1] - time_ns[both][0]) * 1e-9:.3f} s in which the files "
+                f"in the {(time_ns[both][-1] - time_ns[both][0]) * 1e-9:.3f} s in which the files "
                 f"overlap, {own} messages of one lie among {others} others of the same topic",
                 "name only files of one dive that follow one another, or replay each alone, without --one-dive",
+                *table.where,
             )
 
 

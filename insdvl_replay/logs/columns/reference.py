@@ -13,7 +13,7 @@ from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, wrap_angle
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few
 from insdvl_replay.logs.columns.known_types import BLUEYE_GNSS
-from insdvl_replay.logs.columns.lost_samples import note_lost_samples
+from insdvl_replay.logs.columns.pauses import note_lost_samples
 from insdvl_replay.logs.columns.tables import Table
 from insdvl_replay.logs.columns.topic_requirements import BOW_DOWN
 
@@ -71,7 +71,7 @@ def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     cleaner.drop_repeated_times()
     mat_nb = _attitude(table, settings)
     velocity_n = _velocity_n(table, settings, mat_nb)
-    _tell_missing(cleaner, told, velocity_n, mat_nb)
+    _note_missing(cleaner, told, velocity_n, mat_nb)
     chosen = (None if values is None else cleaner.kept(values) for values in (position, velocity_n, mat_nb))
     return _Part(cleaner.times, *chosen), cleaner.notes
 
@@ -94,7 +94,7 @@ def _keep_latitudes(position: Floats, cleaner: Cleaner) -> None:
     possible = ~(np.abs(position[:, 0]) > np.pi / 2.0)
     count, hint = int(np.count_nonzero(~possible)), "reference.angle_unit, or reference.latitude names another field"
     if not is_few(count, possible.size):
-        raise LogError(f"{cleaner.table.place}: {count} of {possible.size} latitudes are beyond the poles", hint)
+        raise LogError(f"{count} of {possible.size} latitudes are beyond the poles", hint, *cleaner.table.where)
     cleaner.keep_possible(possible, "latitudes are beyond the poles", hint)
 
 
@@ -107,14 +107,14 @@ def _drop_zeros(position: Floats, cleaner: Cleaner) -> None:
         cleaner.note("zero", text, zero.size, "warning", "reference.fix names another topic of positions", first=zero)
 
 
-def _tell_missing(cleaner: Cleaner, position: Floats | None, velocity_n: Floats | None, mat_nb: Floats | None) -> None:
+def _note_missing(cleaner: Cleaner, position: Floats | None, velocity_n: Floats | None, mat_nb: Floats | None) -> None:
     if position is not None:
-        cleaner.tell_missing("positions", position[:, :2])
-        cleaner.tell_missing("heights", position[:, 2:])
+        cleaner.note_missing("positions", position[:, :2])
+        cleaner.note_missing("heights", position[:, 2:])
     if velocity_n is not None:
-        cleaner.tell_missing("velocities", velocity_n)
+        cleaner.note_missing("velocities", velocity_n)
     if mat_nb is not None:
-        cleaner.tell_missing("attitudes", mat_nb.reshape(-1, 9))
+        cleaner.note_missing("attitudes", mat_nb.reshape(-1, 9))
 
 
 def _of_receiver(table: Table, quantity: str) -> Floats:

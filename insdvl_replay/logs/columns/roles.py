@@ -5,74 +5,22 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.errors import LogError, listed, nearest
+from insdvl_replay.core.errors import LogError, error_context, listed, nearest
 from insdvl_replay.logs.columns.topic_requirements import (
-    TRUTH_WISH,
+    TRUTH_REQUIREMENT,
     Source,
-    Wish,
-    dvl_wish,
-    fix_wish,
-    imu_wish,
-    solution_wish,
+    TopicRequirement,
+    dvl_requirement,
+    fix_requirement,
+    imu_requirement,
+    solution_requirement,
 )
-from insdvl_replay.logs.container.channel import LogChannel
-
-
-@dataclass(frozen=True)
-class Roles:
-    """The topics that are read.
-
-    Attributes
-    ----------
-    imu, dvl : Source
-    references : tuple of Source
-        None, one, or two of which the second gives the position.
-    truth : Source or None
-        True sensor biases.
-    """
-
-    imu: Source
-    dvl: Source
-    references: tuple[Source, ...]
-    truth: Source | None
-
-    @property
-    def sources(self) -> tuple[Source, ...]:
-        """All topics that are read."""
-        return (self.imu, self.dvl, *self.references, *((self.truth,) if self.truth else ()))
-
-
-def assign_roles(place: str, channels: Sequence[LogChannel], config: Config) -> Roles:
-    """Find the topic for each role.
-
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-    channels : sequence of LogChannel
-    config : Config
-
-    Returns
-    -------
-    Roles
-
-    Raises
-    ------
-    LogError
-        No topic is an IMU or a DVL, several are and the configuration names none, a named topic is not there, its type
-        is not known and the configuration does not say where its fields are, or its messages are not ROS 2's.
-    """
-    topics = _Topics(place, channels)
-    imu = topics.need(imu_wish(config))
-    dvl = topics.need(dvl_wish(config))
-    references = _references(topics, config, dvl.topic)
-    truth = topics.find(TRUTH_WISH)
-    return Roles(imu, dvl, references, truth)
+from insdvl_replay.logs.container.channel import LogChannel, by_topic
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found for one role, for a person who asks.
+    """What was found for one role.
 
     Attributes
     ----------
@@ -94,8 +42,8 @@ class Finding:
     candidates: tuple[Source, ...] = ()
 
 
-def explain_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tuple[Finding, ...]:
-    """Find the topic for each role as `assign_roles` does, but go on where it would stop, and say why.
+def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tuple[Finding, ...]:
+    """Find the topic for each role.
 
     Parameters
     ----------
@@ -107,42 +55,49 @@ def explain_roles(place: str, channels: Sequence[LogChannel], config: Config) ->
     Returns
     -------
     tuple of Finding
-        IMU, DVL, reference, and truth where the log has it.
+        IMU, DVL, reference, and truth where the log has it. One has an error where no topic is an IMU or a DVL, several
+        are and the configuration names none, a named topic is not there, its type is not known and the configuration
+        does not say where its fields are, or its messages cannot be read.
     """
     topics = _Topics(place, channels)
-    imu = _explained(topics, imu_wish(config), lambda: (topics.need(imu_wish(config)),))
-    dvl = _explained(topics, dvl_wish(config), lambda: (topics.need(dvl_wish(config)),))
+    imu = _explained(topics, imu_requirement(config), lambda: (topics.need(imu_requirement(config)),))
+    dvl = _explained(topics, dvl_requirement(config), lambda: (topics.need(dvl_requirement(config)),))
     besides = dvl.sources[0].topic if dvl.sources else ""
-    wish = solution_wish(config)
-    reference = _explained(topics, wish, lambda: _references(topics, config, besides), besides)
-    truth = _explained(topics, TRUTH_WISH, lambda: tuple(filter(None, [topics.find(TRUTH_WISH)])))
+    required = solution_requirement(config)
+    reference = _explained(topics, required, lambda: _references(topics, config, besides), besides)
+    truth = _explained(topics, TRUTH_REQUIREMENT, lambda: tuple(filter(None, [topics.find(TRUTH_REQUIREMENT)])))
     return (imu, dvl, reference, truth) if truth.sources or truth.error else (imu, dvl, reference)
 
 
-def _explained(topics: "_Topics", wish: Wish, look: Callable[[], tuple[Source, ...]], besides: str = "") -> Finding:
+def _explained(
+    topics: "_Topics", required: TopicRequirement, look: Callable[[], tuple[Source, ...]], besides: str = ""
+) -> Finding:
     try:
-        sources = look()
+        with error_context(topics.place):
+            sources = look()
     except LogError as error:
-        candidates = tuple(topics.alternatives(wish, besides))
+        candidates = tuple(topics.alternatives(required, besides))
         reason = "see what stops a replay"
         if candidates:
             reason = f"{', '.join(source.topic for source in candidates)} could each be it"
-        elif wish.topic is None and not topics.candidates(wish, besides):
+        elif required.topic is None and not topics.candidates(required, besides):
             reason = topics.reason_for_none
-        return Finding(wish.role, (), reason, error, candidates)
+        return Finding(required.role, (), reason, error, candidates)
     if not sources:
-        return Finding(wish.role, (), topics.reason_for_none)
-    if wish.topic is not None:
-        return Finding(wish.role, sources, f"named by {wish.key}")
-    return Finding(wish.role, sources, "by type, which no other topic has")
+        return Finding(required.role, (), topics.reason_for_none)
+    if required.topic is not None:
+        return Finding(required.role, sources, f"named by {required.key}")
+    return Finding(required.role, sources, "by type, which no other topic has")
 
 
 def _references(topics: "_Topics", config: Config, dvl_topic: str) -> tuple[Source, ...]:
-    wish = solution_wish(config)
-    solution = topics.find(wish, besides=dvl_topic) or (topics.need(wish) if any(wish.paths.values()) else None)
+    required = solution_requirement(config)
+    solution = topics.find(required, besides=dvl_topic) or (
+        topics.need(required) if any(required.paths.values()) else None
+    )
     if solution and "latitude" in solution.fields and config.reference.fix is None:
         return (solution,)
-    fix = topics.find(fix_wish(config))
+    fix = topics.find(fix_requirement(config))
     return tuple(source for source in (solution, fix) if source is not None)
 
 
@@ -150,11 +105,8 @@ class _Topics:
     """The topics of a log that have messages."""
 
     def __init__(self, place: str, channels: Sequence[LogChannel]) -> None:
-        self._place = place
-        self._channels: dict[str, list[LogChannel]] = {}
-        for channel in channels:
-            if channel.messages:
-                self._channels.setdefault(channel.topic, []).append(channel)
+        self.place = place
+        self._channels = by_topic(channel for channel in channels if channel.messages)
         self._empty = {channel.topic: channel.type_name for channel in channels if channel.topic not in self._channels}
 
     @property
@@ -162,55 +114,55 @@ class _Topics:
         """Why no topic plays a role that none is named for."""
         return "no message is of a type known for one" if self._channels else "the log has no messages"
 
-    def need(self, wish: Wish) -> Source:
+    def need(self, required: TopicRequirement) -> Source:
         """Find the topic of a role that a replay cannot do without."""
-        source = self.find(wish)
+        source = self.find(required)
         if source is None:
-            raise self._lacks(wish)
+            raise self._lacks(required)
         return source
 
-    def _lacks(self, wish: Wish) -> LogError:
+    def _lacks(self, required: TopicRequirement) -> LogError:
         """Say that no topic plays a role, and which might have."""
-        lack = f"{self._place}: has no {wish.role.upper()}"
+        lack = f"has no {required.role.upper()}"
         if not self._channels:
             return LogError(f"{lack}: it has no messages at all", self._nothing_recorded())
-        wanted = ", ".join(type_name for types in wish.by_type for type_name in types)
+        wanted = ", ".join(type_name for types in required.by_type for type_name in types)
         empty = sorted(topic for topic, type_name in self._empty.items() if type_name in wanted.split(", "))
         found = sorted({one.type_name or one.topic for channels in self._channels.values() for one in channels})
         but = f"; {listed(empty)} would be, without a single message" if empty else ""
         return LogError(
             f"{lack}: no message is of a type known for one ({wanted}); it has {listed(found)}{but}",
-            wish.how_to_name(),
+            required.how_to_name(),
         )
 
     def _nothing_recorded(self) -> str:
         announced = f" Announced are {listed(sorted(self._empty))}" if self._empty else ""
         return f"was anything recorded?{announced}"
 
-    def find(self, wish: Wish, besides: str = "") -> Source | None:
+    def find(self, required: TopicRequirement, besides: str = "") -> Source | None:
         """Find the topic of a role, not looking at the topic of another."""
-        topic = self._only_topic(wish, besides) if wish.topic is None else wish.topic
-        return None if topic is None else self.source(wish, topic)
+        topic = self._only_topic(required, besides) if required.topic is None else required.topic
+        return None if topic is None else self.source(required, topic)
 
-    def source(self, wish: Wish, topic: str) -> Source:
+    def source(self, required: TopicRequirement, topic: str) -> Source:
         """Make a topic the source of a role."""
-        return wish.source(topic, self._channels_of(topic, wish.key), self._place)
+        return required.source(topic, self._channels_of(topic, required.key))
 
-    def candidates(self, wish: Wish, besides: str) -> list[str]:
+    def candidates(self, required: TopicRequirement, besides: str) -> list[str]:
         """Name the topics of the first group of types that the log has, the better types first."""
-        for types in wish.by_type:
+        for types in required.by_type:
             order = list(types)
             type_of = {topic: channels[0].type_name for topic, channels in self._channels.items() if topic != besides}
             if found := [topic for topic, type_name in type_of.items() if type_name in types]:
                 return sorted(found, key=lambda topic: order.index(type_of[topic]))
         return []
 
-    def alternatives(self, wish: Wish, besides: str) -> Iterator[Source]:
+    def alternatives(self, required: TopicRequirement, besides: str) -> Iterator[Source]:
         """Make sources of the topics between which the configuration has to choose; those that cannot be are left out.
 
         Parameters
         ----------
-        wish : Wish
+        required : TopicRequirement
         besides : str
             A topic that has another role.
 
@@ -218,17 +170,17 @@ class _Topics:
         ------
         Source
         """
-        candidates = self.candidates(wish, besides) if wish.topic is None else []
+        candidates = self.candidates(required, besides) if required.topic is None else []
         for topic in candidates if len(candidates) > 1 else []:
             with suppress(LogError):
-                yield self.source(wish, topic)
+                yield self.source(required, topic)
 
-    def _only_topic(self, wish: Wish, besides: str) -> str | None:
-        candidates = self.candidates(wish, besides)
+    def _only_topic(self, required: TopicRequirement, besides: str) -> str | None:
+        candidates = self.candidates(required, besides)
         if len(candidates) > 1:
-            named = " or ".join(f'{wish.key} = "{topic}"' for topic in candidates)
-            hint = named if wish.key else "keep one of them"
-            raise LogError(f"{self._place}: {' and '.join(candidates)} could each be the {wish.key or wish.role}", hint)
+            named = " or ".join(f'{required.key} = "{topic}"' for topic in candidates)
+            hint = named if required.key else "keep one of them"
+            raise LogError(f"{' and '.join(candidates)} could each be the {required.key or required.role}", hint)
         return next(iter(candidates), None)
 
     def _channels_of(self, topic: str, key: str) -> list[LogChannel]:
@@ -237,7 +189,7 @@ class _Topics:
             there_are = f"those with messages are {listed(sorted(self._channels))}"
             hint = there_are if self._channels else self._nothing_recorded()
             raise LogError(
-                f"{self._place}: has no messages on topic '{topic}' ({key})",
+                f"has no messages on topic '{topic}' ({key})",
                 f'the nearest is {key} = "{meant}"' if meant else hint,
             )
         return self._channels[topic]

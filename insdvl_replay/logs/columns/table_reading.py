@@ -1,25 +1,166 @@
-"""The columns of topics, read from a log block by block, every topic in the same pass."""
+"""The columns of topics, read from a log block by block, every topic in the same pass.
 
-from collections.abc import Sequence
+A block of which some messages do not fit their schema is read in halves, down to those that do.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import NS_PER_S
-from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.columns.column_buffer import Filling
-from insdvl_replay.logs.columns.merging import merged
+from insdvl_replay.core.errors import LogError, error_context
+from insdvl_replay.logs.columns.overlaps import merge_channels
 from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table, stamp_path
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.channel import LogChannel
 from insdvl_replay.logs.container.parts import CHANNELS_OF_A_PART
 from insdvl_replay.logs.container.recording import Recording
-from insdvl_replay.logs.encoding.field_paths import FieldReader, split_paths
+from insdvl_replay.logs.encoding.field_paths import Columns, FieldReader, split_paths
 from insdvl_replay.logs.encoding.message_encodings import open_reader
-from insdvl_replay.logs.encoding.partial_decode import Salvage
+
+_HOPELESS: Final = 1000
+"""Where so many messages cannot be read, and fewer can, the schema is wrong and not the messages."""
+
+
+@dataclass
+class PartialDecoder:
+    """Reads what can be read of a topic, and remembers the rest.
+
+    Parameters
+    ----------
+    where : (str, str)
+        File and topic, for messages to the user.
+
+    Attributes
+    ----------
+    readable : int
+        Messages that were read.
+    unreadable_ns : list of int
+        Log times of those that cannot be, in the order of the file.
+    error : LogError or None
+        What is wrong with the first of them.
+    """
+
+    where: tuple[str, str]
+    readable: int = 0
+    unreadable_ns: list[int] = field(default_factory=list)
+    error: LogError | None = None
+
+    def read(self, reader: FieldReader, block: Block) -> Iterator[tuple[Block, Columns]]:
+        """Read a block, in halves and halves of halves where some of it cannot be read.
+
+        Parameters
+        ----------
+        reader : FieldReader
+        block : Block
+
+        Yields
+        ------
+        Block
+            A part of it.
+        dict of str to ndarray, shape (k, n)
+            Its fields by path.
+
+        Raises
+        ------
+        LogError
+            Most messages cannot be read.
+        """
+        try:
+            with error_context(*self.where):
+                columns = reader.columns(block)
+        except LogError as error:
+            yield from self._halves(reader, block, error)
+            return
+        self.readable += len(block)
+        yield block, columns
+
+    def _halves(self, reader: FieldReader, block: Block, error: LogError) -> Iterator[tuple[Block, Columns]]:
+        count = len(block)
+        if count > 1:
+            yield from self.read(reader, block.part(slice(None, count // 2)))
+            yield from self.read(reader, block.part(slice(count // 2, None)))
+            return
+        self.error = self.error or error
+        self.unreadable_ns.append(int(block.log_time[0]))
+        if len(self.unreadable_ns) > max(_HOPELESS, self.readable):
+            raise self.error
+
+
+class ColumnBuffer:
+    """A column that is not complete yet. As long as all rows are alike, it holds one of them.
+
+    Parameters
+    ----------
+    announced : int
+        How many rows are expected; more find room too.
+    """
+
+    def __init__(self, announced: int) -> None:
+        self._announced = announced
+        self._rows: NDArray[Any] = np.empty((0, 0), np.int64)
+        self._count = 0
+
+    def __len__(self) -> int:
+        """Give the number of rows so far."""
+        return self._count
+
+    def add(self, values: NDArray[Any]) -> None:
+        """Put rows below the others.
+
+        Parameters
+        ----------
+        values : ndarray, shape (k, n)
+            Where rows are shorter than others, they are filled up with NaN.
+        """
+        if not self._count:
+            self._rows = values[:1].copy()
+        if self._is_one_row and _are_all(values, self._rows):
+            self._count += len(values)
+        else:
+            self._append(values)
+
+    def rows(self) -> NDArray[Any]:
+        """Give all rows, shape (k, n); where all are alike, as a view of one that cannot be written to."""
+        if self._is_one_row:
+            return np.broadcast_to(self._rows, (self._count, self._rows.shape[1]))
+        return self._rows[: self._count]
+
+    @property
+    def _is_one_row(self) -> bool:
+        return len(self._rows) == 1
+
+    def _append(self, values: NDArray[Any]) -> None:
+        count, needed, width = self._count, self._count + len(values), values.shape[1]
+        uneven = width != self._rows.shape[1]
+        dtype = np.dtype(np.float64) if uneven else np.result_type(self._rows.dtype, values.dtype)
+        room = len(self._rows) if needed <= len(self._rows) else max(needed + needed // 2, self._announced)
+        self._make_room((room, max(width, self._rows.shape[1])), dtype)
+        self._rows[count:needed, :width] = values
+        if uneven:
+            self._rows[count:needed, width:] = np.nan
+        self._count = needed
+
+    def _make_room(self, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
+        if (shape, dtype) == (self._rows.shape, self._rows.dtype):
+            return
+        filled = self.rows()
+        self._rows = np.empty(shape, dtype)
+        self._rows[: self._count, : filled.shape[1]] = filled
+        if filled.shape[1] < shape[1]:
+            self._rows[: self._count, filled.shape[1] :] = np.nan
+
+
+def _are_all(values: NDArray[Any], row: NDArray[Any]) -> bool:
+    """Tell whether all rows are this one, NaN as NaN, and of its kind of number."""
+    if values.dtype != row.dtype or values.shape[1] != row.shape[1]:
+        return False
+    same = values == row
+    return bool(same.all() or np.all(same | (np.isnan(values) & np.isnan(row))))
 
 
 def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
@@ -82,33 +223,35 @@ class _Builder:
     log: Recording
     source: Source
     readers: dict[int, FieldReader] = field(init=False)
-    filling: dict[str, Filling] = field(init=False)
-    stretches: list[tuple[int, int]] = field(default_factory=list)
-    salvage: Salvage = field(default_factory=Salvage)
+    buffers: dict[str, ColumnBuffer] = field(init=False)
+    runs: list[tuple[int, int]] = field(default_factory=list)
+    decoder: PartialDecoder = field(init=False)
     has_whole_times: bool = False
 
     def __post_init__(self) -> None:
-        self.place = f"{self.log.path}: {self.source.topic}"
+        self.where = (str(self.log.path), self.source.topic)
+        self.decoder = PartialDecoder(self.where)
         fields = (path for paths in self.source.fields.values() for path in split_paths(paths))
         paths = dict.fromkeys([stamp_path(self.source.stamp), "log_time", *fields])
         announced = sum(channel.messages for channel in self.source.channels)
-        self.filling = {path: Filling(announced) for path in paths}
+        self.buffers = {path: ColumnBuffer(announced) for path in paths}
         self.readers = {channel.id: self._reader(channel) for channel in self.source.channels}
 
     def _reader(self, channel: LogChannel) -> FieldReader:
-        return open_reader(channel, [path for path in self.filling if path not in RECORDER_STAMPS], self.place)
+        with error_context(*self.where):
+            return open_reader(channel, [path for path in self.buffers if path not in RECORDER_STAMPS])
 
     def add(self, block: Block) -> None:
         """Read a block if it is of this topic."""
         reader = self.readers.get(block.channel_id)
         if reader is None:
             return
-        for part, fields in self.salvage.read(reader, block):
-            for path, column in self.filling.items():
+        for part, fields in self.decoder.read(reader, block):
+            for path, column in self.buffers.items():
                 is_recorders = path in RECORDER_STAMPS
                 values = getattr(part, path)[:, None] if is_recorders else self._narrowed(path, fields[path])
                 column.add(values)
-            self.stretches.append((part.channel_id, len(part)))
+            self.runs.append((part.channel_id, len(part)))
 
     def _narrowed(self, path: str, values: NDArray[Any]) -> NDArray[Any]:
         """Make one number of a stamp's seconds and nanoseconds."""
@@ -119,16 +262,17 @@ class _Builder:
 
     def table(self) -> Table:
         """Give what has been read."""
-        unreadable, error = tuple(self.salvage.unreadable_ns), self.salvage.error
-        if not all(self.filling.values()):
-            raise error or LogError(f"{self.place}: has no messages", "the counts in the log's summary are wrong")
-        read = {path: column.rows() for path, column in self.filling.items()}
-        columns, channel_ids, repeats = merged(read, self.stretches)
-        fault = error.message if error else ""
+        unreadable, error = tuple(self.decoder.unreadable_ns), self.decoder.error
+        if not all(self.buffers.values()):
+            raise error or LogError("has no messages", "the counts in the log's summary are wrong", *self.where)
+        read = {path: column.rows() for path, column in self.buffers.items()}
+        columns, channel_ids, duplicates = merge_channels(read, self.runs)
         known, files = next(iter(self.readers.values())).known, _files_of(channel_ids)
-        table = Table(self.place, self.source, columns, unreadable, fault, repeats, known, files, self.has_whole_times)
+        table = Table(
+            self.where, self.source, columns, unreadable, error, duplicates, known, files, self.has_whole_times
+        )
         if unreadable and not self.log.allow_damaged:
-            raise table.refusal()
+            raise table.damage_error()
         return table
 
 

@@ -1,5 +1,6 @@
-"""What a log holds of one topic that plays a role, as columns."""
+"""What a log holds of one topic that plays a role, as columns, and what is said of the log by them."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -8,12 +9,11 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.clock import Clock
 from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds
-from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs.columns.clocks import measure_clock, stamp_unit
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.damaged_file import refused
-from insdvl_replay.logs.encoding.field_errors import fields_hint
-from insdvl_replay.logs.encoding.field_paths import Columns, Kinds, split_paths
+from insdvl_replay.logs.container.damage import COPY_AGAIN, damaged_file_error
+from insdvl_replay.logs.encoding.field_paths import Columns, Kinds, fields_hint, split_paths
 
 RECORDER_STAMPS: Final = ("log_time", "publish_time")
 """Stamps that stand in no message."""
@@ -25,16 +25,16 @@ class Table:
 
     Attributes
     ----------
-    place : str
+    where : (str, str)
         File and topic, for messages to the user.
     source : Source
     columns : dict of str to ndarray, shape (k, n)
         By field path; ``log_time`` and ``publish_time`` are the recorder's.
     unreadable_ns : tuple of int
         Log times of messages that are left out because they do not fit their schema.
-    fault : str
+    fault : LogError or None
         What is wrong with the first of these.
-    repeats : int
+    duplicates : int
         Messages that are left out because another channel or file holds them too.
     known : mapping of str to str
         Every path that the messages have, with the type of what is there.
@@ -44,12 +44,12 @@ class Table:
         Whether the stamps were seconds and nanoseconds. Their column is nanoseconds, which takes half the memory.
     """
 
-    place: str
+    where: tuple[str, str]
     source: Source
     columns: Columns
     unreadable_ns: tuple[int, ...] = ()
-    fault: str = ""
-    repeats: int = 0
+    fault: LogError | None = None
+    duplicates: int = 0
     known: Kinds = field(default_factory=dict)
     files: NDArray[np.int64] | None = None
     has_whole_times: bool = False
@@ -86,8 +86,9 @@ class Table:
         values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
         if width is not None and values.shape[1] != width:
             raise LogError(
-                f"{self.place}: field '{path}' holds {values.shape[1]} numbers where {width} are needed",
+                f"field '{path}' holds {values.shape[1]} numbers where {width} are needed",
                 f"{self.source.role}.{quantity} must name {width} numbers; {fields_hint(self.known, path)}",
+                *self.where,
             )
         return values
 
@@ -126,8 +127,9 @@ class Table:
         time_ns = self.columns[stamp][:, 0] if stamp in RECORDER_STAMPS else self._stamped(stamp_path(stamp))
         if time_ns.size > 1 and time_ns.min() == time_ns.max():
             raise LogError(
-                f"{self.place}: stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages",
+                f"stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages",
                 f'{self.source.role}.stamp = "log_time"',
+                *self.where,
             )
         latency_ns = nanoseconds(self.source.latency_s)
         return time_ns - latency_ns if latency_ns else time_ns
@@ -154,9 +156,10 @@ class Table:
         source = self.source
         return measure_clock(source.role, source.topic, source.stamp, self.time_ns(), self.columns["log_time"][:, 0])
 
-    def refusal(self) -> LogError:
+    def damage_error(self) -> LogError:
         """Give the error with which a log is refused of which messages cannot be read."""
-        return refused([self.fault] * len(self.unreadable_ns), [self.columns["log_time"][:, 0]], "messages")
+        faults = [self.fault] * len(self.unreadable_ns) if self.fault else []
+        return damaged_file_error(faults, [self.columns["log_time"][:, 0]], "messages")
 
     def _stamped(self, path: str) -> TimeNs:
         values = self.columns[path]
@@ -164,13 +167,15 @@ class Table:
             return values[:, 0]
         if values.shape[1] != 1:
             raise LogError(
-                f"{self.place}: field '{path}' holds {values.shape[1]} numbers and is no time",
+                f"field '{path}' holds {values.shape[1]} numbers and is no time",
                 f"{self.source.role}.stamp names a builtin_interfaces/Time or one number",
+                *self.where,
             )
         if not np.isfinite(values).all():
             raise LogError(
-                f"{self.place}: stamp '{path}' is no number in {np.count_nonzero(~np.isfinite(values))} messages",
+                f"stamp '{path}' is no number in {np.count_nonzero(~np.isfinite(values))} messages",
                 f'{self.source.role}.stamp = "log_time"',
+                *self.where,
             )
         counted = values[:, 0] * stamp_unit(values[:, 0], self.columns["log_time"][:, 0])[0]
         return counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
@@ -188,3 +193,56 @@ def stamp_path(stamp: str) -> str:
     str
     """
     return "header.stamp" if stamp == "header" else stamp
+
+
+def schema_notes(sources: Iterable[Source]) -> list[Note]:
+    """Say for which topics the log has no schema, so that a definition that comes with the tool was used."""
+    return [
+        Note("builtin_definition", f"{source.topic}: the log has no schema; that of {source.type_name} was assumed")
+        for source in sources
+        if source.channels[0].encoding == "cdr" and not all(channel.schema_text.strip() for channel in source.channels)
+    ]
+
+
+def loss_notes(tables: Sequence[Table]) -> list[Note]:
+    """Say where messages are missing, do not fit their schema, or are in more than one channel or file."""
+    left_out = (note for table in tables for note in (_unreadable_note(table), _duplicates_note(table)))
+    return [note for note in (*map(_missing_note, tables), *left_out) if note]
+
+
+def stamp_notes(tables: Iterable[Table]) -> list[Note]:
+    """Say how stamps that are mere numbers were understood."""
+    notes = []
+    for table in tables:
+        source, numbers = table.source, table.stamp_numbers
+        if numbers is not None:
+            unit = stamp_unit(numbers, table.columns["log_time"][:, 0])[1]
+            text = f"{source.topic}: stamp '{source.stamp}' was read as {unit}"
+            notes.append(Note(f"{source.role}_stamp_unit", text))
+    return notes
+
+
+def _missing_note(table: Table) -> Note | None:
+    announced = sum(channel.messages for channel in table.source.channels)
+    found = len(table) + table.duplicates + len(table.unreadable_ns)
+    if announced == found:
+        return None
+    text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
+    return Note("messages_missing", text, abs(announced - found), "warning", COPY_AGAIN)
+
+
+def _unreadable_note(table: Table) -> Note | None:
+    count = len(table.unreadable_ns)
+    if not count or table.fault is None:
+        return None
+    behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9
+    text = (
+        f"{table.source.topic}: {count} messages cannot be read and are left out, the first {behind_s.min():.3f} s and "
+        f"the last {behind_s.max():.3f} s behind the first that can: {table.fault.message}"
+    )
+    return Note("messages_unreadable", text, count, "warning", COPY_AGAIN)
+
+
+def _duplicates_note(table: Table) -> Note | None:
+    text = f"{table.source.topic}: {table.duplicates} messages are in two channels or files; each is used once"
+    return Note("messages_repeated", text, table.duplicates) if table.duplicates else None

@@ -1,13 +1,13 @@
 """What each role needs of a topic: a type that is known by name, or the field paths of the configuration."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
 import msgspec
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.logs.columns import known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
 from insdvl_replay.logs.container.channel import LogChannel
@@ -79,7 +79,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Wish:
+class TopicRequirement:
     """What a role needs.
 
     Attributes
@@ -121,7 +121,7 @@ class Wish:
         groups = (*self.by_type, self.if_named)
         return next((types[type_name] for types in groups if type_name in types), None)
 
-    def source(self, topic: str, channels: Sequence[LogChannel], place: str) -> Source:
+    def source(self, topic: str, channels: Sequence[LogChannel]) -> Source:
         """Make a topic the source of the role.
 
         Parameters
@@ -129,8 +129,6 @@ class Wish:
         topic : str
         channels : sequence of LogChannel
             Those of the topic that have messages.
-        place : str
-            The file, for messages to the user.
 
         Returns
         -------
@@ -143,27 +141,28 @@ class Wish:
             are, or the schema lacks them.
         """
         for channel in channels:
-            check_encoding(channel, place)
+            check_encoding(channel)
         type_name = channels[0].type_name
-        paths = channel_paths(channels[0], f"{place}: {topic}")
+        with error_context(topic):
+            paths = channel_paths(channels[0])
         known = self.known(type_name) or KnownType({})
         fields = {**_present(known.fields, paths), **{name: path for name, path in self.paths.items() if path}}
-        self._refuse_parts(f"{place}: topic '{topic}'", fields)
+        self._raise_if_incomplete(topic, fields)
         if not any(quantities <= fields.keys() for quantities in self.enough):
             reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
             if known.fields:
                 reason = f"is of type {type_name}, and its schema lacks some of {', '.join(known.fields.values())}"
-            raise LogError(f"{place}: topic '{topic}' {reason}", self.how_to_name())
+            raise LogError(f"topic '{topic}' {reason}", self.how_to_name())
         stamp = self.stamp or _stamp(known.stamp, paths)
         return Source(self.role, topic, type_name, tuple(channels), fields, stamp, self.latency_s, known.conventions)
 
-    def _refuse_parts(self, place: str, fields: Fields) -> None:
+    def _raise_if_incomplete(self, topic: str, fields: Fields) -> None:
         """Refuse quantities that say nothing without another one."""
         given = {quantity.removesuffix(BOW_DOWN) for quantity in fields}
         for quantities in self.together:
             if (lacking := sorted(quantities - given)) and (alone := sorted(quantities & given)):
                 missing = f'{self.role}.{lacking[0]} = "field.path"'
-                raise LogError(f"{place} gives {' and '.join(alone)} without {' and '.join(lacking)}", missing)
+                raise LogError(f"topic '{topic}' gives {' and '.join(alone)} without {' and '.join(lacking)}", missing)
 
     def how_to_name(self) -> str:
         """Say which keys lead to a topic of an unknown type."""
@@ -175,74 +174,59 @@ class Wish:
         return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` proposes what to set'
 
 
-def imu_wish(config: Config) -> Wish:
+def imu_requirement(config: Config) -> TopicRequirement:
     """Say what an IMU needs."""
-    imu = config.imu
-    return Wish(
-        role="imu",
-        key="imu.topic",
-        topic=imu.topic,
-        by_type=[known_types.IMU],
-        paths={"specific_force": imu.specific_force, "angular_rate": imu.angular_rate},
-        enough=[{"specific_force", "angular_rate"}],
-        stamp=imu.stamp,
-        latency_s=imu.latency_s,
-    )
+    quantities = ("specific_force", "angular_rate")
+    return _required(config.imu, "imu", quantities, by_type=[known_types.IMU], enough=[set(quantities)])
 
 
-def dvl_wish(config: Config) -> Wish:
+def dvl_requirement(config: Config) -> TopicRequirement:
     """Say what a DVL needs."""
-    dvl = config.dvl
-    return Wish(
-        role="dvl",
-        key="dvl.topic",
-        topic=dvl.topic,
+    return _required(
+        config.dvl,
+        "dvl",
+        ("beam_velocity", "beam_valid", "velocity", "valid"),
         by_type=[known_types.DVL_BEAMS, known_types.DVL_VELOCITY],
         if_named=known_types.DVL_IF_NAMED,
-        paths={
-            "beam_velocity": dvl.beam_velocity,
-            "beam_valid": dvl.beam_valid,
-            "velocity": dvl.velocity,
-            "valid": dvl.valid,
-        },
         enough=[{"beam_velocity"}, {"velocity"}],
-        stamp=dvl.stamp,
-        latency_s=dvl.latency_s,
     )
 
 
-def solution_wish(config: Config) -> Wish:
+def solution_requirement(config: Config) -> TopicRequirement:
     """Say what a reference solution needs."""
-    reference = config.reference
-    return Wish(
-        role="reference",
-        key="reference.topic",
-        topic=reference.topic,
+    return _required(
+        config.reference,
+        "reference",
+        _SOLUTION,
         by_type=[known_types.NAV_SOLUTION, known_types.ODOMETRY],
         if_named=known_types.FIX,
-        paths={quantity: getattr(reference, quantity) for quantity in _SOLUTION},
         enough=[{"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES],
         together=_ANGLES,
-        stamp=reference.stamp,
-        latency_s=reference.latency_s,
     )
 
 
-def fix_wish(config: Config) -> Wish:
+def fix_requirement(config: Config) -> TopicRequirement:
     """Say what a geographic position needs."""
-    reference = config.reference
-    return Wish(
-        role="reference",
-        key="reference.fix",
-        topic=reference.fix,
-        by_type=[known_types.FIX],
-        enough=[{"latitude", "longitude"}],
-        stamp=reference.stamp,
-        latency_s=reference.latency_s,
+    enough = [{"latitude", "longitude"}]
+    return _required(config.reference, "reference", (), "fix", by_type=[known_types.FIX], enough=enough)
+
+
+def _required(section: Any, role: str, quantities: Iterable[str], key: str = "topic", **needs: Any) -> TopicRequirement:
+    """Say what a role needs, with what its section of the configuration says of topic, fields and stamp."""
+    return TopicRequirement(
+        role=role,
+        key=f"{role}.{key}",
+        topic=getattr(section, key),
+        paths={quantity: getattr(section, quantity) for quantity in quantities},
+        stamp=section.stamp,
+        latency_s=section.latency_s,
+        **needs,
     )
 
 
-TRUTH_WISH: Final = Wish("truth", "", None, [known_types.TRUTH], enough=[{"accel_bias", "gyro_bias"}])
+TRUTH_REQUIREMENT: Final = TopicRequirement(
+    "truth", "", None, [known_types.TRUTH], enough=[{"accel_bias", "gyro_bias"}]
+)
 """What true sensor biases need."""
 
 

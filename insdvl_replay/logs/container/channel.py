@@ -1,6 +1,6 @@
 """One channel of a log: its topic, and how its messages are encoded."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from mcap import records
@@ -65,3 +65,11 @@ def described(channel: records.Channel, schema: records.Schema | None, messages:
         schema_data=schema.data if schema else b"",
         metadata=channel.metadata,
     )
+
+
+def by_topic(channels: Iterable[LogChannel]) -> dict[str, list[LogChannel]]:
+    """Give the channels of each topic."""
+    topics: dict[str, list[LogChannel]] = {}
+    for channel in channels:
+        topics.setdefault(channel.topic, []).append(channel)
+    return topics

@@ -5,10 +5,11 @@ chunk the records themselves are followed, and the index must agree with them.
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
+import struct
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -19,8 +20,61 @@ from insdvl_replay.core.errors import listed
 from insdvl_replay.logs.container.blocks import Block, by_channel, message_field
 from insdvl_replay.logs.container.chunks import Chunk, chunk_header, open_chunk
 from insdvl_replay.logs.container.damage import Damage, DamageError, Span, plausible_span
-from insdvl_replay.logs.container.message_index import index_entries
 from insdvl_replay.logs.container.records import Records, find_records, go_on, is_broken, joined, what_stands
+
+_INDEX: Final = struct.Struct("<HI")
+_ENTRY: Final = np.dtype([("log_time", "<i8"), ("start", "<i8")])
+
+
+def index_count(data: memoryview, offset: int, length: int) -> tuple[int, int]:
+    """Read of which channel an index record is, and how many messages it names.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    offset, length : int
+        Where its content stands.
+
+    Returns
+    -------
+    channel_id, count : int
+
+    Raises
+    ------
+    DamageError
+        The lengths do not agree.
+    """
+    channel_id, size = _INDEX.unpack_from(data, offset)
+    if size > length - _INDEX.size or size % _ENTRY.itemsize:
+        raise DamageError(offset, f"an index record of {length} bytes says it has {size} bytes of entries")
+    return channel_id, size // _ENTRY.itemsize
+
+
+def index_entries(data: memoryview, offset: int, length: int) -> tuple[int, NDArray[Any]]:
+    """Read an index record.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    offset, length : int
+        Where its content stands.
+
+    Returns
+    -------
+    int
+        A channel.
+    ndarray, shape (k,)
+        Fields ``log_time``, ns, and ``start`` of the message record in the open chunk.
+
+    Raises
+    ------
+    DamageError
+        The lengths do not agree.
+    """
+    channel_id, count = index_count(data, offset, length)
+    return channel_id, np.frombuffer(data, _ENTRY, count, offset + _INDEX.size)
 
 
 @dataclass(frozen=True)
@@ -107,11 +161,11 @@ def content_of(data: memoryview, chunk: Chunk, buffer: memoryview) -> Content:
     if passed and not len(records):
         raise DamageError(chunk.offset, f"in the chunk no record is found: {passed[0][2]}")
     damages = [Damage(chunk.offset, f"in the chunk, {stop} bytes on, {reason}") for stop, _, reason in passed]
-    holes = [(start, stop) for start, stop, _ in passed] + [(len(buffer),) * 2] * (chunk.kind == "cut")
-    span_ns = _lost_span(data, chunk, buffer, records, holes) if holes else None
+    gaps = [(start, stop) for start, stop, _ in passed] + [(len(buffer),) * 2] * (chunk.kind == "truncated")
+    span_ns = _lost_span(data, chunk, buffer, records, gaps) if gaps else None
     definitions = records.where(records.opcodes < Opcode.MESSAGE)
     content = Content(buffer, by_channel(buffer, records), definitions, damages, span_ns)
-    if chunk.indexes and chunk.kind == "whole":
+    if chunk.indexes and chunk.kind == "intact":
         damages += _index_damages(data, chunk, content.blocks)
     return content
 
@@ -150,14 +204,14 @@ def _lost_span(
     chunk: Chunk,
     buffer: memoryview,
     records: Records,
-    holes: list[tuple[int, int]],
+    gaps: list[tuple[int, int]],
 ) -> Span | None:
     """Give the log times between which messages are lost: those of the messages on both sides, else of the chunk."""
     starts = records.starts[records.opcodes == Opcode.MESSAGE]
     log_time = message_field(buffer, starts, "log_time")
-    before = np.searchsorted(starts, holes[0][0])
-    behind = np.searchsorted(starts, holes[-1][1])
-    whole = chunk_header(data, chunk.offset, chunk.length).span_ns if chunk.kind != "loose" else None
+    before = np.searchsorted(starts, gaps[0][0])
+    behind = np.searchsorted(starts, gaps[-1][1])
+    whole = chunk_header(data, chunk.offset, chunk.length).span_ns if chunk.kind != "unchunked" else None
     first_ns = int(log_time[before - 1]) if before else whole and whole[0]
     last_ns = int(log_time[behind]) if behind < len(starts) else whole and whole[1]
     if first_ns is None or last_ns is None:

@@ -22,15 +22,15 @@ LARGEST_CHUNK: Final = 1 << 30
 """Bytes to which a chunk may open; recorders write some megabytes, and several chunks are open at a time."""
 _USUAL_SIZE: Final = 64 << 20
 _MOST_COMPRESSED: Final = 256
-"""Chunks larger than usual are taken at their word only if they are not packed more densely than this."""
+"""Chunks larger than usual are taken at their word only if they are not compressed more densely than this."""
 
 
-def most_opened(packed_size: int, usual: int = _USUAL_SIZE) -> int:
+def most_opened(compressed_size: int, usual: int = _USUAL_SIZE) -> int:
     """Give the bytes to which compressed bytes may open: what is usual, or more where there are more of them.
 
     Parameters
     ----------
-    packed_size : int
+    compressed_size : int
     usual : int
         What the fewest may open to.
 
@@ -38,7 +38,7 @@ def most_opened(packed_size: int, usual: int = _USUAL_SIZE) -> int:
     -------
     int
     """
-    return max(usual, _MOST_COMPRESSED * packed_size)
+    return max(usual, _MOST_COMPRESSED * compressed_size)
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Chunk:
     ----------
     offset, length : int
         Start and size of the record's content, or of the records themselves where they stand in no chunk.
-    kind : {'whole', 'cut', 'loose'}
+    kind : {'intact', 'truncated', 'unchunked'}
         A chunk, a chunk whose end is missing, or messages that stand in no chunk.
     indexes : list of (int, int)
         Start and size of the index records behind the chunk, one for each channel.
@@ -59,7 +59,7 @@ class Chunk:
 
     offset: int
     length: int
-    kind: Literal["whole", "cut", "loose"] = "whole"
+    kind: Literal["intact", "truncated", "unchunked"] = "intact"
     indexes: list[tuple[int, int]] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
 
@@ -75,7 +75,7 @@ class ChunkHeader:
     size, crc : int
         Bytes and checksum of the content once it is open; 0 where the recorder computed none.
     compression : str
-    packed_start, packed_size : int
+    compressed_start, compressed_size : int
         Where in the file the compressed bytes stand.
     """
 
@@ -84,8 +84,8 @@ class ChunkHeader:
     size: int
     crc: int
     compression: str
-    packed_start: int
-    packed_size: int
+    compressed_start: int
+    compressed_size: int
 
     @property
     def span_ns(self) -> Span | None:
@@ -120,8 +120,8 @@ def chunk_header(data: memoryview, offset: int, room: int) -> ChunkHeader:
     if name_end + 8 > len(record):
         raise DamageError(offset, f"a chunk says the name of its compression has {name_size} bytes")
     name = bytes(record[_CHUNK.size : name_end]).decode("ascii", "replace")
-    packed_size = int.from_bytes(record[name_end : name_end + 8], "little")
-    return ChunkHeader(first_ns, last_ns, size, crc, name, offset + name_end + 8, packed_size)
+    compressed_size = int.from_bytes(record[name_end : name_end + 8], "little")
+    return ChunkHeader(first_ns, last_ns, size, crc, name, offset + name_end + 8, compressed_size)
 
 
 def opened_size(data: memoryview, chunk: Chunk) -> int:
@@ -138,12 +138,12 @@ def opened_size(data: memoryview, chunk: Chunk) -> int:
     -------
     int
     """
-    if chunk.kind == "loose":
+    if chunk.kind == "unchunked":
         return 0
     header = chunk_header(data, chunk.offset, chunk.length)
-    most = _room(chunk.offset + chunk.length - header.packed_start)
-    if chunk.kind == "cut":
-        return _size_of_cut(header, most)
+    most = _room(chunk.offset + chunk.length - header.compressed_start)
+    if chunk.kind == "truncated":
+        return _size_of_truncated(header, most)
     return header.size if header.compression and header.size <= most else 0
 
 
@@ -166,16 +166,16 @@ def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
     DamageError
         The chunk is damaged or compressed in an unknown way.
     """
-    if chunk.kind == "loose":
+    if chunk.kind == "unchunked":
         return data[chunk.offset : chunk.offset + chunk.length]
     header = chunk_header(data, chunk.offset, chunk.length)
-    packed = data[header.packed_start : chunk.offset + chunk.length]
-    if chunk.kind == "cut":
-        return _decompressed_start(packed, header, chunk.offset)
-    if len(packed) != header.packed_size:
-        found = f"a chunk says it has {header.packed_size} compressed bytes; there are {len(packed)}"
+    compressed = data[header.compressed_start : chunk.offset + chunk.length]
+    if chunk.kind == "truncated":
+        return _decompressed_start(compressed, header, chunk.offset)
+    if len(compressed) != header.compressed_size:
+        found = f"a chunk says it has {header.compressed_size} compressed bytes; there are {len(compressed)}"
         raise DamageError(chunk.offset, found)
-    content = _decompressed(packed, header.compression, header.size, chunk.offset)
+    content = _decompressed(compressed, header.compression, header.size, chunk.offset)
     if len(content) != header.size:
         raise DamageError(chunk.offset, f"a chunk opens to {len(content)} bytes where {header.size} were announced")
     if header.crc and zlib_ng.crc32(content) != header.crc:
@@ -183,50 +183,50 @@ def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
     return content
 
 
-def _decompressed(packed: memoryview, compression: str, size: int, offset: int) -> memoryview:
-    if compression and size > _room(len(packed)):
-        raise DamageError(offset, f"a chunk of {len(packed)} compressed bytes says it opens to {size}")
+def _decompressed(compressed: memoryview, compression: str, size: int, offset: int) -> memoryview:
+    if compression and size > _room(len(compressed)):
+        raise DamageError(offset, f"a chunk of {len(compressed)} compressed bytes says it opens to {size}")
     try:
         if compression == "":
-            return packed
+            return compressed
         if compression == "zstd":
-            if zstandard.frame_content_size(packed) not in (-1, size):
+            if zstandard.frame_content_size(compressed) not in (-1, size):
                 raise DamageError(offset, f"a zstd chunk does not open to the {size} bytes that it announces")
-            return memoryview(zstandard.ZstdDecompressor().decompress(packed, max_output_size=size))
+            return memoryview(zstandard.ZstdDecompressor().decompress(compressed, max_output_size=size))
         if compression == "lz4":
-            return _unpacked_lz4(packed, size, offset)
+            return _decompressed_lz4(compressed, size, offset)
     except (zstandard.ZstdError, RuntimeError, OverflowError) as error:
         raise DamageError(offset, f"a {compression} chunk cannot be decompressed ({error})") from error
     raise DamageError(offset, f"a chunk is compressed with '{compression}', which is none of zstd, lz4 and nothing")
 
 
-def _decompressed_start(packed: memoryview, header: ChunkHeader, offset: int) -> memoryview:
+def _decompressed_start(compressed: memoryview, header: ChunkHeader, offset: int) -> memoryview:
     """Decompress as much as the bytes that are left give."""
-    size = _size_of_cut(header, _room(len(packed)))
+    size = _size_of_truncated(header, _room(len(compressed)))
     try:
         if header.compression == "lz4":
-            return _unpacked_lz4(packed, size, offset)
-        content = zstandard.ZstdDecompressor().stream_reader(packed).read(size + 1)
+            return _decompressed_lz4(compressed, size, offset)
+        content = zstandard.ZstdDecompressor().stream_reader(compressed).read(size + 1)
     except (zstandard.ZstdError, RuntimeError) as error:
         raise DamageError(offset, f"a {header.compression} chunk cannot be decompressed ({error})") from error
     _require_end(len(content) <= size, size, offset)
     return memoryview(content)
 
 
-def _room(packed_size: int) -> int:
+def _room(compressed_size: int) -> int:
     """Give the bytes to which those of one chunk may open."""
-    return min(most_opened(packed_size), LARGEST_CHUNK)
+    return min(most_opened(compressed_size), LARGEST_CHUNK)
 
 
-def _size_of_cut(header: ChunkHeader, most: int) -> int:
+def _size_of_truncated(header: ChunkHeader, most: int) -> int:
     """Give the bytes to which a cut chunk opens at most; some recorders write last of all what it is."""
     return min(header.size, most) if header.size else most
 
 
-def _unpacked_lz4(packed: memoryview, size: int, offset: int) -> memoryview:
+def _decompressed_lz4(compressed: memoryview, size: int, offset: int) -> memoryview:
     """Decompress a frame, or the start of one that is cut, to at most a size."""
     decompressor = lz4.frame.LZ4FrameDecompressor()
-    content = decompressor.decompress(packed, max_length=size)
+    content = decompressor.decompress(compressed, max_length=size)
     _require_end(decompressor.eof or decompressor.needs_input, size, offset)
     return memoryview(content)
 

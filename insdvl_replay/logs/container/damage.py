@@ -1,7 +1,16 @@
-"""Damage: where a file is not what the format says, and which messages are gone there."""
+"""Damage: where a file is not what the format says, which messages are gone there, and the error that says so."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
+
+import numpy as np
+
+from insdvl_replay.core.columns import TimeNs, seconds
+from insdvl_replay.core.errors import LogError
+
+COPY_AGAIN: Final = "copy the log again from the recorder if it still has it"
+"""What helps where messages are lost."""
 
 Span = tuple[int, int]
 """First and last log time, ns."""
@@ -72,3 +81,29 @@ def plausible_span(first_ns: int, last_ns: int) -> Span | None:
         None where it ends before it begins, or is longer than any dive.
     """
     return (first_ns, last_ns) if first_ns > 0 and 0 <= last_ns - first_ns < _LONGEST_NS else None
+
+
+def damaged_file_error(faults: Sequence[LogError], saved: Iterable[TimeNs], places: str = "damaged places") -> LogError:
+    """Make the error with which a damaged log is refused: where it is damaged, and what could be saved.
+
+    Parameters
+    ----------
+    faults : sequence of LogError
+        At least one; the first is told, the others are counted.
+    saved : iterable of ndarray, shape (k,)
+        Log times of all messages that can be read, ns.
+    places : str
+        What has the faults.
+
+    Returns
+    -------
+    LogError
+    """
+    first, *others = faults
+    what = f"{first.what} ({len(others)} more {places})" if others else first.what
+    times = np.concatenate([np.empty(0, np.int64), *saved])
+    hint = "no message in it can be read; copy it again from the recorder"
+    if times.size:
+        span_s = float(seconds(times.max(), int(times.min())))
+        hint = f"--allow-damaged uses the {span_s:.1f} s and {times.size} messages that can be read"
+    return LogError(what, hint, *first.where)

@@ -6,16 +6,53 @@ indexes and the log times of the messages on both sides tell what they can.
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.core.errors import Note
+from insdvl_replay.logs.container.blocks import MESSAGE, gather
 from insdvl_replay.logs.container.chunk_messages import read_chunk
 from insdvl_replay.logs.container.chunks import Chunk, chunk_header
-from insdvl_replay.logs.container.damage import DamageError, Loss, Span, plausible_span
-from insdvl_replay.logs.container.duplicates import repeated_messages
+from insdvl_replay.logs.container.damage import COPY_AGAIN, DamageError, Loss, Span, plausible_span
 from insdvl_replay.logs.container.records import RECORD_HEADER_SIZE
-from insdvl_replay.logs.container.scanner import Anatomy
+from insdvl_replay.logs.container.scanner import McapIndex
+
+
+def duplicate_messages(data: memoryview, mcap_index: McapIndex) -> int:
+    """Count the messages that are copies of others.
+
+    Parameters
+    ----------
+    data : memoryview
+        The file.
+    mcap_index : McapIndex
+
+    Returns
+    -------
+    int
+        0 where every byte is part of a record, or all messages stand in chunks: these are copied as a whole or not
+        readable.
+    """
+    if not mcap_index.passed or all(chunk.kind != "unchunked" for chunk in mcap_index.chunks.values()):
+        return 0
+    headers = np.concatenate([np.empty(0, MESSAGE), *_headers(data, mcap_index)])
+    _, first, count = np.unique(headers["log_time"], return_inverse=True, return_counts=True)
+    # Few messages share their log time, and only these are compared as a whole, which takes longer.
+    suspected = headers[count[first] > 1]
+    return len(suspected) - len(np.unique(suspected))
+
+
+def _headers(data: memoryview, mcap_index: McapIndex) -> Iterator[NDArray[Any]]:
+    """Go through what stands in front of the payloads; no chunk stays open for it."""
+    for chunk in mcap_index.chunks.values():
+        with suppress(DamageError):
+            for block in read_chunk(data, chunk).blocks.values():
+                yield gather(block.buffer, block.starts, MESSAGE)
+
 
 _SHOWN: Final = 3
 """Places that are told one by one."""
@@ -23,7 +60,7 @@ _SHORTEST_S: Final = 0.0005
 """What is shorter would be told as no time at all."""
 
 
-def damage_note(name: str, data: memoryview, anatomy: Anatomy) -> Note:
+def damage_note(name: str, data: memoryview, mcap_index: McapIndex) -> Note:
     """Say what was found and lost in a damaged log.
 
     Parameters
@@ -32,7 +69,7 @@ def damage_note(name: str, data: memoryview, anatomy: Anatomy) -> Note:
         Of the log.
     data : memoryview
         The file.
-    anatomy : Anatomy
+    mcap_index : McapIndex
         With at least one damage.
 
     Returns
@@ -41,21 +78,21 @@ def damage_note(name: str, data: memoryview, anatomy: Anatomy) -> Note:
         A warning, ``log_damaged``.
     """
     # Checksums are checked beside the reading, and what is found first is a matter of chance.
-    damages = sorted(anatomy.damages, key=lambda damage: damage.offset)
+    damages = sorted(mcap_index.damages, key=lambda damage: damage.offset)
     shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
     more = f"; and {len(damages) - _SHOWN} more" if len(damages) > _SHOWN else ""
     places = "1 place" if len(damages) == 1 else f"{len(damages)} places"
-    found, missing, repeats = losses(data, anatomy), anatomy.missing, repeated_messages(data, anatomy)
-    if repeats:
+    found, missing, duplicates = losses(data, mcap_index), mcap_index.missing, duplicate_messages(data, mcap_index)
+    if duplicates:
         # Copies of messages from elsewhere tell nothing of the time around them.
         found = [replace(loss, span_ns=None) for loss in found]
-        missing = None if missing is None else missing + repeats
-    loss = told_loss(found, missing, is_cut=anatomy.is_cut)
+        missing = None if missing is None else missing + duplicates
+    loss = loss_text(found, missing, is_cut=mcap_index.is_cut)
     text = f"{name} is damaged in {places}, {loss} ({shown}{more})"
-    return Note("log_damaged", text, len(damages), "warning", "copy the log again from the recorder if it still has it")
+    return Note("log_damaged", text, len(damages), "warning", COPY_AGAIN)
 
 
-def told_loss(found: Sequence[Loss], missing: int | None, *, is_cut: bool) -> str:
+def loss_text(found: Sequence[Loss], missing: int | None, *, is_cut: bool) -> str:
     """Say how many messages were lost and in what time, and where that is not known, why.
 
     Parameters
@@ -100,35 +137,35 @@ def _covered_s(spans: Sequence[Span]) -> float:
     return covered_ns * 1e-9
 
 
-def losses(data: memoryview, anatomy: Anatomy) -> list[Loss]:
+def losses(data: memoryview, mcap_index: McapIndex) -> list[Loss]:
     """Find what was lost, each loss with what is known of it; they may overlap.
 
     Parameters
     ----------
     data : memoryview
         The file.
-    anatomy : Anatomy
+    mcap_index : McapIndex
 
     Returns
     -------
     list of Loss
     """
-    spans = _Spans(data, anatomy)
+    spans = _Spans(data, mcap_index)
     return [
-        *anatomy.losses.values(),
-        *_of_lost_chunks(data, anatomy, spans),
-        *_of_unknown_channels(data, anatomy),
-        *_of_passed_bytes(data, anatomy, spans),
+        *mcap_index.losses.values(),
+        *_of_dropped_chunks(data, mcap_index, spans),
+        *_of_unknown_channels(data, mcap_index),
+        *_of_passed_bytes(data, mcap_index, spans),
     ]
 
 
 class _Spans:
     """The times of what can be read, to tell by them when the rest was."""
 
-    def __init__(self, data: memoryview, anatomy: Anatomy) -> None:
+    def __init__(self, data: memoryview, mcap_index: McapIndex) -> None:
         self._data = data
-        self._chunks = sorted(anatomy.chunks.values(), key=_offset)
-        self._whole = anatomy.announced.span_ns
+        self._chunks = sorted(mcap_index.chunks.values(), key=_offset)
+        self._whole = mcap_index.announced.span_ns
 
     def of(self, chunk: Chunk) -> Span | None:
         """Give the span of a chunk."""
@@ -165,7 +202,7 @@ def chunk_span(data: memoryview, chunk: Chunk) -> Span | None:
     (int, int) or None
         As a whole chunk says itself, and as the messages say where they stand in none or the chunk is cut.
     """
-    if chunk.kind == "whole":
+    if chunk.kind == "intact":
         return _stated_span(data, chunk)
     try:
         content = read_chunk(data, chunk)
@@ -182,47 +219,47 @@ def _stated_span(data: memoryview, chunk: Chunk) -> Span | None:
         return None
 
 
-def _of_lost_chunks(data: memoryview, anatomy: Anatomy, spans: _Spans) -> Iterator[Loss]:
+def _of_dropped_chunks(data: memoryview, mcap_index: McapIndex, spans: _Spans) -> Iterator[Loss]:
     """Go through the chunks that cannot be opened, and those of the chunk index that are not found at all."""
-    for chunk in anatomy.lost:
+    for chunk in mcap_index.lost:
         span = _stated_span(data, chunk) or spans.between(chunk.offset, chunk.offset + chunk.length)
         yield Loss(chunk.counts.total() or None, span)
-    met = [chunk for chunk in (*anatomy.chunks.values(), *anatomy.lost) if chunk.kind != "loose"]
+    met = [chunk for chunk in (*mcap_index.chunks.values(), *mcap_index.lost) if chunk.kind != "unchunked"]
     # Where bytes were put in or taken out, chunks are not where the index says, and are known by what they say.
-    starts = {chunk.offset - RECORD_HEADER_SIZE for chunk in met} if anatomy.displaced is None else set()
+    starts = {chunk.offset - RECORD_HEADER_SIZE for chunk in met} if mcap_index.displaced is None else set()
     identities = {_identity(data, chunk) for chunk in met}
-    for start, index in anatomy.announced.chunks.items():
+    for start, index in mcap_index.announced.chunks.items():
         span = (index.message_start_time, index.message_end_time)
         if start not in starts and (*span, index.compressed_size) not in identities:
             yield Loss(None, plausible_span(*span))
 
 
 def _identity(data: memoryview, chunk: Chunk) -> tuple[int, int, int] | None:
-    """Give what no other chunk of the file has: its span and its packed size."""
+    """Give what no other chunk of the file has: its span and its compressed size."""
     try:
         header = chunk_header(data, chunk.offset, chunk.length)
     except DamageError:
         return None
-    return header.first_ns, header.last_ns, header.packed_size
+    return header.first_ns, header.last_ns, header.compressed_size
 
 
-def _of_unknown_channels(data: memoryview, anatomy: Anatomy) -> Iterator[Loss]:
+def _of_unknown_channels(data: memoryview, mcap_index: McapIndex) -> Iterator[Loss]:
     """Go through the messages that no definition can be found for."""
-    for chunk in anatomy.chunks.values():
-        unknown = [channel_id for channel_id in chunk.counts if channel_id not in anatomy.channels]
+    for chunk in mcap_index.chunks.values():
+        unknown = [channel_id for channel_id in chunk.counts if channel_id not in mcap_index.channels]
         if unknown:
             times = read_chunk(data, chunk).log_times(unknown)
             yield Loss(times.size, plausible_span(int(times.min()), int(times.max())))
 
 
-def _of_passed_bytes(data: memoryview, anatomy: Anatomy, spans: _Spans) -> Iterator[Loss]:
+def _of_passed_bytes(data: memoryview, mcap_index: McapIndex, spans: _Spans) -> Iterator[Loss]:
     """Go through the bytes in which no record was found, and what is missing behind the last one.
 
     Where all messages stood in chunks that an index names, that index has told already what is missing.
     """
-    if anatomy.announced.chunks and all(chunk.kind != "loose" for chunk in anatomy.chunks.values()):
+    if mcap_index.announced.chunks and all(chunk.kind != "unchunked" for chunk in mcap_index.chunks.values()):
         return
-    for start, end in anatomy.passed:
+    for start, end in mcap_index.passed:
         yield Loss(None, spans.between(start, end))
-    if anatomy.data_end is None:
+    if mcap_index.data_end is None:
         yield Loss(None, spans.between(len(data), None))

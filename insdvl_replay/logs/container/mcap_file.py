@@ -5,9 +5,7 @@ as far as its bytes can be believed.
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
-from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -26,26 +24,17 @@ from insdvl_replay.logs.container.attachments import (
 )
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.channel import described
-from insdvl_replay.logs.container.chunk_messages import Content, content_of
-from insdvl_replay.logs.container.chunks import Chunk, chunk_header, open_chunk, opened_size
-from insdvl_replay.logs.container.damage import DamageError, Span
-from insdvl_replay.logs.container.damaged_file import refused
+from insdvl_replay.logs.container.chunk_messages import index_entries
+from insdvl_replay.logs.container.chunk_reader import ChunkReader
+from insdvl_replay.logs.container.chunks import Chunk, ChunkHeader, chunk_header
+from insdvl_replay.logs.container.damage import COPY_AGAIN, Span, damaged_file_error
 from insdvl_replay.logs.container.loss import chunk_span, damage_note
-from insdvl_replay.logs.container.mcap_index import anatomy_of
-from insdvl_replay.logs.container.message_index import index_entries
-from insdvl_replay.logs.container.opening import mapped
+from insdvl_replay.logs.container.mapped_file import mapped
+from insdvl_replay.logs.container.mcap_index import build_index
 from insdvl_replay.logs.container.records import parsed
 
 _END_OF_TIME_NS: Final = 2**63
 """Times are signed in numpy as in ROS, and unsigned in the format."""
-_AHEAD: Final = 3
-"""Chunks that are opened while the one before is read."""
-_MOST_OPEN: Final = 256 << 20
-"""Bytes that they open to together, if they are more than one."""
-_KEPT: Final = 16 << 20
-"""Bytes of chunks that stay open, since samples of many topics are read from the same ones."""
-_SAMPLED: Final = 2
-"""Chunks with which a sample begins; were more kept, a long reading would not use the same memory again and again."""
 
 
 class Log:
@@ -75,45 +64,39 @@ class Log:
         self._file = mapped(path)
         self._data = self._file.data
         with self._file.watched():
-            self._anatomy = anatomy_of(self._data, self._file.release)
+            self._index = build_index(self._data, self._file.release)
         self._file.release(0, len(self._data))
-        self._opened: set[int] = set()
-        self._kept: dict[int, Content] = {}
-        self._judge()
+        self._reader = ChunkReader(self._file, self._index)
+        self._raise_if_damaged()
         self.channels = tuple(
-            described(channel, self._anatomy.schemas.get(channel.schema_id), self._anatomy.counts[channel.id])
-            for channel in self._anatomy.channels.values()
+            described(channel, self._index.schemas.get(channel.schema_id), self._index.counts[channel.id])
+            for channel in self._index.channels.values()
         )
 
     @property
     def profile(self) -> str:
         """What the recorder promises to follow, ``ros2`` for ROS 2."""
-        return self._anatomy.header.profile if self._anatomy.header else ""
+        return self._index.header.profile if self._index.header else ""
 
     @property
     def library(self) -> str:
         """What wrote the log."""
-        return self._anatomy.header.library if self._anatomy.header else ""
+        return self._index.header.library if self._index.header else ""
 
     @property
     def has_summary(self) -> bool:
         """Whether the log closes with a summary that can be believed."""
-        return self._anatomy.summary.statistics is not None or bool(self._anatomy.summary.chunks)
+        return self._index.summary.statistics is not None or bool(self._index.summary.chunks)
 
     @property
     def chunk_count(self) -> int:
         """How many chunks there are."""
-        return sum(chunk.kind != "loose" for chunk in self._anatomy.chunks.values())
+        return len(self._chunk_headers())
 
     @property
     def compression(self) -> tuple[str, ...]:
         """The ways in which chunks are compressed, ``none`` for those that are not."""
-        headers = [
-            chunk_header(self._data, chunk.offset, chunk.length)
-            for chunk in self._anatomy.chunks.values()
-            if chunk.kind != "loose"
-        ]
-        return tuple(sorted({header.compression or "none" for header in headers}))
+        return tuple(sorted({header.compression or "none" for header in self._chunk_headers()}))
 
     @property
     def parts(self) -> tuple["Log", ...]:
@@ -123,7 +106,7 @@ class Log:
     @property
     def span_ns(self) -> Span | None:
         """First and last log time; None without messages."""
-        spans = [span for chunk in self._anatomy.chunks.values() if (span := chunk_span(self._data, chunk))]
+        spans = [span for chunk in self._index.chunks.values() if (span := chunk_span(self._data, chunk))]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     @property
@@ -134,27 +117,27 @@ class Log:
     @property
     def schemas(self) -> Mapping[int, records.Schema]:
         """The schemas by their numbers."""
-        return self._anatomy.schemas
+        return self._index.schemas
 
     @property
     def metadata(self) -> Iterator[records.Metadata]:
         """The metadata records in the order of the file."""
-        return (parsed(records.Metadata, self._data, *place) for place in self._anatomy.metadata)
+        return (parsed(records.Metadata, self._data, *place) for place in self._index.metadata)
 
     @property
     def attachments(self) -> Iterator[Attachment]:
         """The attachments in the order of the file; their bytes are read on demand."""
-        return (attachment_at(self._data, *place) for place in self._anatomy.attachments)
+        return (attachment_at(self._data, *place) for place in self._index.attachments)
 
     @property
     def notes(self) -> tuple[Note, ...]:
         """What was found wrong or was passed over so far."""
         notes = []
-        if self._anatomy.damages:
-            notes.append(damage_note(self.path.name, self._data, self._anatomy))
-        elif missing := self._anatomy.missing:
+        if self._index.damages:
+            notes.append(damage_note(self.path.name, self._data, self._index))
+        elif missing := self._index.missing:
             text = f"the summary of {self.path.name} announces {missing:+d} messages against what the log holds"
-            hint = "copy the log again from the recorder if it still has it"
+            hint = COPY_AGAIN
             notes.append(Note("log_summary", text, abs(missing), "warning", hint))
         if (last_ns := self._last_ns()) >= _END_OF_TIME_NS:
             text = (
@@ -163,16 +146,19 @@ class Log:
             )
             hint = "the messages' own stamps are used where they have any; the recorder's clock was wrong"
             notes.append(Note("log_times_late", text, 1, "warning", hint))
-        if private := self._anatomy.private:
+        if private := self._index.private:
             notes.append(Note("unknown_records", f"{private} records are of kinds that are not MCAP's own", private))
         return tuple(notes)
 
     def _last_ns(self) -> int:
         """Give the last log time as the statistics or else the chunks say, which count from 0 to 2^64."""
-        if (stated := self._anatomy.announced.statistics) is not None:
+        if (stated := self._index.announced.statistics) is not None:
             return int(stated.message_end_time)
-        chunks = [chunk for chunk in self._anatomy.chunks.values() if chunk.kind != "loose"]
-        return max((chunk_header(self._data, chunk.offset, chunk.length).last_ns for chunk in chunks), default=0)
+        return max((header.last_ns for header in self._chunk_headers()), default=0)
+
+    def _chunk_headers(self) -> list[ChunkHeader]:
+        chunks = (chunk for chunk in self._index.chunks.values() if chunk.kind != "unchunked")
+        return [chunk_header(self._data, chunk.offset, chunk.length) for chunk in chunks]
 
     def digests(self) -> list[Digest]:
         """Go over all bytes of the file. It changes nothing here, so that another thread can do it meanwhile.
@@ -182,9 +168,9 @@ class Log:
         list of Digest
             One.
         """
-        section_end, section_crc = self._anatomy.data_end or (0, 0)
+        section_end, section_crc = self._index.data_end or (0, 0)
         sha256, damages = checked_digest(self._file.reopened(), section_end, section_crc)
-        return [Digest(sha256, damages + attachment_damages(self._data, self._anatomy.attachments))]
+        return [Digest(sha256, damages + attachment_damages(self._data, self._index.attachments))]
 
     def sha256(self, digests: Sequence[Digest] | None = None) -> str:
         """Give the digest of the file's bytes, and note which checksums are wrong that only a whole pass can check.
@@ -205,8 +191,8 @@ class Log:
         """
         (digest,) = digests or self.digests()
         for damage in digest.damages:
-            self._anatomy.mark(damage)
-        self._judge()
+            self._index.add_damage(damage)
+        self._raise_if_damaged()
         return digest.sha256
 
     @contextmanager
@@ -236,11 +222,11 @@ class Log:
         LogError
             A chunk is damaged or compressed in an unknown way.
         """
-        wanted = [chunk for chunk in self._anatomy.chunks.values() if not chunk.counts.keys().isdisjoint(channel_ids)]
-        for content in self._contents(wanted):
-            self._judge()
+        wanted = [chunk for chunk in self._index.chunks.values() if not chunk.counts.keys().isdisjoint(channel_ids)]
+        for content in self._reader.contents(wanted):
+            self._raise_if_damaged()
             yield from content.of(channel_ids)
-        self._judge()
+        self._raise_if_damaged()
 
     def check_unopened(self) -> None:
         """Open the chunks that nobody has opened so far, for their checksums alone.
@@ -250,13 +236,13 @@ class Log:
         LogError
             One is damaged.
         """
-        unopened = [chunk for chunk in self._anatomy.chunks.values() if chunk.offset not in self._opened]
-        for _ in self._contents([chunk for chunk in unopened if self._has_checksum(chunk)]):
-            self._judge()
-        self._judge()
+        unopened = [chunk for chunk in self._index.chunks.values() if chunk.offset not in self._reader.opened]
+        for _ in self._reader.contents([chunk for chunk in unopened if self._has_checksum(chunk)]):
+            self._raise_if_damaged()
+        self._raise_if_damaged()
 
     def _has_checksum(self, chunk: Chunk) -> bool:
-        return chunk.kind == "whole" and chunk_header(self._data, chunk.offset, chunk.length).crc != 0
+        return chunk.kind == "intact" and chunk_header(self._data, chunk.offset, chunk.length).crc != 0
 
     def log_times(self) -> dict[int, TimeNs]:
         """Give the log times of all messages from the indexes; only chunks without one are opened.
@@ -272,75 +258,32 @@ class Log:
             An index, or a chunk without one, is damaged.
         """
         parts: dict[int, list[TimeNs]] = {channel.id: [np.empty(0, np.int64)] for channel in self.channels}
-        for chunk in self._anatomy.chunks.values():
+        for chunk in self._index.chunks.values():
             for place in chunk.indexes:
                 channel_id, entries = index_entries(self._data, *place)
                 parts.setdefault(channel_id, []).append(entries["log_time"])
-        for content in self._contents([chunk for chunk in self._anatomy.chunks.values() if not chunk.indexes]):
+        for content in self._reader.contents([chunk for chunk in self._index.chunks.values() if not chunk.indexes]):
             for block in content.of(parts):
                 parts[block.channel_id].append(block.log_time)
-        self._judge()
+        self._raise_if_damaged()
         return {channel_id: np.concatenate(times) for channel_id, times in parts.items()}
 
-    def _contents(self, chunks: Sequence[Chunk]) -> Iterator[Content]:
-        """Go through chunks, of which the next ones are opened in another thread; lost ones are marked."""
-        first = {chunk.offset for chunk in chunks[:_SAMPLED]}
-        ahead: deque[tuple[Chunk, Future[memoryview] | Content]] = deque()
-        sizes: deque[int] = deque()
-        with ThreadPoolExecutor(1) as opener:
-            for chunk in chunks:
-                sizes.append(opened_size(self._data, chunk))
-                while ahead and (len(ahead) > _AHEAD or sum(sizes) > _MOST_OPEN):
-                    yield from self._content(*ahead.popleft(), first)
-                    sizes.popleft()
-                kept = self._kept.get(chunk.offset)
-                ahead.append((chunk, kept or opener.submit(open_chunk, self._data, chunk)))
-            while ahead:
-                yield from self._content(*ahead.popleft(), first)
-
-    def _content(
-        self, chunk: Chunk, opened: Future[memoryview] | Content, sampled: Collection[int]
-    ) -> Iterator[Content]:
-        self._opened.add(chunk.offset)
-        if isinstance(opened, Content):
-            yield opened
-            return
-        try:
-            content = content_of(self._data, chunk, opened.result())
-        except DamageError as damage:
-            self._anatomy.lose(chunk, damage)
-            return
-        if content.damages:
-            self._anatomy.accept(chunk, content)
-        if chunk.offset in sampled:
-            self._keep(chunk, content)
-        yield content
-        self._file.release(
-            chunk.offset, max(start + length for start, length in [(chunk.offset, chunk.length), *chunk.indexes])
-        )
-
-    def _keep(self, chunk: Chunk, content: Content) -> None:
-        """Keep a chunk open, and close those that were kept before it for want of room."""
-        self._kept[chunk.offset] = content
-        while sum(len(one.buffer) for one in self._kept.values()) > _KEPT:
-            del self._kept[next(iter(self._kept))]
-
-    def complaints(self) -> list[str]:
-        """Give a sentence for each damaged place found so far."""
-        return [f"{self.path}: is damaged at byte {one.offset}: {one.found}" for one in self._anatomy.damages]
+    def faults(self) -> list[LogError]:
+        """Give an error for each damaged place found so far."""
+        return [LogError(f"is damaged at byte {one.offset}: {one.found}", "", self.path) for one in self._index.damages]
 
     def saved_times(self) -> Iterator[TimeNs]:
         """Read all that can be read and give the log times, a block of messages at a time; ns."""
-        ids = self._anatomy.channels.keys()
-        for content in self._contents(list(self._anatomy.chunks.values())):
+        ids = self._index.channels.keys()
+        for content in self._reader.contents(list(self._index.chunks.values())):
             yield from (block.log_time for block in content.of(ids))
 
-    def refusal(self) -> LogError | None:
+    def damage_error(self) -> LogError | None:
         """Give the error with which the file would be refused, by the damage found so far."""
-        complaints = self.complaints()
-        return refused(complaints, self.saved_times()) if complaints else None
+        faults = self.faults()
+        return damaged_file_error(faults, self.saved_times()) if faults else None
 
-    def _judge(self) -> None:
-        if not self.allow_damaged and (error := self.refusal()) is not None:
+    def _raise_if_damaged(self) -> None:
+        if not self.allow_damaged and (error := self.damage_error()) is not None:
             self._file.require_unchanged()
             raise error

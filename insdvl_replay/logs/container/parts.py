@@ -12,7 +12,7 @@ from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs.container.attachments import Digest
 from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.container.damaged_file import refused
+from insdvl_replay.logs.container.damage import COPY_AGAIN, damaged_file_error
 from insdvl_replay.logs.container.mapped_file import UnusableFileError
 from insdvl_replay.logs.container.mcap_file import Log
 
@@ -59,7 +59,7 @@ class Parts:
             for number, part in enumerate(self.parts)
             for channel in part.channels
         )
-        self._judge()
+        self._raise_if_damaged()
 
     def _opened(self, files: Iterable[Path]) -> Iterator[Log]:
         for file in sorted(files):
@@ -83,7 +83,7 @@ class Parts:
     def _unusable_notes(self) -> Iterator[Note]:
         for error in self._unusable.values():
             text = f"{error.message}; an unknown number of messages (an unknown time) are lost; nothing of it is left"
-            yield Note("log_damaged", text, 1, "warning", "copy the log again from the recorder if it still has it")
+            yield Note("log_damaged", text, 1, "warning", COPY_AGAIN)
 
     def _overlap_notes(self) -> Iterator[Note]:
         spans = [part.span_ns for part in self.parts if part.span_ns]
@@ -106,7 +106,7 @@ class Parts:
             for number, part in enumerate(self.parts)
             for channel_id, times in part.log_times().items()
         }
-        self._judge()
+        self._raise_if_damaged()
         return times
 
     def digests(self) -> list[Digest]:
@@ -124,7 +124,7 @@ class Parts:
         digests = digests or self.digests()
         for part, digest in zip(self.parts, digests, strict=False):
             part.sha256([digest])
-        self._judge()
+        self._raise_if_damaged()
         return hashlib.sha256("".join(digest.sha256 for digest in digests).encode()).hexdigest()
 
     @contextmanager
@@ -155,25 +155,24 @@ class Parts:
             first = number * CHANNELS_OF_A_PART
             inside = {id_ - first for id_ in channel_ids if 0 <= id_ - first < CHANNELS_OF_A_PART}
             for block in part.blocks(inside):
-                self._judge()
+                self._raise_if_damaged()
                 yield replace(block, channel_id=block.channel_id + first)
-        self._judge()
+        self._raise_if_damaged()
 
     def check_unopened(self) -> None:
         """Check the chunks that nobody needed, as `Log.check_unopened`."""
         for part in self.parts:
             part.check_unopened()
-        self._judge()
+        self._raise_if_damaged()
 
-    def refusal(self) -> LogError | None:
+    def damage_error(self) -> LogError | None:
         """Give the error with which the files would be refused, by the damage found so far."""
-        complaints = [complaint for part in self.parts for complaint in part.complaints()]
-        complaints += [error.message for error in self._unusable.values()]
+        faults = [*(fault for part in self.parts for fault in part.faults()), *self._unusable.values()]
         saved = (times for part in self.parts for times in part.saved_times())
-        return refused(complaints, saved) if complaints else None
+        return damaged_file_error(faults, saved) if faults else None
 
-    def _judge(self) -> None:
-        if not self.allow_damaged and (error := self.refusal()) is not None:
+    def _raise_if_damaged(self) -> None:
+        if not self.allow_damaged and (error := self.damage_error()) is not None:
             raise error
 
 
@@ -181,7 +180,7 @@ def _sha256(file: Path) -> str:
     try:
         return hashlib.sha256(file.read_bytes()).hexdigest()
     except OSError as error:
-        raise LogError(f"{file}: cannot be read any more: {error.strerror}", "read a copy of the recording") from error
+        raise LogError(f"cannot be read any more: {error.strerror}", "read a copy of the recording", file) from error
 
 
 def _start(part: Log) -> tuple[float, str]:

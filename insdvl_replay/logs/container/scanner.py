@@ -35,7 +35,7 @@ _SUMMARY_ONLY: Final = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT
 
 
 @dataclass
-class Anatomy:
+class McapIndex:
     """What a file holds.
 
     Attributes
@@ -105,62 +105,68 @@ class Anatomy:
         found = sum(count for channel_id, count in self.counts.items() if channel_id in self.channels)
         return None if announced is None else announced - found
 
-    def mark(self, damage: Damage) -> None:
+    def add_damage(self, damage: Damage) -> None:
         """Note a damaged place, once."""
         self.damages.setdefault(damage)
 
-    def add(self, chunk: Chunk) -> None:
+    def add_chunk(self, chunk: Chunk) -> None:
         """File a chunk."""
         self.chunks[chunk.offset] = chunk
 
-    def accept(self, chunk: Chunk, content: Content) -> None:
+    def trust(self, chunk: Chunk, content: Content) -> None:
         """Believe the content of a chunk more than its index."""
         named = chunk.counts.total() if chunk.indexes else None
         chunk.counts = content.counts()
         for damage in content.damages:
-            self.mark(damage)
+            self.add_damage(damage)
         if content.lost_span_ns:
             missing = None if named is None else max(named - chunk.counts.total(), 0)
             self.losses.setdefault(chunk.offset, Loss(missing, content.lost_span_ns))
         if content.damages:
             chunk.indexes.clear()
 
-    def lose(self, chunk: Chunk, damage: DamageError) -> None:
+    def drop_chunk(self, chunk: Chunk, damage: DamageError) -> None:
         """Note a chunk that cannot be read, and do without it."""
-        self.mark(Damage(damage.offset, damage.found))
+        self.add_damage(Damage(damage.offset, damage.found))
         del self.chunks[chunk.offset]
         self.lost.append(chunk)
 
 
-class Walk:
+class RecordScanner:
     """The way through the data section."""
 
-    def __init__(self, data: memoryview, anatomy: Anatomy, release: Callable[[int, int], None]) -> None:
+    def __init__(self, data: memoryview, mcap_index: McapIndex, release: Callable[[int, int], None]) -> None:
         self.data = data
         self.release = release
-        self.anatomy = anatomy
-        self.signposts = sorted(anatomy.summary.chunks)
+        self.index = mcap_index
+        self.known_chunks = sorted(mcap_index.summary.chunks)
         self.latest = 0
         self.latest_chunk = Chunk(0, 0)
 
     def run(self) -> None:
         """Go from the first record to the end of the data section."""
-        anatomy, place = self.anatomy, len(MAGIC)
-        end = anatomy.summary.start if anatomy.summary.checked and anatomy.summary.start else anatomy.summary.end
-        while place < end and anatomy.data_end is None:
+        mcap_index, place = self.index, len(MAGIC)
+        end = (
+            mcap_index.summary.start
+            if mcap_index.summary.checked and mcap_index.summary.start
+            else mcap_index.summary.end
+        )
+        while place < end and mcap_index.data_end is None:
             batch, stop = find_records(self.data, place, end)
             if is_broken(batch, stop, end):
-                anatomy.mark(Damage(stop, what_stands(self.data, stop, end)))
+                mcap_index.add_damage(Damage(stop, what_stands(self.data, stop, end)))
                 batch, stop = self.behind(batch, stop, end)
             self.take(batch)
             self.release(place, stop)
             place = stop
-        if anatomy.header is None:
-            anatomy.mark(Damage(len(MAGIC), "no header begins the log"))
-        if anatomy.data_end is None and anatomy.summary.start is not None:
-            anatomy.mark(Damage(place, "no record ends the messages"))
-        elif anatomy.summary.start not in (None, place):
-            anatomy.mark(Damage(place, f"the footer says that the summary starts at byte {anatomy.summary.start}"))
+        if mcap_index.header is None:
+            mcap_index.add_damage(Damage(len(MAGIC), "no header begins the log"))
+        if mcap_index.data_end is None and mcap_index.summary.start is not None:
+            mcap_index.add_damage(Damage(place, "no record ends the messages"))
+        elif mcap_index.summary.start not in (None, place):
+            mcap_index.add_damage(
+                Damage(place, f"the footer says that the summary starts at byte {mcap_index.summary.start}")
+            )
 
     def behind(self, batch: Records, stop: int, end: int) -> tuple[Records, int]:
         """Go on behind bytes that are no record."""
@@ -170,10 +176,10 @@ class Walk:
                 return self.with_chunk(batch.where(slice(-1)), chunk)
         if chunk := self.chunk_at(stop, end):
             return self.with_chunk(batch, chunk)
-        signpost = next((post for post in self.signposts if post > stop), end)
-        kept, resumed = go_on(self.data, batch, stop, signpost)
+        next_known = next((known for known in self.known_chunks if known > stop), end)
+        kept, resumed = go_on(self.data, batch, stop, next_known)
         passed_from = stop if len(kept) == len(batch) else int(batch.starts[-1])
-        self.anatomy.passed.append((passed_from, resumed))
+        self.index.passed.append((passed_from, resumed))
         return kept, resumed
 
     def with_chunk(self, batch: Records, chunk: Chunk) -> tuple[Records, int]:
@@ -186,34 +192,34 @@ class Walk:
     def chunk_at(self, place: int, end: int) -> Chunk | None:
         """Find a chunk whose record has a wrong kind or length, but whose own fields tell where it ends."""
         start = place + RECORD_HEADER_SIZE
-        if self.data[place] != Opcode.CHUNK and place not in self.anatomy.summary.chunks:
+        if self.data[place] != Opcode.CHUNK and place not in self.index.summary.chunks:
             return None
         try:
             header = chunk_header(self.data, start, max(end - start, 0))
         except DamageError:
             return None
-        stop = header.packed_start + header.packed_size
+        stop = header.compressed_start + header.compressed_size
         if stop <= end and len(find_records(self.data, stop, end)[0]):
             return Chunk(start, stop - start)
         is_last = next_record(self.data, start, end) == end
-        return Chunk(start, end - start, "cut") if header.compression in COMPRESSED and is_last else None
+        return Chunk(start, end - start, "truncated") if header.compression in COMPRESSED and is_last else None
 
     def take(self, batch: Records) -> None:
-        """File the records of a batch; messages in a row make one stretch."""
+        """File the records of a batch; messages in a row make one run."""
         loose = batch.opcodes == Opcode.MESSAGE
         edges = np.flatnonzero(np.diff(loose)) + 1
         for rows in np.split(np.arange(len(batch)), edges):
             if rows.size and loose[rows[0]]:
-                self._stretch(batch, rows)
+                self._run_of_messages(batch, rows)
             elif rows.size:
                 self._others(batch.where(rows))
 
-    def _stretch(self, batch: Records, rows: Any) -> None:
+    def _run_of_messages(self, batch: Records, rows: Any) -> None:
         start = int(batch.starts[rows[0]])
         stop = int(batch.starts[rows[-1]] + batch.lengths[rows[-1]]) + RECORD_HEADER_SIZE
         ids, counts = np.unique(message_field(self.data, batch.starts[rows], "channel_id"), return_counts=True)
         counted = Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
-        self.anatomy.add(Chunk(start, stop - start, "loose", counts=counted))
+        self.index.add_chunk(Chunk(start, stop - start, "unchunked", counts=counted))
         self.latest = Opcode.MESSAGE
 
     def _others(self, batch: Records) -> None:
@@ -222,12 +228,12 @@ class Walk:
                 self._file(opcode, start, length)
                 self.latest = opcode
             except DamageError as damage:
-                self.anatomy.mark(Damage(damage.offset, damage.found))
+                self.index.add_damage(Damage(damage.offset, damage.found))
                 # What follows, such as further indexes, belongs to nothing that was filed before.
                 self.latest = 0
 
     def _file(self, opcode: int, start: int, length: int) -> None:
-        anatomy = self.anatomy
+        mcap_index = self.index
         if opcode == Opcode.CHUNK:
             self._add(Chunk(start, length))
         elif opcode == Opcode.MESSAGE_INDEX:
@@ -237,36 +243,36 @@ class Walk:
         elif opcode in _SUMMARY_ONLY:
             raise DamageError(start, f"a record of kind {opcode} stands among the messages")
         elif opcode > Opcode.DATA_END:
-            anatomy.private += 1
+            mcap_index.private += 1
         else:
             self._file_other(opcode, start, length)
 
     def _add(self, chunk: Chunk) -> None:
-        self.anatomy.add(chunk)
+        self.index.add_chunk(chunk)
         self.latest_chunk = chunk
 
     def _file_other(self, opcode: int, start: int, length: int) -> None:
-        anatomy = self.anatomy
+        mcap_index = self.index
         if opcode == Opcode.HEADER:
-            anatomy.header = parsed(records.Header, self.data, start, length)
+            mcap_index.header = parsed(records.Header, self.data, start, length)
         elif opcode == Opcode.ATTACHMENT:
             attachment_at(self.data, start, length)
-            anatomy.attachments.append((start, length))
+            mcap_index.attachments.append((start, length))
         elif opcode == Opcode.METADATA:
             parsed(records.Metadata, self.data, start, length)
-            anatomy.metadata.append((start, length))
+            mcap_index.metadata.append((start, length))
         elif opcode == Opcode.DATA_END:
             crc = parsed(records.DataEnd, self.data, start, length).data_section_crc
-            anatomy.data_end = (start - RECORD_HEADER_SIZE, crc)
+            mcap_index.data_end = (start - RECORD_HEADER_SIZE, crc)
         else:
-            file_definition(anatomy, self.data, opcode, start, length)
+            file_definition(mcap_index, self.data, opcode, start, length)
 
 
-def file_definition(anatomy: Anatomy, data: memoryview, opcode: int, start: int, length: int) -> None:
+def file_definition(mcap_index: McapIndex, data: memoryview, opcode: int, start: int, length: int) -> None:
     """File a schema or a channel; other records define nothing."""
     if opcode == Opcode.SCHEMA:
         schema = parsed(records.Schema, data, start, length)
-        anatomy.schemas[schema.id] = schema
+        mcap_index.schemas[schema.id] = schema
     elif opcode == Opcode.CHANNEL:
         channel = parsed(records.Channel, data, start, length)
-        anatomy.channels[channel.id] = channel
+        mcap_index.channels[channel.id] = channel

@@ -111,9 +111,8 @@ def _read(data: memoryview, footer_start: int, footer: records.Footer) -> Summar
         batch, stop = find_records(data, start, footer_start)
         if not len(batch):
             raise DamageError(start, f"in the summary, {what_stands(data, start, footer_start)}")
-        for opcode, content, length in batch.rows():
-            if opcode in _KINDS:
-                _file(summary, parsed(_KINDS[opcode], data, content, length))
+        for row in batch.rows():
+            _take(summary, data, *row)
         start = stop
     return summary
 
@@ -137,9 +136,8 @@ def summary_behind(data: memoryview, start: int) -> Summary | None:
     batch, _ = find_records(data, start, len(data))
     for opcode, content, length in batch.rows():
         try:
-            if opcode in _KINDS:
-                _file(summary, parsed(_KINDS[opcode], data, content, length))
-            elif opcode == Opcode.FOOTER:
+            _take(summary, data, opcode, content, length)
+            if opcode == Opcode.FOOTER:
                 crc = parsed(records.Footer, data, content, length).summary_crc
                 summary.checked = crc == zlib_ng.crc32(data[start : content + length - 4])
                 return summary if summary.checked or not crc else None
@@ -148,12 +146,14 @@ def summary_behind(data: memoryview, start: int) -> Summary | None:
     return summary if len(batch) else None
 
 
-def _file(summary: Summary, record: Any) -> None:
+def _take(summary: Summary, data: memoryview, opcode: int, start: int, length: int) -> None:
+    """Add a record, if it is of a kind that tells something."""
+    record = parsed(_KINDS[opcode], data, start, length) if opcode in _KINDS else None
     if isinstance(record, records.Schema):
         summary.schemas[record.id] = record
     elif isinstance(record, records.Channel):
         summary.channels[record.id] = record
     elif isinstance(record, records.ChunkIndex):
         summary.chunks[record.chunk_start_offset] = record
-    else:
+    elif record is not None:
         summary.statistics = record

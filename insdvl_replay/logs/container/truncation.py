@@ -41,7 +41,10 @@ class Mapping:
 
     def mend(self) -> bool:
         """Put zeros behind the end of the file; say whether there was a need."""
-        left = os.fstat(self.descriptor).st_size
+        try:
+            left = os.fstat(self.descriptor).st_size
+        except OSError:  # another thread has just closed it, since nobody reads it any more
+            return False
         if left >= self.size:
             return False
         start, end = _whole_pages(left), _whole_pages(self.size)
@@ -74,7 +77,7 @@ class _Guard:
     def answer(self, _signal: int) -> None:
         """Mend what was cut; leave what no cut explains, such as a failing disk, to whoever answered before."""
         mappings = list(self.mappings)
-        if any(mapping.mend() for mapping in mappings):
+        if any(mapping.mend() for mapping in mappings if mapping in self.mappings):
             return
         self.in_vain += 1
         if self.in_vain > _MOST_IN_VAIN or not any(mapping.is_cut for mapping in mappings):

@@ -10,11 +10,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.errors import LogError, about
-from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.encoding.cdr_numbers import LITTLE_ENDIAN, Numbers, Places, read_bits
-from insdvl_replay.logs.encoding.field_errors import check_path
-from insdvl_replay.logs.encoding.field_paths import Columns
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.container.blocks import Block, gather
+from insdvl_replay.logs.encoding.cdr_numbers import LITTLE_ENDIAN, WORD, Numbers
+from insdvl_replay.logs.encoding.field_paths import Columns, check_path
 from insdvl_replay.logs.encoding.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
 from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES, Definition, full_name
 
@@ -29,8 +28,6 @@ _ENCAPSULATIONS: Final = {
     0x0A: "a big-endian XCDR2 parameter list",
     0x0B: "an XCDR2 parameter list",
 }
-_ENCAPSULATION: Final = Places(np.array([0]), np.array([2]), np.array([False]))
-"""What says how a message is written."""
 _LONGEST_PADDING: Final = 3
 
 Rows = NDArray[np.int64]
@@ -47,8 +44,6 @@ class CdrReader:
         Type of the messages.
     paths : sequence of str
         The fields, as `field_paths` says.
-    place : str
-        File and topic, for messages to the user.
 
     Raises
     ------
@@ -56,17 +51,16 @@ class CdrReader:
         The type has no such field.
     """
 
-    def __init__(self, definitions: Mapping[str, Definition], type_name: str, paths: Sequence[str], place: str) -> None:
+    def __init__(self, definitions: Mapping[str, Definition], type_name: str, paths: Sequence[str]) -> None:
         self._definitions = definitions
         self._type_name = full_name(type_name)
         self._paths = tuple(paths)
-        self._place = place
         self._layouts: dict[tuple[int, ...], Layout] = {}
         self._numbers: dict[tuple[int, ...], Numbers] = {}
         self._latest: Layout | None = None
         self.known = dict(cdr_paths(definitions, self._type_name))
         for path in paths:
-            check_path(path, self.known, self._type_name, place)
+            check_path(path, self.known, self._type_name)
 
     def columns(self, block: Block) -> Columns:
         """Read the fields of all messages of a block.
@@ -96,14 +90,14 @@ class CdrReader:
 
     def _check_encapsulation(self, block: Block, data: NDArray[np.uint8]) -> None:
         if np.any(block.sizes < len(ENCAPSULATION)):
-            raise LogError(f"{self._place}: a message of {block.sizes.min()} bytes is no CDR", "the log is damaged")
-        kinds = read_bits(data, block.offsets, _ENCAPSULATION)
+            raise LogError(f"a message of {block.sizes.min()} bytes is no CDR", "the log is damaged")
+        kinds = gather(data, block.offsets, WORD)
         wrong = kinds[kinds != LITTLE_ENDIAN]
         if wrong.size:
             second, first = divmod(int(wrong[0]), 256)
             name = _ENCAPSULATIONS.get(second, "no CDR") if first == 0 else "no CDR"
             raise LogError(
-                f"{self._place}: {wrong.size} of {kinds.size} messages are {name} "
+                f"{wrong.size} of {kinds.size} messages are {name} "
                 f"(they start with bytes '{first:02x} {second:02x}'), not little-endian CDR",
                 "record with the default middleware, or convert the log with `ros2 bag convert`",
             )
@@ -119,8 +113,7 @@ class CdrReader:
         rows, columns = self._with_layout(block, data, left, layout)
         if not rows.size:
             raise LogError(
-                f"{self._place}: a message of {block.sizes[left[0]]} bytes has {layout.size} by its schema "
-                f"({self._type_name})",
+                f"a message of {block.sizes[left[0]]} bytes has {layout.size} by its schema ({self._type_name})",
                 "the schema in the log is not that of the messages",
             )
         return rows, columns
@@ -136,18 +129,14 @@ class CdrReader:
     def _layout(self, block: Block, row: int) -> Layout:
         start = int(block.offsets[row])
         message = block.buffer[start : start + int(block.sizes[row])]
-        try:
-            lengths = dynamic_lengths(self._definitions, self._type_name, message)
-            if lengths not in self._layouts:
-                self._layouts[lengths] = layout_of(self._definitions, self._type_name, lengths)
-        except LogError as error:
-            raise LogError(f"{self._place}: {error.message}", error.hint) from error
+        lengths = dynamic_lengths(self._definitions, self._type_name, message)
+        if lengths not in self._layouts:
+            self._layouts[lengths] = layout_of(self._definitions, self._type_name, lengths)
         return self._layouts[lengths]
 
     def _numbers_of(self, layout: Layout) -> Numbers:
         if layout.lengths not in self._numbers:
-            with about(self._place):
-                self._numbers[layout.lengths] = Numbers(layout, self._paths)
+            self._numbers[layout.lengths] = Numbers(layout, self._paths)
         return self._numbers[layout.lengths]
 
 

@@ -1,14 +1,16 @@
-"""The numbers of CDR messages that field paths mean: where they stand in a layout, and what their bits say."""
+"""The numbers of CDR messages that field paths mean: where they stand in a layout, and what they are.
 
-import math
+Numbers that stand near each other are copied out of all messages of a block in one step.
+"""
+
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.compiled import is_loaded
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.container.blocks import gather
 from insdvl_replay.logs.encoding.field_paths import Columns
@@ -16,32 +18,26 @@ from insdvl_replay.logs.encoding.layout import ENCAPSULATION, Layout
 
 LITTLE_ENDIAN: Final = int.from_bytes(ENCAPSULATION[:2], "little")
 """The first word of messages that can be read."""
-
-Bits = NDArray[np.int64]
-"""Of n numbers in k messages, shape (n, k)."""
-
-
-class Places(NamedTuple):
-    """Where numbers stand in a message, and how.
-
-    Attributes
-    ----------
-    start, size : ndarray, shape (n,)
-        Bytes in front of each number, and those of its own: 1, 2, 4 or 8.
-    signed : ndarray of bool, shape (n,)
-        Whether it is a signed whole number.
-    """
-
-    start: NDArray[np.int64]
-    size: NDArray[np.int64]
-    signed: NDArray[np.bool_]
-
-
+WORD: Final = np.dtype("<u2")
+"""How it stands there."""
 MOST_NUMBERS: Final = 1 << 16
 """Numbers that are read of one message; a sensor gives some hundreds."""
 
-_Run = tuple[slice, np.dtype[Any]]
-"""Numbers of one kind that stand side by side."""
+_LENGTH: Final = np.dtype("<u4")
+_NEAR: Final = 16
+"""Bytes between numbers that are copied along; to go to each message once more takes longer."""
+
+
+class _Leaf(NamedTuple):
+    """Numbers of one kind, side by side in each message."""
+
+    start: int
+    dtype: np.dtype[Any]
+
+    @property
+    def end(self) -> int:
+        """Where the bytes behind them begin."""
+        return self.start + self.dtype.itemsize
 
 
 class Numbers:
@@ -59,76 +55,78 @@ class Numbers:
     """
 
     def __init__(self, layout: Layout, paths: Sequence[str]) -> None:
-        self._runs: dict[str, list[_Run]] = {path: [] for path in paths}
-        self._words = np.array([LITTLE_ENDIAN, *layout.lengths])[:, None]
-        end = len(self._words)
-        starts, sizes = [np.array([0, *layout.length_offsets])], [np.array([2] + [4] * len(layout.lengths))]
-        signed = [np.zeros(end, np.bool_)]
-        for path, runs in self._runs.items():
+        self._words = [LITTLE_ENDIAN, *layout.lengths]
+        leaves = [_Leaf(0, WORD), *(_Leaf(offset, _LENGTH) for offset in layout.length_offsets)]
+        self._rows: dict[str, range] = {}
+        numbers = len(leaves)
+        for path in paths:
+            first = len(leaves)
             for dtype, start in _leaves(layout.dtype, path):
-                count, size = math.prod(dtype.shape), dtype.base.itemsize
-                if end + count > MOST_NUMBERS:
+                leaves.append(_Leaf(start, dtype))
+                numbers += dtype.itemsize // dtype.base.itemsize
+                if numbers > MOST_NUMBERS:
                     raise LogError(f"'{path}' means more than {MOST_NUMBERS} numbers of a message", "name fewer")
-                starts.append(start + size * np.arange(count))
-                sizes.append(np.full(count, size))
-                signed.append(np.full(count, dtype.base.kind == "i"))
-                first = runs.pop()[0].start if runs and runs[-1][1] == dtype.base else end
-                end += count
-                runs.append((slice(first, end), dtype.base))
-        self._places = Places(np.concatenate(starts), np.concatenate(sizes), np.concatenate(signed))
+            self._rows[path] = range(first, len(leaves))
+        self._leaves = leaves
+        self._neighbours = list(_neighbours(leaves))
 
     def read(self, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> tuple[NDArray[np.bool_], Columns]:
         """Read messages that have the size of the layout: which of them have it, and the numbers of these by path."""
-        bits = read_bits(data, starts, self._places)
-        fits = np.asarray((bits[: len(self._words)] == self._words).all(axis=0))
-        bits = bits if fits.all() else bits[:, fits]
-        return fits, {path: _meant(bits, runs) for path, runs in self._runs.items()}
+        found: dict[str, NDArray[Any]] = {}
+        for start, dtype in self._neighbours:
+            copied = gather(data, starts + start, dtype)
+            found |= {name: copied[name] for name in dtype.names or ()}
+        fits = np.ones(starts.size, np.bool_)
+        for row, word in enumerate(self._words):
+            fits &= found[str(row)] == word
+        if not fits.all():
+            found = {name: values[fits] for name, values in found.items()}
+        count = int(np.count_nonzero(fits))
+        return fits, {
+            path: _side_by_side([found[str(row)] for row in rows], count) for path, rows in self._rows.items()
+        }
 
 
-def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> Bits:
-    """Read little-endian numbers of messages.
-
-    Parameters
-    ----------
-    data : ndarray of uint8
-    starts : ndarray, shape (k,)
-        Where in the data each message starts.
-    places : Places
-        Of n numbers in each message; all of them lie in the data.
-
-    Returns
-    -------
-    ndarray, shape (n, k)
-        Their bits, number by number; those of a signed one are filled up so that it stays the same.
-    """
-    if is_loaded():
-        from insdvl_replay.logs.encoding import field_loops
-
-        return field_loops.read_bits(data, starts, places)
-    return bits_plainly(data, starts, places)
+def _neighbours(leaves: Sequence[_Leaf]) -> Iterator[tuple[int, np.dtype[np.void]]]:
+    """Part numbers where many bytes stand between them: where each part starts, and what stands in it, by row."""
+    part: dict[int, _Leaf] = {}
+    end = 0
+    for row, leaf in sorted(enumerate(leaves), key=itemgetter(1)):
+        if part and leaf.start - end > _NEAR:
+            yield _structure(part, end)
+            part = {}
+        part[row] = leaf
+        end = max(end, leaf.end)
+    yield _structure(part, end)
 
 
-def bits_plainly(data: NDArray[np.uint8], starts: NDArray[np.int64], places: Places) -> Bits:
-    """Do what `read_bits` does without the compiler, whose loading would take longer than to read a few messages."""
-    bits = np.empty((places.start.size, starts.size), np.int64)
-    for i, (start, size, signed) in enumerate(zip(*(column.tolist() for column in places), strict=True)):
-        bits[i] = gather(data, starts + start, np.dtype(f"<{'i' if signed else 'u'}{size}"))
-    return bits
+def _structure(part: dict[int, _Leaf], end: int) -> tuple[int, np.dtype[np.void]]:
+    start = min(leaf.start for leaf in part.values())
+    columns: Any = {
+        "names": list(map(str, part)),
+        "formats": [leaf.dtype for leaf in part.values()],
+        "offsets": [leaf.start - start for leaf in part.values()],
+        "itemsize": end - start,
+    }
+    return start, np.dtype(columns)
 
 
-def _meant(bits: Bits, runs: Sequence[_Run]) -> NDArray[Any]:
-    """Give the numbers that bits mean, whole ones as integers if all are whole."""
-    parts = [_numbers(bits[numbers], dtype) for numbers, dtype in runs]
-    return (parts[0] if len(parts) == 1 else np.concatenate([bits[:0], *parts])).T
+def _side_by_side(parts: Iterable[NDArray[Any]], count: int) -> NDArray[Any]:
+    """Set numbers side by side, shape (k, n), as integers if all are whole."""
+    columns = [_numbers(part if part.ndim > 1 else part[:, None]) for part in parts]
+    if not columns:
+        return np.empty((count, 0), np.int64)
+    dtype = np.dtype(np.int64 if all(column.dtype.kind in "iu" for column in columns) else np.float64)
+    return (
+        columns[0].astype(dtype)
+        if len(columns) == 1
+        else np.concatenate(columns, axis=1, dtype=dtype, casting="unsafe")
+    )
 
 
-def _numbers(bits: Bits, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Give int64 or float64 for the bits of numbers of one kind."""
-    if dtype.kind in "iu":
-        return bits
-    if dtype.kind == "b":
-        return np.asarray(bits != 0, np.int64)
-    return np.asarray(bits.view(np.float64) if dtype.itemsize == 8 else bits.astype(np.uint32).view(np.float32), float)
+def _numbers(values: NDArray[Any]) -> NDArray[Any]:
+    """Give whole numbers for flags, of which any byte but zero is true."""
+    return np.asarray(values.view(np.uint8) != 0, np.int64) if values.dtype.kind == "b" else values
 
 
 def _leaves(dtype: np.dtype[np.void], path: str) -> Iterator[tuple[np.dtype[Any], int]]:

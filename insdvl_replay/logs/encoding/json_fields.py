@@ -2,24 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from functools import reduce
-from itertools import islice
 from typing import Any, Final
 
 import msgspec
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.encoding.field_errors import check_path
-from insdvl_replay.logs.encoding.field_paths import (
-    NUMBER,
-    TEXT,
-    Columns,
-    Numbers,
-    Shape,
-    known_paths,
-    numbers_at,
-    rows_as_columns,
-)
+from insdvl_replay.logs.encoding.decoded_fields import DecodedFields, Shape, known_paths
+from insdvl_replay.logs.encoding.field_paths import NUMBER, TEXT
 
 _STRUCTURE: Final = "object"
 _EXAMPLES: Final = 100
@@ -30,7 +19,7 @@ _FIRST: Final = ("sec", "nsec", "nanosec", "x", "y", "z", "w")
 """The members of a JSON object have no order; these names have one in every vector, quaternion and time."""
 
 
-class JsonReader:
+class JsonReader(DecodedFields):
     """Reads some fields of all messages of one channel.
 
     Parameters
@@ -41,8 +30,6 @@ class JsonReader:
         A JSON schema; may be empty, then the first messages tell which fields there are.
     paths : sequence of str
         The fields, as `field_paths` says.
-    place : str
-        File and topic, for messages to the user.
 
     Raises
     ------
@@ -50,69 +37,36 @@ class JsonReader:
         The schema is no JSON.
     """
 
-    def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str], place: str) -> None:
-        self._type_name = type_name or "a JSON message"
-        self._place = place
-        self._paths = tuple(paths)
-        self._shape = json_shape(schema_data, place)
+    def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str]) -> None:
+        super().__init__(type_name or "a JSON message", paths, _decoded, _access)
+        self._shape = json_shape(schema_data)
         self.known = dict(known_paths(self._shape))
-        self._numbers: dict[str, Numbers] = {}
-        self._decode = msgspec.json.Decoder().decode
 
-    def columns(self, block: Block) -> Columns:
-        """Read the fields of all messages of a block.
-
-        Parameters
-        ----------
-        block : Block
-
-        Returns
-        -------
-        dict of str to ndarray, shape (k, n)
-            By path. Whatever is absent, null or no number is NaN.
-
-        Raises
-        ------
-        LogError
-            A message is no JSON, or none of the first has the field.
-        """
-        messages = self._decoded(block)
-        if not self._numbers:
-            self._learn(messages)
-        return {
-            path: rows_as_columns([numbers(message) for message in messages]) for path, numbers in self._numbers.items()
-        }
-
-    def _learn(self, messages: Sequence[Any]) -> None:
-        for message in islice(messages, _EXAMPLES):
-            self._shape = _merged(self._shape, _shape_of(message))
-        self.known = dict(known_paths(self._shape))
-        for path in self._paths:
-            check_path(path, self.known, self._type_name, self._place)
-        self._numbers = {path: numbers_at(path, self._shape, _access) for path in self._paths}
-
-    def _decoded(self, block: Block) -> list[Any]:
-        messages = []
-        for offset, size in zip(block.offsets.tolist(), block.sizes.tolist(), strict=True):
-            try:
-                messages.append(self._decode(block.buffer[offset : offset + size]))
-            except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-                raise LogError(
-                    f"{self._place}: a message of {size} bytes is no JSON: {error}",
-                    "JSON knows no NaN and no infinity; a recorder must write null",
-                ) from error
-        return messages
+    def learn(self, messages: Sequence[Any]) -> None:
+        """Add what the first messages show to what the schema says."""
+        self.find(reduce(_merged, map(_shape_of, messages[:_EXAMPLES]), self._shape))
 
 
-def json_shape(schema_data: bytes, place: str) -> Shape:
+_DECODER: Final = msgspec.json.Decoder()
+
+
+def _decoded(message: memoryview) -> Any:
+    try:
+        return _DECODER.decode(message)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise LogError(
+            f"a message of {len(message)} bytes is no JSON: {error}",
+            "JSON knows no NaN and no infinity; a recorder must write null",
+        ) from error
+
+
+def json_shape(schema_data: bytes) -> Shape:
     """Describe messages by their JSON schema, as far as it tells.
 
     Parameters
     ----------
     schema_data : bytes
         May be empty.
-    place : str
-        File and topic, for messages to the user.
 
     Returns
     -------
@@ -128,7 +82,7 @@ def json_shape(schema_data: bytes, place: str) -> Shape:
     try:
         schema = msgspec.json.decode(schema_data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LogError(f"{place}: the JSON schema is no JSON: {error}", "a schema may also be left out") from error
+        raise LogError(f"the JSON schema is no JSON: {error}", "a schema may also be left out") from error
     described = _shape_by(schema)
     return described if described.kind == _STRUCTURE else Shape(_STRUCTURE)
 

@@ -97,7 +97,7 @@ def layout_of(definitions: Mapping[str, Definition], type_name: str, lengths: Se
             raise ValueError(f"{type_name} has more strings and sequences than the {len(lengths)} lengths given")
         return remaining.pop()
 
-    walk = _Walk(definitions, next_length)
+    walk = _FieldWalk(definitions, next_length)
     walk.message("", full_name(type_name))
     if remaining:
         raise ValueError(f"{type_name} has fewer strings and sequences than the {len(lengths)} lengths given")
@@ -121,7 +121,7 @@ def layout_for_texts(definitions: Mapping[str, Definition], type_name: str, text
     Layout
         Its string fields have one byte more than the texts, the final zero.
     """
-    walk = _Walk(definitions, lambda path: len(texts.get(path, b"")) + 1)
+    walk = _FieldWalk(definitions, lambda path: len(texts.get(path, b"")) + 1)
     walk.message("", full_name(type_name))
     return walk.layout()
 
@@ -162,12 +162,12 @@ def dynamic_lengths(
         walk.require(walk.offset + 4 + length)
         return length
 
-    walk = _Walk(definitions, next_length, type_name, len(data))
+    walk = _FieldWalk(definitions, next_length, type_name, len(data))
     walk.message("", full_name(type_name))
     return tuple(walk.lengths)
 
 
-class _Walk:
+class _FieldWalk:
     """One pass over the fields of a message in the order of the bytes."""
 
     def __init__(

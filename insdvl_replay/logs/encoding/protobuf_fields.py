@@ -12,24 +12,12 @@ from mcap.exceptions import McapError
 from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
 
-from insdvl_replay.core.errors import LogError, about
-from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.encoding.field_errors import check_path
-from insdvl_replay.logs.encoding.field_paths import (
-    MOST_LEVELS,
-    MOST_PATHS,
-    NUMBER,
-    TEXT,
-    Columns,
-    Shape,
-    known_paths,
-    numbers_at,
-    rows_as_columns,
-    too_large,
-)
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.encoding.decoded_fields import DecodedFields, Shape
+from insdvl_replay.logs.encoding.field_paths import MOST_LEVELS, MOST_PATHS, NUMBER, TEXT, too_large
 
 
-class ProtobufReader:
+class ProtobufReader(DecodedFields):
     """Reads some fields of all messages of one type.
 
     Parameters
@@ -40,8 +28,6 @@ class ProtobufReader:
         A serialised ``FileDescriptorSet`` with the type and all that it uses.
     paths : sequence of str
         The fields, as `field_paths` says.
-    place : str
-        File and topic, for messages to the user.
 
     Raises
     ------
@@ -49,54 +35,23 @@ class ProtobufReader:
         The schema cannot be read, or the type has no such field.
     """
 
-    def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str], place: str) -> None:
-        self._place = place
-        self._type_name = type_name
-        self._message_class = _message_class(type_name, schema_data, place)
-        shape = protobuf_shape(type_name, schema_data, place)
-        self.known = dict(known_paths(shape))
-        for path in paths:
-            check_path(path, self.known, type_name, place)
-        self._numbers = {path: numbers_at(path, shape, _access) for path in paths}
+    def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str]) -> None:
+        parse = _message_class(type_name, schema_data).FromString
 
-    def columns(self, block: Block) -> Columns:
-        """Read the fields of all messages of a block.
-
-        Parameters
-        ----------
-        block : Block
-
-        Returns
-        -------
-        dict of str to ndarray, shape (k, n)
-            By path. A structure that a message lacks is NaN; a lone number that it lacks has its default, as in every
-            protobuf decoder.
-
-        Raises
-        ------
-        LogError
-            A message cannot be decoded.
-        """
-        messages = self._decoded(block)
-        return {
-            path: rows_as_columns([numbers(message) for message in messages]) for path, numbers in self._numbers.items()
-        }
-
-    def _decoded(self, block: Block) -> list[Message]:
-        parse = self._message_class.FromString
-        messages = []
-        for offset, size in zip(block.offsets.tolist(), block.sizes.tolist(), strict=True):
+        def decode(message: memoryview) -> Message:
             try:
-                messages.append(parse(bytes(block.buffer[offset : offset + size])))
+                return parse(bytes(message))
             except DecodeError as error:
                 raise LogError(
-                    f"{self._place}: a message of {size} bytes is no {self._type_name}: {error}",
+                    f"a message of {len(message)} bytes is no {type_name}: {error}",
                     "the schema in the log is not that of the messages, or the log is damaged",
                 ) from error
-        return messages
+
+        super().__init__(type_name, paths, decode, _access)
+        self.find(protobuf_shape(type_name, schema_data))
 
 
-def protobuf_shape(type_name: str, schema_data: bytes, place: str) -> Shape:
+def protobuf_shape(type_name: str, schema_data: bytes) -> Shape:
     """Describe the messages of a type.
 
     Parameters
@@ -104,8 +59,6 @@ def protobuf_shape(type_name: str, schema_data: bytes, place: str) -> Shape:
     type_name : str
     schema_data : bytes
         A serialised ``FileDescriptorSet``.
-    place : str
-        File and topic, for messages to the user.
 
     Returns
     -------
@@ -116,22 +69,21 @@ def protobuf_shape(type_name: str, schema_data: bytes, place: str) -> Shape:
     LogError
         The schema cannot be read.
     """
-    descriptor = _message_class(type_name, schema_data, place).DESCRIPTOR
-    with about(place):
-        return _structure(descriptor, (), count())
+    descriptor = _message_class(type_name, schema_data).DESCRIPTOR
+    return _structure(descriptor, (), count())
 
 
-def _message_class(type_name: str, schema_data: bytes, place: str) -> Any:
+def _message_class(type_name: str, schema_data: bytes) -> Any:
     schema = Schema(id=1, name=type_name, encoding="protobuf", data=schema_data)
     try:
         decode = DecoderFactory().decoder_for("protobuf", schema)
     except (DecodeError, McapError, TypeError, KeyError) as error:
         raise LogError(
-            f"{place}: the schema of {type_name} is no complete protobuf FileDescriptorSet ({error})",
+            f"the schema of {type_name} is no complete protobuf FileDescriptorSet ({error})",
             "record the log again with the descriptors of all files that the type uses",
         ) from error
     except RecursionError as error:
-        raise too_large(f"{place}: {type_name}") from error
+        raise too_large(type_name) from error
     return type(decode(b"")) if decode else None
 
 

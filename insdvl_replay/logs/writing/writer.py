@@ -3,18 +3,130 @@
 Messages of all topics stand in the order of their times of validity. Source: https://mcap.dev/spec.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
+from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.encoding.ros2msg import definition_text
-from insdvl_replay.logs.writing.log_file import LogFile
-from insdvl_replay.logs.writing.message_records import MessageRecords, in_chunks
-from insdvl_replay.logs.writing.messages import FRAMES, Batch
+from insdvl_replay.logs.encoding.layout import layout_for_texts
+from insdvl_replay.logs.encoding.ros2msg import Definition, definition_text, parse_definitions
+from insdvl_replay.logs.writing.log_file import IndexedChunk, LogFile
+from insdvl_replay.logs.writing.messages import FRAMES, Batch, InUnit
+
+CHUNK_BYTES: Final = 1024 * 1024
+"""A chunk is full with the message that exceeds this, before compression."""
+_FRAME: Final = [("opcode", "u1"), ("length", "<u8")]
+_HEAD: Final = [("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")]
+_FRAME_BYTES: Final = np.dtype(_FRAME).itemsize
+
+
+class MessageRecords:
+    """The messages of a batch as records.
+
+    Parameters
+    ----------
+    batch : Batch
+    channel : int
+        Number of its channel.
+
+    Raises
+    ------
+    ValueError
+        The batch names a field that its type does not have.
+    """
+
+    def __init__(self, batch: Batch, channel: int) -> None:
+        self.batch = batch
+        self.channel = channel
+        self._texts = {path: value.encode() for path, value in batch.columns.items() if isinstance(value, str)}
+        self._layout = layout_for_texts(_definitions(batch.type_name), batch.type_name, self._texts)
+        self._dtype = np.dtype([*_FRAME, *_HEAD, ("message", f"V{self._layout.size}")])
+
+    @property
+    def size(self) -> int:
+        """Bytes of one record."""
+        return self._dtype.itemsize
+
+    def rows(self, rows: slice) -> list[bytes]:
+        """Give the records of some messages."""
+        time_ns = self.batch.time_ns[rows]
+        records = np.zeros(len(time_ns), dtype=self._dtype)
+        records["opcode"], records["length"] = Opcode.MESSAGE, self.size - _FRAME_BYTES
+        records["channel"] = self.channel
+        records["log_time"] = records["publish_time"] = time_ns
+        messages = self._layout.new_messages(len(time_ns))
+        for path, column in self.batch.columns.items():
+            value: Any = self._texts.get(path, column)
+            messages[path] = value[rows] if isinstance(value, np.ndarray | InUnit) else value
+        records["message"] = messages.view(f"V{self._layout.size}")
+        as_bytes: list[bytes] = records.view(f"V{self.size}").tolist()
+        return as_bytes
+
+
+def in_chunks(batches: Sequence[MessageRecords], head: bytes) -> Iterator[IndexedChunk]:
+    """Put the messages of all batches in the order of their times, and cut them into chunks.
+
+    The messages of a batch in one chunk are neighbours in the batch: they are laid out together and then dealt out.
+
+    Parameters
+    ----------
+    batches : sequence of MessageRecords
+        Where times are equal, the earlier batch comes first.
+    head : bytes
+        Stands at the beginning of the first chunk.
+
+    Yields
+    ------
+    IndexedChunk
+    """
+    time_ns, batch_of = _in_order(batches)
+    channels = np.array([records.channel for records in batches])
+    sizes = np.array([records.size for records in batches])
+    done = np.zeros(len(batches), dtype=np.int64)
+    for inside in _cuts(np.cumsum(sizes[batch_of]), len(head)):
+        own = np.bincount(batch_of[inside], minlength=len(batches))
+        by_batch = [
+            record
+            for number in np.flatnonzero(own).tolist()
+            for record in batches[number].rows(slice(done[number], done[number] + own[number]))
+        ]
+        place = np.argsort(np.argsort(batch_of[inside], kind="stable"))
+        data = head + b"".join([by_batch[i] for i in place.tolist()])
+        size = sizes[batch_of[inside]]
+        offset = len(head) + np.cumsum(size) - size
+        yield IndexedChunk(data, channels[batch_of[inside]], time_ns[inside], offset)
+        done += own
+        head = b""
+
+
+def _in_order(batches: Sequence[MessageRecords]) -> tuple[TimeNs, NDArray[np.int32]]:
+    """Give the times of all messages in their order, and the batch that each is of."""
+    time_ns = np.concatenate([records.batch.time_ns for records in batches])
+    batch_of = np.repeat(np.arange(len(batches), dtype=np.int32), [len(records.batch.time_ns) for records in batches])
+    order = np.argsort(time_ns, kind="stable")
+    return time_ns[order], batch_of[order]
+
+
+def _cuts(ends: NDArray[np.int64], head_bytes: int) -> Iterator[slice]:
+    """Give the messages of each chunk by where each message ends."""
+    begin, before = 0, -head_bytes
+    while begin < len(ends):
+        end = min(int(np.searchsorted(ends, before + CHUNK_BYTES, side="right")) + 1, len(ends))
+        yield slice(begin, end)
+        begin, before = end, int(ends[end - 1])
+
+
+@cache
+def _definitions(type_name: str) -> dict[str, Definition]:
+    return parse_definitions(type_name, definition_text(type_name))
+
 
 LIBRARY: Final = "insdvl-replay"
 _STAMP_POLICY: Final = "log_time = publish_time = header.stamp = time of validity"
