@@ -13,7 +13,7 @@ from insdvl_replay.cli.messages import emit, tell, tell_failure
 from insdvl_replay.cli.options import CheckFormat
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.errors import ConfigError, about
+from insdvl_replay.core.errors import ConfigError, error_context
 from insdvl_replay.gates.check_json import check_json
 from insdvl_replay.gates.check_pages import baseline_text, check_markdown, check_sentence, check_text
 from insdvl_replay.gates.checking import (
@@ -139,7 +139,7 @@ def _refuse_to_overwrite(told: Told, inputs: Sequence[Path]) -> None:
     for option, path in (("--output", told.output), ("--summary-file", told.summary)):
         if path is None:
             continue
-        with about(option):
+        with error_context(option):
             replaceable_file(path)
             if path.resolve() in {read.resolve() for read in inputs}:
                 raise ConfigError(f"{path}: is what is checked", "give it another name")

@@ -66,7 +66,7 @@ _LONGEST: Final = 200
 
 
 @contextmanager
-def about(place: str) -> Iterator[None]:
+def error_context(place: str) -> Iterator[None]:
     """Begin the sentence of any user error inside with the place it concerns."""
     try:
         yield
@@ -112,7 +112,7 @@ def listed(names: Iterable[str], most: int = 8) -> str:
     return ", ".join(first[:most]) + more
 
 
-def refuse_unknown(kind: str, name: str, known: Collection[str]) -> None:
+def refuse_unknown(kind: str, name: str, known: Collection[str], *, within: str = "") -> None:
     """Raise a ConfigError, with the nearest name that is known, if a name is not known.
 
     Parameters
@@ -121,11 +121,13 @@ def refuse_unknown(kind: str, name: str, known: Collection[str]) -> None:
         What it names.
     name : str
     known : collection of str
+    within : str
+        What stands before all of these names, such as ``dvl.``.
     """
     if name not in known:
         meant = nearest(name, known)
-        hint = f"did you mean {meant}?" if meant else f"known: {listed(known)}"
-        raise ConfigError(f"{kind} '{name}' is not known", hint)
+        hint = f"did you mean {within}{meant}?" if meant else f"known: {listed(known)}"
+        raise ConfigError(f"{kind} '{within}{name}' is not known", hint)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Any, get_args, get_type_hints
 
-from insdvl_replay.core.errors import ConfigError, about, refuse_unknown
+from insdvl_replay.core.errors import ConfigError, error_context, refuse_unknown
 from insdvl_replay.core.result_tables import CANDIDATES, LAYOUTS, TableLayout
 from insdvl_replay.gates.gate_file import Gates
 from insdvl_replay.gates.model import ANY, Gate
@@ -20,7 +20,7 @@ def refuse_unknown_names(gates: Gates, filters: Sequence[str] | None) -> None:
         Those that will be replayed, the baseline first; None if there are stored results, which may have others.
     """
     for gate in gates.content.gate:
-        with about(gates.where(gate)):
+        with error_context(gates.where(gate)):
             layouts = _layouts(gate)
             _refuse_unknown_rows(gate, layouts, filters)
             if filters is not None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from insdvl_replay.core.columns import Dive, nanoseconds
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.errors import ConfigError, LogError, Note, about
+from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
@@ -103,7 +103,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     start_ns, end_ns = _span(dive, velocities, config)
     lever_arm_b = np.array(config.dvl.lever_arm_m)
     gaps = find_gaps(dive.imu.time_ns, config.imu)
-    with about(dive.name):
+    with error_context(dive.name):
         start_ns, end_ns, gap_notes = settle_gaps(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
         noise = sensor_noise(config.filters[config.baseline], velocities, config)
         alignment = align(dive.imu, velocities, noise, dive.reference, config.initial, lever_arm_b, start_ns, end_ns)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.core.text_files import read_text
+from insdvl_replay.core.plain_text import read_text
 
 METADATA: Final = "metadata.yaml"
 """File in which rosbag2 lists the parts of a bag."""

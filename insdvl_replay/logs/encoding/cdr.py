@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.errors import LogError, about
+from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.encoding.cdr_numbers import LITTLE_ENDIAN, Numbers, Places, read_bits
 from insdvl_replay.logs.encoding.field_errors import check_path
@@ -146,7 +146,7 @@ class CdrReader:
 
     def _numbers_of(self, layout: Layout) -> Numbers:
         if layout.lengths not in self._numbers:
-            with about(self._place):
+            with error_context(self._place):
                 self._numbers[layout.lengths] = Numbers(layout, self._paths)
         return self._numbers[layout.lengths]
 

@@ -12,7 +12,7 @@ from mcap.exceptions import McapError
 from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
 
-from insdvl_replay.core.errors import LogError, about
+from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.encoding.field_errors import check_path
 from insdvl_replay.logs.encoding.field_paths import (
@@ -117,7 +117,7 @@ def protobuf_shape(type_name: str, schema_data: bytes, place: str) -> Shape:
         The schema cannot be read.
     """
     descriptor = _message_class(type_name, schema_data, place).DESCRIPTOR
-    with about(place):
+    with error_context(place):
         return _structure(descriptor, (), count())
 
 
