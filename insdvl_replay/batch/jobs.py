@@ -20,8 +20,7 @@ from insdvl_replay.batch.executors import WorkerLostError, Workers, do_each
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_names import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError, listed
-from insdvl_replay.core.sources import sources_digest
-from insdvl_replay.core.threads import each
+from insdvl_replay.core.runtime import each, sources_digest
 from insdvl_replay.results.file_list import damaged_files
 from insdvl_replay.results.folder import COMPLETE, refuse_existing_folder, result_folder, trajectory_file
 from insdvl_replay.results.json_report import Report, decode_report, encode_report, package_versions

@@ -13,7 +13,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn, TypeVar
 
 from insdvl_replay.batch.executors import Pool, Workers
-from insdvl_replay.core.memory import collect_rarely
+from insdvl_replay.core.runtime import collect_rarely
 
 Result = TypeVar("Result")
 

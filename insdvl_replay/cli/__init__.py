@@ -13,7 +13,7 @@ from types import FrameType
 from typing import NoReturn
 
 from insdvl_replay.cli.streams import open_outlets, unsaid
-from insdvl_replay.core.memory import collect_rarely, use_small_pages
+from insdvl_replay.core.runtime import collect_rarely, use_small_pages
 
 INTERRUPTED = 130
 LONGEST_FAREWELL_S = 5.0

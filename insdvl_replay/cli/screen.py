@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from rich.console import Console, RenderableType
 
 from insdvl_replay.core.compiled import is_warm
-from insdvl_replay.core.progress import told_to
+from insdvl_replay.core.runtime import progress_listener
 from insdvl_replay.report.terminal import spoken
 from insdvl_replay.results.json_report import Report
 from insdvl_replay.results.output import terminal_report
@@ -36,7 +36,10 @@ def patience(text: str) -> Iterator[None]:
     if not console.is_terminal:
         yield
         return
-    with console.status(spoken(text)) as status, told_to(lambda stage: status.update(spoken(f"{text}: {stage}"))):
+    with (
+        console.status(spoken(text)) as status,
+        progress_listener(lambda stage: status.update(spoken(f"{text}: {stage}"))),
+    ):
         yield
 
 

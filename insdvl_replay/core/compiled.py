@@ -24,7 +24,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar, cast
 
-from insdvl_replay.core.sources import sources_digest
+from insdvl_replay.core.runtime import sources_digest
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")

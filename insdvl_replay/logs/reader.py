@@ -8,7 +8,7 @@ from insdvl_replay.core.channel import Channel
 from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_names import dive_name
-from insdvl_replay.core.progress import begin
+from insdvl_replay.core.runtime import begin
 from insdvl_replay.logs.columns.clocks import clock_notes
 from insdvl_replay.logs.columns.decode import decode_imu, decode_truth
 from insdvl_replay.logs.columns.pings import decode_dvl

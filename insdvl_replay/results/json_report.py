@@ -14,7 +14,7 @@ from insdvl_replay import __version__
 from insdvl_replay.core.channel import Channel
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.sources import sources_digest
+from insdvl_replay.core.runtime import sources_digest
 
 if TYPE_CHECKING:
     # Only their types are needed, and whoever looks into a log or a report must not wait for them.

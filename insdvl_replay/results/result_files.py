@@ -8,7 +8,7 @@ from insdvl_replay import __version__, logs
 from insdvl_replay.core.columns import Floats, TimeNs
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.history import History
-from insdvl_replay.core.progress import begin
+from insdvl_replay.core.runtime import begin
 from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.evaluation.verdicts import Verdict
 from insdvl_replay.replay import Replay

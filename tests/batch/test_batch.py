@@ -30,7 +30,7 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_names import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError
-from insdvl_replay.core.sources import sources_digest
+from insdvl_replay.core.runtime import sources_digest
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.results.json_report import decode_report, encode_report
 from insdvl_replay.sim.dive import simulate_dive
@@ -276,7 +276,7 @@ def test_other_sources_are_another_digest(tmp_path: Path) -> None:
     package = Path(insdvl_replay.__file__).parent
     copy = tmp_path / "insdvl_replay"
     shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    asked = "from insdvl_replay.core.sources import sources_digest; print(sources_digest())"
+    asked = "from insdvl_replay.core.runtime import sources_digest; print(sources_digest())"
 
     def digest() -> str:
         return subprocess.run(

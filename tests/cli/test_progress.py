@@ -8,7 +8,7 @@ import pytest
 from insdvl_replay.batch.jobs import Order, plan_tasks, replay_into
 from insdvl_replay.cli.screen import patience
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.progress import begin, told_to
+from insdvl_replay.core.runtime import begin, progress_listener
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -25,7 +25,7 @@ def test_a_replay_tells_each_of_its_stages(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=20.0, seed=1))
     [task] = plan_tasks([tmp_path / "dive.mcap"], tmp_path / "out", Order(load_config()))
     told: list[str] = []
-    with told_to(told.append):
+    with progress_listener(told.append):
         replay_into(task)
     assert told == STAGES
     begin("nobody listens any more")

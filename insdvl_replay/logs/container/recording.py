@@ -53,10 +53,10 @@ def name_giver(paths: Sequence[Path]) -> Path:
     -------
     Path
     """
-    return min(paths, key=as_people_count)
+    return min(paths, key=natural_sort_key)
 
 
-def as_people_count(path: Path) -> list[tuple[str, int]]:
+def natural_sort_key(path: Path) -> list[tuple[str, int]]:
     """Sort names as people count: part 2 before part 10.
 
     Parameters
