@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
 
-from insdvl_replay.batch.executors import Pool, Workers
+from insdvl_replay.batch.workers import Pool, Workers
 from insdvl_replay.core.errors import ConfigError
 
 _REACHED_WITHIN_S: Final = 10.0

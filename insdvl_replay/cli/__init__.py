@@ -62,14 +62,14 @@ def run_command_line(arguments: list[str]) -> int:
     try:
         # Imported here, so that an interruption during the import is told like any other.
         from insdvl_replay.cli.app import app
-        from insdvl_replay.cli.messages import tell_failure, typed_verbosity
+        from insdvl_replay.cli.messages import log_failure, typed_verbosity
 
         try:
             return int(app(arguments, prog_name="insdvl-replay", standalone_mode=False) or 0)
         except Exception as error:
             if _Interruption.came:
                 return INTERRUPTED
-            return tell_failure(error, typed_verbosity(arguments))
+            return log_failure(error, typed_verbosity(arguments))
     except SystemExit as leaving:
         # The completion of the shell leaves in this way.
         return int(leaving.code or 0)

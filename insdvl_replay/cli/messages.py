@@ -15,7 +15,7 @@ OUR_MISTAKE = 4
 UsageError = typer.BadParameter.__mro__[1]
 
 
-def emit(text: str, *, commands: bool = False) -> None:
+def write_stdout(text: str, *, commands: bool = False) -> None:
     """Write a result to stdout.
 
     Parameters
@@ -29,20 +29,20 @@ def emit(text: str, *, commands: bool = False) -> None:
     sys.stdout.flush()
 
 
-def tell(text: str) -> None:
-    """Say something that is not a result, on one line."""
+def log_to_stderr(text: str) -> None:
+    """Report something that is not a result, on one line."""
     print(without_commands(visible(text)), file=sys.stderr, flush=True)
 
 
-def tell_notes(notes: Iterable[Note], *, verbose: bool) -> None:
-    """Say the warnings; all notes if verbose."""
+def log_notes(notes: Iterable[Note], *, verbose: bool) -> None:
+    """Report the warnings; all notes if verbose."""
     for note in notes:
         if verbose or note.severity == "warning":
-            tell(f"{note.severity}: {note.text} [{note.code}]{_hinted(note.hint)}")
+            log_to_stderr(f"{note.severity}: {note.text} [{note.code}]{_hinted(note.hint)}")
 
 
-def tell_failure(error: Exception, verbosity: int) -> int:
-    """Say what went wrong, in one sentence and a hint, and with ``-vv`` where in the code it arose.
+def log_failure(error: Exception, verbosity: int) -> int:
+    """Report what went wrong, in one sentence and a hint, and with ``-vv`` where in the code it arose.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def tell_failure(error: Exception, verbosity: int) -> int:
         told = "".join(traceback.format_exception(error))
         print(without_commands(visible_lines(told)), end="", file=sys.stderr)
     code, message, hint = _explained(error)
-    tell(f"error: {message}{_hinted(hint)}")
+    log_to_stderr(f"error: {message}{_hinted(hint)}")
     return code
 
 

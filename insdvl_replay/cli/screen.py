@@ -30,8 +30,8 @@ def printed(content: RenderableType) -> str:
 
 
 @contextmanager
-def patience(text: str) -> Iterator[None]:
-    """Say what is waited for, and how far the work is, on a terminal only."""
+def spinner(text: str) -> Iterator[None]:
+    """Report what is waited for, and how far the work is, on a terminal only."""
     console = Console(file=sys.stderr, highlight=False)
     if not console.is_terminal:
         yield
@@ -44,7 +44,7 @@ def patience(text: str) -> Iterator[None]:
 
 
 def compiling() -> str:
-    """Say what a first run waits for, as the end of a sentence; nothing where the filter is compiled."""
+    """Report what a first run waits for, as the end of a sentence; nothing where the filter is compiled."""
     return "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
 
 
@@ -85,7 +85,7 @@ class DivesBar:
         self._bar.update(self._task, advance=1, failed=self._failed)
 
     @contextmanager
-    def aside(self) -> Iterator[None]:
+    def paused(self) -> Iterator[None]:
         """Make room for something that is said or printed."""
         self._bar.stop()
         try:

@@ -75,12 +75,12 @@ def error_context(place: str) -> Iterator[None]:
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Give the known name of which another may be a misspelling, None where none is like it."""
+    """Return the known name of which another may be a misspelling, None where none is like it."""
     return next(iter(most_like(name, known, most=1, least=ALIKE)), None)
 
 
 def most_like(name: str, known: Iterable[str], most: int, least: float = 0.0) -> list[str]:
-    """Give the known names that are most like another.
+    """Return the known names that are most like another.
 
     Parameters
     ----------

@@ -100,7 +100,7 @@ def without_commands(text: str) -> str:
 
 
 def is_writable(text: str) -> bool:
-    """Tell whether a text can be written as UTF-8: a file's name of other bytes cannot, as Python reads it.
+    """Return whether a text can be written as UTF-8: a file's name of other bytes cannot, as Python reads it.
 
     Parameters
     ----------
