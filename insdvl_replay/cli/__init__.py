@@ -12,7 +12,7 @@ import warnings
 from types import FrameType
 from typing import NoReturn
 
-from insdvl_replay.cli.streams import open_outlets, unsaid
+from insdvl_replay.cli.streams import open_outlets, report_lost_output
 from insdvl_replay.core.runtime import collect_rarely, use_small_pages
 
 INTERRUPTED = 130
@@ -43,7 +43,7 @@ def main() -> NoReturn:
         impatience = threading.Timer(LONGEST_FAREWELL_S, os._exit, (code,))
         impatience.daemon = True
         impatience.start()
-    sys.exit(max(code, unsaid(out, err)))
+    sys.exit(max(code, report_lost_output(out, err)))
 
 
 def run_command_line(arguments: list[str]) -> int:

@@ -36,7 +36,7 @@ PRINTED = {
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How dives are replayed and told.
+    """How dives are replayed, and what is printed.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Replay what has changed, hold all dives against the gates, and tell it in the form that is wanted."""
+"""Replay what has changed, hold all dives against the gates, and write the result in the form that is wanted."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing

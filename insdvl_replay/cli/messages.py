@@ -1,4 +1,4 @@
-"""What the tool says: results to stdout, everything else to stderr."""
+"""What the tool prints: results to stdout, everything else to stderr."""
 
 import sys
 import traceback
@@ -56,8 +56,8 @@ def log_failure(error: Exception, verbosity: int) -> int:
         The exit code that belongs to it.
     """
     if verbosity >= 2:
-        told = "".join(traceback.format_exception(error))
-        print(without_commands(visible_lines(told)), end="", file=sys.stderr)
+        trace = "".join(traceback.format_exception(error))
+        print(without_commands(visible_lines(trace)), end="", file=sys.stderr)
     code, message, hint = _explained(error)
     log_to_stderr(f"error: {message}{_hinted(hint)}")
     return code

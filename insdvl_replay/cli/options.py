@@ -65,7 +65,7 @@ class Sort(StrEnum):
 
 
 class CheckFormat(StrEnum):
-    """How it is told what became of the gates."""
+    """How the result of a check is written."""
 
     TEXT = "text"
     MARKDOWN = "md"
