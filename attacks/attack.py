@@ -20,7 +20,7 @@ sys.path[1:1] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 
 from results import machine, table, write_part  # noqa: E402
 
-from insdvl_replay.core.memory import collect_rarely, use_small_pages  # noqa: E402
+from insdvl_replay.core.runtime import collect_rarely, use_small_pages  # noqa: E402
 
 MUTANTS, KILLS, SWAPS = 10_000, 120, 60
 TIDY = ("ok", "hidden folder left", "ended by the bare signal")

@@ -15,7 +15,7 @@ from results import machine, table, write_part
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.threads import each
+from insdvl_replay.core.runtime import each
 from insdvl_replay.evaluation.ensemble import RunErrors
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.studies.simulated_run import make_world, run_seed, simulated_run

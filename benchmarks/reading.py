@@ -24,7 +24,7 @@ from results import machine, table, write_part
 
 from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.memory import collect_rarely, use_small_pages
+from insdvl_replay.core.runtime import collect_rarely, use_small_pages
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container.mcap_file import Log
 

@@ -183,14 +183,14 @@ def run_by_stages(arguments: list[str]) -> None:
         spent[STAGES.get(stage, stage)] = now_s - since_s
         current[:] = [following, now_s]
 
-    from insdvl_replay.core.memory import collect_rarely, use_small_pages
+    from insdvl_replay.core.runtime import collect_rarely, use_small_pages
 
     collect_rarely()
     use_small_pages()
     from insdvl_replay.cli import run_command_line
-    from insdvl_replay.core.progress import told_to
+    from insdvl_replay.core.runtime import progress_listener
 
-    with redirect_stdout(StringIO()), told_to(end_stage):
+    with redirect_stdout(StringIO()), progress_listener(end_stage):
         code = run_command_line(arguments)
     end_stage("")
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -13,8 +13,7 @@ from insdvl_replay.core.columns import Dive, TimeNs
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
-from insdvl_replay.core.memory import return_freed_memory
-from insdvl_replay.core.progress import begin
+from insdvl_replay.core.runtime import begin, return_freed_memory
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.believed import convergence_table, improvement_table
 from insdvl_replay.evaluation.consistency import consistency_table, update_notes

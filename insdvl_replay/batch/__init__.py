@@ -1,4 +1,4 @@
-"""Many dives: which are meant (`dive_paths`), which have to be replayed (`jobs`), and where the work is done.
+"""Many dives: which are meant (`dive_paths`), which have to be replayed (`known_results`), and their replay (`jobs`).
 
-`executors` hand out the work, `worker_processes` are workers here, `cluster` has those elsewhere.
+`workers` hand out the work, and do it here; `cluster` has workers elsewhere.
 """

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
 
-from insdvl_replay.batch.executors import Pool, Workers
+from insdvl_replay.batch.workers import Pool, Workers
 from insdvl_replay.core.errors import ConfigError
 
 _REACHED_WITHIN_S: Final = 10.0
@@ -65,7 +65,7 @@ def cluster_workers(cluster: Cluster) -> Workers:
 
 
 def _silence(*libraries: str) -> None:
-    """Keep libraries from telling on stderr, with tracebacks, what is told here in a sentence."""
+    """Keep libraries from printing, with tracebacks, what an error of ours says in a sentence."""
     for name in [*libraries, *logging.root.manager.loggerDict]:
         if name.partition(".")[0] in libraries:
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.plain_text import is_writable
-from insdvl_replay.core.text_files import read_text
+from insdvl_replay.core.plain_text import is_writable, read_text
 from insdvl_replay.results.folder import is_result
 
 LOG_SUFFIX: Final = ".mcap"

@@ -1,4 +1,4 @@
-"""The control: the baseline with its noise fitted to the dive, so that one sees what tuning alone would have given.
+"""The tuned baseline, with its noise fitted to the dive, so that one sees what tuning alone would have given.
 
 The fit takes the noise under which the baseline's own innovations are most likely. It knows nothing of the reference.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from insdvl_replay.core.columns import Dive, Floats, ImuColumns
 from insdvl_replay.core.config import Config, Filter
 from insdvl_replay.core.errors import ConfigError, Note
-from insdvl_replay.core.progress import begin
+from insdvl_replay.core.runtime import begin
 from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
@@ -24,7 +24,7 @@ from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.replay import Replay, prepared_timeline, replay_dive, run_one
 
 NAME = "tuned"
-"""Name of the control among the filters."""
+"""Name of the tuned baseline among the filters."""
 INERTIAL: Final = ("accel_white_mps_rts", "gyro_white_rad_rts")
 """What is fitted of the inertial sensors."""
 GEOMETRY_FIRST: Final = (
@@ -46,10 +46,10 @@ LIKELIHOOD_DIGITS: Final = 3
 processor to processor, and the search would go where they point."""
 
 
-def replay_with_control(
+def replay_with_tuned_baseline(
     path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False, name: str | None = None
 ) -> Replay:
-    """Replay the dive in a log, with the control beside the configured filters.
+    """Replay the dive in a log, with the tuned baseline beside the configured filters.
 
     Parameters
     ----------
@@ -66,15 +66,15 @@ def replay_with_control(
     Raises
     ------
     LogError, ConfigError
-        As of `replay.replay_log` and `with_control`.
+        As of `replay.replay_log` and `with_tuned_baseline`.
     """
     dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
-    config, notes = with_control(dive, config)
+    config, notes = with_tuned_baseline(dive, config)
     return replay_dive(replace(dive, name=name or dive.name, notes=(*dive.notes, *notes)), config)
 
 
-def with_control(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:
-    """Add the control to the filters.
+def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:
+    """Add the tuned baseline to the filters.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def with_control(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:
     Raises
     ------
     ConfigError
-        A filter bears the control's name already, or the baseline is not aided by velocity.
+        A filter bears the tuned baseline's name already, or the baseline is not aided by velocity.
     LogError
         The dive cannot be replayed.
     """
@@ -136,7 +136,7 @@ def _beyond_their_sensors(values: Mapping[str, float], imu: ImuColumns) -> Itera
 
 
 def _noise(baseline: ResolvedFilter) -> dict[str, float]:
-    """Give what is fitted, by key, as the baseline has it. The DVL's noise stands in one of two keys."""
+    """Return what is fitted, by key, as the baseline has it. The DVL's noise stands in one of two keys."""
     dvl = baseline.dvl_noise
     return {key: getattr(baseline.inertial_noise, key) for key in INERTIAL} | {dvl.key: dvl.sd_mps}
 
@@ -153,7 +153,7 @@ def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, befor
         values = {key: float(value * factor) for (key, value), factor in zip(before.items(), factors, strict=True)}
         return msgspec.structs.replace(baseline, **values)
 
-    from scipy.optimize import minimize  # a third of a second, which a replay without the control must not wait
+    from scipy.optimize import minimize  # a third of a second, which a replay without it must not wait
 
     begin("running the filters")
     timeline = prepared_timeline(dive, start)

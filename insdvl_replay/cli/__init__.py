@@ -12,8 +12,8 @@ import warnings
 from types import FrameType
 from typing import NoReturn
 
-from insdvl_replay.cli.streams import open_outlets, unsaid
-from insdvl_replay.core.memory import collect_rarely, use_small_pages
+from insdvl_replay.cli.streams import open_outlets, report_lost_output
+from insdvl_replay.core.runtime import collect_rarely, use_small_pages
 
 INTERRUPTED = 130
 LONGEST_FAREWELL_S = 5.0
@@ -43,7 +43,7 @@ def main() -> NoReturn:
         impatience = threading.Timer(LONGEST_FAREWELL_S, os._exit, (code,))
         impatience.daemon = True
         impatience.start()
-    sys.exit(max(code, unsaid(out, err)))
+    sys.exit(max(code, report_lost_output(out, err)))
 
 
 def run_command_line(arguments: list[str]) -> int:
@@ -62,14 +62,14 @@ def run_command_line(arguments: list[str]) -> int:
     try:
         # Imported here, so that an interruption during the import is told like any other.
         from insdvl_replay.cli.app import app
-        from insdvl_replay.cli.messages import tell_failure, typed_verbosity
+        from insdvl_replay.cli.messages import log_failure, typed_verbosity
 
         try:
             return int(app(arguments, prog_name="insdvl-replay", standalone_mode=False) or 0)
         except Exception as error:
             if _Interruption.came:
                 return INTERRUPTED
-            return tell_failure(error, typed_verbosity(arguments))
+            return log_failure(error, typed_verbosity(arguments))
     except SystemExit as leaving:
         # The completion of the shell leaves in this way.
         return int(leaving.code or 0)

@@ -7,14 +7,11 @@ import typer
 from insdvl_replay import __version__
 from insdvl_replay.cli.check import check
 from insdvl_replay.cli.compare import compare
-from insdvl_replay.cli.compilation import compile_
-from insdvl_replay.cli.config import config
 from insdvl_replay.cli.inspection import inspect
-from insdvl_replay.cli.messages import emit
+from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.run import run
-from insdvl_replay.cli.schema import schema
-from insdvl_replay.cli.simulate import simulate
 from insdvl_replay.cli.study import study
+from insdvl_replay.cli.utilities import compile_, config, schema, simulate
 
 # Plain help: rich would add 0.1 s to it, and cut it where it is piped.
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -26,7 +23,7 @@ app.add_typer(study, name="study")
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        emit(f"insdvl-replay {__version__}\n")
+        write_stdout(f"insdvl-replay {__version__}\n")
         raise typer.Exit
 
 

@@ -50,8 +50,8 @@ def check(
       insdvl-replay check gates.toml replay/dive
     """
     from insdvl_replay.batch.cluster import Cluster
-    from insdvl_replay.cli.gated_dives import Replaying, Told, check_dives
+    from insdvl_replay.cli.gated_dives import CheckOptions, OutputOptions, check_dives
 
     cluster = None if scheduler is None else Cluster(scheduler, scheduler_patience)
-    replaying = Replaying(results, jobs, cluster, rerun, update)
-    return check_dives(gates, dives, config, settings, replaying, Told(format_, output, summary, verbose))
+    options = CheckOptions(results, jobs, cluster, rerun, update)
+    return check_dives(gates, dives, config, settings, options, OutputOptions(format_, output, summary, verbose))

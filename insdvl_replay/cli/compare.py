@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.messages import tell_notes
+from insdvl_replay.cli.messages import log_notes
 from insdvl_replay.cli.options import ComparisonFormat, Sort, Verbose
 
 
@@ -62,6 +62,6 @@ def compare(
     selection = Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
     comparison = compare_results(old, new, selection)
     print_comparison(arranged(comparison, sort.value, only_changed=only_changed), format_)
-    tell_notes(comparison.notes, verbose=verbose > 0)
+    log_notes(comparison.notes, verbose=verbose > 0)
     if limit is not None and (found := breach(comparison, limit)):
         raise LimitError(breach_sentence(found))

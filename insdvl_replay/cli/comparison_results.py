@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Final
 
-from insdvl_replay.cli.messages import emit
+from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.options import ComparisonFormat
 from insdvl_replay.cli.screen import printed
 from insdvl_replay.comparison.output import (
@@ -28,4 +28,4 @@ PRINTED: Final[dict[ComparisonFormat, Callable[[Comparison], str]]] = {
 
 def print_comparison(comparison: Comparison, format_: ComparisonFormat) -> None:
     """Write a comparison to stdout."""
-    emit(PRINTED[format_](comparison))
+    write_stdout(PRINTED[format_](comparison))

@@ -8,12 +8,12 @@ from typing import Final
 
 from insdvl_replay.batch.cluster import Cluster, cluster_workers
 from insdvl_replay.batch.dive_paths import find_dives
-from insdvl_replay.batch.executors import Workers
-from insdvl_replay.batch.jobs import Order, Outcome, Task, known_reports, plan_tasks, replay_archive
-from insdvl_replay.batch.worker_processes import local_workers
-from insdvl_replay.cli.messages import emit, tell, tell_failure, tell_notes
+from insdvl_replay.batch.jobs import Outcome, ReplayJob, ReplayOptions, plan_jobs, replay_jobs
+from insdvl_replay.batch.known_results import known_reports
+from insdvl_replay.batch.workers import Workers, local_workers
+from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
 from insdvl_replay.cli.options import Format
-from insdvl_replay.cli.screen import DivesBar, compiling, patience, rendered
+from insdvl_replay.cli.screen import DivesBar, compiling, rendered, spinner
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.report.page import is_page
 from insdvl_replay.results.folder import refuse_existing_file, result_file
@@ -35,8 +35,8 @@ PRINTED = {
 
 
 @dataclass(frozen=True)
-class Manner:
-    """How dives are replayed and told.
+class RunOptions:
+    """How dives are replayed, and what is printed.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Manner:
     verbosity: int
 
 
-def replay_dives(names: Sequence[str], output: Path, order: Order, manner: Manner) -> int:
+def replay_dives(names: Sequence[str], output: Path, options: ReplayOptions, run: RunOptions) -> int:
     """Replay dives, one result folder each, and a summary if there are several.
 
     Parameters
@@ -77,8 +77,8 @@ def replay_dives(names: Sequence[str], output: Path, order: Order, manner: Manne
         Logs, bags, folders, patterns and lists.
     output : Path
         The folder above the result folders, where the overviews of several dives lie.
-    order : Order
-    manner : Manner
+    options : ReplayOptions
+    run : RunOptions
 
     Returns
     -------
@@ -90,35 +90,35 @@ def replay_dives(names: Sequence[str], output: Path, order: Order, manner: Manne
     ConfigError
         Nothing is replayed, since a name stands for no dive, two dives would share a folder, or one is in the way.
     """
-    tasks = plan_tasks(find_dives(names), output, order, one_dive=manner.one_dive)
-    if len(tasks) > 1:
-        _refuse_to_overwrite(tasks, output, force=manner.force)
+    dives = plan_jobs(find_dives(names), output, options, one_dive=run.one_dive)
+    if len(dives) > 1:
+        _refuse_to_overwrite(dives, output, force=run.force)
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
-    together = manner.format is Format.JSON and len(tasks) > 1
-    for outcome in outcomes(tasks, manner.jobs, manner.cluster, force=manner.force, rerun=manner.rerun):
-        name = outcome.task.target.name
+    together = run.format is Format.JSON and len(dives) > 1
+    for outcome in outcomes(dives, run.jobs, run.cluster, force=run.force, rerun=run.rerun):
+        name = outcome.job.target.name
         if isinstance(outcome.result, Exception):
             reports.append(Failure(name, str(outcome.result)))
-            codes[name] = tell_failure(outcome.result, manner.verbosity)
+            codes[name] = log_failure(outcome.result, run.verbosity)
             continue
         reports.append(outcome.result)
-        codes[name] = _tell_result(outcome, outcome.result, manner, quiet=together)
+        codes[name] = _report_result(outcome, outcome.result, run, quiet=together)
     if together:
-        emit(encode_report([report for report in reports if isinstance(report, Report)]).decode())
-    if len(tasks) > 1:
+        write_stdout(encode_report([report for report in reports if isinstance(report, Report)]).decode())
+    if len(dives) > 1:
         _summarise(reports, codes, output)
     return max(codes.values())
 
 
 def outcomes(
-    tasks: Sequence[Task], jobs: int, cluster: Cluster | None, *, force: bool, rerun: bool
+    dives: Sequence[ReplayJob], jobs: int, cluster: Cluster | None, *, force: bool, rerun: bool
 ) -> Generator[Outcome, None, None]:
     """Replay what has changed, and say on a terminal how far it is.
 
     Parameters
     ----------
-    tasks : sequence of Task
+    dives : sequence of ReplayJob
     jobs : int
         Dives at the same time.
     cluster : Cluster, optional
@@ -128,44 +128,46 @@ def outcomes(
     Yields
     ------
     Outcome
-        In the order of the tasks.
+        In the order of the dives.
     """
-    known = known_reports(tasks, force=force, rerun=rerun, tell=lambda note: tell_notes([note], verbose=True))
-    changed = [task for task in tasks if task.target not in known]
+    known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
+    changed = [dive for dive in dives if dive.target not in known]
     workers = local_workers(max(1, min(jobs, len(changed)))) if cluster is None else cluster_workers(cluster)
     if len(changed) == 1:
-        with patience(f"replaying {changed[0].name.name}{compiling()}"):
-            finished = list(replay_archive(tasks, known, workers, after_dive=lambda _: None))
+        with spinner(f"replaying {changed[0].name.name}{compiling()}"):
+            finished = list(replay_jobs(dives, known, workers, after_dive=lambda _: None))
         yield from finished
     else:
-        yield from _with_bar(tasks, known, workers, len(changed))
+        yield from _with_bar(dives, known, workers, len(changed))
 
 
-def _with_bar(tasks: Sequence[Task], known: dict[Path, Report], workers: Workers, changed: int) -> Iterator[Outcome]:
+def _with_bar(
+    dives: Sequence[ReplayJob], known: dict[Path, Report], workers: Workers, changed: int
+) -> Iterator[Outcome]:
     with DivesBar(changed) as bar:
 
         def count(outcome: Outcome) -> None:
             bar.advance(failed=isinstance(outcome.result, Exception))
 
-        with closing(replay_archive(tasks, known, workers, count)) as replays:
+        with closing(replay_jobs(dives, known, workers, count)) as replays:
             for outcome in replays:
-                with bar.aside():
+                with bar.paused():
                     yield outcome
 
 
-def _tell_result(outcome: Outcome, report: Report, manner: Manner, *, quiet: bool) -> int:
+def _report_result(outcome: Outcome, report: Report, run: RunOptions, *, quiet: bool) -> int:
     if not quiet:
-        emit(PRINTED[manner.format](report))
-    tell_notes(report.notes, verbose=manner.verbosity > 0)
-    tell(f"{'unchanged' if outcome.unchanged else 'wrote'} {outcome.task.target}")
-    return _refuse_warnings(report, manner.verbosity) if manner.strict else 0
+        write_stdout(PRINTED[run.format](report))
+    log_notes(report.notes, verbose=run.verbosity > 0)
+    log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {outcome.job.target}")
+    return _refuse_warnings(report, run.verbosity) if run.strict else 0
 
 
 def _refuse_warnings(report: Report, verbosity: int) -> int:
     warnings = [note.code for note in report.notes if note.severity == "warning"]
     if not warnings:
         return 0
-    return tell_failure(
+    return log_failure(
         LogError(
             f"{report.log.name}: --strict allows no warnings, found {', '.join(warnings)}",
             "the result is written; leave --strict out to accept it",
@@ -174,14 +176,14 @@ def _refuse_warnings(report: Report, verbosity: int) -> int:
     )
 
 
-def _refuse_to_overwrite(tasks: Sequence[Task], output: Path, *, force: bool) -> None:
+def _refuse_to_overwrite(dives: Sequence[ReplayJob], output: Path, *, force: bool) -> None:
     """Leave alone what bears an overview's name and is none: overviews are made of the results beside them."""
     for overview, (_, is_own) in OVERVIEWS.items():
         path = output / overview
-        for task in tasks:
-            if task.target == path:
+        for dive in dives:
+            if dive.target == path:
                 raise ConfigError(
-                    f"{task.name}: its results would bear the name of an overview", "rename it, or replay it alone"
+                    f"{dive.name}: its results would bear the name of an overview", "rename it, or replay it alone"
                 )
         refuse_existing_file(path, force=force or (path.is_file() and is_own(path.read_bytes())))
 
@@ -190,8 +192,8 @@ def _summarise(reports: Sequence[Report | Failure], codes: dict[str, int], outpu
     for overview, (write, _) in OVERVIEWS.items():
         with result_file(output / overview, force=True) as file:
             file.write_bytes(write(reports))
-        tell(f"wrote {output / overview}")
+        log_to_stderr(f"wrote {output / overview}")
     if failed := [name for name, code in codes.items() if code]:
         reasons = [report.reason for report in reports if isinstance(report, Failure)]
         first = f"; the first: {reasons[0]}" if reasons else ""
-        tell(f"error: {len(failed)} of {len(codes)} logs failed: {', '.join(failed)}{first}")
+        log_to_stderr(f"error: {len(failed)} of {len(codes)} logs failed: {', '.join(failed)}{first}")

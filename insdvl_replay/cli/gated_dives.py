@@ -1,4 +1,4 @@
-"""Replay what has changed, hold all dives against the gates, and tell it in the form that is wanted."""
+"""Replay what has changed, hold all dives against the gates, and write the result in the form that is wanted."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing
@@ -7,9 +7,9 @@ from pathlib import Path
 
 from insdvl_replay.batch.cluster import Cluster
 from insdvl_replay.batch.dive_paths import find_dives
-from insdvl_replay.batch.jobs import Order, plan_tasks
+from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
 from insdvl_replay.cli.dives import outcomes
-from insdvl_replay.cli.messages import emit, tell, tell_failure
+from insdvl_replay.cli.messages import log_failure, log_to_stderr, write_stdout
 from insdvl_replay.cli.options import CheckFormat
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
@@ -44,13 +44,13 @@ WRITTEN = {
 
 
 @dataclass(frozen=True)
-class Told:
-    """How the result is told.
+class OutputOptions:
+    """How the result is written.
 
     Attributes
     ----------
     format : CheckFormat
-    output : Path, optional
+    file : Path, optional
         File that it goes to, with text to stdout.
     summary : Path, optional
         File that Markdown is added to.
@@ -58,13 +58,13 @@ class Told:
     """
 
     format: CheckFormat
-    output: Path | None
+    file: Path | None
     summary: Path | None
     verbosity: int
 
 
 @dataclass(frozen=True)
-class Replaying:
+class CheckOptions:
     """How dives are replayed before they are judged.
 
     Attributes
@@ -86,7 +86,12 @@ class Replaying:
 
 
 def check_dives(
-    path: Path, dives: Sequence[str], config: Path | None, settings: Sequence[str], replaying: Replaying, told: Told
+    path: Path,
+    dives: Sequence[str],
+    config: Path | None,
+    settings: Sequence[str],
+    check: CheckOptions,
+    output: OutputOptions,
 ) -> int:
     """Hold dives against gates.
 
@@ -100,8 +105,8 @@ def check_dives(
         In place of the one that it names.
     settings : sequence of str
         Changes of single settings.
-    replaying : Replaying
-    told : Told
+    check : CheckOptions
+    output : OutputOptions
 
     Returns
     -------
@@ -118,25 +123,27 @@ def check_dives(
     if not chosen:
         raise ConfigError(f"{path}: names no dives", f'`insdvl-replay check {path} DIVE...`, or dives = ["*.mcap"]')
     paths = find_dives(chosen, beside, results=True)
-    _refuse_to_overwrite(told, [path, *paths])
-    order = Order(_settings(gates, config, settings), allow_damaged=gates.content.allow_damaged)
-    refuse_unknown_names(gates, None if any(map(_is_result, paths)) else list(order.config.filters))
-    checked = list(_checked(paths, order, replaying))
-    codes = [tell_failure(result, told.verbosity) for _, result in checked if isinstance(result, Exception)]
-    if replaying.update:
+    _refuse_to_overwrite(output, [path, *paths])
+    options = ReplayOptions(_settings(gates, config, settings), allow_damaged=gates.content.allow_damaged)
+    refuse_unknown_names(gates, None if any(map(_is_result, paths)) else list(options.config.filters))
+    checked = list(_checked(paths, options, check))
+    codes = [log_failure(result, output.verbosity) for _, result in checked if isinstance(result, Exception)]
+    if check.update:
         _update(gates, checked)
     result = judge_dives(gates, checked)
-    _tell(result, told)
+    _report(result, output)
     codes += [GATE_FAILED] * result.count("failed")
     if codes:
         first = result.judgements[0]
-        tell(f"error: {check_sentence(result)}; the first: {first.dive}: {first.gate}: {'; '.join(first.reasons)}")
+        log_to_stderr(
+            f"error: {check_sentence(result)}; the first: {first.dive}: {first.gate}: {'; '.join(first.reasons)}"
+        )
     return max(codes, default=0)
 
 
-def _refuse_to_overwrite(told: Told, inputs: Sequence[Path]) -> None:
+def _refuse_to_overwrite(output: OutputOptions, inputs: Sequence[Path]) -> None:
     """Refuse, before any work, to write where nothing can be written, or something is read."""
-    for option, path in (("--output", told.output), ("--summary-file", told.summary)):
+    for option, path in (("--output", output.file), ("--summary-file", output.summary)):
         if path is None:
             continue
         with error_context(option):
@@ -160,37 +167,37 @@ def _is_result(path: Path) -> bool:
     return path.suffix == ".json" or (path / COMPLETE).is_file()
 
 
-def _checked(paths: Sequence[Path], order: Order, replaying: Replaying) -> Iterator[Checked]:
+def _checked(paths: Sequence[Path], options: ReplayOptions, check: CheckOptions) -> Iterator[Checked]:
     """Replay the logs among the dives, and read the results among them."""
-    tasks = plan_tasks([path for path in paths if not _is_result(path)], replaying.results, order)
-    replays = outcomes(tasks, replaying.jobs, replaying.cluster, force=True, rerun=replaying.rerun)
+    planned = plan_jobs([path for path in paths if not _is_result(path)], check.results, options)
+    replays = outcomes(planned, check.jobs, check.cluster, force=True, rerun=check.rerun)
     with closing(replays):
         for path in paths:
             if _is_result(path):
                 yield from checked_results(path)
             else:
                 outcome = next(replays)
-                yield checked_replay(outcome.task.target.name, outcome.result)
+                yield checked_replay(outcome.job.target.name, outcome.result)
 
 
 def _update(gates: Gates, checked: Sequence[Checked]) -> None:
     if all(gate.baseline is None for gate in gates.content.gate):
         raise ConfigError(f"{gates.path}: no gate has a baseline", 'baseline = "baselines/{log}.json"')
-    emit(baseline_text(compare_with_baselines(gates, checked)))
+    write_stdout(baseline_text(compare_with_baselines(gates, checked)))
     for path in write_baselines(gates, checked):
-        tell(f"wrote {path}")
+        log_to_stderr(f"wrote {path}")
 
 
-def _tell(result: CheckResult, told: Told) -> None:
-    written = WRITTEN[told.format](result)
-    if told.output is None:
-        emit(written, commands=told.format is CheckFormat.GITHUB)
+def _report(result: CheckResult, output: OutputOptions) -> None:
+    written = WRITTEN[output.format](result)
+    if output.file is None:
+        write_stdout(written, commands=output.format is CheckFormat.GITHUB)
     else:
-        with result_file(told.output, force=True) as file:
+        with result_file(output.file, force=True) as file:
             file.write_text(written, "utf-8")
-        emit(check_text(result))
-    if told.summary is not None:
-        _append(told.summary, check_markdown(result))
+        write_stdout(check_text(result))
+    if output.summary is not None:
+        _append(output.summary, check_markdown(result))
 
 
 def _append(path: Path, text: str) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insdvl_replay.cli.messages import emit, tell_failure
+from insdvl_replay.cli.messages import log_failure, write_stdout
 from insdvl_replay.cli.options import Format, Logs, OneDive, Preset, Settings, Verbose
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def inspect(
       insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
     from insdvl_replay.batch.dive_paths import find_dives
-    from insdvl_replay.cli.screen import patience
+    from insdvl_replay.cli.screen import spinner
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.inspection.output import encode_inventory
     from insdvl_replay.inspection.survey import inspect_log
@@ -54,17 +54,17 @@ def inspect(
     inventories: list[Inventory] = []
     for dive in dives:
         try:
-            with patience(f"inspecting {dive[0].name}"):
+            with spinner(f"inspecting {dive[0].name}"):
                 inventory = inspect_log(dive, resolved, deep=deep, allow_damaged=allow_damaged)
         except Exception as error:
-            code = max(code, tell_failure(error, verbose))
+            code = max(code, log_failure(error, verbose))
             continue
         if format_ is not Format.JSON:
             _print(inventory, format_, is_first=not inventories)
         inventories.append(inventory)
     if format_ is Format.JSON:
         for shown in [inventories] if len(dives) > 1 else inventories:
-            emit(encode_inventory(shown).decode())
+            write_stdout(encode_inventory(shown).decode())
     return code
 
 
@@ -79,4 +79,4 @@ def _print(inventory: "Inventory", format_: Format, *, is_first: bool) -> None:
         Format.MARKDOWN: markdown_inventory,
         Format.LATEX: latex_inventory,
     }
-    emit(("" if is_first else "\n") + writers[format_](inventory))
+    write_stdout(("" if is_first else "\n") + writers[format_](inventory))

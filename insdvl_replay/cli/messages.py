@@ -1,4 +1,4 @@
-"""What the tool says: results to stdout, everything else to stderr."""
+"""What the tool prints: results to stdout, everything else to stderr."""
 
 import sys
 import traceback
@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import typer
 
 from insdvl_replay.core.errors import LogError, Note, UserError
-from insdvl_replay.core.memory import is_nearly_used_up
 from insdvl_replay.core.plain_text import visible, visible_lines, without_commands
+from insdvl_replay.core.runtime import is_nearly_used_up
 
 OUR_MISTAKE = 4
 
@@ -16,7 +16,7 @@ OUR_MISTAKE = 4
 UsageError = typer.BadParameter.__mro__[1]
 
 
-def emit(text: str, *, commands: bool = False) -> None:
+def write_stdout(text: str, *, commands: bool = False) -> None:
     """Write a result to stdout.
 
     Parameters
@@ -30,20 +30,20 @@ def emit(text: str, *, commands: bool = False) -> None:
     sys.stdout.flush()
 
 
-def tell(text: str) -> None:
-    """Say something that is not a result, on one line."""
+def log_to_stderr(text: str) -> None:
+    """Report something that is not a result, on one line."""
     print(without_commands(visible(text)), file=sys.stderr, flush=True)
 
 
-def tell_notes(notes: Iterable[Note], *, verbose: bool) -> None:
-    """Say the warnings; all notes if verbose."""
+def log_notes(notes: Iterable[Note], *, verbose: bool) -> None:
+    """Report the warnings; all notes if verbose."""
     for note in notes:
         if verbose or note.severity == "warning":
-            tell(f"{note.severity}: {note.text} [{note.code}]{_hinted(note.hint)}")
+            log_to_stderr(f"{note.severity}: {note.text} [{note.code}]{_hinted(note.hint)}")
 
 
-def tell_failure(error: Exception, verbosity: int) -> int:
-    """Say what went wrong, in one sentence and a hint, and with ``-vv`` where in the code it arose.
+def log_failure(error: Exception, verbosity: int) -> int:
+    """Report what went wrong, in one sentence and a hint, and with ``-vv`` where in the code it arose.
 
     Parameters
     ----------
@@ -57,10 +57,10 @@ def tell_failure(error: Exception, verbosity: int) -> int:
         The exit code that belongs to it.
     """
     if verbosity >= 2:
-        told = "".join(traceback.format_exception(error))
-        print(without_commands(visible_lines(told)), end="", file=sys.stderr)
+        trace = "".join(traceback.format_exception(error))
+        print(without_commands(visible_lines(trace)), end="", file=sys.stderr)
     code, message, hint = _explained(error)
-    tell(f"error: {message}{_hinted(hint)}")
+    log_to_stderr(f"error: {message}{_hinted(hint)}")
     return code
 
 

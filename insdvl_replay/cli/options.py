@@ -1,12 +1,37 @@
 """Options that several commands share, and the words that options choose from."""
 
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.completion import preset_names, scenario_names
 from insdvl_replay.core.errors import ConfigError
+
+
+def preset_names(incomplete: str) -> list[str]:
+    """Return the presets that begin with what is typed."""
+    from insdvl_replay.core.config_file import PRESETS
+
+    return _beginning(incomplete, PRESETS)
+
+
+def scenario_names(incomplete: str) -> list[str]:
+    """Return the scenarios that begin with what is typed."""
+    from insdvl_replay.sim.trajectories import SCENARIOS
+
+    return _beginning(incomplete, SCENARIOS)
+
+
+def grade_names(incomplete: str) -> list[str]:
+    """Return the grades of IMUs that begin with what is typed."""
+    from insdvl_replay.sim.sensor_errors import GRADES
+
+    return _beginning(incomplete, GRADES)
+
+
+def _beginning(incomplete: str, names: Iterable[str]) -> list[str]:
+    return [name for name in names if name.startswith(incomplete)]
 
 
 class Format(StrEnum):
@@ -40,7 +65,7 @@ class Sort(StrEnum):
 
 
 class CheckFormat(StrEnum):
-    """How it is told what became of the gates."""
+    """How the result of a check is written."""
 
     TEXT = "text"
     MARKDOWN = "md"

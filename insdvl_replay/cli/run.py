@@ -70,8 +70,8 @@ def run(
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
     """
     from insdvl_replay.batch.cluster import Cluster
-    from insdvl_replay.batch.jobs import Order
-    from insdvl_replay.cli.dives import Manner, replay_dives
+    from insdvl_replay.batch.jobs import ReplayOptions
+    from insdvl_replay.cli.dives import RunOptions, replay_dives
     from insdvl_replay.core.config_file import load_config
 
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
@@ -80,6 +80,6 @@ def run(
     return replay_dives(
         logs,
         output,
-        Order(resolved, allow_damaged=allow_damaged, control=control, trajectories=tum),
-        Manner(format_, one_dive, strict, force, rerun, jobs, cluster, verbose),
+        ReplayOptions(resolved, allow_damaged=allow_damaged, control=control, trajectories=tum),
+        RunOptions(format_, one_dive, strict, force, rerun, jobs, cluster, verbose),
     )

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from rich.console import Console, RenderableType
 
 from insdvl_replay.core.compiled import is_warm
-from insdvl_replay.core.progress import told_to
+from insdvl_replay.core.runtime import progress_listener
 from insdvl_replay.report.terminal import spoken
 from insdvl_replay.results.json_report import Report
 from insdvl_replay.results.output import terminal_report
@@ -30,18 +30,21 @@ def printed(content: RenderableType) -> str:
 
 
 @contextmanager
-def patience(text: str) -> Iterator[None]:
-    """Say what is waited for, and how far the work is, on a terminal only."""
+def spinner(text: str) -> Iterator[None]:
+    """Report what is waited for, and how far the work is, on a terminal only."""
     console = Console(file=sys.stderr, highlight=False)
     if not console.is_terminal:
         yield
         return
-    with console.status(spoken(text)) as status, told_to(lambda stage: status.update(spoken(f"{text}: {stage}"))):
+    with (
+        console.status(spoken(text)) as status,
+        progress_listener(lambda stage: status.update(spoken(f"{text}: {stage}"))),
+    ):
         yield
 
 
 def compiling() -> str:
-    """Say what a first run waits for, as the end of a sentence; nothing where the filter is compiled."""
+    """Report what a first run waits for, as the end of a sentence; nothing where the filter is compiled."""
     return "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
 
 
@@ -82,7 +85,7 @@ class DivesBar:
         self._bar.update(self._task, advance=1, failed=self._failed)
 
     @contextmanager
-    def aside(self) -> Iterator[None]:
+    def paused(self) -> Iterator[None]:
         """Make room for something that is said or printed."""
         self._bar.stop()
         try:

@@ -1,4 +1,4 @@
-"""Where the program speaks: a stdout or stderr that is full or closed ends the speaking, and not the work."""
+"""Stdout and stderr: where one of them is full or closed, the output ends, and not the work."""
 
 import io
 import os
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-UNSAID: Final = 2
-"""Exit code of a run of which not all could be said."""
+LOST_OUTPUT: Final = 2
+"""Exit code of a run whose output was lost in part."""
 
 
 class Outlet(io.RawIOBase):
@@ -35,15 +35,15 @@ class Outlet(io.RawIOBase):
         self.lost = ""
 
     def writable(self) -> bool:
-        """Say yes."""
+        """Return True."""
         return True
 
     def fileno(self) -> int:
-        """Give the descriptor."""
+        """Return the descriptor."""
         return self._descriptor
 
     def isatty(self) -> bool:
-        """Say whether it is a terminal."""
+        """Return whether it is a terminal."""
         return os.isatty(self._descriptor)
 
     def write(self, data: "ReadableBuffer", /) -> int:
@@ -80,15 +80,15 @@ def open_outlets() -> tuple[Outlet, Outlet]:
 
 
 def _as_text(outlet: Outlet, stream: "io.TextIOBase | object", *, line_buffering: bool) -> io.TextIOWrapper:
-    """Dress an outlet as the stream was dressed whose place it takes."""
+    """Return an outlet as text, with the encoding of the stream whose place it takes."""
     encoding, errors = getattr(stream, "encoding", "utf-8"), getattr(stream, "errors", "backslashreplace")
     return io.TextIOWrapper(io.BufferedWriter(outlet), encoding, errors, line_buffering=line_buffering)
 
 
-def unsaid(out: Outlet, err: Outlet) -> int:
-    """Say, as far as it can be said, what could not, and give the exit code that this is worth."""
+def report_lost_output(out: Outlet, err: Outlet) -> int:
+    """Report on stderr what was lost of stdout, and return the exit code of that: 0 if nothing was lost."""
     sys.stdout.flush()
     if out.lost:
         print(f"error: stdout: cannot be written: {out.lost}; hint: `> FILE`, on a disk with room", file=sys.stderr)
     sys.stderr.flush()
-    return UNSAID if out.lost or err.lost else 0
+    return LOST_OUTPUT if out.lost or err.lost else 0

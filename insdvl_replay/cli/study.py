@@ -67,7 +67,7 @@ def montecarlo(
       insdvl-replay study montecarlo straight --imu fog --preset fog --runs 200
       insdvl-replay study montecarlo straight --run 17
     """
-    from insdvl_replay.cli.messages import tell
+    from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.cli.screen import compiling, progress
     from insdvl_replay.cli.study_results import print_study
     from insdvl_replay.core.config_file import load_config
@@ -97,7 +97,7 @@ def montecarlo(
     with result_folder(target, force=force) as folder:
         save_montecarlo(report, ensembles, folder, png=png)
     print_study(report, format_)
-    tell(f"wrote {target}")
+    log_to_stderr(f"wrote {target}")
 
 
 @study.command()
@@ -126,8 +126,8 @@ def window(
       insdvl-replay study window dives/*.mcap -c vehicle.toml
       insdvl-replay study window dive.mcap --longest 20
     """
-    from insdvl_replay.cli.messages import tell, tell_notes
-    from insdvl_replay.cli.screen import patience
+    from insdvl_replay.cli.messages import log_notes, log_to_stderr
+    from insdvl_replay.cli.screen import spinner
     from insdvl_replay.cli.study_results import print_study
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import LogError
@@ -136,16 +136,16 @@ def window(
 
     resolved, target = load_config(preset, config, settings), output / "window"
     refuse_existing_folder(target, force=force)
-    with patience("comparing accelerations"):
+    with spinner("comparing accelerations"):
         report = study_window(logs, resolved, longest)
     with result_folder(target, force=force) as folder:
         save_window(report, folder, png=png)
     print_study(report, format_)
-    tell_notes(report.notes, verbose=verbose > 0)
-    tell(f"wrote {target}")
+    log_notes(report.notes, verbose=verbose > 0)
+    log_to_stderr(f"wrote {target}")
     left_out = [note.text for note in report.notes if note.code == LEFT_OUT]
     if left_out:
-        tell(f"error: {len(left_out)} of {len(logs)} logs could not be used; the first: {left_out[0]}")
+        log_to_stderr(f"error: {len(left_out)} of {len(logs)} logs could not be used; the first: {left_out[0]}")
     return LogError.exit_code if left_out else 0
 
 
@@ -176,8 +176,8 @@ def observability(
       insdvl-replay study observability straight --no-earth-rate
       insdvl-replay study observability dive.mcap --start 60 --end 180
     """
-    from insdvl_replay.cli.messages import tell, tell_notes
-    from insdvl_replay.cli.screen import compiling, patience
+    from insdvl_replay.cli.messages import log_notes, log_to_stderr
+    from insdvl_replay.cli.screen import compiling, spinner
     from insdvl_replay.cli.study_results import print_study
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.dive_names import dive_name
@@ -188,10 +188,10 @@ def observability(
     resolved = load_config(preset, config, [*settings, *spans])
     target = output / f"observability-{dive_name(Path(dive))}"
     refuse_existing_folder(target, force=force)
-    with patience(f"stacking the measurements{compiling()}"):
+    with spinner(f"stacking the measurements{compiling()}"):
         report = study_observability(dive, resolved, earth_rate=not no_earth_rate)
     with result_folder(target, force=force) as folder:
         save_observability(report, folder, png=png)
     print_study(report, format_)
-    tell_notes(report.notes, verbose=verbose > 0)
-    tell(f"wrote {target}")
+    log_notes(report.notes, verbose=verbose > 0)
+    log_to_stderr(f"wrote {target}")

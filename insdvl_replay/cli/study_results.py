@@ -1,6 +1,6 @@
 """Print what a study found."""
 
-from insdvl_replay.cli.messages import emit
+from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.options import Format
 from insdvl_replay.cli.screen import printed
 from insdvl_replay.studies.study_report import (
@@ -23,4 +23,4 @@ PRINTED = {
 
 def print_study(report: StudyReport, format_: Format) -> None:
     """Write a study to stdout."""
-    emit(PRINTED[format_](report))
+    write_stdout(PRINTED[format_](report))

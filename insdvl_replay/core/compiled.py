@@ -24,7 +24,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar, cast
 
-from insdvl_replay.core.sources import sources_digest
+from insdvl_replay.core.runtime import sources_digest
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -46,7 +46,7 @@ _OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "nogil": True, "no_cf
 
 
 def usual_folder() -> Path:
-    """Give the folder in which the code of these sources is looked for, and kept if that can be.
+    """Return the folder in which the code of these sources is looked for, and kept if that can be.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def _cache_folder() -> Path | None:
 
 
 def can_write(folder: Path) -> bool:
-    """Tell whether files can be made in a folder, which is made if need be."""
+    """Return whether files can be made in a folder, which is made if need be."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=stat.S_IRWXU, exist_ok=True)
@@ -82,7 +82,7 @@ def can_write(folder: Path) -> bool:
 
 
 def _is_trusted(folder: Path) -> bool:
-    """Tell whether nobody but the user and root can put files into a folder, or folders where theirs stand."""
+    """Return whether nobody but the user and root can put files into a folder, or folders where theirs stand."""
     if not folder.is_dir() or not hasattr(os, "geteuid"):
         return True
     found = folder.stat()
@@ -113,7 +113,7 @@ _NUMBA_SETTINGS: Final = threading.Lock()
 
 
 def is_loaded() -> bool:
-    """Say whether the compiler is loaded and not switched off; else a few numbers are dealt with sooner without it."""
+    """Return whether the compiler is loaded and switched on; else a few numbers are dealt with sooner without it."""
     settings = sys.modules.get("numba.core.config")
     return settings is not None and not getattr(settings, "DISABLE_JIT", True)
 
@@ -150,10 +150,10 @@ def inlined(function: Callable[_P, _T]) -> Callable[_P, _T]:
 
 
 def is_warm() -> bool:
-    """Say whether the compiled filter waits on disk, so that a first run can explain what it waits for."""
+    """Return whether the compiled filter waits on disk, so that a first run can explain what it waits for."""
     return _FOLDER is not None and any(_FOLDER.rglob("filter._run-*.nbc"))
 
 
 def cache_folder() -> Path | None:
-    """Give the folder of the compiled code, or None where none can be kept."""
+    """Return the folder of the compiled code, or None where none can be kept."""
     return _FOLDER

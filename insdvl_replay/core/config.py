@@ -14,7 +14,7 @@ NotNegative = Annotated[float, Meta(ge=0)]
 Latency = Annotated[float, Meta(ge=-3600, le=3600)]
 
 
-def Says(comment: str) -> Meta:  # noqa: N802
+def Comment(comment: str) -> Meta:  # noqa: N802
     """Hold the comment that `render_toml` writes beside a key."""
     return Meta(description=comment)
 
@@ -30,94 +30,96 @@ _STAMP = "header | log_time | publish_time | a field path; left out: by type, el
 class Imu(_Section, frozen=True):
     """Where the specific force and angular rate come from."""
 
-    topic: Annotated[str | None, Says("left out: found by type")] = None
-    specific_force: Annotated[str | None, Says("field path; left out: by type")] = None
-    angular_rate: Annotated[str | None, Says("field path; left out: by type")] = None
+    topic: Annotated[str | None, Comment("left out: found by type")] = None
+    specific_force: Annotated[str | None, Comment("field path; left out: by type")] = None
+    angular_rate: Annotated[str | None, Comment("field path; left out: by type")] = None
     specific_force_unit: Annotated[
-        Literal["m/s2", "g", "mg"] | None, Says("m/s2 | g | mg; left out: by type, else m/s2")
+        Literal["m/s2", "g", "mg"] | None, Comment("m/s2 | g | mg; left out: by type, else m/s2")
     ] = None
     angular_rate_unit: Annotated[
-        Literal["rad/s", "deg/s"] | None, Says("rad/s | deg/s; left out: by type, else rad/s")
+        Literal["rad/s", "deg/s"] | None, Comment("rad/s | deg/s; left out: by type, else rad/s")
     ] = None
-    specific_force_scale: Annotated[Positive, Says("measured over true force; readings are divided by it")] = 1.0
-    angular_rate_scale: Annotated[Positive, Says("measured over true rate; readings are divided by it")] = 1.0
-    axes: Annotated[str | None, Says(_AXES)] = None
-    specific_force_axes: Annotated[str | None, Says("where they differ; left out: by type, else as axes")] = None
-    stamp: Annotated[str | None, Says(_STAMP)] = None
-    latency_s: Annotated[Latency, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
-    min_rate_hz: Annotated[NotNegative, Says("a slower IMU is refused")] = 20.0
-    max_gap_s: Annotated[Positive, Says("pauses up to this are bridged as if nothing happened in them")] = 0.5
+    specific_force_scale: Annotated[Positive, Comment("measured over true force; readings are divided by it")] = 1.0
+    angular_rate_scale: Annotated[Positive, Comment("measured over true rate; readings are divided by it")] = 1.0
+    axes: Annotated[str | None, Comment(_AXES)] = None
+    specific_force_axes: Annotated[str | None, Comment("where they differ; left out: by type, else as axes")] = None
+    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+    min_rate_hz: Annotated[NotNegative, Comment("a slower IMU is refused")] = 20.0
+    max_gap_s: Annotated[Positive, Comment("pauses up to this are bridged as if nothing happened in them")] = 0.5
     long_gaps: Annotated[
         Literal["grow", "split"],
-        Says("longer ones: grow the uncertainty, up to a quarter turn | split off the longest part without"),
+        Comment("longer ones: grow the uncertainty, up to a quarter turn | split off the longest part without"),
     ] = "grow"
-    gap_accel_mps2: Annotated[NotNegative, Says("sd of the acceleration that nobody saw in a long gap, each axis")] = (
-        0.5
+    gap_accel_mps2: Annotated[
+        NotNegative, Comment("sd of the acceleration that nobody saw in a long gap, each axis")
+    ] = 0.5
+    gap_rate_degps: Annotated[NotNegative, Comment("sd of the turn rate that nobody saw in a long gap, each axis")] = (
+        5.0
     )
-    gap_rate_degps: Annotated[NotNegative, Says("sd of the turn rate that nobody saw in a long gap, each axis")] = 5.0
 
 
 class Dvl(_Section, frozen=True):
     """Where the DVL's pings come from, how it is mounted and how good it is."""
 
-    topic: Annotated[str | None, Says("left out: found by type")] = None
-    kind: Annotated[Literal["beams", "velocity"] | None, Says("beams | velocity; left out: by type")] = None
-    beam_velocity: Annotated[str | None, Says('field path such as "beams[*].velocity"; left out: by type')] = None
-    beam_valid: Annotated[str | None, Says("field path, 0 where a beam is lost; left out: by type")] = None
-    velocity: Annotated[str | None, Says("field path; left out: by type")] = None
-    valid: Annotated[str | None, Says("field path, 0 where a ping is invalid; left out: by type")] = None
+    topic: Annotated[str | None, Comment("left out: found by type")] = None
+    kind: Annotated[Literal["beams", "velocity"] | None, Comment("beams | velocity; left out: by type")] = None
+    beam_velocity: Annotated[str | None, Comment('field path such as "beams[*].velocity"; left out: by type')] = None
+    beam_valid: Annotated[str | None, Comment("field path, 0 where a beam is lost; left out: by type")] = None
+    velocity: Annotated[str | None, Comment("field path; left out: by type")] = None
+    valid: Annotated[str | None, Comment("field path, 0 where a ping is invalid; left out: by type")] = None
     velocity_unit: Annotated[
-        Literal["m/s", "mm/s", "cm/s"] | None, Says("m/s | mm/s | cm/s; left out: by type, else m/s")
+        Literal["m/s", "mm/s", "cm/s"] | None, Comment("m/s | mm/s | cm/s; left out: by type, else m/s")
     ] = None
-    axes: Annotated[str | None, Says(_AXES)] = None
-    stamp: Annotated[str | None, Says(_STAMP)] = None
-    latency_s: Annotated[Latency, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
+    axes: Annotated[str | None, Comment(_AXES)] = None
+    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
     beam_tilt_deg: Annotated[
-        Annotated[float, Meta(gt=0, lt=90)] | None, Says("from the DVL's z axis; left out: by the message, else 30")
+        Annotated[float, Meta(gt=0, lt=90)] | None, Comment("from the DVL's z axis; left out: by the message, else 30")
     ] = None
     beam_azimuth_deg: Annotated[
         tuple[float, ...] | None,
-        Says("from forward towards starboard; left out: by the message, else 45, 135, 225, 315"),
+        Comment("from forward towards starboard; left out: by the message, else 45, 135, 225, 315"),
     ] = None
-    lever_arm_m: Annotated[Vector, Says("IMU to DVL, forward-starboard-down")] = (0.0, 0.0, 0.0)
-    mounting_rpy_deg: Annotated[Vector, Says("DVL to body, roll, pitch, heading")] = (0.0, 0.0, 0.0)
-    scale: Annotated[Positive, Says("measured over true velocity; readings are divided by it")] = 1.0
-    velocity_sd_mps: Annotated[Positive, Says("noise of a velocity from all beams, each axis")] = 0.02
+    lever_arm_m: Annotated[Vector, Comment("IMU to DVL, forward-starboard-down")] = (0.0, 0.0, 0.0)
+    mounting_rpy_deg: Annotated[Vector, Comment("DVL to body, roll, pitch, heading")] = (0.0, 0.0, 0.0)
+    scale: Annotated[Positive, Comment("measured over true velocity; readings are divided by it")] = 1.0
+    velocity_sd_mps: Annotated[Positive, Comment("noise of a velocity from all beams, each axis")] = 0.02
     beam_sd_mps: Annotated[
-        Positive | None, Says("noise of one beam; set, it goes before velocity_sd_mps where there are beams")
+        Positive | None, Comment("noise of one beam; set, it goes before velocity_sd_mps where there are beams")
     ] = None
     max_beam_residual_mps: Annotated[
-        Positive | None, Says("pings whose beams disagree by more are dropped; left out: none")
+        Positive | None, Comment("pings whose beams disagree by more are dropped; left out: none")
     ] = None
 
 
 class Reference(_Section, frozen=True):
     """The solution to start from and to compare with; position, velocity and attitude are each optional."""
 
-    topic: Annotated[str | None, Says("left out: found by type")] = None
-    fix: Annotated[str | None, Says("topic of the geographic position; left out: found by type")] = None
-    axes: Annotated[Literal["ned_frd", "enu_flu"] | None, Says("ned_frd | enu_flu; left out: by type")] = None
-    latitude: Annotated[str | None, Says("field path; left out: by type")] = None
-    longitude: Annotated[str | None, Says("field path; left out: by type")] = None
-    height: Annotated[str | None, Says("field path, m above the ellipsoid; left out: by type")] = None
-    depth: Annotated[str | None, Says("field path, m, in place of the height")] = None
-    velocity_n: Annotated[str | None, Says("field path, north-east-down, or east-north-up with such axes")] = None
-    velocity_b: Annotated[str | None, Says("field path, in the axes of the body; left out: by type")] = None
-    quaternion: Annotated[str | None, Says("field path, x, y, z, w; left out: by type")] = None
-    roll: Annotated[str | None, Says("field path, starboard side down; left out: by type")] = None
-    pitch: Annotated[str | None, Says("field path, bow up; left out: by type")] = None
-    heading: Annotated[str | None, Says("field path, from north over east; left out: by type")] = None
-    angle_unit: Annotated[Literal["deg", "rad"], Says("deg | rad: of latitude, longitude, roll, pitch and heading")] = (
-        "deg"
-    )
-    lever_arm_m: Annotated[Vector, Says("IMU to the point that the reference is of, forward-starboard-down")] = (
+    topic: Annotated[str | None, Comment("left out: found by type")] = None
+    fix: Annotated[str | None, Comment("topic of the geographic position; left out: found by type")] = None
+    axes: Annotated[Literal["ned_frd", "enu_flu"] | None, Comment("ned_frd | enu_flu; left out: by type")] = None
+    latitude: Annotated[str | None, Comment("field path; left out: by type")] = None
+    longitude: Annotated[str | None, Comment("field path; left out: by type")] = None
+    height: Annotated[str | None, Comment("field path, m above the ellipsoid; left out: by type")] = None
+    depth: Annotated[str | None, Comment("field path, m, in place of the height")] = None
+    velocity_n: Annotated[str | None, Comment("field path, north-east-down, or east-north-up with such axes")] = None
+    velocity_b: Annotated[str | None, Comment("field path, in the axes of the body; left out: by type")] = None
+    quaternion: Annotated[str | None, Comment("field path, x, y, z, w; left out: by type")] = None
+    roll: Annotated[str | None, Comment("field path, starboard side down; left out: by type")] = None
+    pitch: Annotated[str | None, Comment("field path, bow up; left out: by type")] = None
+    heading: Annotated[str | None, Comment("field path, from north over east; left out: by type")] = None
+    angle_unit: Annotated[
+        Literal["deg", "rad"], Comment("deg | rad: of latitude, longitude, roll, pitch and heading")
+    ] = "deg"
+    lever_arm_m: Annotated[Vector, Comment("IMU to the point that the reference is of, forward-starboard-down")] = (
         0.0,
         0.0,
         0.0,
     )
-    independent: Annotated[bool, Says("false: it was made from the same IMU or DVL")] = True
-    stamp: Annotated[str | None, Says(_STAMP)] = None
-    latency_s: Annotated[Latency, Says("seconds from validity to stamp, taken off the stamp")] = 0.0
+    independent: Annotated[bool, Comment("false: it was made from the same IMU or DVL")] = True
+    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
 
 
 class Initial(_Section, frozen=True):
@@ -125,65 +127,68 @@ class Initial(_Section, frozen=True):
 
     source: Annotated[
         Literal["reference", "level"],
-        Says("reference | level (by gravity and DVL; of a reference the position alone)"),
+        Comment("reference | level (by gravity and DVL; of a reference the position alone)"),
     ] = "reference"
-    heading_deg: Annotated[float | None, Says("needed where the reference has no attitude, or source = level")] = None
+    heading_deg: Annotated[float | None, Comment("needed where the reference has no attitude, or source = level")] = (
+        None
+    )
     latitude_deg: Annotated[
-        Annotated[float, Meta(ge=-89.9, le=89.9)] | None, Says("needed where the reference has no position")
+        Annotated[float, Meta(ge=-89.9, le=89.9)] | None, Comment("needed where the reference has no position")
     ] = None
-    longitude_deg: Annotated[float, Says("used where the reference has no position")] = 0.0
-    height_m: Annotated[float, Says("used where the reference has no height")] = 0.0
-    accel_bias_mg: Annotated[Vector, Says("forward, starboard, down")] = (0.0, 0.0, 0.0)
-    gyro_bias_degph: Annotated[Vector, Says("forward, starboard, down")] = (0.0, 0.0, 0.0)
-    velocity_sd_mps: Annotated[Positive, Says("each axis")] = 0.1
+    longitude_deg: Annotated[float, Comment("used where the reference has no position")] = 0.0
+    height_m: Annotated[float, Comment("used where the reference has no height")] = 0.0
+    accel_bias_mg: Annotated[Vector, Comment("forward, starboard, down")] = (0.0, 0.0, 0.0)
+    gyro_bias_degph: Annotated[Vector, Comment("forward, starboard, down")] = (0.0, 0.0, 0.0)
+    velocity_sd_mps: Annotated[Positive, Comment("each axis")] = 0.1
     misalignment_sd_deg: Annotated[
         tuple[Positive, Positive, Positive],
-        Says("north, east, down; of a levelled vehicle the third alone, of the heading, and the rest from its data"),
+        Comment("north, east, down; of a levelled vehicle the third alone, of the heading, and the rest from its data"),
     ] = (0.5, 0.5, 0.5)
-    accel_bias_sd_mg: Annotated[Positive, Says("each axis")] = 50.0
-    gyro_bias_sd_degph: Annotated[Positive, Says("each axis")] = 10.0
+    accel_bias_sd_mg: Annotated[Positive, Comment("each axis")] = 50.0
+    gyro_bias_sd_degph: Annotated[Positive, Comment("each axis")] = 10.0
 
 
 class Noise(_Section, frozen=True):
     """What the filters assume of the inertial sensors."""
 
-    accel_white_mps_rts: Annotated[NotNegative, Says("m/s/sqrt(s)")] = 0.20
-    gyro_white_rad_rts: Annotated[NotNegative, Says("rad/sqrt(s)")] = 3.7e-5
-    accel_bias_walk_mps2_rts: Annotated[NotNegative, Says("m/s^2/sqrt(s)")] = 1e-6
-    gyro_bias_walk_radps_rts: Annotated[NotNegative, Says("rad/s/sqrt(s)")] = 1e-10
+    accel_white_mps_rts: Annotated[NotNegative, Comment("m/s/sqrt(s)")] = 0.20
+    gyro_white_rad_rts: Annotated[NotNegative, Comment("rad/sqrt(s)")] = 3.7e-5
+    accel_bias_walk_mps2_rts: Annotated[NotNegative, Comment("m/s^2/sqrt(s)")] = 1e-6
+    gyro_bias_walk_radps_rts: Annotated[NotNegative, Comment("rad/s/sqrt(s)")] = 1e-10
 
 
 class Acceleration(_Section, frozen=True):
     """The acceleration fitted to past DVL velocities, and how the filter uses it."""
 
-    model: Annotated[Literal["windowed", "published"], Says("windowed | published (the paper's, without w x v)")] = (
+    model: Annotated[Literal["windowed", "published"], Comment("windowed | published (the paper's, without w x v)")] = (
         "windowed"
     )
-    window: Annotated[Annotated[int, Meta(ge=2, le=1000)], Says("number of velocities, 2 to 1000")] = 3
-    order: Annotated[Annotated[int, Meta(ge=1)], Says("of the fitted polynomial, below window")] = 1
-    sd_mps2: Annotated[Positive | None, Says("left out: from the DVL's and the accelerometer's noise")] = None
-    max_window_gap_s: Annotated[Positive, Says("a longer pause between pings starts a new window")] = 2.5
+    window: Annotated[Annotated[int, Meta(ge=2, le=1000)], Comment("number of velocities, 2 to 1000")] = 3
+    order: Annotated[Annotated[int, Meta(ge=1)], Comment("of the fitted polynomial, below window")] = 1
+    sd_mps2: Annotated[Positive | None, Comment("left out: from the DVL's and the accelerometer's noise")] = None
+    max_window_gap_s: Annotated[Positive, Comment("a longer pause between pings starts a new window")] = 2.5
 
 
 class Filter(_Section, frozen=True):
     """One filter. The first of the configuration is the baseline."""
 
-    aiding: Annotated[tuple[Literal["velocity", "acceleration"], ...], Says("measurements, in this order")]
+    aiding: Annotated[tuple[Literal["velocity", "acceleration"], ...], Comment("measurements, in this order")]
     gate_probability: Annotated[
-        Annotated[float, Meta(gt=0, le=1)], Says("an innovation outside this share of chi-square is rejected; 1: none")
+        Annotated[float, Meta(gt=0, le=1)],
+        Comment("an innovation outside this share of chi-square is rejected; 1: none"),
     ] = 1.0
     gate_reopen_after: Annotated[
         Annotated[int, Meta(ge=0, le=10_000)],
-        Says("so many velocities rejected in a row: the INS is off, and is set to the DVL; 0: never"),
+        Comment("so many velocities rejected in a row: the INS is off, and is set to the DVL; 0: never"),
     ] = 5
-    accel_white_mps_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
-    gyro_white_rad_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
-    accel_bias_walk_mps2_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
-    gyro_bias_walk_radps_rts: Annotated[NotNegative | None, Says("left out: from [noise]")] = None
+    accel_white_mps_rts: Annotated[NotNegative | None, Comment("left out: from [noise]")] = None
+    gyro_white_rad_rts: Annotated[NotNegative | None, Comment("left out: from [noise]")] = None
+    accel_bias_walk_mps2_rts: Annotated[NotNegative | None, Comment("left out: from [noise]")] = None
+    gyro_bias_walk_radps_rts: Annotated[NotNegative | None, Comment("left out: from [noise]")] = None
     velocity_sd_mps: Annotated[
-        Positive | None, Says("goes before both keys of [dvl]; this and beam_sd_mps left out: from [dvl]")
+        Positive | None, Comment("goes before both keys of [dvl]; this and beam_sd_mps left out: from [dvl]")
     ] = None
-    beam_sd_mps: Annotated[Positive | None, Says("where there are beams, goes before all others")] = None
+    beam_sd_mps: Annotated[Positive | None, Comment("where there are beams, goes before all others")] = None
     acceleration: Acceleration | None = None
 
 
@@ -198,15 +203,15 @@ class Clocks(_Section, frozen=True):
     """How far the clocks that stamp the roles may lie apart."""
 
     max_disagreement_s: Annotated[
-        NotNegative, Says("two roles whose log time minus stamp differs by more, beyond their spreads, are refused")
+        NotNegative, Comment("two roles whose log time minus stamp differs by more, beyond their spreads, are refused")
     ] = 1.0
 
 
 class Span(_Section, frozen=True):
     """The part of the dive to replay."""
 
-    start_s: Annotated[float | None, Says("seconds from the first IMU sample; left out: from the start")] = None
-    end_s: Annotated[float | None, Says("seconds from the first IMU sample; left out: to the end")] = None
+    start_s: Annotated[float | None, Comment("seconds from the first IMU sample; left out: from the start")] = None
+    end_s: Annotated[float | None, Comment("seconds from the first IMU sample; left out: to the end")] = None
 
 
 class Config(_Section, frozen=True):

@@ -4,26 +4,22 @@ Precedence: defaults, then preset, then file, then command line.
 """
 
 import math
-import re
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from tomllib import TOMLDecodeError
+from typing import Annotated, Any, Final, get_origin, get_type_hints
 
 import msgspec
 from msgspec import Struct
 
 from insdvl_replay.core.config import Config, Filter
-from insdvl_replay.core.errors import ConfigError, nearest
+from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.plain_text import is_writable, visible
-from insdvl_replay.core.text_files import read_text
-from insdvl_replay.core.toml_text import parsed_toml
+from insdvl_replay.core.strict_toml import KeyPath, TomlSource, parse_toml, read_toml
 
-_SHOWN = 80
-"""Letters of a wrong value that a message repeats."""
-Section = TypeVar("Section", Config, Filter)
-
+_HINT: Final = "`insdvl-replay config` prints every key with its kind and unit"
+_OVERRIDE: Final = "for example --set dvl.scale=1.01"
 LARGEST = 1e30
 """Nothing that is measured is larger, and powers of what is smaller are still numbers."""
 PRESETS = ("levy-klein", "fog", "tactical", "mems")
@@ -50,75 +46,64 @@ def load_config(preset: str | None = None, file: Path | None = None, overrides: 
     ConfigError
         Unknown preset, unreadable file, unknown key (with the nearest known one), value of the wrong kind or range.
     """
-    settings: dict[str, Any] = msgspec.to_builtins(Config())
-    preset = preset or PRESETS[0]
-    settings = _overlaid(settings, _read_preset(preset), f"preset {preset}")
+    source = _read_preset(preset or PRESETS[0])
+    settings = _overlaid(msgspec.to_builtins(Config()), source)
     if file is not None:
-        settings = _overlaid(settings, _read_toml(file), str(file))
-    changes = [_parse_override(text) for text in overrides]
-    for text, change in zip(overrides, changes, strict=True):
-        _check_keys(change, where=f"--set {text}")
-    config = _with_overrides(settings, dict(zip(overrides, changes, strict=True)))
-    _check_filters(config, where="the configuration")
+        source = read_toml(
+            file,
+            _HINT,
+            if_unreadable="check the path given to -c",
+            if_invalid="`insdvl-replay config` prints a valid one",
+        )
+        settings = _overlaid(settings, source)
+    config = _with_overrides(settings, [_parse_override(text) for text in overrides])
+    _check_filters(config, source)
     return config
 
 
-def _with_overrides(settings: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]]) -> Config:
-    """Apply all overrides, then convert: two of them may make a filter that neither makes alone."""
-    changed = dict(settings)
-    for change in changes.values():
-        changed = _merged(changed, change)
-    try:
-        return _converted(changed, where="the configuration")
-    except ConfigError:
-        for text, change in changes.items():  # says which one it was
-            settings = _merged(settings, change)
-            _converted(settings, where=f"--set {text}")
-        raise
-
-
-def _overlaid(settings: Mapping[str, Any], changes: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _overlaid(settings: Mapping[str, Any], source: TomlSource) -> dict[str, Any]:
     """Lay a file over the settings; if it names filters, they are all there are."""
-    _check_keys(changes, where)
-    kept = {key: value for key, value in settings.items() if key != "filters" or "filters" not in changes}
-    merged = _merged(kept, changes)
-    _converted(merged, where)
+    kept = {key: value for key, value in settings.items() if key != "filters" or "filters" not in source.content}
+    merged = _merged(kept, source.content)
+    _converted(merged, source)
     return merged
 
 
-def _read_preset(name: str) -> dict[str, Any]:
+def _with_overrides(settings: Mapping[str, Any], overrides: Sequence[TomlSource]) -> Config:
+    """Apply all overrides, then convert: two of them may make a filter that neither makes alone."""
+    changed = dict(settings)
+    for override in overrides:
+        changed = _merged(changed, override.content)
+    try:
+        return _converted(changed, TomlSource("the configuration", _HINT))
+    except ConfigError:
+        for override in overrides:  # says which one it was
+            settings = _merged(settings, override.content)
+            _converted(settings, override)
+        raise
+
+
+def _read_preset(name: str) -> TomlSource:
     if name not in PRESETS:
         raise ConfigError(f"preset '{name}' is not known", f"use one of: {', '.join(PRESETS)}")
-    return tomllib.loads(resources.files("insdvl_replay").joinpath("presets", f"{name}.toml").read_text("utf-8"))
+    text = resources.files("insdvl_replay").joinpath("presets", f"{name}.toml").read_text("utf-8")
+    return TomlSource(f"preset {name}", _HINT, parse_toml(text))
 
 
-def _read_toml(file: Path) -> dict[str, Any]:
-    try:
-        return parsed_toml(read_text(file))
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be read: {error.strerror}", "check the path given to -c") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(
-            f"{file}: is not UTF-8 text (byte {error.start})", "a configuration is a TOML file"
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{file}: is not valid TOML: {error}", "`insdvl-replay config` prints a valid one") from error
-
-
-def _parse_override(text: str) -> dict[str, Any]:
+def _parse_override(text: str) -> TomlSource:
     path, equals, value = text.partition("=")
     keys = path.strip().split(".")
     if not equals or not all(keys) or len(keys) < 2:
-        raise ConfigError(f"--set {text}: is not of the form section.key=value", "for example --set dvl.scale=1.01")
+        raise ConfigError(f"--set {text}: is not of the form section.key=value", _OVERRIDE)
     if not is_writable(text):
-        raise ConfigError(f"--set {text}: is not UTF-8 text", "for example --set dvl.scale=1.01")
+        raise ConfigError(f"--set {text}: is not UTF-8 text", _OVERRIDE)
     try:
-        parsed: Any = parsed_toml(f"value = {value.strip()}")["value"]
-    except tomllib.TOMLDecodeError:
+        parsed: Any = parse_toml(f"value = {value.strip()}")["value"]
+    except TOMLDecodeError:
         parsed = value.strip()
     for key in reversed(keys):
         parsed = {key: parsed}
-    return dict(parsed)
+    return TomlSource(f"--set {text}", _HINT, parsed)
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -129,116 +114,68 @@ def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     return merged
 
 
-def _section_types(struct: type[Struct]) -> dict[str, type[Struct]]:
-    """Find the tables inside a table, each with the structure of its keys; ``*`` stands for any name."""
-    sections = {}
-    for name, hint in get_type_hints(struct).items():
-        if get_origin(hint) is dict:
-            sections[name] = hint
-        for candidate in (hint, *get_args(hint)):
-            if isinstance(candidate, type) and issubclass(candidate, Struct) and get_origin(hint) is not dict:
-                sections[name] = candidate
-    return sections
+def _converted(settings: Mapping[str, Any], source: TomlSource) -> Config:
+    """Check kinds and ranges. Filters are converted one by one, so that a message can name its filter."""
+    filters = settings.get("filters")
+    if isinstance(filters, Mapping):
+        of_each = {name: source.inside("filters", name).converted(entry, Filter) for name, entry in filters.items()}
+        settings = {**settings, "filters": of_each}
+    config = source.converted(settings, Config)
+    _check_finite(msgspec.to_builtins(config), source, ())
+    return config
 
 
-def _check_keys(settings: Mapping[str, Any], where: str, struct: type[Struct] = Config, path: str = "") -> None:
-    """Refuse unknown keys, naming the nearest known one."""
-    sections = _section_types(struct)
-    known = struct.__struct_fields__
-    for key, value in settings.items():
-        if key not in known:
-            meant = nearest(key, known)
-            hint = f"did you mean {path}{meant}?" if meant else f"known here: {', '.join(known)}"
-            raise ConfigError(f"{where}: unknown key {path}{key}", hint)
-        inner = sections.get(key)
-        if inner is None:
-            continue
-        if not isinstance(value, Mapping):
-            raise ConfigError(f"{where}: {path}{key} is a section, found {value!r}", f"write [{path}{key}]")
-        if get_origin(inner) is dict:
-            for name, entry in value.items():
-                if isinstance(entry, Mapping):
-                    _check_keys(entry, where, get_args(inner)[1], f"{path}{key}.{name}.")
-        else:
-            _check_keys(value, where, inner, f"{path}{key}.")
-
-
-def _converted(settings: Mapping[str, Any], where: str) -> Config:
-    """Check kinds and ranges. Filters are checked one by one, so that an error can name its filter."""
-    filters = {
-        name: _checked(entry, Filter, where, f"filters.{name}") for name, entry in settings.get("filters", {}).items()
-    }
-    rest = {key: value for key, value in settings.items() if key != "filters"}
-    return msgspec.structs.replace(_checked(rest, Config, where, ""), filters=filters)
-
-
-def _checked(section: object, kind: type[Section], where: str, path: str) -> Section:
-    try:
-        converted = msgspec.convert(section, kind)
-    except msgspec.ValidationError as error:
-        sentence, _, place = str(error).partition(" - at `$")
-        place = place.rstrip("`")
-        key = f"{path}{place}".lstrip(".") or "the top level"
-        raise ConfigError(
-            f"{where}: {key}: {sentence[0].lower()}{sentence[1:]}{_found(section, place)}",
-            "`insdvl-replay config` prints every key with its kind and unit",
-        ) from error
-    _check_finite(section, where, path)
-    return converted
-
-
-def _found(section: object, place: str) -> str:
-    value: Any = section
-    for part in re.findall(r"\w+", place):
-        value = value[int(part)] if isinstance(value, list | tuple) else value[part]
-    return f", found {_short(repr(value))}" if place else ""
-
-
-def _check_finite(value: object, where: str, path: str) -> None:
+def _check_finite(value: object, source: TomlSource, path: KeyPath) -> None:
     if isinstance(value, float) and not math.isfinite(value):
-        raise ConfigError(f"{where}: {path} must be a finite number, found {value}", "leave out what is not limited")
+        raise ConfigError(
+            f"{source.where(*path)}: {source.key(*path)} must be a finite number, found {value}",
+            "leave out what is not limited",
+        )
     if isinstance(value, float | int) and abs(value) > LARGEST:
         raise ConfigError(
-            f"{where}: {path} must be at most {LARGEST:.0e}, found {value}", "`insdvl-replay config` prints its unit"
+            f"{source.where(*path)}: {source.key(*path)} must be at most {LARGEST:.0e}, found {value}",
+            "`insdvl-replay config` prints its unit",
         )
-    entries: Iterable[tuple[object, object]] = ()
+    entries: Iterable[tuple[Any, object]] = ()
     if isinstance(value, Mapping):
-        entries = ((f"{path}.{key}".lstrip("."), entry) for key, entry in value.items())
+        entries = value.items()
     elif isinstance(value, list | tuple):
-        entries = ((f"{path}[{index}]", entry) for index, entry in enumerate(value))
-    for entry_path, entry in entries:
-        _check_finite(entry, where, str(entry_path))
+        entries = enumerate(value)
+    for key, entry in entries:
+        _check_finite(entry, source, (*path, key))
 
 
-def _short(text: str) -> str:
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
-
-
-def _check_filters(config: Config, where: str) -> None:
+def _check_filters(config: Config, source: TomlSource) -> None:
     if not config.filters:
-        raise ConfigError(f"{where}: no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]')
+        raise ConfigError(
+            f"{source.where()}: no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
+        )
     for name, filter_ in config.filters.items():
+        stands_there = "filters" in source.content and name in source.content["filters"]
+        where = source.where("filters", name) if stands_there else "the configuration"
         if not (name.isascii() and name.isidentifier()):
             raise ConfigError(
                 f"{where}: filter name '{name}' is not a letter followed by letters, digits and _",
                 "the name becomes part of topics and rows",
             )
-        if not filter_.aiding or len(set(filter_.aiding)) != len(filter_.aiding):
-            raise ConfigError(
-                f"{where}: filters.{name}.aiding names a measurement twice or none", 'aiding = ["velocity"]'
-            )
-        acceleration = filter_.acceleration
-        if "acceleration" in filter_.aiding and acceleration is None:
-            raise ConfigError(
-                f"{where}: filters.{name} is aided by acceleration but does not say how",
-                f'[filters.{name}] acceleration = {{ model = "windowed", window = 3 }}',
-            )
-        if acceleration is not None and acceleration.order >= acceleration.window:
-            raise ConfigError(
-                f"{where}: filters.{name}.acceleration.order = {acceleration.order} needs a window above "
-                f"{acceleration.order}, found {acceleration.window}",
-                f"window = {acceleration.order + 1}",
-            )
+        _check_filter(filter_, f"filters.{name}", where)
+
+
+def _check_filter(filter_: Filter, key: str, where: str) -> None:
+    if not filter_.aiding or len(set(filter_.aiding)) != len(filter_.aiding):
+        raise ConfigError(f"{where}: {key}.aiding names a measurement twice or none", 'aiding = ["velocity"]')
+    acceleration = filter_.acceleration
+    if "acceleration" in filter_.aiding and acceleration is None:
+        raise ConfigError(
+            f"{where}: {key} is aided by acceleration but does not say how",
+            f'[{key}] acceleration = {{ model = "windowed", window = 3 }}',
+        )
+    if acceleration is not None and acceleration.order >= acceleration.window:
+        raise ConfigError(
+            f"{where}: {key}.acceleration.order = {acceleration.order} needs a window above "
+            f"{acceleration.order}, found {acceleration.window}",
+            f"window = {acceleration.order + 1}",
+        )
 
 
 def render_toml(config: Config) -> str:

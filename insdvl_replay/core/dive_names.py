@@ -32,7 +32,7 @@ def dive_name(path: Path) -> str:
 
 
 def is_dive_name(name: str) -> bool:
-    """Say whether a name can be that of a dive, and so of a folder or a file below one that is given.
+    """Return whether a name can be that of a dive, and so of a folder or a file below one that is given.
 
     Parameters
     ----------
@@ -84,6 +84,6 @@ def _whole(path: Path) -> Path:
 
 
 def _repeated(names: Sequence[Hashable]) -> list[int]:
-    """Give the places of names that there are twice."""
+    """Return the places of names that there are twice."""
     times = Counter(names)
     return [place for place, name in enumerate(names) if times[name] > 1]

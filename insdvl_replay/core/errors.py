@@ -98,12 +98,12 @@ def looked_for(path: Path) -> Iterator[None]:
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Give the known name of which another may be a misspelling, None where none is like it."""
+    """Return the known name of which another may be a misspelling, None where none is like it."""
     return next(iter(most_like(name, known, most=1, least=ALIKE)), None)
 
 
 def most_like(name: str, known: Iterable[str], most: int, least: float = 0.0) -> list[str]:
-    """Give the known names that are most like another.
+    """Return the known names that are most like another.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def listed(names: Iterable[str], most: int = 8) -> str:
     return ", ".join(first[:most]) + more
 
 
-def refuse_unknown(kind: str, name: str, known: Collection[str]) -> None:
+def refuse_unknown(kind: str, name: str, known: Collection[str], *, within: str = "") -> None:
     """Raise a ConfigError, with the nearest name that is known, if a name is not known.
 
     Parameters
@@ -144,11 +144,13 @@ def refuse_unknown(kind: str, name: str, known: Collection[str]) -> None:
         What it names.
     name : str
     known : collection of str
+    within : str
+        What stands before all of these names, such as ``dvl.``.
     """
     if name not in known:
         meant = nearest(name, known)
-        hint = f"did you mean {meant}?" if meant else f"known: {listed(known)}"
-        raise ConfigError(f"{kind} '{name}' is not known", hint)
+        hint = f"did you mean {within}{meant}?" if meant else f"known: {listed(known)}"
+        raise ConfigError(f"{kind} '{within}{name}' is not known", hint)
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,7 @@ class _SealedFiles(IndexDataCacheFile):
 
 
 def _opened(path: Path) -> bytes | None:
-    """Give what is under the seal; None where there is nothing to be trusted."""
+    """Return what is under the seal; None where there is nothing to be trusted."""
     try:
         content = path.read_bytes()
     except OSError:

@@ -1,18 +1,45 @@
-"""Text from logs, file names and settings as it can be shown anywhere: on one line, and nothing in it acts.
+"""Text from elsewhere: read from small files, and shown on one line, with nothing in it that acts.
 
 A topic may hold whatever its recorder was given. A control character can move a terminal's cursor, a line break can
 begin what a job's log takes for a command, and a character that is not seen can turn the others round. Each becomes an
 escape that is seen. Escapes are for eyes: a backslash stays as it is, so they are not meant to be read back.
 """
 
+import errno
+import os
 import re
 import unicodedata
+from pathlib import Path
 from typing import Final
 
 _ACTING: Final = frozenset(("Cc", "Cf", "Cs", "Zl", "Zp"))
 """Categories of Unicode: control, format that is not seen (bidi, joiners), lone surrogates, breaks of lines."""
 _COMMAND: Final = re.compile(r"^([^\S\n]*):(?=:)", re.MULTILINE)
 _OLD_COMMAND: Final = re.compile(r"#(?=#\w*\[)")
+_MOST_BYTES: Final = 1 << 24
+"""Of a text that is read: more than anybody writes by hand; a device may go on without end."""
+
+
+def read_text(path: Path) -> str:
+    """Read a text in UTF-8, with or without the mark that some editors put in front.
+
+    Parameters
+    ----------
+    path : Path
+        Settings, gates or a list.
+
+    Raises
+    ------
+    OSError
+        It cannot be read, or has more than 16 MiB.
+    UnicodeDecodeError
+        It is not UTF-8.
+    """
+    with path.open("rb") as file:
+        data = file.read(_MOST_BYTES + 1)
+    if len(data) > _MOST_BYTES:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
+    return data.decode("utf-8-sig")
 
 
 def visible(text: str) -> str:
@@ -73,7 +100,7 @@ def without_commands(text: str) -> str:
 
 
 def is_writable(text: str) -> bool:
-    """Tell whether a text can be written as UTF-8: a file's name of other bytes cannot, as Python reads it.
+    """Return whether a text can be written as UTF-8: a file's name of other bytes cannot, as Python reads it.
 
     Parameters
     ----------

@@ -2,23 +2,16 @@
 
 import math
 import re
-import tomllib
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Final
 
-import msgspec
-from msgspec import Struct
-
-from insdvl_replay.core.errors import ConfigError, error_context, refuse_unknown
+from insdvl_replay.core.errors import ConfigError, error_context
 from insdvl_replay.core.plain_text import is_writable
-from insdvl_replay.core.text_files import read_text
-from insdvl_replay.core.toml_text import parsed_toml
-from insdvl_replay.gates.model import LOG, Gate, GateFile, Level
+from insdvl_replay.core.strict_toml import TomlSource, read_toml
+from insdvl_replay.gates.model import LOG, Gate, GateFile
 
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
-_HEADER: Final = re.compile(r"\s*\[\[\s*gate\s*\]\]")
 
 
 @dataclass(frozen=True)
@@ -46,100 +39,32 @@ class Gates:
 def load_gates(path: Path) -> Gates:
     """Read a gate file.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Gates
-
     Raises
     ------
     ConfigError
         It cannot be read, is not TOML, has an unknown key or a value of the wrong kind; two gates share a name, a gate
         has no condition, or none is active.
     """
-    text = _read(path)
-    try:
-        raw = parsed_toml(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: is not valid TOML: {error}", f"[[gate]] {EXAMPLE}") from error
-    lines = _gate_lines(text, raw)
-    with error_context(_place(path, _line_of(text, 0, raw, GateFile))):
-        _refuse_unknown_keys(raw, GateFile.__struct_fields__)
-    for number, entry in enumerate(_entries(raw)):
-        with error_context(f"{_place(path, _line_of(text, lines[number], entry, Gate))}: gate {number + 1}"):
-            _refuse_unknown_keys(entry, Gate.__struct_fields__)
-            if isinstance(level := entry.get("level"), str):
-                refuse_unknown("level", level, get_args(Level))
-            _check_gate(_converted(entry, Gate))
-    with error_context(_place(path, _line_of(text, 0, raw, GateFile))):
-        content = _converted(raw, GateFile)
-        _check_all(content)
-    return Gates(path, content, lines)
-
-
-def _read(path: Path) -> str:
     if not is_writable(str(path)):
         raise ConfigError(f"{path}: its name is not UTF-8, so no result could tell it", "rename it")
-    try:
-        return read_text(path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}", "name a file of gates") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})", "gates are a TOML file") from error
+    source = read_toml(
+        path, f"for example {EXAMPLE}", if_unreadable="name a file of gates", if_invalid=f"[[gate]] {EXAMPLE}"
+    )
+    places = [source.inside("gate", number, label=f"gate {number + 1}") for number in range(_count(source))]
+    for place in places:
+        gate = place.converted(source.content["gate"][place.at[-1]], Gate)
+        with error_context(place.where()):
+            _check_gate(gate)
+    content = source.converted(source.content, GateFile)
+    with error_context(source.name):
+        _check_all(content)
+    return Gates(path, content, tuple(place.line() for place in places))
 
 
-def _entries(raw: dict[str, Any]) -> list[dict[str, Any]]:
-    """Give the gates as far as they are tables; what else stands there is refused when all is converted."""
-    gates = raw.get("gate", [])
-    return [entry for entry in gates if isinstance(entry, dict)] if isinstance(gates, list) else []
-
-
-def _gate_lines(text: str, raw: dict[str, Any]) -> tuple[int, ...]:
-    headers = [number for number, line in enumerate(text.splitlines(), 1) if _HEADER.match(line)]
-    count = len(_entries(raw))
-    return tuple(headers) if len(headers) == count else (0,) * count
-
-
-def _line_of(text: str, first: int, entry: dict[str, Any], kind: type[Struct]) -> int:
-    """Find the line of the key that is wrong with an entry; its first line if none is."""
-    keys = [key for key in entry if key not in kind.__struct_fields__] or [_wrong_key(entry, kind)]
-    for number, line in enumerate(text.splitlines()[max(0, first - 1) :], max(1, first)):
-        if keys[0] and re.match(rf"""\s*(\[\[?\s*)?["']?{re.escape(keys[0])}["']?\s*[]=]""", line):
-            return number
-    return first
-
-
-def _wrong_key(entry: dict[str, Any], kind: type[Struct]) -> str:
-    try:
-        msgspec.convert(entry, kind)
-    except msgspec.ValidationError as error:
-        match = re.search(r"at `\$\.(\w+)", str(error))
-        return match[1] if match else ""
-    return ""
-
-
-def _place(path: Path, line: int) -> str:
-    return f"{path}:{line}" if line else str(path)
-
-
-def _refuse_unknown_keys(entry: dict[str, Any], known: Collection[str]) -> None:
-    for key in entry:
-        refuse_unknown("key", key, known)
-
-
-def _converted(entry: dict[str, Any], kind: type[Struct]) -> Any:
-    try:
-        return msgspec.convert(entry, kind)
-    except msgspec.ValidationError as error:
-        sentence, _, place = str(error).partition(" - at `$")
-        key = place.rstrip("`").lstrip(".")
-        found = f", found {entry[key]!r}" if key in entry else ""
-        raise ConfigError(
-            f"{f'{key}: ' if key else ''}{sentence[:1].lower()}{sentence[1:]}{found}", f"for example {EXAMPLE}"
-        ) from error
+def _count(source: TomlSource) -> int:
+    """Count the gates; what is no array of them is refused when all is converted."""
+    gates = source.content.get("gate")
+    return len(gates) if isinstance(gates, list) else 0
 
 
 def _check_gate(gate: Gate) -> None:

@@ -9,7 +9,7 @@ from insdvl_replay.core.channel import Channel
 from insdvl_replay.core.columns import Dive, ImuColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_names import dive_name
-from insdvl_replay.core.progress import begin
+from insdvl_replay.core.runtime import begin
 from insdvl_replay.logs.columns.role_columns import RoleColumns
 from insdvl_replay.logs.columns.roles import find_roles
 from insdvl_replay.logs.columns.table_reading import read_tables

@@ -13,7 +13,7 @@ from insdvl_replay import __version__
 from insdvl_replay.core.channel import Channel
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.sources import sources_digest
+from insdvl_replay.core.runtime import sources_digest
 from insdvl_replay.core.tables import Candidate, Tables
 
 if TYPE_CHECKING:

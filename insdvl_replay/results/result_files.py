@@ -6,7 +6,7 @@ from insdvl_replay import __version__, logs
 from insdvl_replay.core.columns import Floats, TimeNs
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.history import History
-from insdvl_replay.core.progress import begin
+from insdvl_replay.core.runtime import begin
 from insdvl_replay.core.tables import each_table
 from insdvl_replay.replay import Replay
 from insdvl_replay.report.csv_tables import structs_csv

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.runtime import each
 from insdvl_replay.core.states import STATES
-from insdvl_replay.core.threads import each
 from insdvl_replay.evaluation.ensemble import Ensemble, Tally
 from insdvl_replay.evaluation.ensemble_tables import (
     ensemble_table,

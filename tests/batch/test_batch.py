@@ -23,14 +23,14 @@ from recorded_parts import write_part
 
 import insdvl_replay
 from insdvl_replay.batch.dive_paths import find_dives
-from insdvl_replay.batch.executors import Pool, WorkerLostError, Workers, do_each
-from insdvl_replay.batch.jobs import Order, Task, known_reports, log_digest, plan_tasks, replay_archive, replay_into
-from insdvl_replay.batch.worker_processes import local_workers
+from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest, plan_jobs, replay_into, replay_jobs
+from insdvl_replay.batch.known_results import known_reports
+from insdvl_replay.batch.workers import Pool, WorkerLostError, Workers, do_each, local_workers
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_names import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError
-from insdvl_replay.core.sources import sources_digest
+from insdvl_replay.core.runtime import sources_digest
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.results.json_report import decode_report, encode_report
 from insdvl_replay.sim.dive import simulate_dive
@@ -199,8 +199,10 @@ def test_two_dives_of_one_name_are_replayed_beside_each_other(archive: Path, tmp
         assert decode_report((tmp_path / "out" / name / "report.json").read_bytes()).log.name == name
     rows = (tmp_path / "out" / "summary.csv").read_text().splitlines()[1:]
     assert [row.partition(",")[0] for row in rows] == ["monday_dive", "tuesday_dive"]
-    assert known_reports(plan_tasks(find_dives(logs), tmp_path / "out", Order(load_config())), force=False)
-    assert not known_reports(plan_tasks(find_dives(logs[:1]), tmp_path / "out", Order(load_config())), force=False)
+    assert known_reports(plan_jobs(find_dives(logs), tmp_path / "out", ReplayOptions(load_config())), force=False)
+    assert not known_reports(
+        plan_jobs(find_dives(logs[:1]), tmp_path / "out", ReplayOptions(load_config())), force=False
+    )
 
 
 def test_a_result_that_lost_a_file_is_made_anew(archive: Path, results: Path, tmp_path: Path) -> None:
@@ -236,13 +238,13 @@ def test_digest_of_a_log_and_a_bag_is_that_of_the_reader(archive: Path, tmp_path
         assert log_digest(task(*logs)) == read_dive(logs, load_config()).sha256
 
 
-def task(*logs: Path, output: Path = Path(), **wishes: Any) -> Task:
-    (planned,) = plan_tasks(logs, output, Order(load_config(), **wishes), one_dive=True)
+def task(*logs: Path, output: Path = Path(), **wishes: Any) -> ReplayJob:
+    (planned,) = plan_jobs(logs, output, ReplayOptions(load_config(), **wishes), one_dive=True)
     return planned
 
 
-def known(archive: Path, results: Path, order: Order) -> set[str]:
-    return {target.name for target in known_reports(plan_tasks(find_dives([str(archive)]), results, order), force=True)}
+def known(archive: Path, results: Path, order: ReplayOptions) -> set[str]:
+    return {target.name for target in known_reports(plan_jobs(find_dives([str(archive)]), results, order), force=True)}
 
 
 def test_results_are_known_by_log_settings_and_versions(archive: Path, results: Path, tmp_path: Path) -> None:
@@ -250,10 +252,10 @@ def test_results_are_known_by_log_settings_and_versions(archive: Path, results: 
     shutil.copytree(results, tmp_path / "out")
     config = load_config()
     everything = {f"dive_{seed}" for seed in range(1, 7)}
-    assert known(tmp_path / "logs", tmp_path / "out", Order(config)) == everything
-    assert known(tmp_path / "logs", tmp_path / "out", Order(config, allow_damaged=True)) == everything
-    assert known(tmp_path / "logs", tmp_path / "out", Order(config, control=True)) == set()
-    assert known(tmp_path / "logs", tmp_path / "out", Order(load_config(overrides=["dvl.scale=1.01"]))) == set()
+    assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config)) == everything
+    assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config, allow_damaged=True)) == everything
+    assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config, control=True)) == set()
+    assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(load_config(overrides=["dvl.scale=1.01"]))) == set()
     shutil.copy(archive / "dive_2.mcap", tmp_path / "logs" / "dive_1.mcap")
     saved = tmp_path / "out" / "dive_3" / "report.json"
     report = json.loads(saved.read_bytes())
@@ -262,8 +264,8 @@ def test_results_are_known_by_log_settings_and_versions(archive: Path, results: 
     report = json.loads(versions.read_bytes())
     versions.write_text(json.dumps({**report, "versions": {**report["versions"], "numpy": "1.0"}}))
     (tmp_path / "out" / "dive_5" / "report.json").write_text("{}")
-    assert known(tmp_path / "logs", tmp_path / "out", Order(config)) == {"dive_2", "dive_6"}
-    assert known(tmp_path / "logs", tmp_path / "out", Order(config, sources="other code")) == set()
+    assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config)) == {"dive_2", "dive_6"}
+    assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config, sources="other code")) == set()
 
 
 def test_a_worker_with_other_code_refuses(archive: Path, tmp_path: Path) -> None:
@@ -276,7 +278,7 @@ def test_other_sources_are_another_digest(tmp_path: Path) -> None:
     package = Path(insdvl_replay.__file__).parent
     copy = tmp_path / "insdvl_replay"
     shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    asked = "from insdvl_replay.core.sources import sources_digest; print(sources_digest())"
+    asked = "from insdvl_replay.core.runtime import sources_digest; print(sources_digest())"
 
     def digest() -> str:
         return subprocess.run(
@@ -444,7 +446,7 @@ def test_a_dive_that_kills_its_workers_is_told_by_name(archive: Path, tmp_path: 
         yield Pool(Deadly(), 2)
 
     tasks = [task(archive / f"dive_{seed}.mcap", output=tmp_path) for seed in (1, 2)]
-    first, second = replay_archive(tasks, {}, Workers(fresh), lambda _: None)
+    first, second = replay_jobs(tasks, {}, Workers(fresh), lambda _: None)
     assert isinstance(first.result, LogError)
     assert first.result.message == (
         f"{archive / 'dive_1.mcap'}: its worker died, and died again with nothing else to do: killed"

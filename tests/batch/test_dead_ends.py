@@ -11,9 +11,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from insdvl_replay.batch.executors import Pool, Workers
-from insdvl_replay.batch.jobs import Order, plan_tasks, replay_archive
-from insdvl_replay.batch.worker_processes import _InThisProcess
+from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_jobs
+from insdvl_replay.batch.workers import Pool, Workers, _InThisProcess
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import write_dive
@@ -24,8 +23,8 @@ TOOL = [sys.executable, "-m", "insdvl_replay"]
 PARENT = """
 import sys
 from dying_work import asleep
-from insdvl_replay.batch.executors import do_each
-from insdvl_replay.batch.worker_processes import local_workers
+from insdvl_replay.batch.workers import do_each
+from insdvl_replay.batch.workers import local_workers
 
 if __name__ == "__main__":
     for _, name in do_each(asleep, [0.0, 0.0, 600.0], local_workers(2)):
@@ -128,9 +127,9 @@ def test_a_worker_answers_only_for_the_bytes_that_are_meant(
     log_there = tmp_path / "dive.mcap"
     log_there.write_bytes(log.read_bytes())
     monkeypatch.chdir(tmp_path)
-    tasks = plan_tasks([Path("dive.mcap")], Path("out"), Order(Config()))
+    tasks = plan_jobs([Path("dive.mcap")], Path("out"), ReplayOptions(Config()))
     workers = Workers(lambda _alone: nullcontext(Pool(Elsewhere(), 1)), are_elsewhere=True)
-    [outcome] = replay_archive(tasks, {}, workers, lambda _: None)
+    [outcome] = replay_jobs(tasks, {}, workers, lambda _: None)
     assert seen[0].logs == (log_there,)
     assert seen[0].target == tmp_path / "out" / "dive"
     assert isinstance(outcome.result, LogError)

@@ -9,7 +9,7 @@ import pytest
 from frames import frame
 from scipy import stats
 
-from insdvl_replay.batch.noise_tuning import replay_with_control, with_control
+from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline, with_tuned_baseline
 from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config, Dvl, Filter, Noise, Reference, Span
 from insdvl_replay.core.config_file import load_config, render_toml
@@ -64,7 +64,7 @@ def test_likelihood_is_that_of_normal_innovations() -> None:
 
 @pytest.mark.slow
 def test_fit_finds_the_noise_that_the_dive_was_made_with(dive: Dive) -> None:
-    config, (note,) = with_control(dive, WRONG)
+    config, (note,) = with_tuned_baseline(dive, WRONG)
     tuned = config.filters["tuned"]
     assert tuned.accel_white_mps_rts == pytest.approx(TRUE["accel_white_mps_rts"], rel=0.15)
     assert tuned.beam_sd_mps == pytest.approx(TRUE["beam_sd_mps"], rel=0.05)
@@ -77,7 +77,7 @@ def test_fit_finds_the_noise_that_the_dive_was_made_with(dive: Dive) -> None:
 
 def test_fit_says_where_it_met_the_edge_of_its_range(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("insdvl_replay.batch.noise_tuning.LOWEST", 0.5)
-    config, (note, *_) = with_control(dive, WRONG)
+    config, (note, *_) = with_tuned_baseline(dive, WRONG)
     assert config.filters["tuned"].accel_white_mps_rts == pytest.approx(0.5 * 0.05, rel=0.01)
     assert note.text.endswith("the innovations tell no more: accel_white_mps_rts, gyro_white_rad_rts, beam_sd_mps")
 
@@ -89,7 +89,7 @@ def test_fit_starts_where_the_filters_do_whatever_point_the_reference_is_of(dive
     elsewhere = replace(dive, reference=reference_at_imu(dive.reference, dive.imu, -np.array(arm_m)))
     turning = msgspec.structs.replace(WRONG, span=Span(start_s=105.0, end_s=150.0))
     known = msgspec.structs.replace(turning, reference=Reference(lever_arm_m=arm_m))
-    assert with_control(elsewhere, known)[1] == with_control(dive, turning)[1]
+    assert with_tuned_baseline(elsewhere, known)[1] == with_tuned_baseline(dive, turning)[1]
 
 
 def test_fit_reads_the_dive_from_its_first_ping_on(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,7 +98,7 @@ def test_fit_reads_the_dive_from_its_first_ping_on(dive: Dive, monkeypatch: pyte
     assert dive.dvl.beam_velocity_mps is not None
     late = slice(300, None)
     reached = replace(dive.dvl, time_ns=dive.dvl.time_ns[late], beam_velocity_mps=dive.dvl.beam_velocity_mps[late])
-    config, _ = with_control(replace(dive, dvl=reached), WRONG)
+    config, _ = with_tuned_baseline(replace(dive, dvl=reached), WRONG)
     assert config.filters["tuned"].beam_sd_mps == pytest.approx(TRUE["beam_sd_mps"], rel=0.1)
 
 
@@ -108,7 +108,7 @@ def test_control_needs_its_name_and_a_baseline_aided_by_velocity(dive: Dive) -> 
         {"baseline": load_config().filters["aided"]},
     ):
         with pytest.raises(ConfigError):
-            with_control(dive, Config(filters=filters))
+            with_tuned_baseline(dive, Config(filters=filters))
 
 
 def warnings(notes: tuple[Note, ...]) -> list[Note]:
@@ -120,7 +120,7 @@ def warnings(notes: tuple[Note, ...]) -> list[Note]:
 @pytest.mark.parametrize("grade", GRADES)
 def test_simulated_imus_are_fitted_within_their_class(grade: str, preset: str) -> None:
     dive = simulate_dive("figure-eight", grade=grade, duration_s=300.0)
-    config, notes = with_control(dive, load_config(grade if preset == "own" else preset))
+    config, notes = with_tuned_baseline(dive, load_config(grade if preset == "own" else preset))
     assert not warnings(notes)
     tuned = config.filters["tuned"]
     for key in ("accel_white_mps_rts", "gyro_white_rad_rts"):
@@ -132,8 +132,8 @@ def test_what_a_wrong_lever_arm_does_is_not_called_noise_of_a_sensor(dive: Dive)
     """The DVL is at the IMU; in a turn at 3 deg/s an arm of 3 m is 16 cm/s off."""
     turning = msgspec.structs.replace(WRONG, span=Span(start_s=100.0, end_s=250.0))
     wrong = msgspec.structs.replace(turning, dvl=msgspec.structs.replace(WRONG.dvl, lever_arm_m=(3.0, 0.0, 0.0)))
-    assert not warnings(with_control(dive, turning)[1])
-    (note,) = warnings(with_control(dive, wrong)[1])
+    assert not warnings(with_tuned_baseline(dive, turning)[1])
+    (note,) = warnings(with_tuned_baseline(dive, wrong)[1])
     assert note.code == "control_out_of_class"
     assert "times what the readings scatter by" in note.text
     assert "dvl.lever_arm_m" in note.hint
@@ -143,7 +143,7 @@ def test_what_a_wrong_lever_arm_does_is_not_called_noise_of_a_sensor(dive: Dive)
 def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(snapir: Path, tmp_path: Path) -> None:
     config = load_config(file=Path(__file__).parents[2] / "examples" / "snapir.toml")
     for run in ("02", "05", "12"):
-        replay = replay_with_control(snapir / f"snapir_{run}.mcap", config)
+        replay = replay_with_tuned_baseline(snapir / f"snapir_{run}.mcap", config)
         rows = frame(replay.tables.consistency).set_index(["filter", "measurement"])
         assert 0.8 < rows.loc[("tuned", "velocity"), "mean_nis"] / 3.0 < 1.25
         # What gyro and DVL alone disagree by while the vehicle goes straight is 6 to 13 mm/s in these dives; from ping
@@ -168,6 +168,6 @@ def test_wrong_geometry_of_a_real_dive_is_not_called_noise_of_a_sensor(
     snapir: Path, wrong: tuple[str, ...], suspect: str
 ) -> None:
     config = load_config(file=Path(__file__).parents[2] / "examples" / "snapir.toml", overrides=wrong)
-    notes = warnings(with_control(read_dive(snapir / "snapir_02.mcap", config), config)[1])
+    notes = warnings(with_tuned_baseline(read_dive(snapir / "snapir_02.mcap", config), config)[1])
     assert [note.code for note in notes] == (["control_out_of_class"] if suspect else [])
     assert all(suspect in note.text for note in notes)

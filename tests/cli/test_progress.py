@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from insdvl_replay.batch.jobs import Order, plan_tasks, replay_into
-from insdvl_replay.cli.screen import patience
+from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_into
+from insdvl_replay.cli.screen import spinner
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.progress import begin, told_to
+from insdvl_replay.core.runtime import begin, progress_listener
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -23,9 +23,9 @@ STAGES = [
 
 def test_a_replay_tells_each_of_its_stages(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=20.0, seed=1))
-    [task] = plan_tasks([tmp_path / "dive.mcap"], tmp_path / "out", Order(load_config()))
+    [task] = plan_jobs([tmp_path / "dive.mcap"], tmp_path / "out", ReplayOptions(load_config()))
     told: list[str] = []
-    with told_to(told.append):
+    with progress_listener(told.append):
         replay_into(task)
     assert told == STAGES
     begin("nobody listens any more")
@@ -38,7 +38,7 @@ def test_a_terminal_shows_the_stage_and_a_pipe_nothing(
     for terminal, expected in ((True, "dive.mcap: writing"), (False, "")):
         monkeypatch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
         monkeypatch.setenv("TERM", "xterm")
-        with patience("dive.mcap"):
+        with spinner("dive.mcap"):
             begin("writing")
         shown = capsys.readouterr().err
         assert (expected in shown) if terminal else shown == ""

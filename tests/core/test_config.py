@@ -76,31 +76,39 @@ def test_any_value_survives_being_written_as_toml(
 @pytest.mark.parametrize(
     ("text", "message", "hint"),
     [
-        ("[dvl]\nscle = 1.0", "unknown key dvl.scle", "did you mean dvl.scale?"),
-        ("[dlv]\nscale = 1.0", "unknown key dlv", "did you mean dvl?"),
-        ("[dvl]\nqqqqqqqqqqqq = 1", "unknown key dvl.qqqqqqqqqqqq", "known here: topic, kind"),
-        ('[filters.a]\naidin = ["velocity"]', "unknown key filters.a.aidin", "did you mean filters.a.aiding?"),
+        ("[dvl]\nscle = 1.0", "vehicle.toml:2: key 'dvl.scle' is not known", "did you mean dvl.scale?"),
+        ("[dlv]\nscale = 1.0", "vehicle.toml:1: key 'dlv' is not known", "did you mean dvl?"),
+        ("[dvl]\nqqqqqqqqqqqq = 1", "key 'dvl.qqqqqqqqqqqq' is not known", "known: topic, kind"),
+        (
+            '[filters.a]\naidin = ["velocity"]',
+            "vehicle.toml:2: key 'filters.a.aidin' is not known",
+            "did you mean filters.a.aiding?",
+        ),
         ("dvl = 3", "dvl is a section, found 3", "write [dvl]"),
         ("filters = 3", "filters is a section, found 3", "write [filters]"),
-        ("[filters]\na = 3", "filters.a: expected `object`, got `int`", "prints every key"),
+        ("[filters]\na = 3", "vehicle.toml:2: filters.a is a section, found 3", "write [filters.a]"),
         (
             "[filters.a]\ngate_probability = 1.0",
-            "filters.a: object missing required field `aiding`",
+            "vehicle.toml:1: filters.a: object missing required field `aiding`",
             "prints every key",
         ),
-        ('[dvl]\nlever_arm_m = [0.0, "x", 0.0]', "dvl.lever_arm_m[1]: expected `float`, got `str`, found 'x'", ""),
+        (
+            '[dvl]\nlever_arm_m = [0.0, "x", 0.0]',
+            "toml:2: dvl.lever_arm_m[1]: expected `float`, got `str`, found 'x'",
+            "",
+        ),
         ("[dvl]\nscale = 0", "dvl.scale: expected `float` > 0.0, found 0", "prints every key"),
         ("[dvl]\nlever_arm_m = [0, 0, inf]", "dvl.lever_arm_m[2] must be a finite number, found inf", "leave out"),
         ("[noise]\naccel_white_mps_rts = 1e999", "noise.accel_white_mps_rts must be a finite number", "leave out"),
         ("[dvl", "is not valid TOML", "`insdvl-replay config` prints a valid one"),
         (
             '[filters.b]\naiding = ["velocity", "acceleration"]\nacceleration = { window = 1 }',
-            "filters.b.acceleration.window: expected `int` >= 2, found 1",
+            "vehicle.toml:3: filters.b.acceleration.window: expected `int` >= 2, found 1",
             "prints every key",
         ),
         (
             '[filters.b]\naiding = ["acceleration"]',
-            "filters.b is aided by acceleration but does not say how",
+            "vehicle.toml:1: filters.b is aided by acceleration but does not say how",
             "acceleration = {",
         ),
         (
@@ -125,8 +133,8 @@ def test_a_mistake_in_a_file_is_told_with_place_and_hint(text: str, message: str
     [
         ("dvl.scale", "--set dvl.scale: is not of the form section.key=value"),
         ("scale=3", "--set scale=3: is not of the form section.key=value"),
-        ("dvl.scle=3", "--set dvl.scle=3: unknown key dvl.scle"),
-        ("dvl.kind=boat", "--set dvl.kind=boat: dvl.kind: invalid enum value 'boat'"),
+        ("dvl.scle=3", "--set dvl.scle=3: key 'dvl.scle' is not known"),
+        ("dvl.kind=boat", "--set dvl.kind=boat: dvl.kind 'boat' is not known"),
         ("dvl.scale=nan", "--set dvl.scale=nan: dvl.scale"),
         (
             "filters.aided.acceleration.window=1",
@@ -139,6 +147,29 @@ def test_a_mistake_on_the_command_line_is_told_with_its_own_words(override: str,
         load_config(overrides=["dvl.scale=1.5", override])
     assert caught.value.message.startswith(message)
     assert caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("[dvl]\n# scale = 3\ntopic = '''\nscale = 2\n'''\nscale = 0", ":6: dvl.scale"),
+        ("[dvl]\n\nlever_arm_m = [\n 0,\n 0,\n 'x',\n]\nscale = 1", ":3: dvl.lever_arm_m[2]"),
+        ("[imu]\nlatency_s = 1\n[dvl]\n'latency_s' = 'x'", ":4: dvl.latency_s"),
+        ("dvl.axes = 'frd'\ndvl.kind = 'beam'", ":2: dvl.kind 'beam' is not known"),
+        ("[filters.a]\naiding = ['velocity', 'accel']", ":2: filters.a.aiding[1] 'accel' is not known"),
+        ("[dvl]\n\n'scale - at `$.kind`' = 1", ":3: key 'dvl.scale - at `$.kind`' is not known"),
+    ],
+)
+def test_a_mistake_in_a_file_is_told_with_its_line(text: str, place: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(file=written(tmp_path, text))
+    assert caught.value.message.startswith(f"{tmp_path / 'vehicle.toml'}{place}")
+
+
+def test_a_mistyped_word_is_told_the_nearest_one(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(file=written(tmp_path, '[dvl]\nkind = "beam"'))
+    assert caught.value.hint == "did you mean beams?"
 
 
 def test_overrides_that_only_fit_together_are_taken_together() -> None:

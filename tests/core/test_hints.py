@@ -76,7 +76,7 @@ def test_key_that_is_like_none_is_answered_with_those_there_are(tmp_path: Path) 
     file.write_text("[span]\nfrom = 3.0\n")
     with pytest.raises(ConfigError) as refused:
         load_config(file=file)
-    assert refused.value.hint == "known here: start_s, end_s"
+    assert refused.value.hint == "known: start_s, end_s"
 
 
 def test_an_error_knows_its_places_apart_from_its_sentence() -> None:

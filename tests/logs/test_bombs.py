@@ -21,7 +21,7 @@ from mcap.writer import Writer
 
 from insdvl_replay.checks.gyro_comparison import turned_by
 from insdvl_replay.checks.reference_motion import _legs, _Ways
-from insdvl_replay.cli.messages import tell_failure
+from insdvl_replay.cli.messages import log_failure
 from insdvl_replay.core.columns import ImuColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, Note, most_like
@@ -337,5 +337,5 @@ def test_legs_begin_where_a_grid_in_time_would_begin_them() -> None:
 
 
 def test_want_of_memory_is_no_mistake_of_the_program(capsys: pytest.CaptureFixture[str]) -> None:
-    assert tell_failure(MemoryError("Unable to allocate 8 GiB"), 0) == 3
+    assert log_failure(MemoryError("Unable to allocate 8 GiB"), 0) == 3
     assert "error: there is not enough memory: Unable to allocate 8 GiB; hint:" in capsys.readouterr().err

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from insdvl_replay.batch.noise_tuning import with_control
+from insdvl_replay.batch.noise_tuning import with_tuned_baseline
 from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config, Dvl, Filter, Noise
 from insdvl_replay.geometry.beams import DvlMounting
@@ -118,7 +118,7 @@ def test_the_control_fits_the_noise_that_the_baseline_has(
         monkeypatch.setattr(f"insdvl_replay.batch.noise_tuning.{edge}", 1.0)
     config, _ = configured(common, own)
     for from_one, (key, sd_mps) in ((dive, with_beams), (reports_velocities(dive), without)):
-        tuned = with_control(from_one, config)[0].filters["tuned"]
+        tuned = with_tuned_baseline(from_one, config)[0].filters["tuned"]
         assert getattr(tuned, key) == pytest.approx(sd_mps)
         found = resolved(tuned, config, from_beams=from_one is dive)
         assert found.dvl_noise == (key, pytest.approx(sd_mps))

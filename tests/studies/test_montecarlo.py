@@ -23,8 +23,8 @@ from insdvl_replay.core.config import Config, Dvl, Filter
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
+from insdvl_replay.core.runtime import each
 from insdvl_replay.core.states import BA, BG, DEG, DV, MG, PHI, STATES
-from insdvl_replay.core.threads import each
 from insdvl_replay.evaluation.ensemble import Ensemble, RunErrors, Tally, run_errors
 from insdvl_replay.evaluation.ensemble_tables import montecarlo_table, outage_table, verdict_table
 from insdvl_replay.evaluation.state_errors import motion_error, nees

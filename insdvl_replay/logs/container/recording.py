@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.core.text_files import read_text
+from insdvl_replay.core.plain_text import read_text
 from insdvl_replay.logs.container.mcap_file import Log
 from insdvl_replay.logs.container.parts import Parts
 

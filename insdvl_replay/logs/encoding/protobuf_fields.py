@@ -14,7 +14,13 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.encoding.decoded_fields import DecodedFields, Shape
-from insdvl_replay.logs.encoding.field_paths import MOST_LEVELS, MOST_PATHS, NUMBER, TEXT, too_large
+from insdvl_replay.logs.encoding.field_paths import (
+    MOST_LEVELS,
+    MOST_PATHS,
+    NUMBER,
+    TEXT,
+    too_large,
+)
 
 
 class ProtobufReader(DecodedFields):

@@ -1,23 +1,36 @@
-"""The same work on many items, wherever it is done, through ``concurrent.futures``.
+"""The same work on many items: in this process, or in others that it starts and that end with it.
 
-`worker_processes` are workers here, `cluster` has those elsewhere.
+`cluster` has workers elsewhere; all of them are reached through ``concurrent.futures``.
 
 A worker that dies takes what it held with it. Such items are tried once more, one at a time in a fresh worker, so that
 the one that kills its worker is told from those that stood beside it.
 """
 
+import multiprocessing
+import os
+import signal
+import threading
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
-from contextlib import AbstractContextManager
+from concurrent.futures.process import ProcessPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from typing import TypeVar
+from types import FrameType
+from typing import Any, Final, NoReturn, TypeVar
 
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.runtime import collect_rarely
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+_THREADS_OF_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""How numpy is told, before it is imported, on how many cores to multiply matrices."""
+_GRACE_S: Final = 3
+"""How long a worker gets to remove what it has half written."""
 
 
 class WorkerLostError(LogError):
@@ -73,8 +86,6 @@ def do_each(
     ----------
     work : callable
         Can be imported by name. It should be the same to do it twice.
-    items : sequence
-    workers : Workers
 
     Yields
     ------
@@ -141,3 +152,84 @@ def _outcome(future: Future[Result], lost: tuple[type[BaseException], ...]) -> R
         # Else it would keep all that was read of its dive for as long as somebody keeps the error.
         traceback.clear_frames(error.__traceback__)
         return error
+
+
+def local_workers(jobs: int) -> Workers:
+    """Work in this process, or in several new ones: as many as jobs at the same time."""
+    if jobs == 1:
+        return Workers(lambda _alone: nullcontext(Pool(_InThisProcess(), 1)))
+    return Workers(lambda alone: _processes(1 if alone else jobs))
+
+
+class _InThisProcess(Executor):
+    """Do the work at once."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class _Processes(ProcessPoolExecutor):
+    """Processes each of which ends as a whole when the parent wants it to, and not the item alone."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        return super().submit(_do, fn, *args, **kwargs)
+
+
+@contextmanager
+def _processes(jobs: int) -> Iterator[Pool]:
+    """Spawn processes; an exception, an interruption included, ends them with what they do."""
+    executor = _Processes(jobs, multiprocessing.get_context("spawn"), _begin)
+    before = set(multiprocessing.active_children())
+    try:
+        yield Pool(executor, 1 if jobs == 1 else 2 * jobs)
+        executor.shutdown()
+    except BaseException:
+        ours = set(multiprocessing.active_children()) - before
+        for process in ours:
+            process.terminate()
+        for process in ours:
+            process.join(2 * _GRACE_S)
+        executor.shutdown(wait=False, cancel_futures=True)
+        raise
+
+
+def _begin() -> None:
+    """Prepare a new process for its work, before numpy is imported."""
+    for name in _THREADS_OF_LIBRARIES:
+        os.environ.setdefault(name, "1")  # the other cores belong to the other processes
+    collect_rarely()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all processes; the parent ends them
+    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_end_with_the_parent, daemon=True).start()
+
+
+def _end_with_the_parent() -> None:
+    """Wait until the parent is gone, however it ended, and end this worker: nobody else would."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(_GRACE_S)
+        os._exit(1)  # compiled code may leave Python no moment for its handler
+
+
+class _Leaving(SystemExit):
+    """The parent wants this worker to end: what is half written is removed on the way out."""
+
+
+def _leave(_signal: int, _frame: FrameType | None) -> NoReturn:
+    signal.alarm(_GRACE_S)  # ends the process where the exception is caught by someone on its way
+    raise _Leaving
+
+
+def _do(work: Callable[..., Result], *args: Any, **kwargs: Any) -> Result:
+    """Do the work; if the parent wants the worker to end, end it."""
+    try:
+        return work(*args, **kwargs)
+    except _Leaving:
+        os._exit(1)

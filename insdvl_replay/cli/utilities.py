@@ -1,0 +1,179 @@
+"""``simulate``, ``config``, ``schema`` and ``compile``: what prepares replays, and is prepared for them."""
+
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from insdvl_replay.cli.messages import log_to_stderr, write_stdout
+from insdvl_replay.cli.options import Force, Outages, Preset, Scenario, Settings, Verbose, grade_names, outage_spans
+from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.plain_text import visible
+
+if TYPE_CHECKING:
+    from insdvl_replay.sim.sensor_errors import LostBeam
+
+_SHORT_S = 10.0
+
+
+def simulate(
+    scenario: Scenario,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="LOG", help="The MCAP file to write.")],
+    seed: Annotated[
+        int, typer.Option(metavar="N", help="Of every sensor error; the same seed gives the same bytes.")
+    ] = 1,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="Seconds; left out, as long as the scenario is.")
+    ] = None,
+    imu: Annotated[
+        str,
+        typer.Option(metavar="GRADE", help="How good the IMU is: fog, tactical or mems.", autocompletion=grade_names),
+    ] = "fog",
+    outage: Outages = [],  # noqa: B006
+    lost_beam: Annotated[
+        list[str],
+        typer.Option(metavar="BEAM:START:END", help="The same for one beam, counted from 0. May be repeated."),
+    ] = [],  # noqa: B006
+    force: Force = False,
+    verbose: Verbose = 0,
+) -> None:
+    """Write a simulated dive as a log.
+
+    Its reference is the exact motion, and it holds the true sensor biases.
+
+    \b
+    Example:
+      insdvl-replay simulate figure-eight -o dive.mcap --imu tactical --seed 7
+      insdvl-replay simulate straight -o dive.mcap --outage 60:90 --lost-beam 2:120:180
+    """
+    from insdvl_replay.logs.writing.dive_log import write_dive
+    from insdvl_replay.results.folder import result_file
+    from insdvl_replay.sim.dive import simulate_dive
+
+    with result_file(output, force=force) as path:
+        dive = simulate_dive(
+            scenario,
+            seed=seed,
+            duration_s=duration,
+            grade=imu,
+            outages=outage_spans(outage),
+            lost_beams=[_lost_beam(text) for text in lost_beam],
+        )
+        write_dive(path, dive)
+    log_to_stderr(f"wrote {output}")
+
+
+def _lost_beam(text: str) -> "LostBeam":
+    from insdvl_replay.sim.sensor_errors import LostBeam
+
+    try:
+        beam, start_s, end_s = text.split(":")
+        return LostBeam(int(beam), float(start_s), float(end_s))
+    except ValueError as error:
+        raise ConfigError(
+            f"--lost-beam {text}: is not of the form BEAM:START:END", "for example --lost-beam 2:120:180"
+        ) from error
+
+
+def config(
+    preset: Preset = None,
+    file: Annotated[
+        Path | None, typer.Option("--from", metavar="FILE", help="Settings as TOML, on top of the preset.")
+    ] = None,
+    settings: Settings = [],  # noqa: B006
+    verbose: Verbose = 0,
+) -> None:
+    """Print the resolved settings as commented TOML.
+
+    It is ready to be edited and given to `run -c`. Precedence: defaults, then preset, then file, then --set.
+
+    \b
+    Example:
+      insdvl-replay config --preset fog > vehicle.toml
+      insdvl-replay config --from vehicle.toml --set dvl.scale=1.01
+    """
+    from insdvl_replay.core.config_file import load_config, render_toml
+
+    write_stdout(render_toml(load_config(preset, file, settings)))
+
+
+def schema(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="NAME",
+            help="config, report, inspection, study, comparison, check, or a message type; left out: those of JSON.",
+        ),
+    ] = None,
+    verbose: Verbose = 0,
+) -> None:
+    """Print a JSON schema, or the definition of a ROS 2 message.
+
+    \b
+    Example:
+      insdvl-replay schema report
+      insdvl-replay schema insdvl_msgs/msg/NavSolution
+    """
+    from insdvl_replay.cli.json_schemas import SCHEMAS
+
+    if name is None:
+        write_stdout("".join(f"{known}\n" for known in SCHEMAS))
+    elif name in SCHEMAS:
+        write_stdout(SCHEMAS[name]().decode())
+    else:
+        write_stdout(_message_definition(name, ", ".join(SCHEMAS)))
+
+
+def _message_definition(name: str, others: str) -> str:
+    from insdvl_replay.core.errors import LogError
+    from insdvl_replay.logs.encoding.ros2msg import definition_text
+
+    try:
+        return definition_text(name)
+    except LogError as error:
+        raise ConfigError(
+            f"schema '{name}' is not known",
+            f"known: {others}, and message types such as insdvl_msgs/msg/NavSolution",
+        ) from error
+
+
+def compile_(verbose: Verbose = 0) -> None:
+    """Compile the filter ahead of the first run, which else does it.
+
+    The code is kept in ~/.cache/insdvl-replay, or where INSDVL_REPLAY_CACHE says. Runs with the same variable find it
+    there, even where that folder cannot be written any more, as in a container.
+
+    \b
+    Example:
+      insdvl-replay compile -v
+      insdvl-replay compile
+      INSDVL_REPLAY_CACHE=/opt/insdvl-replay insdvl-replay compile
+    """
+    from insdvl_replay.core.compiled import cache_folder, is_warm
+
+    folder, start_s = cache_folder(), time.perf_counter()
+    if folder is None:
+        raise ConfigError(
+            "compiled code cannot be kept: its folder cannot be written, or others can write there, too",
+            "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile",
+        )
+    was_warm = is_warm()
+    with TemporaryDirectory() as name:
+        _replay_something(Path(name) / "dive.mcap")
+    took_s = time.perf_counter() - start_s
+    write_stdout(
+        visible(f"was compiled already: {folder}" if was_warm else f"compiled in {took_s:.1f} s: {folder}") + "\n"
+    )
+
+
+def _replay_something(log: Path) -> None:
+    """Go through all that a run compiles."""
+    from insdvl_replay.core.config import Config
+    from insdvl_replay.logs import write_dive
+    from insdvl_replay.replay import replay_log
+    from insdvl_replay.sim.dive import simulate_dive
+
+    write_dive(log, simulate_dive("straight", seed=1, duration_s=_SHORT_S))
+    replay_log(log, Config())
