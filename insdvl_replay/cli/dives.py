@@ -13,25 +13,16 @@ from insdvl_replay.batch.jobs import Order, Outcome, Task, known_reports, plan_t
 from insdvl_replay.batch.worker_processes import local_workers
 from insdvl_replay.cli.messages import emit, tell, tell_failure, tell_notes
 from insdvl_replay.cli.options import Format
-from insdvl_replay.cli.screen import DivesBar, compiling, patience, rendered
+from insdvl_replay.cli.screen import DivesBar, compiling, in_format, patience
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.report.page import is_page
+from insdvl_replay.results.dive_document import dive_document, report_csv
 from insdvl_replay.results.folder import refuse_existing_file, result_file
-from insdvl_replay.results.index_page import index_page
 from insdvl_replay.results.json_report import Report, encode_report
-from insdvl_replay.results.output import latex_report, markdown_report, report_csv
-from insdvl_replay.results.summary import Failure, is_summary, summary_csv
+from insdvl_replay.results.overviews import Failure, index_page, is_summary, summary_csv
 
 OVERVIEWS: Final = {"summary.csv": (summary_csv, is_summary), "index.html": (index_page, is_page)}
 """What lays several dives beside each other, and tells it from somebody else's work, by the name of its file."""
-
-PRINTED = {
-    Format.TABLE: rendered,
-    Format.JSON: lambda report: encode_report(report).decode(),
-    Format.CSV: report_csv,
-    Format.MARKDOWN: markdown_report,
-    Format.LATEX: latex_report,
-}
 
 
 @dataclass(frozen=True)
@@ -155,7 +146,14 @@ def _with_bar(tasks: Sequence[Task], known: dict[Path, Report], workers: Workers
 
 def _tell_result(outcome: Outcome, report: Report, manner: Manner, *, quiet: bool) -> int:
     if not quiet:
-        emit(PRINTED[manner.format](report))
+        emit(
+            in_format(
+                manner.format,
+                document=lambda: dive_document(report),
+                json=lambda: encode_report(report),
+                csv=lambda: report_csv(report),
+            )
+        )
     tell_notes(report.notes, verbose=manner.verbosity > 0)
     tell(f"{'unchanged' if outcome.unchanged else 'wrote'} {outcome.task.target}")
     return _refuse_warnings(report, manner.verbosity) if manner.strict else 0

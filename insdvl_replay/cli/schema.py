@@ -25,12 +25,12 @@ def schema(
       insdvl-replay schema report
       insdvl-replay schema insdvl_msgs/msg/NavSolution
     """
-    from insdvl_replay.cli.json_schemas import SCHEMAS
+    from insdvl_replay.cli.json_schemas import SCHEMAS, json_schema
 
     if name is None:
         emit("".join(f"{known}\n" for known in SCHEMAS))
     elif name in SCHEMAS:
-        emit(SCHEMAS[name]().decode())
+        emit(json_schema(name).decode())
     else:
         emit(_message_definition(name, ", ".join(SCHEMAS)))
 

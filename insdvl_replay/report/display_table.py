@@ -1,4 +1,4 @@
-"""Tables and numbers for people: titles, units, four significant digits. `terminal`, `markup` and `page` dress them."""
+"""Tables and numbers for people: titles, units, four significant digits."""
 
 import math
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ CellText = str | tuple[str, ...]
 
 @dataclass(frozen=True)
 class ShownTable:
-    """A table ready to be dressed.
+    """A table ready to be rendered.
 
     Attributes
     ----------
@@ -42,6 +42,8 @@ class ShownTable:
     rows : tuple of tuples of str, or of tuples of str for cells of several lines
     footnote : str
         What the rows cannot say.
+    title_apart : bool
+        On a terminal the title has a line of its own, and is not folded to the width of a narrow table.
     """
 
     title: str
@@ -49,6 +51,7 @@ class ShownTable:
     alignment: str
     rows: tuple[tuple[CellText, ...], ...]
     footnote: str = ""
+    title_apart: bool = False
 
 
 def cell_lines(cell: CellText) -> list[str]:
@@ -62,16 +65,7 @@ def row_label(name: str) -> str:
 
 
 def number(value: float | None) -> str:
-    """Write a number with four significant digits, without an exponent where that stays short.
-
-    Parameters
-    ----------
-    value : float or None
-
-    Returns
-    -------
-    str
-    """
+    """Write a number with four significant digits, without an exponent where that stays short."""
     if value is None or math.isnan(value):
         return MISSING
     if value == 0.0 or math.isinf(value):

@@ -1,6 +1,7 @@
 """Pictures as SVG and PNG: drawn without a screen, and to the same bytes from the same input."""
 
 import io
+import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Final
@@ -12,6 +13,8 @@ from matplotlib.figure import Figure
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.states import State
+from insdvl_replay.report.document import Html
+from insdvl_replay.report.page import escape
 
 # Nobody's own style, text as text, identifiers from the salt, and no date or version of the drawing program.
 _OWN_STYLE: Final[dict[str, Any]] = {
@@ -29,6 +32,15 @@ SETTLED: Final = 0.02
 
 FAR_ABOVE: Final = 10.0
 """A NEES this many times above the interval is drawn on a logarithmic scale, which shows the others, too."""
+
+
+_THEME: Final = {
+    "#ffffff": "var(--paper)", "#000000": "var(--ink)", "#808080": "var(--soft)",
+    "#b0b0b0": "var(--soft)", "#cccccc": "var(--rule)",
+    "#1f77b4": "var(--blue)", "#d62728": "var(--red)", "#2ca02c": "var(--green)",
+    "#ff7f0e": "var(--ochre)", "#9467bd": "var(--purple)",
+}  # fmt: skip
+"""The drawing program's colours, and which of the page's they become."""
 
 
 def own_style() -> AbstractContextManager[None]:
@@ -127,3 +139,29 @@ def _draw_state(panel: Axes, state: State, time_s: Floats, sd: Floats, error_sd:
     settled = time_s >= SETTLED * time_s[-1]
     lowest, highest = min(0.0, error_mean[settled].min()), max(sd[settled].max(), error_sd[settled].max())
     panel.set_ylim(1.1 * lowest - 0.1 * highest, 1.1 * highest)
+
+
+def picture(name: str, svg: bytes) -> Html:
+    """Put a picture into the page, in the page's colours, no wider than it was drawn and never too small to be read.
+
+    Parameters
+    ----------
+    name : str
+        Of the picture among those of the page.
+    svg : bytes
+        From `pictures.picture_bytes`.
+
+    Returns
+    -------
+    Html
+    """
+    text = svg.decode()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
+    text = re.sub(r'<g id="[^"]*"', "<g", text)
+    as_drawn = rf'\1 style="max-width: \2; min-width: calc(.7 * \2)" role="img" aria-label="{escape(name)}"'
+    text = re.sub(r'(<svg [^>]*?) width="([^"]*)" height="[^"]*"', as_drawn, text)
+    text = re.sub(r'(id="|url\(#|href="#)', rf"\g<1>{re.sub('[^a-z]', '-', name)}-", text)
+    for colour, variable in _THEME.items():
+        text = text.replace(colour, variable)
+    return Html(f'<figure class="picture">{text}</figure>')

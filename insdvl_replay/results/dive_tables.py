@@ -1,11 +1,10 @@
 """The tables of one dive for people: what each candidate gains, and how far each filter is to be trusted."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
 from insdvl_replay.core.result_tables import NOT_JUDGED, is_whole
 from insdvl_replay.report.display_table import MISSING, ShownTable, decimal, number, percent, row_label
-from insdvl_replay.results.dive_sentences import MEANS
 from insdvl_replay.results.json_report import (
     Candidate,
     ConsistencyRow,
@@ -15,6 +14,12 @@ from insdvl_replay.results.json_report import (
     ReferenceErrorRow,
     Report,
 )
+
+MEANS: Final = (
+    "believed: mean over nine states, by the filter's own covariance; actual: median of the errors against the "
+    "reference; sooner: mean convergence"
+)
+"""What stands in the columns of candidates."""
 
 
 class _OfFilter(Protocol):

@@ -11,10 +11,8 @@ from test_report import report
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
 from insdvl_replay.report.display_table import ShownTable
-from insdvl_replay.report.page_parts import picture
-from insdvl_replay.report.pictures import picture_bytes
-from insdvl_replay.results.index_page import index_page
-from insdvl_replay.results.summary import Failure
+from insdvl_replay.report.pictures import picture, picture_bytes
+from insdvl_replay.results.overviews import Failure, index_page
 from insdvl_replay.studies.observability_picture import draw_singular_values
 from insdvl_replay.studies.study_report import StudyReport, write_study
 
