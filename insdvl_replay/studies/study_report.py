@@ -15,6 +15,9 @@ from insdvl_replay.report.csv_tables import blocks_csv, table_csv
 from insdvl_replay.report.display_table import ShownTable
 from insdvl_replay.report.document import PAGE, Facts, Heading, Lead, Only, Part, Title, losses, settings_details
 from insdvl_replay.report.page import page
+from insdvl_replay.report.plots.panel import Figure
+from insdvl_replay.report.plots.png import figure_png
+from insdvl_replay.report.plots.svg import sheet_svg
 from insdvl_replay.results.folder import COMPLETE
 from insdvl_replay.results.folder import PAGE as PAGE_FILE
 from insdvl_replay.results.json_report import Files, Tool, as_json, package_versions, records, this_tool
@@ -22,7 +25,6 @@ from insdvl_replay.results.json_report import Files, Tool, as_json, package_vers
 if TYPE_CHECKING:
     # Only their types are needed, and whoever asks for the schema must not wait for them.
     import pandas as pd
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -79,42 +81,39 @@ class StudyResult(Struct, frozen=True):
 
 
 def write_study(
-    report: StudyReport, folder: Path, pictures: "Mapping[str, Figure] | None" = None, *, png: bool = False
+    report: StudyReport, folder: Path, figures: Mapping[str, Figure] | None = None, *, png: bool = False
 ) -> None:
-    """Write the pictures, the tables, the settings, the page and, last, the file by which a result is known.
+    """Write the figures, the tables, the settings, the page and, last, the file by which a result is known.
 
     Parameters
     ----------
     report : StudyReport
     folder : Path
         Exists; its other files are left alone.
-    pictures : mapping of str to matplotlib.figure.Figure, optional
+    figures : mapping of str to Figure, optional
         By the name of their files.
     png : bool
-        Write the pictures as PNG, too.
+        Draw them as PNG, too.
     """
-    from insdvl_replay.report.pictures import picture, picture_bytes
-
-    drawn = {name: picture_bytes(figure, "svg") for name, figure in (pictures or {}).items()}
-    for name, svg in drawn.items():
-        (folder / f"{name}.svg").write_bytes(svg)
-    for name, figure in (pictures or {}).items() if png else ():
-        (folder / f"{name}.png").write_bytes(picture_bytes(figure, "png"))
-    shown = [picture(name, svg) for name, svg in drawn.items()]
-    (folder / PAGE_FILE).write_bytes(page(study_document(report, shown)))
+    figures = figures or {}
+    for name, figure in figures.items():
+        (folder / f"{name}.svg").write_bytes(sheet_svg(figure))
+        if png:
+            (folder / f"{name}.png").write_bytes(figure_png(figure))
+    (folder / PAGE_FILE).write_bytes(page(study_document(report, list(figures.values()))))
     for name, table in {**report.tables, **report.series}.items():
         (folder / f"{name}.csv").write_bytes(table_csv(table))
     (folder / "config.toml").write_text(render_toml(report.config), "utf-8")
     (folder / COMPLETE).write_bytes(study_json(report))
 
 
-def study_document(report: StudyReport, pictures: Sequence[Part] = ()) -> list[Part]:
+def study_document(report: StudyReport, figures: Sequence[Figure] = ()) -> list[Part]:
     """Lay out a study."""
     return [
         Title(report.title),
         *map(Lead, report.sentences),
         Heading("Pictures"),
-        *pictures,
+        *figures,
         Heading("Tables"),
         *report.shown,
         Heading("What was lost or assumed"),

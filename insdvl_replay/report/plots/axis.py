@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -30,6 +31,8 @@ class Axis:
     start, end : float
         Places of the ends on the paper.
     scale : {'linear', 'log'}
+    whole : bool
+        Ticks are whole numbers alone.
     """
 
     low: float
@@ -37,6 +40,7 @@ class Axis:
     start: float
     end: float
     scale: Scale = "linear"
+    whole: bool = False
 
     def place(self, values: Floats) -> Floats:
         """Give the places of values; NaN where a logarithmic axis has none."""
@@ -53,7 +57,7 @@ class Axis:
             values = _decades(self.low, self.high, count)
             labels = [_power(value) for value in values]
         else:
-            step, values = _round_values(self.low, self.high, count)
+            step, values = _round_values(self.low, self.high, count, whole=self.whole)
             labels = [_plain(value, step) for value in values]
         inside = (values >= self.low) & (values <= self.high)
         places = self.place(values).tolist()
@@ -87,11 +91,14 @@ def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
     return low - air, high + air
 
 
-def _round_values(low: float, high: float, count: int) -> tuple[float, Floats]:
+def _round_values(low: float, high: float, count: int, *, whole: bool) -> tuple[float, Floats]:
     """Find the smallest step that needs no more than some intervals, smaller if it shows one value, and its values."""
     smallest = (high - low) / count
     steps = [share * 10.0 ** math.floor(math.log10(smallest)) for share in _STEPS]
-    for step in reversed([step for before, step in zip([0.0, *steps], steps, strict=False) if before < smallest]):
+    fitting = [
+        step for before, step in pairwise([0.0, *steps]) if before < smallest and (step.is_integer() or not whole)
+    ]
+    for step in reversed(fitting):
         values = np.arange(math.floor(low / step), math.ceil(high / step) + 1, dtype=np.float64) * step
         if np.sum((values >= low) & (values <= high)) > 1:
             break
