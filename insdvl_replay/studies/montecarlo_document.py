@@ -10,7 +10,9 @@ from insdvl_replay.core.states import NINE, STATES, State
 from insdvl_replay.report.display_table import ShownTable, number, percent, row_label
 from insdvl_replay.report.plots.panel import LIMIT, REFERENCE, Curve, Figure, Panel, filter_style
 
-BELIEVED, MEAN = filter_style(0), filter_style(2)
+BELIEVED: Final = f"{filter_style(0)} {filter_style(1)}"
+"""The dashes of the first filter in the blue of the second, as in the paper."""
+MEAN: Final = filter_style(2)
 SETTLED: Final = 0.02
 """Share of the dive after which a panel shows everything; before, a sigma may fall from fifty times as high."""
 FAR_ABOVE: Final = 10.0

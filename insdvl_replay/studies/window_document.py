@@ -19,6 +19,7 @@ _HEADERS: Final = {"compensated": "arm comp.", "ignored": "arm ignored", "none":
 
 _TITLES: Final = {"compensated": "lever arm compensated", "ignored": "lever arm ignored", "none": "no lever arm"}
 _STYLES: Final = {"middle": filter_style(1), "end": filter_style(0)}
+_ALONE: Final = "zero"
 
 
 def window_sentences(best: pd.DataFrame, differentiated_over_s: Sequence[float]) -> tuple[str, ...]:
@@ -104,7 +105,7 @@ def window_figure(windows: pd.DataFrame) -> Figure:
     y_limits = limits(windows["rmse_mps2"].to_numpy(), "log")
     panels = tuple(
         Panel(
-            f"{_TITLES[str(arm)]}: acceleration error, rms [m/s²]",
+            f"rms error [m/s²], {_TITLES[str(arm)]}",
             "number of velocities n",
             tuple(_curves(rows, windows["log"].iloc[0])),
             y_scale="log",
@@ -113,16 +114,18 @@ def window_figure(windows: pd.DataFrame) -> Figure:
         )
         for arm, rows in windows.groupby("lever_arm", sort=False)
     )
-    alone = " Thin lines are single logs." if windows["log"].nunique() > 1 else ""
-    legend = tuple((style, f"at the {at} of the window") for at, style in _STYLES.items())
-    return Figure("Acceleration errors by the number of velocities", f"Dots: the least error.{alone}", panels, legend)
+    legend = [(style, f"{at} of the window") for at, style in _STYLES.items()]
+    if windows["log"].nunique() > 1:
+        legend.append((_ALONE, "each log alone"))
+    caption = "Dots: the number of velocities with the least error."
+    return Figure("Acceleration errors by the number of velocities", caption, panels, tuple(legend))
 
 
 def _curves(windows: pd.DataFrame, first: str) -> Iterator[Curve]:
     """Draw the first log last, which lies on top."""
     for (log, at), rows in reversed(list(windows.groupby(["log", "at"], sort=False))):
         style, n, rmse = _STYLES[str(at)], rows["n"].to_numpy(np.float64), rows["rmse_mps2"].to_numpy()
-        yield Curve(n, rmse, style if log == first else f"{style} solid")
+        yield Curve(n, rmse, style if log == first else f"{style} {_ALONE}")
         if log == first:
             least = int(rmse.argmin())
             yield Curve(n[[least]], rmse[[least]], style, points=True)

@@ -19,10 +19,16 @@ _LOOKS: Final[dict[str, dict[str, Any]]] = {
     "filter5": {"color": "#0a7c86", "linestyle": (0, (4, 2, 1, 2, 1, 2))},
     "reference": {"color": "#1b2330", "linewidth": 1.0},
     "limit": {"color": "#1b2330", "linestyle": (0, (4, 3)), "linewidth": 1.0},
-    "solid": {"linestyle": "-", "linewidth": 1.0},
+    "zero": {"color": "#566172", "linewidth": 0.7},
 }
 """The styles of the pages' style sheet, as far as studies use them."""
-_OWN_STYLE: Final[dict[str, Any]] = {"font.size": 9.0, "axes.grid": True, "grid.alpha": 0.3, "lines.linewidth": 1.5}
+_OWN_STYLE: Final[dict[str, Any]] = {
+    "font.size": 9.0,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "lines.linewidth": 1.5,
+    "lines.scale_dashes": False,
+}
 _PIXELS_PER_INCH: Final = 150
 _WIDTH, _HEIGHT, _LEGEND = 3.6, 2.4, 0.7
 """Of a panel, and of title and legend together, in inches."""
