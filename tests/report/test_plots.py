@@ -114,6 +114,11 @@ def test_ticks_are_those_of_matplotlib(count: int) -> None:
         assert_same_ticks(Axis(bottom, bottom * decades, 0.0, 1.0, "log"), count, theirs)
 
 
+@pytest.mark.parametrize(("high", "labels"), [(3, "123"), (4, "1234"), (9, "123456789")])
+def test_what_is_counted_has_whole_ticks(high: int, labels: str) -> None:
+    assert [label for _, label in Axis(0.9, high + 0.1, 0.0, 1.0, whole=True).ticks(12)] == list(labels)
+
+
 def assert_same_ticks(axis: Axis, count: int, values: np.ndarray) -> None:
     inside = values[(values >= axis.low) & (values <= axis.high)]
     np.testing.assert_allclose([place for place, _ in axis.ticks(count)], axis.place(inside), atol=1e-6)

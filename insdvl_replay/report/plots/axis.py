@@ -93,7 +93,7 @@ def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
 
 def _round_values(low: float, high: float, count: int, *, whole: bool) -> tuple[float, Floats]:
     """Find the smallest step that needs no more than some intervals, smaller if it shows one value, and its values."""
-    smallest = (high - low) / count
+    smallest = max((high - low) / count, 1.0 if whole else 0.0)
     steps = [share * 10.0 ** math.floor(math.log10(smallest)) for share in _STEPS]
     fitting = [
         step for before, step in pairwise([0.0, *steps]) if before < smallest and (step.is_integer() or not whole)
