@@ -1,13 +1,13 @@
 """The cells of a comparison as text, and their tables: the cells of one dive, or each cell over many dives."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, TypeVar
 
 from insdvl_replay.core.changes import Aggregate, Change
 from insdvl_replay.core.result_tables import CANDIDATES, LAYOUTS, PERCENTAGE
 from insdvl_replay.core.stored_result import Cell
-from insdvl_replay.report.display_table import MISSING, ShownTable, number, row_label
+from insdvl_replay.report.display_table import MISSING, Column, ShownTable, number, row_label, table_of
 
 _BETTER: Final = {(layout.name, column): better for layout in LAYOUTS for column, better in layout.better.items()}
 _KEYS: Final = {layout.name: layout.key for layout in LAYOUTS}
@@ -24,8 +24,7 @@ _FINE_PCT = 0.95
 _NONE_PCT = 0.005
 """Smaller ones would print as zero with a sign."""
 Item = TypeVar("Item", Change, Aggregate)
-Columns = list[tuple[str, str, Callable[[Item], str]]]
-"""Name, alignment, and what stands there."""
+Columns = list[Column[Item]]
 
 
 def change_tables(changes: Iterable[Change]) -> list[ShownTable]:
@@ -76,12 +75,7 @@ def _grouped(items: Iterable[Item]) -> Iterator[list[Item]]:
 
 def _table(items: Sequence[Item], value_columns: Columns[Item]) -> ShownTable:
     columns: Columns[Item] = _naming_columns(items) + value_columns
-    return ShownTable(
-        _title(items),
-        tuple(name for name, _, _ in columns),
-        "".join(alignment for _, alignment, _ in columns),
-        tuple(tuple(text(item) for _, _, text in columns) for item in items),
-    )
+    return table_of(_title(items), items, columns)
 
 
 def _naming_columns(items: Sequence[Item]) -> Columns[Item]:
@@ -90,7 +84,8 @@ def _naming_columns(items: Sequence[Item]) -> Columns[Item]:
     if len({item.filter for item in items}) > 1 or items[0].table == CANDIDATES.name:
         columns.append(("filter", "l", lambda item: item.filter))
     if items[0].table == CANDIDATES.name:
-        return [*columns, ("what", "l", lambda item: _spoken(item.column))]
+        columns.append(("what", "l", lambda item: _spoken(item.column)))
+        return columns
     columns.append((_KEYS[items[0].table], "l", lambda item: row_label(item.row)))
     if len({item.unit for item in items}) > 1:
         columns.append(("unit", "l", lambda item: item.unit))

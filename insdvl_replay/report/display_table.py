@@ -1,8 +1,9 @@
 """Tables and numbers for people: titles, units, four significant digits."""
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.states import STATES
@@ -52,6 +53,22 @@ class ShownTable:
     rows: tuple[tuple[CellText, ...], ...]
     footnote: str = ""
     title_apart: bool = False
+
+
+Row = TypeVar("Row")
+Column = tuple[str, str, Callable[[Row], CellText]]
+"""Name, alignment, and what stands there."""
+
+
+def table_of(title: str, rows: Sequence[Row], columns: Sequence[Column[Row]], footnote: str = "") -> ShownTable:
+    """Lay out rows, a column for each thing that is said of them."""
+    return ShownTable(
+        title,
+        tuple(name for name, _, _ in columns),
+        "".join(letter for _, letter, _ in columns),
+        tuple(tuple(text(row) for _, _, text in columns) for row in rows),
+        footnote,
+    )
 
 
 def cell_lines(cell: CellText) -> list[str]:
