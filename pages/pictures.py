@@ -12,13 +12,13 @@ from written import PROJECT
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.replay import Replay, replay_dive, replay_log
-from insdvl_replay.report.pictures import draw_ensemble, picture_bytes
-from insdvl_replay.report.plots.multi_panel import sheet_svg
+from insdvl_replay.report.plots.svg import sheet_svg
 from insdvl_replay.results.dive_figures import replay_figures
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.studies.montecarlo import PICTURES as ENSEMBLE_PICTURES
+from insdvl_replay.studies.montecarlo_document import ensemble_figure
 from insdvl_replay.studies.study_report import StudyReport
-from insdvl_replay.studies.window_picture import draw_windows
+from insdvl_replay.studies.window_document import window_figure
 
 EVERY = 5
 """Of the pings in an ensemble, so many make one point of a curve."""
@@ -67,11 +67,11 @@ def study_pictures(ensemble: Ensemble, title: str, window: StudyReport) -> dict[
     columns = (ensemble.time_s, ensemble.sd, ensemble.error_sd, ensemble.error_mean)
     thinned = [column[::EVERY] for column in columns]
     drawn = {
-        f"docs/lawnmower_{name}.svg": partial(draw_ensemble, title, states, *thinned)
+        f"docs/lawnmower_{name}.svg": partial(ensemble_figure, title, states, *thinned)
         for name, states in ENSEMBLE_PICTURES.items()
     }
-    drawn["docs/window.svg"] = partial(draw_windows, window.tables["window"])
-    return {name: partial(lambda draw: picture_bytes(draw(), "svg"), draw) for name, draw in drawn.items()}
+    drawn["docs/window.svg"] = partial(window_figure, window.tables["window"])
+    return {name: partial(lambda draw: sheet_svg(draw()), draw) for name, draw in drawn.items()}
 
 
 def write(pictures: dict[str, Callable[[], bytes]]) -> None:

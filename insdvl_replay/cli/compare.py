@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.messages import log_notes
+from insdvl_replay.cli.messages import log_notes, write_stdout
 from insdvl_replay.cli.options import ComparisonFormat, Sort, Verbose
 
 
@@ -49,19 +49,28 @@ def compare(
       insdvl-replay compare before after --format html > comparison.html
       insdvl-replay compare before after --table reference_error --column rmse --fail-on worse:5%
     """
-    from insdvl_replay.cli.comparison_results import print_comparison
+    from insdvl_replay.cli.screen import in_format
     from insdvl_replay.comparison.comparison import Selection, compare_results
-    from insdvl_replay.comparison.document import breach_sentence
+    from insdvl_replay.comparison.document import breach_sentence, comparison_csv, comparison_document
     from insdvl_replay.comparison.fail_on import breach, parse_limit, parse_percentage
     from insdvl_replay.comparison.filter_pairs import parse_pairs
     from insdvl_replay.comparison.sort_order import arranged
     from insdvl_replay.core.errors import LimitError
+    from insdvl_replay.results.json_report import as_json
 
     limit = None if fail_on is None else parse_limit(fail_on)
     tolerance_pct = None if tolerance is None else parse_percentage(tolerance, "--tolerance ")
     selection = Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
     comparison = compare_results(old, new, selection)
-    print_comparison(arranged(comparison, sort.value, only_changed=only_changed), format_)
+    shown = arranged(comparison, sort.value, only_changed=only_changed)
+    write_stdout(
+        in_format(
+            format_,
+            document=lambda: comparison_document(shown),
+            json=lambda: as_json(shown),
+            csv=lambda: comparison_csv(shown),
+        )
+    )
     log_notes(comparison.notes, verbose=verbose > 0)
     if limit is not None and (found := breach(comparison, limit)):
         raise LimitError(breach_sentence(found))

@@ -13,25 +13,16 @@ from insdvl_replay.batch.known_results import known_reports
 from insdvl_replay.batch.workers import Workers, local_workers
 from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
 from insdvl_replay.cli.options import Format
-from insdvl_replay.cli.screen import DivesBar, compiling, rendered, spinner
+from insdvl_replay.cli.screen import DivesBar, compiling, in_format, spinner
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.report.page import is_page
+from insdvl_replay.results.dive_document import dive_document, report_csv
 from insdvl_replay.results.folder import refuse_existing_file, result_file
-from insdvl_replay.results.index_page import index_page
 from insdvl_replay.results.json_report import Report, encode_report
-from insdvl_replay.results.output import latex_report, markdown_report, report_csv
-from insdvl_replay.results.summary import Failure, is_summary, summary_csv
+from insdvl_replay.results.overviews import Failure, index_page, is_summary, summary_csv
 
 OVERVIEWS: Final = {"summary.csv": (summary_csv, is_summary), "index.html": (index_page, is_page)}
 """What lays several dives beside each other, and tells it from somebody else's work, by the name of its file."""
-
-PRINTED = {
-    Format.TABLE: rendered,
-    Format.JSON: lambda report: encode_report(report).decode(),
-    Format.CSV: report_csv,
-    Format.MARKDOWN: markdown_report,
-    Format.LATEX: latex_report,
-}
 
 
 @dataclass(frozen=True)
@@ -157,7 +148,14 @@ def _with_bar(
 
 def _report_result(outcome: Outcome, report: Report, run: RunOptions, *, quiet: bool) -> int:
     if not quiet:
-        write_stdout(PRINTED[run.format](report))
+        write_stdout(
+            in_format(
+                run.format,
+                document=lambda: dive_document(report),
+                json=lambda: encode_report(report),
+                csv=lambda: report_csv(report),
+            )
+        )
     log_notes(report.notes, verbose=run.verbosity > 0)
     log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {outcome.job.target}")
     return _refuse_warnings(report, run.verbosity) if run.strict else 0

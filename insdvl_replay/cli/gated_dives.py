@@ -14,8 +14,6 @@ from insdvl_replay.cli.options import CheckFormat
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, error_context, looked_for
-from insdvl_replay.gates.check_json import check_json
-from insdvl_replay.gates.check_pages import baseline_text, check_markdown, check_sentence, check_text
 from insdvl_replay.gates.checking import (
     Checked,
     checked_replay,
@@ -26,9 +24,16 @@ from insdvl_replay.gates.checking import (
 )
 from insdvl_replay.gates.gate_file import Gates, load_gates
 from insdvl_replay.gates.gate_names import refuse_unknown_names
-from insdvl_replay.gates.github import github_annotations
 from insdvl_replay.gates.junit import junit_xml
 from insdvl_replay.gates.model import CheckResult
+from insdvl_replay.gates.output import (
+    baseline_text,
+    check_json,
+    check_markdown,
+    check_sentence,
+    check_text,
+    github_annotations,
+)
 from insdvl_replay.results.destination import replaceable_file
 from insdvl_replay.results.folder import COMPLETE, result_file
 

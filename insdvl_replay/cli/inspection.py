@@ -1,6 +1,5 @@
 """``insdvl-replay inspect``."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -45,8 +44,8 @@ def inspect(
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.cli.screen import spinner
     from insdvl_replay.core.config_file import load_config
-    from insdvl_replay.inspection.output import encode_inventory
     from insdvl_replay.inspection.survey import inspect_log
+    from insdvl_replay.results.json_report import as_json
 
     resolved, code = load_config(preset, config, settings), 0
     found = find_dives(logs)
@@ -64,19 +63,19 @@ def inspect(
         inventories.append(inventory)
     if format_ is Format.JSON:
         for shown in [inventories] if len(dives) > 1 else inventories:
-            write_stdout(encode_inventory(shown).decode())
+            write_stdout(as_json(shown).decode())
     return code
 
 
 def _print(inventory: "Inventory", format_: Format, *, is_first: bool) -> None:
-    from insdvl_replay.cli.screen import printed
-    from insdvl_replay.inspection.csv_blocks import inventory_csv
-    from insdvl_replay.inspection.output import latex_inventory, markdown_inventory, terminal_inventory
+    from insdvl_replay.cli.screen import in_format
+    from insdvl_replay.inspection.document import inventory_csv, inventory_document
+    from insdvl_replay.results.json_report import as_json
 
-    writers: dict[Format, Callable[[Inventory], str]] = {
-        Format.TABLE: lambda inventory: printed(terminal_inventory(inventory)),
-        Format.CSV: inventory_csv,
-        Format.MARKDOWN: markdown_inventory,
-        Format.LATEX: latex_inventory,
-    }
-    write_stdout(("" if is_first else "\n") + writers[format_](inventory))
+    text = in_format(
+        format_,
+        document=lambda: inventory_document(inventory),
+        json=lambda: as_json(inventory),
+        csv=lambda: inventory_csv(inventory),
+    )
+    write_stdout(("" if is_first else "\n") + text)

@@ -3,22 +3,45 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 
 from rich.console import Console, RenderableType
 
 from insdvl_replay.core.compiled import is_warm
 from insdvl_replay.core.runtime import progress_listener
-from insdvl_replay.report.terminal import spoken
-from insdvl_replay.results.json_report import Report
-from insdvl_replay.results.output import terminal_report
+from insdvl_replay.report.document import Document
+from insdvl_replay.report.latex import as_latex
+from insdvl_replay.report.markdown import as_markdown
+from insdvl_replay.report.page import page
+from insdvl_replay.report.terminal import for_terminal, spoken
 
 PIPED_COLUMNS = 10_000
 """Wide enough that nothing is ever folded where no terminal limits the width."""
 
 
-def rendered(report: Report) -> str:
-    """Lay a report out for stdout."""
-    return printed(terminal_report(report))
+def in_format(
+    format_: StrEnum, document: Callable[[], Document], json: Callable[[], bytes], csv: Callable[[], str]
+) -> str:
+    """Write a result as `--format` asks for it.
+
+    Parameters
+    ----------
+    format_ : Format or ComparisonFormat
+    document, json, csv : callable
+        The result in parts, and as scripts read it; only what is wanted is made.
+    """
+    match format_.value:
+        case "json":
+            return json().decode()
+        case "csv":
+            return csv()
+        case "md":
+            return as_markdown(document())
+        case "latex":
+            return as_latex(document())
+        case "html":
+            return page(document()).decode()
+    return printed(for_terminal(document()))
 
 
 def printed(content: RenderableType) -> str:

@@ -1,11 +1,14 @@
 """``insdvl-replay study``: the analyses behind a decision, one command each."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from insdvl_replay.cli.options import Force, Format, Outages, Preset, Scenario, Settings, Verbose, outage_spans
+
+if TYPE_CHECKING:
+    from insdvl_replay.studies.study_report import StudyReport
 
 study = typer.Typer(rich_markup_mode=None, no_args_is_help=True)
 
@@ -69,7 +72,6 @@ def montecarlo(
     """
     from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.cli.screen import compiling, progress
-    from insdvl_replay.cli.study_results import print_study
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.results.folder import refuse_existing_folder, result_folder
     from insdvl_replay.studies.montecarlo import repeat_run, save_montecarlo, study_montecarlo
@@ -77,9 +79,7 @@ def montecarlo(
     resolved, target = load_config(preset, config, settings), output / f"montecarlo-{scenario}"
     outages = outage_spans(outage)
     if run is not None:
-        print_study(
-            repeat_run(scenario, resolved, run, seed=seed, duration_s=duration, imu=imu, outages=outages), format_
-        )
+        _print(repeat_run(scenario, resolved, run, seed=seed, duration_s=duration, imu=imu, outages=outages), format_)
         return
     refuse_existing_folder(target, force=force)
     with progress(f"simulating {scenario}", runs, note=compiling().lstrip("; ")) as after_run:
@@ -96,7 +96,7 @@ def montecarlo(
         )
     with result_folder(target, force=force) as folder:
         save_montecarlo(report, ensembles, folder, png=png)
-    print_study(report, format_)
+    _print(report, format_)
     log_to_stderr(f"wrote {target}")
 
 
@@ -128,7 +128,6 @@ def window(
     """
     from insdvl_replay.cli.messages import log_notes, log_to_stderr
     from insdvl_replay.cli.screen import spinner
-    from insdvl_replay.cli.study_results import print_study
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import LogError
     from insdvl_replay.results.folder import refuse_existing_folder, result_folder
@@ -140,7 +139,7 @@ def window(
         report = study_window(logs, resolved, longest)
     with result_folder(target, force=force) as folder:
         save_window(report, folder, png=png)
-    print_study(report, format_)
+    _print(report, format_)
     log_notes(report.notes, verbose=verbose > 0)
     log_to_stderr(f"wrote {target}")
     left_out = [note.text for note in report.notes if note.code == LEFT_OUT]
@@ -178,7 +177,6 @@ def observability(
     """
     from insdvl_replay.cli.messages import log_notes, log_to_stderr
     from insdvl_replay.cli.screen import compiling, spinner
-    from insdvl_replay.cli.study_results import print_study
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.dive_names import dive_name
     from insdvl_replay.results.folder import refuse_existing_folder, result_folder
@@ -192,6 +190,21 @@ def observability(
         report = study_observability(dive, resolved, earth_rate=not no_earth_rate)
     with result_folder(target, force=force) as folder:
         save_observability(report, folder, png=png)
-    print_study(report, format_)
+    _print(report, format_)
     log_notes(report.notes, verbose=verbose > 0)
     log_to_stderr(f"wrote {target}")
+
+
+def _print(report: "StudyReport", format_: Format) -> None:
+    from insdvl_replay.cli.messages import write_stdout
+    from insdvl_replay.cli.screen import in_format
+    from insdvl_replay.studies.study_report import study_csv, study_document, study_json
+
+    write_stdout(
+        in_format(
+            format_,
+            document=lambda: study_document(report),
+            json=lambda: study_json(report),
+            csv=lambda: study_csv(report),
+        )
+    )

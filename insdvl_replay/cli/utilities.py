@@ -116,12 +116,12 @@ def schema(
       insdvl-replay schema report
       insdvl-replay schema insdvl_msgs/msg/NavSolution
     """
-    from insdvl_replay.cli.json_schemas import SCHEMAS
+    from insdvl_replay.cli.json_schemas import SCHEMAS, json_schema
 
     if name is None:
         write_stdout("".join(f"{known}\n" for known in SCHEMAS))
     elif name in SCHEMAS:
-        write_stdout(SCHEMAS[name]().decode())
+        write_stdout(json_schema(name).decode())
     else:
         write_stdout(_message_definition(name, ", ".join(SCHEMAS)))
 

@@ -1,24 +1,41 @@
-"""A comparison as sentences and tables for people: what differs, where it moved, then row by row."""
+"""A comparison for people, what differs, where it moved, then row by row; and for scripts, as CSV."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import astuple, fields, replace
 from typing import Final
 
-from insdvl_replay.comparison.cells import described, growth, place
-from insdvl_replay.comparison.rows import aggregate_tables, change_tables
-from insdvl_replay.core.changes import Breach, Comparison, Difference, DiveComparison, Limit, Tally, Word
+from insdvl_replay.comparison.rows import aggregate_tables, change_tables, described, growth, place
+from insdvl_replay.core.changes import (
+    Aggregate,
+    Breach,
+    Change,
+    Comparison,
+    Difference,
+    DiveComparison,
+    Limit,
+    Tally,
+    Word,
+)
+from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.display_table import MISSING, ShownTable, counted
+from insdvl_replay.report.document import Lead, Only, Part, Sentences, Title
 
 WORDS: Final[tuple[Word, ...]] = ("better", "worse", "same", "changed", "new", "gone")
 _HASH_SHOWN: Final = 12
 _NAMED_DIVES: Final = 2
 
 
-def comparison_heading(comparison: Comparison) -> str:
-    """Say in one line what was compared."""
-    dives = _matched(comparison)
-    what = dives[0].log if len(dives) == 1 else f"{len(dives)} dives"
-    return f"{what}: {comparison.new} against {comparison.old}"
+def comparison_document(comparison: Comparison) -> list[Part]:
+    """Lay out a comparison."""
+    matched = _matched(comparison)
+    what = matched[0].log if len(matched) == 1 else f"{len(matched)} dives"
+    rest = "the values of one dive: --dive NAME; those of all: --format csv or --format json"
+    return [
+        Title(f"{what}: {comparison.new} against {comparison.old}"),
+        *map(Lead, opening_lines(comparison)),
+        *(replace(table, title_apart=True) for table in comparison_tables(comparison)),
+        *([Only(("terminal", "markdown", "html"), (Sentences((rest,)),))] if len(matched) > 1 else []),
+    ]
 
 
 def opening_lines(comparison: Comparison) -> list[str]:
@@ -56,11 +73,28 @@ def comparison_tables(comparison: Comparison) -> list[ShownTable]:
     return [*tables, *(aggregate_tables(comparison.aggregates) if matched > 1 else change_tables(comparison.changes))]
 
 
-def closing_lines(comparison: Comparison) -> list[str]:
-    """Say where the rest is."""
-    if len(_matched(comparison)) > 1:
-        return ["the values of one dive: --dive NAME; those of all: --format csv or --format json"]
-    return []
+def comparison_csv(comparison: Comparison) -> str:
+    """Write differences, dives, aggregates and changes one after the other."""
+    parts: dict[str, tuple[tuple[str, ...], Iterable[tuple[object, ...]]]] = {
+        "difference": (_header(Difference), map(_difference_row, comparison.differences)),
+        "dive": (("log", "old", "new", "matched_by", *WORDS), map(_dive_row, comparison.dives)),
+        "aggregate": (_header(Aggregate), map(astuple, comparison.aggregates)),
+        "change": (_header(Change), map(astuple, comparison.changes)),
+    }
+    return blocks_csv("part", parts)
+
+
+def _header(kind: type[Difference | Aggregate | Change]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
+
+
+def _difference_row(difference: Difference) -> tuple[object, ...]:
+    return difference.block, difference.key, difference.old, difference.new, "; ".join(difference.logs)
+
+
+def _dive_row(dive: DiveComparison) -> tuple[object, ...]:
+    counts = [dive.tally.counts[word] if dive.tally else None for word in WORDS]
+    return dive.log, dive.old, dive.new, dive.matched_by, *counts
 
 
 def breach_sentence(breach: Breach) -> str:

@@ -1,13 +1,14 @@
-"""The rows of a comparison as tables for people: the cells of one dive, or each cell over many dives."""
+"""The cells of a comparison as text, and their tables: the cells of one dive, or each cell over many dives."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, TypeVar
 
-from insdvl_replay.comparison.cells import change_text, growth, is_percentage, old_and_new, percent_text
 from insdvl_replay.core.changes import Aggregate, Change
+from insdvl_replay.core.stored_result import Cell
+from insdvl_replay.core.table_layout import PERCENTAGE
 from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
-from insdvl_replay.report.display_table import MISSING, ShownTable, row_label
+from insdvl_replay.report.display_table import MISSING, Column, ShownTable, number, row_label, table_of
 
 _BETTER: Final = {(layout.name, column): better for layout in LAYOUTS for column, better in layout.better.items()}
 _KEYS: Final = {layout.name: layout.key for layout in LAYOUTS}
@@ -19,9 +20,12 @@ _MEANING: Final = {
 }
 _FEW_ROWS: Final = 3
 """Up to here the rows of several filters share a table."""
+_FINE_PCT = 0.95
+"""Smaller percentages have two digits behind the point, larger ones one."""
+_NONE_PCT = 0.005
+"""Smaller ones would print as zero with a sign."""
 Item = TypeVar("Item", Change, Aggregate)
-Columns = list[tuple[str, str, Callable[[Item], str]]]
-"""Name, alignment, and what stands there."""
+Columns = list[Column[Item]]
 
 
 def change_tables(changes: Iterable[Change]) -> list[ShownTable]:
@@ -72,12 +76,7 @@ def _grouped(items: Iterable[Item]) -> Iterator[list[Item]]:
 
 def _table(items: Sequence[Item], value_columns: Columns[Item]) -> ShownTable:
     columns: Columns[Item] = _naming_columns(items) + value_columns
-    return ShownTable(
-        _title(items),
-        tuple(name for name, _, _ in columns),
-        "".join(alignment for _, alignment, _ in columns),
-        tuple(tuple(text(item) for _, _, text in columns) for item in items),
-    )
+    return table_of(_title(items), items, columns)
 
 
 def _naming_columns(items: Sequence[Item]) -> Columns[Item]:
@@ -86,7 +85,8 @@ def _naming_columns(items: Sequence[Item]) -> Columns[Item]:
     if len({item.filter for item in items}) > 1 or items[0].table == CANDIDATES.name:
         columns.append(("filter", "l", lambda item: item.filter))
     if items[0].table == CANDIDATES.name:
-        return [*columns, ("what", "l", lambda item: _spoken(item.column))]
+        columns.append(("what", "l", lambda item: _spoken(item.column)))
+        return columns
     columns.append((_KEYS[items[0].table], "l", lambda item: row_label(item.row)))
     if len({item.unit for item in items}) > 1:
         columns.append(("unit", "l", lambda item: item.unit))
@@ -140,3 +140,64 @@ def _title(items: Sequence[Item]) -> str:
 
 def _spoken(name: str) -> str:
     return name.removesuffix("_pct").replace("_", " ")
+
+
+def is_percentage(cell: Change | Aggregate) -> bool:
+    """Say whether a cell holds a percentage, which changes by percentage points."""
+    return cell.column.endswith(PERCENTAGE)
+
+
+def old_and_new(change: Change) -> tuple[str, str]:
+    """Write what stood in a cell, and what stands there."""
+    return _text(change.old, change), _text(change.new, change)
+
+
+def _text(value: Cell, change: Change) -> str:
+    if isinstance(value, float):
+        return f"{value:.1f}" if is_percentage(change) else number(value)
+    return MISSING if value is None else str(value).replace("_", " ")
+
+
+def percent_text(percent: float | None) -> str:
+    """Write a change in percent with its sign."""
+    if percent is None:
+        return MISSING
+    if abs(percent) < _NONE_PCT:
+        return "0"
+    return f"{percent:+.1f}" if abs(percent) >= _FINE_PCT else f"{percent:+.2f}"
+
+
+def change_text(change: Change) -> str:
+    """Write new minus old, with its sign."""
+    if change.change is None:
+        return MISSING
+    if is_percentage(change):
+        return percent_text(change.change)
+    if isinstance(change.old, int) and isinstance(change.new, int):
+        return f"{change.new - change.old:+d}"
+    return f"+{number(change.change)}" if change.change > 0.0 else number(change.change)
+
+
+def place(change: Change) -> str:
+    """Say where in its table a cell stands, in the names that files and options use."""
+    row = "" if change.row == change.filter else f" {change.row}"
+    return f"{change.filter}{row} {change.column}"
+
+
+def movement(change: Change) -> str:
+    """Say from where to where a cell moved, and by how much."""
+    old, new = old_and_new(change)
+    unit = f" {change.unit}" if change.unit else ""
+    return f"from {old} to {new}{unit} ({growth(change)})"
+
+
+def growth(change: Change) -> str:
+    """Say by how much a cell's size grew, with the unit; its word where there is no percentage."""
+    if change.change_pct is None:
+        return change.word
+    return f"{percent_text(change.change_pct)} {'points' if is_percentage(change) else '%'}"
+
+
+def described(change: Change) -> str:
+    """Say in one line where a cell stands and how it moved."""
+    return f"{change.log}, {change.table}: {place(change)} {movement(change)}"

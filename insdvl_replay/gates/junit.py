@@ -21,16 +21,7 @@ _NOT_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010f
 
 
 def junit_xml(result: CheckResult) -> str:
-    """Write JUnit XML.
-
-    Parameters
-    ----------
-    result : CheckResult
-
-    Returns
-    -------
-    str
-    """
+    """Write JUnit XML."""
     root = ElementTree.Element("testsuites", {"name": _clean(result.gates), **_counts(result.judgements)})
     for dive in dict.fromkeys(judgement.dive for judgement in result.judgements):
         own = tuple(judgement for judgement in result.judgements if judgement.dive == dive)

@@ -1,5 +1,5 @@
-"""From tables to bytes, one file per format. Nothing here computes a result; nothing here prints.
+"""From documents to bytes, one file per format. Nothing here computes a result; nothing here prints.
 
-`display_table` is a table for people, which `terminal`, `markup` and `page` dress. `csv_tables` writes plain ones.
-`page` is the frame of every HTML page, `plots` and `pictures` draw.
+`document` is what is to be shown, in parts; `display_table` a table for people. `terminal`, `markdown`, `latex` and
+`page` render them, `csv_tables` writes plain tables. `plots` and `pictures` draw.
 """

@@ -6,7 +6,7 @@ Text is shown as everywhere (`plain_text`), and what a spreadsheet would run is 
 import csv
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
@@ -40,6 +40,21 @@ def table_csv(table: "pd.DataFrame") -> bytes:
 def structs_csv(kind: type[Struct], rows: Iterable[Struct]) -> str:
     """Write rows of one type as CSV."""
     return rows_csv(kind.__struct_fields__, map(astuple, rows))
+
+
+def blocks_csv(column: str, blocks: Mapping[str, tuple[Sequence[str], Iterable[Sequence[object]]]]) -> str:
+    """Write tables one after the other, a blank line between them.
+
+    Parameters
+    ----------
+    column : str
+        Name of the column before all others, in which stands the name of each row's table: one is easily cut out.
+    blocks : mapping of str to (header, rows)
+        As of `rows_csv`, by the names of the tables.
+    """
+    return "\n".join(
+        rows_csv((column, *header), ((name, *row) for row in rows)) for name, (header, rows) in blocks.items()
+    )
 
 
 def rows_csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

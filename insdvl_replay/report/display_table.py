@@ -1,8 +1,9 @@
-"""Tables and numbers for people: titles, units, four significant digits. `terminal`, `markup` and `page` dress them."""
+"""Tables and numbers for people: titles, units, four significant digits."""
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.states import STATES
@@ -29,7 +30,7 @@ CellText = str | tuple[str, ...]
 
 @dataclass(frozen=True)
 class ShownTable:
-    """A table ready to be dressed.
+    """A table ready to be rendered.
 
     Attributes
     ----------
@@ -42,6 +43,8 @@ class ShownTable:
     rows : tuple of tuples of str, or of tuples of str for cells of several lines
     footnote : str
         What the rows cannot say.
+    title_apart : bool
+        On a terminal the title has a line of its own, and is not folded to the width of a narrow table.
     """
 
     title: str
@@ -49,6 +52,23 @@ class ShownTable:
     alignment: str
     rows: tuple[tuple[CellText, ...], ...]
     footnote: str = ""
+    title_apart: bool = False
+
+
+Row = TypeVar("Row")
+Column = tuple[str, str, Callable[[Row], CellText]]
+"""Name, alignment, and what stands there."""
+
+
+def table_of(title: str, rows: Sequence[Row], columns: Sequence[Column[Row]], footnote: str = "") -> ShownTable:
+    """Lay out rows, a column for each thing that is said of them."""
+    return ShownTable(
+        title,
+        tuple(name for name, _, _ in columns),
+        "".join(letter for _, letter, _ in columns),
+        tuple(tuple(text(row) for _, _, text in columns) for row in rows),
+        footnote,
+    )
 
 
 def cell_lines(cell: CellText) -> list[str]:
@@ -62,16 +82,7 @@ def row_label(name: str) -> str:
 
 
 def number(value: float | None) -> str:
-    """Write a number with four significant digits, without an exponent where that stays short.
-
-    Parameters
-    ----------
-    value : float or None
-
-    Returns
-    -------
-    str
-    """
+    """Write a number with four significant digits, without an exponent where that stays short."""
     if value is None or math.isnan(value):
         return MISSING
     if value == 0.0 or math.isinf(value):

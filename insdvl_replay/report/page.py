@@ -2,7 +2,6 @@
 
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import dataclass
 from hashlib import sha256
 from html import escape as html_escape
 from importlib.resources import files
@@ -10,6 +9,21 @@ from typing import Final
 
 from insdvl_replay.core.plain_text import visible_lines
 from insdvl_replay.report.display_table import ShownTable, cell_lines
+from insdvl_replay.report.document import (
+    Code,
+    Details,
+    Document,
+    Facts,
+    Heading,
+    Html,
+    Lead,
+    LinkedTable,
+    Part,
+    Remark,
+    Sentences,
+    Title,
+    parts_for,
+)
 from insdvl_replay.report.plots.panel import Figure
 from insdvl_replay.report.plots.svg import panel_svg
 
@@ -20,70 +34,26 @@ _SHORT: Final = 20
 _SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
 
 
-@dataclass(frozen=True)
-class Lead:
-    """The sentence that a reader takes away.
-
-    Attributes
-    ----------
-    text : str
-    tone : str
-        ``good`` or ``bad``, which colours the edge beside it; empty for neither.
-    """
-
-    text: str
-    tone: str = ""
-
-
-@dataclass(frozen=True)
-class Heading:
-    """Begins a part of the page, to which the page's head leads."""
-
-    text: str
-
-
-@dataclass(frozen=True)
-class Html:
-    """A fragment that is HTML already."""
-
-    text: str
-
-
-@dataclass(frozen=True)
-class LinkedTable:
-    """A table whose rows lead somewhere: the first cell of each to its address, unless that is empty."""
-
-    table: ShownTable
-    links: tuple[str, ...]
-
-
-Part = str | Lead | Heading | ShownTable | LinkedTable | Figure | Html
-"""What a page is made of; plain text becomes a paragraph."""
-
-
-def page(title: str, parts: Sequence[Part], script: str = "") -> bytes:
-    """Dress a page.
+def page(document: Document, script: str = "") -> bytes:
+    """Render a document as a page; the same document gives the same bytes.
 
     Parameters
     ----------
-    title : str
-    parts : sequence of Part
-        In the order in which they are read; before the first heading stand links to all of them. Tables that follow
-        each other lie side by side where there is room.
+    document : sequence of Part
+        With a title. Before the first heading stand links to all of them; tables that follow each other lie side by
+        side where there is room.
     script : str
         What makes the page more comfortable, and what it can do without.
-
-    Returns
-    -------
-    bytes
-        An HTML document; the same parts give the same bytes.
     """
+    shown = list(parts_for("html", document))
+    [title] = [part.text for part in shown if isinstance(part, Title)]
+    parts = [part for part in shown if not isinstance(part, Title)]
     style = files("insdvl_replay.report").joinpath("page.css").read_text("utf-8")
     headings = [part.text for part in parts if isinstance(part, Heading)]
     links = "".join(f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
     first = next((place for place, part in enumerate(parts) if isinstance(part, Heading)), len(parts))
     nav = [f"<nav>{links}</nav>"] if links else []
-    body = [f"<h1>{escape(title)}</h1>", *_dressed(parts[:first]), *nav, *_dressed(parts[first:])]
+    body = [f"<h1>{escape(title)}</h1>", *_laid_out(parts[:first]), *nav, *_laid_out(parts[first:])]
     head = [
         '<meta charset="utf-8">',
         _SIGNATURE,
@@ -102,19 +72,8 @@ def is_page(data: bytes) -> bool:
     return _SIGNATURE.encode() in data[:1000]
 
 
-def table_html(table: ShownTable, links: Sequence[str] = ()) -> str:
-    """Dress a table.
-
-    Parameters
-    ----------
-    table : ShownTable
-    links : sequence of str
-        Where the first cell of each row leads; left out, or empty: nowhere.
-
-    Returns
-    -------
-    str
-    """
+def _table(table: ShownTable, links: Sequence[str] = ()) -> str:
+    """Render a table; without links, its rows lead nowhere."""
     kinds = [' class="r"' if letter == "r" else "" for letter in table.alignment]
     header = "".join(f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, table.header, strict=True))
     rows = []
@@ -126,13 +85,13 @@ def table_html(table: ShownTable, links: Sequence[str] = ()) -> str:
     lines = "\n".join(f"<tr>{row}</tr>" for row in rows)
     footnote = f'<p class="footnote">{escape(table.footnote)}</p>' if table.footnote else ""
     return (
-        f'<section class="table">{title_html(table.title)}<div class="wide" tabindex="0"><table>'
+        f'<section class="table">{_table_title(table.title)}<div class="wide" tabindex="0"><table>'
         f"<thead><tr>{header}</tr></thead><tbody>{lines}</tbody></table></div>{footnote}</section>"
     )
 
 
-def title_html(title: str) -> str:
-    """Dress the title of a table: what stands before its colon, or all of it, is its name."""
+def _table_title(title: str) -> str:
+    """Render the title of a table: what stands before its colon, or all of it, is its name."""
     name, colon, rest = title.partition(": ")
     return f"<h3><b>{escape(name + colon.rstrip())}</b>{' ' if rest else ''}{escape(rest)}</h3>"
 
@@ -142,8 +101,8 @@ def _kind(cell: str, kind: str) -> str:
     return ' class="words"' if len(cell) > _SHORT else kind
 
 
-def figure_html(figure: Figure) -> str:
-    """Dress a figure: what it shows, how it is read, and its panels."""
+def _figure(figure: Figure) -> str:
+    """Render a figure: what it shows, how it is read, and its panels."""
     legend = "".join(f"<li>{_key(style)}{escape(label)}</li>" for style, label in figure.legend)
     panels = "\n".join(panel_svg(panel) for panel in figure.panels)
     content = f'<div class="panels">{panels}</div>' if panels else '<p class="footnote">nothing to draw</p>'
@@ -153,34 +112,49 @@ def figure_html(figure: Figure) -> str:
     )
 
 
-def _dressed(parts: Sequence[Part]) -> list[str]:
-    """Dress the parts one by one, and let tables that follow each other share a grid."""
+def _laid_out(parts: Sequence[Part]) -> list[str]:
+    """Render the parts one by one, and let tables that follow each other share a grid."""
     lines: list[str] = []
     in_tables = False
     for part in parts:
         if isinstance(part, ShownTable) != in_tables:
             in_tables = not in_tables
             lines.append('<div class="tables">' if in_tables else "</div>")
-        lines.append(_part_html(part))
+        lines.append(_html(part))
     return [*lines, "</div>"] if in_tables else lines
 
 
-def _part_html(part: Part) -> str:
+def _html(part: Part) -> str:
     match part:
-        case Html(text):
-            return text
         case Heading(text):
             return f'<h2 id="{_anchor(text)}">{escape(text)}</h2>'
         case Lead(text, tone):
             return f'<p class="{f"lead {tone}".rstrip()}">{escape(text)}</p>'
-        case ShownTable():
-            return table_html(part)
-        case LinkedTable(table, links):
-            return table_html(table, links)
-        case Figure():
-            return figure_html(part)
-        case text:
+        case str(text) | Remark(text=text):
             return f"<p>{escape(text)}</p>"
+        case Sentences(lines):
+            return "\n".join(map(_html, lines))
+    return _block(part)
+
+
+def _block(part: Part) -> str:
+    match part:
+        case ShownTable():
+            return _table(part)
+        case LinkedTable(table, links):
+            return _table(table, links)
+        case Figure():
+            return _figure(part)
+        case Facts(named):
+            pairs = "".join(f"<dt>{escape(name)}</dt><dd>{escape(fact)}</dd>" for name, fact in named.items())
+            return f"<dl>{pairs}</dl>"
+        case Details(title, text):
+            return f"<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>"
+        case Code(text):
+            return f"<pre>{escape(text)}</pre>"
+        case Html(text):
+            return text
+    raise ValueError(f"{type(part).__name__} is no part of a page's body")
 
 
 def escape(text: str) -> str:

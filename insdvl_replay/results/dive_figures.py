@@ -1,28 +1,46 @@
-"""A replay in figures: lay out what the rooms know for the page that shows it."""
+"""A replay in figures: what the rooms know, laid out for the page that shows it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns
+from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.acceleration import acceleration_at, reference_acceleration
 from insdvl_replay.evaluation.chi_square import mean_interval
 from insdvl_replay.geometry.frames import north_east_down_m
-from insdvl_replay.geometry.rotation import vector_from_mat
+from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat, wrap_angle
 from insdvl_replay.replay import Replay
-from insdvl_replay.report.plots.panel import Figure
-from insdvl_replay.results.figures.acceleration import acceleration_figure
-from insdvl_replay.results.figures.clock import Clock
-from insdvl_replay.results.figures.coverage import Source, coverage_strips
-from insdvl_replay.results.figures.errors import FilterErrors, error_figure
-from insdvl_replay.results.figures.innovations import nis_figure
-from insdvl_replay.results.figures.motion import Track, filter_track, motion_figure, reference_track
-from insdvl_replay.results.figures.sigma import sigma_figure
+from insdvl_replay.report.plots.panel import REFERENCE, Curve, Figure, Panel, dashes_on_top, filter_style
+from insdvl_replay.results.coverage import Source, coverage_strips
+from insdvl_replay.results.filter_figures import Clock, FilterErrors, error_figure, nis_figure, sigma_figure
 
 _FEWEST_BEAMS = 3
 """With fewer valid beams a ping has no velocity."""
+DERIVED: Final = "derived"
+_BODY_AXES: Final = ("forward", "starboard", "down")
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where somebody says that the vehicle was.
+
+    Attributes
+    ----------
+    label, style : str
+    time_ns : ndarray, shape (k,)
+    position_ned_m : ndarray, shape (k, 3)
+        From the baseline's start; NaN where nothing is said.
+    """
+
+    label: str
+    style: str
+    time_ns: TimeNs
+    position_ned_m: Floats
 
 
 def replay_figures(replay: Replay) -> tuple[Figure, ...]:
@@ -43,7 +61,7 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
         *_errors(replay, clock),
         nis_figure(replay.histories, clock, lambda dof: mean_interval(dof, 1)),
         motion_figure(list(_tracks(replay)), replay.histories[0], clock),
-        *_acceleration(replay, clock),
+        *_acceleration_figure(replay, clock),
     )
 
 
@@ -96,7 +114,7 @@ def _ned_m(position: Floats, origin: Floats) -> Floats:
     return north_east_down_m(position, np.broadcast_to(origin, position.shape))
 
 
-def _acceleration(replay: Replay, clock: Clock) -> Iterator[Figure]:
+def _acceleration_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
     derived = _first_slopes(replay.histories)
     if derived is None:
         return
@@ -141,3 +159,97 @@ def _reference_sources(reference: ReferenceColumns) -> Iterator[Source]:
         known = {"": np.ones(len(reference.time_ns), dtype=bool)}
     for quantity, rows in known.items():
         yield Source(f"reference {quantity}".strip(), reference.time_ns[rows], np.ones(int(rows.sum()), dtype=bool))
+
+
+def motion_figure(tracks: Sequence[Track], baseline: History, clock: Clock) -> Figure:
+    """Draw the tracks from above and over time, and how the baseline says that the vehicle moved.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+        One for each filter, and the reference's if there is one.
+    baseline : History
+    clock : Clock
+
+    Returns
+    -------
+    Figure
+    """
+    above = [Curve(track.position_ned_m[:, 1], track.position_ned_m[:, 0], track.style) for track in tracks]
+    down = [Curve(clock.time(track.time_ns), track.position_ned_m[:, 2], track.style) for track in tracks]
+    return Figure(
+        "What the vehicle did",
+        "The track from above and the depth begin at the start of the replay; speed over ground and turn rate are "
+        "the baseline's.",
+        (
+            Panel("track: north [m] over east [m]", "east [m]", dashes_on_top(above), equal=True),
+            Panel("speed over ground, horizontal [m/s]", clock.label, (_speed(baseline, clock),)),
+            Panel("turn rate of the heading [deg/s]", clock.label, (_turn_rate(baseline, clock),)),
+            Panel("depth below the start [m]", clock.label, dashes_on_top(down)),
+        ),
+        tuple((track.style, track.label) for track in tracks),
+    )
+
+
+def filter_track(number: int, history: History, position_ned_m: Floats) -> Track:
+    """Make the track of a filter, by its place in the configuration."""
+    return Track(history.filter, filter_style(number), history.time_ns, position_ned_m)
+
+
+def reference_track(time_ns: TimeNs, position_ned_m: Floats) -> Track:
+    """Make the reference's track."""
+    return Track("reference", REFERENCE, time_ns, position_ned_m)
+
+
+def _speed(history: History, clock: Clock) -> Curve:
+    speed_mps = np.hypot(history.velocity_n[:, 0], history.velocity_n[:, 1])
+    return Curve(clock.time(history.time_ns), speed_mps, f"{filter_style(0)} solid")
+
+
+def _turn_rate(history: History, clock: Clock) -> Curve:
+    """From ping to ping, where the states are far enough apart for a rate."""
+    rows = np.flatnonzero(history.updated)
+    heading = rpy_from_mat(history.mat_nb[rows])[:, 2]
+    time_ns = history.time_ns[rows]
+    rate_degps = wrap_angle(np.diff(heading)) / seconds(time_ns[1:], time_ns[:-1]) / DEG
+    return Curve(clock.time(time_ns[1:]), rate_degps, f"{filter_style(0)} solid")
+
+
+def acceleration_figure(
+    time_ns: TimeNs, derived_b: Floats, reference_b: Floats | None, clock: Clock, *, lever_arm: bool
+) -> Figure:
+    """Draw both accelerations over time, one panel for each axis of the body.
+
+    Parameters
+    ----------
+    time_ns : ndarray, shape (m,)
+        Times of validity.
+    derived_b, reference_b : ndarray, shape (m, 3)
+        m/s^2; the reference's, if there is one that gives any.
+    clock : Clock
+    lever_arm : bool
+        Whether the DVL lies away from the IMU.
+
+    Returns
+    -------
+    Figure
+    """
+    swing = " The swing of the DVL about the IMU is left in." if lever_arm else ""
+    legend = [(DERIVED, "slope of the DVL's velocities")]
+    if reference_b is not None:
+        legend.append((REFERENCE, "derivative of the reference's velocity"))
+    return Figure(
+        "What the acceleration is worth: from the DVL, beside the reference",
+        f"Rates of the velocity's components in body axes, at the middle of their windows.{swing}",
+        tuple(_acceleration_panel(axis, time_ns, derived_b, reference_b, clock) for axis in range(3)),
+        tuple(legend),
+    )
+
+
+def _acceleration_panel(
+    axis: int, time_ns: TimeNs, derived_b: Floats, reference_b: Floats | None, clock: Clock
+) -> Panel:
+    curves = [Curve(clock.time(time_ns), derived_b[:, axis], DERIVED)]
+    if reference_b is not None:
+        curves.append(Curve(clock.time(time_ns), reference_b[:, axis], REFERENCE))
+    return Panel(f"acceleration {_BODY_AXES[axis]} [m/s²]", clock.label, tuple(curves))

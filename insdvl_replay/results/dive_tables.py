@@ -1,7 +1,7 @@
 """The tables of one dive for people: what each candidate gains, and how far each filter is to be trusted."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
 from insdvl_replay.core.tables import (
     Candidate,
@@ -13,9 +13,23 @@ from insdvl_replay.core.tables import (
     is_whole,
 )
 from insdvl_replay.core.words import Gain, ReferenceStatus
-from insdvl_replay.report.display_table import MISSING, ShownTable, decimal, number, percent, row_label
-from insdvl_replay.results.dive_sentences import MEANS
+from insdvl_replay.report.display_table import (
+    MISSING,
+    Column,
+    ShownTable,
+    decimal,
+    number,
+    percent,
+    row_label,
+    table_of,
+)
 from insdvl_replay.results.json_report import Report
+
+MEANS: Final = (
+    "believed: mean over nine states, by the filter's own covariance; actual: median of the errors against the "
+    "reference; sooner: mean convergence"
+)
+"""What stands in the columns of candidates."""
 
 
 class _OfFilter(Protocol):
@@ -27,31 +41,12 @@ Row = TypeVar("Row", bound=_OfFilter)
 
 
 def shown_tables(report: Report) -> list[ShownTable]:
-    """Turn a report into tables for people, three for each candidate and three on how far to trust each filter.
-
-    Parameters
-    ----------
-    report : Report
-
-    Returns
-    -------
-    list of ShownTable
-        Tables without rows are left out.
-    """
+    """Lay out three tables for each candidate and three on how far to trust each filter, those that have rows."""
     return list(_tables(report))
 
 
 def glance_table(report: Report) -> ShownTable:
-    """Lay each candidate's verdicts and mean improvements beside each other.
-
-    Parameters
-    ----------
-    report : Report
-
-    Returns
-    -------
-    ShownTable
-    """
+    """Lay each candidate's verdicts and mean improvements beside each other."""
     return ShownTable(
         "At a glance",
         ("filter", "improvement", "believed", "actual", "sooner", "innovations", "errors"),
@@ -99,73 +94,44 @@ def _of(name: str, rows: Iterable[Row]) -> list[Row]:
 
 def _improvement(baseline: str, name: str, rows: Sequence[ImprovementRow]) -> Iterator[ShownTable]:
     if rows:
-        yield ShownTable(
-            f"Improvement: standard deviations at the end, {name} against {baseline}",
-            ("state", "unit", baseline, name, "improvement", "status"),
-            "llrrrl",
-            tuple(
-                (
-                    row_label(row.state),
-                    row.unit,
-                    number(row.baseline_sd),
-                    number(row.sd),
-                    percent(row.improvement_pct),
-                    row.status,
-                )
-                for row in rows
-            ),
-        )
+        columns: list[Column[ImprovementRow]] = [
+            ("state", "l", lambda row: row_label(row.state)),
+            ("unit", "l", lambda row: row.unit),
+            (baseline, "r", lambda row: number(row.baseline_sd)),
+            (name, "r", lambda row: number(row.sd)),
+            ("improvement", "r", lambda row: percent(row.improvement_pct)),
+            ("status", "l", lambda row: row.status),
+        ]
+        yield table_of(f"Improvement: standard deviations at the end, {name} against {baseline}", rows, columns)
 
 
 def _convergence(baseline: str, name: str, rows: Sequence[ConvergenceRow]) -> Iterator[ShownTable]:
     if rows:
-        yield ShownTable(
-            f"Convergence: when {name} is as sure as {baseline} is at the end",
-            ("state", "unit", "target", f"{baseline}\n[s]", f"{name}\n[s]", "sooner", "status"),
-            "llrrrrl",
-            tuple(
-                (
-                    row_label(row.state),
-                    row.unit,
-                    number(row.target_sd),
-                    number(row.baseline_s),
-                    number(row.reached_s),
-                    percent(row.improvement_pct),
-                    row.status.replace("_", " "),
-                )
-                for row in rows
-            ),
-        )
+        columns: list[Column[ConvergenceRow]] = [
+            ("state", "l", lambda row: row_label(row.state)),
+            ("unit", "l", lambda row: row.unit),
+            ("target", "r", lambda row: number(row.target_sd)),
+            (f"{baseline}\n[s]", "r", lambda row: number(row.baseline_s)),
+            (f"{name}\n[s]", "r", lambda row: number(row.reached_s)),
+            ("sooner", "r", lambda row: percent(row.improvement_pct)),
+            ("status", "l", lambda row: row.status.replace("_", " ")),
+        ]
+        yield table_of(f"Convergence: when {name} is as sure as {baseline} is at the end", rows, columns)
 
 
 def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]) -> Iterator[ShownTable]:
     if rows:
-        yield ShownTable(
-            f"Reference error: distance from the reference, {name} against {baseline}",
-            (
-                "quantity",
-                "unit",
-                f"{baseline}\nrms",
-                f"{name}\nrms",
-                "better",
-                f"{baseline}\nfinal",
-                f"{name}\nfinal",
-            ),
-            "llrrrrr",
-            tuple(
-                (
-                    row_label(row.quantity),
-                    row.unit,
-                    number(row.baseline_rmse),
-                    number(row.rmse),
-                    percent(row.improvement_pct),
-                    number(row.baseline_final),
-                    number(row.final),
-                )
-                for row in rows
-            ),
-            _not_compared(rows),
-        )
+        columns: list[Column[ReferenceErrorRow]] = [
+            ("quantity", "l", lambda row: row_label(row.quantity)),
+            ("unit", "l", lambda row: row.unit),
+            (f"{baseline}\nrms", "r", lambda row: number(row.baseline_rmse)),
+            (f"{name}\nrms", "r", lambda row: number(row.rmse)),
+            ("better", "r", lambda row: percent(row.improvement_pct)),
+            (f"{baseline}\nfinal", "r", lambda row: number(row.baseline_final)),
+            (f"{name}\nfinal", "r", lambda row: number(row.final)),
+        ]
+        title = f"Reference error: distance from the reference, {name} against {baseline}"
+        yield table_of(title, rows, columns, _not_compared(rows))
 
 
 def _not_compared(rows: Sequence[ReferenceErrorRow]) -> str:
@@ -181,67 +147,50 @@ def _not_compared(rows: Sequence[ReferenceErrorRow]) -> str:
 
 def _consistency(rows: Sequence[ConsistencyRow]) -> Iterator[ShownTable]:
     if rows:
-        yield ShownTable(
-            "Consistency: mean NIS and where 95 % of consistent filters would have it",
-            ("filter", "measurement", "used", "rejected", "NIS", "low", "high", "verdict"),
-            "llrrrrrl",
-            tuple(
-                (
-                    row.filter,
-                    row.measurement,
-                    str(row.used),
-                    str(row.rejected),
-                    number(row.mean_nis),
-                    number(row.low),
-                    number(row.high),
-                    row.verdict,
-                )
-                for row in rows
-            ),
-        )
+        columns: list[Column[ConsistencyRow]] = [
+            ("filter", "l", lambda row: row.filter),
+            ("measurement", "l", lambda row: row.measurement),
+            ("used", "r", lambda row: str(row.used)),
+            ("rejected", "r", lambda row: str(row.rejected)),
+            ("NIS", "r", lambda row: number(row.mean_nis)),
+            ("low", "r", lambda row: number(row.low)),
+            ("high", "r", lambda row: number(row.high)),
+            ("verdict", "l", lambda row: row.verdict),
+        ]
+        yield table_of("Consistency: mean NIS and where 95 % of consistent filters would have it", rows, columns)
 
 
 def _innovations(rows: Sequence[ConsistencyRow]) -> Iterator[ShownTable]:
     if rows:
-        yield ShownTable(
-            "Innovations by axis: size, and likeness of each to the one before",
-            ("filter", "measurement", "NIS / dof", "verdict", "likeness", "limit", "whiteness"),
-            "llrlrrl",
-            tuple(
-                (
-                    row.filter,
-                    row.measurement.replace("_", " "),
-                    number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof),
-                    row.verdict,
-                    decimal(row.autocorrelation, 2),
-                    decimal(row.autocorrelation_limit, 2),
-                    row.whiteness,
-                )
-                for row in rows
-            ),
-        )
+        columns: list[Column[ConsistencyRow]] = [
+            ("filter", "l", lambda row: row.filter),
+            ("measurement", "l", lambda row: row.measurement.replace("_", " ")),
+            ("NIS / dof", "r", lambda row: number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof)),
+            ("verdict", "l", lambda row: row.verdict),
+            ("likeness", "r", lambda row: decimal(row.autocorrelation, 2)),
+            ("limit", "r", lambda row: decimal(row.autocorrelation_limit, 2)),
+            ("whiteness", "l", lambda row: row.whiteness),
+        ]
+        yield table_of("Innovations by axis: size, and likeness of each to the one before", rows, columns)
 
 
 def _credibility(name: str, rows: Sequence[CredibilityRow]) -> Iterator[ShownTable]:
     compared = [row for row in rows if row.samples]
     if compared:
-        yield ShownTable(
+        columns: list[Column[CredibilityRow]] = [
+            ("quantity", "l", lambda row: row_label(row.quantity).replace("accelerometer", "accel.")),
+            ("NEES", "r", lambda row: number(row.mean_nees)),
+            ("low", "r", lambda row: decimal(row.low, 2)),
+            ("high", "r", lambda row: decimal(row.high, 2)),
+            ("in\n1 sd", "r", lambda row: decimal(row.within_1sd_pct, 1)),
+            ("in\n3 sd", "r", lambda row: decimal(row.within_3sd_pct, 1)),
+            ("indep.", "r", lambda row: decimal(row.effective_samples, 0)),
+            ("verdict", "l", lambda row: row.verdict),
+        ]
+        yield table_of(
             f"Credibility: errors of {name} in its own standard deviations",
-            ("quantity", "NEES", "low", "high", "in\n1 sd", "in\n3 sd", "indep.", "verdict"),
-            "lrrrrrrl",
-            tuple(
-                (
-                    row_label(row.quantity).replace("accelerometer", "accel."),
-                    number(row.mean_nees),
-                    decimal(row.low, 2),
-                    decimal(row.high, 2),
-                    decimal(row.within_1sd_pct, 1),
-                    decimal(row.within_3sd_pct, 1),
-                    decimal(row.effective_samples, 0),
-                    row.verdict,
-                )
-                for row in compared
-            ),
+            compared,
+            columns,
             f"Expected: NEES 1, all together {compared[-1].dof}; 68.3 % and 99.7 %. The reference is taken as exact. "
             "indep.: samples that do not repeat each other.",
         )

@@ -1,20 +1,21 @@
 """A replay on disk: the files of a result folder."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from insdvl_replay import __version__, logs
 from insdvl_replay.core.columns import Floats, TimeNs
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.history import History
+from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.runtime import begin
-from insdvl_replay.core.tables import each_table
+from insdvl_replay.core.tables import each_table, is_whole
 from insdvl_replay.replay import Replay
 from insdvl_replay.report.csv_tables import structs_csv
+from insdvl_replay.results.dive_document import dive_page
 from insdvl_replay.results.dive_figures import replay_coverage, replay_figures
-from insdvl_replay.results.dive_page import dive_page
 from insdvl_replay.results.folder import PAGE
-from insdvl_replay.results.json_report import build_report, encode_report, this_tool
-from insdvl_replay.results.run_log import run_log
+from insdvl_replay.results.json_report import Report, build_report, encode_report, this_tool
 
 
 def save_replay(replay: Replay, folder: Path) -> None:
@@ -66,3 +67,26 @@ def _measured(histories: tuple[History, ...]) -> dict[str, tuple[TimeNs, Floats]
         for innovations in history.innovations:
             measured.setdefault(innovations.measurement, (innovations.valid_ns, innovations.measured_b))
     return measured
+
+
+def run_log(report: Report) -> str:
+    """Write down what was read and noticed, a line each; no time of day, so that it can be compared."""
+    return "".join(f"{visible(line)}\n" for line in _log_lines(report))
+
+
+def _log_lines(report: Report) -> Iterator[str]:
+    log = report.log
+    yield f"{report.tool.name} {report.tool.version}"
+    yield f"log {log.name}, sha256 {log.sha256 or 'none'}"
+    for channel in log.channels:
+        role = channel.role or "not used"
+        yield f"channel {channel.topic} ({channel.type_name}, {channel.encoding}): {channel.messages} messages, {role}"
+    yield f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock"
+    for row in report.tables.consistency:
+        if is_whole(row.measurement):
+            yield f"filter {row.filter}: {row.used} {row.measurement} updates, {row.rejected} rejected by the gate"
+    for candidate in report.filters.values():
+        yield candidate.verdict
+    for note in report.notes:
+        hint = f" (hint: {note.hint})" if note.hint else ""
+        yield f"{note.severity} {note.code} [{note.count}]: {note.text}{hint}"

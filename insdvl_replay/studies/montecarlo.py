@@ -18,8 +18,14 @@ from insdvl_replay.evaluation.ensemble_tables import (
     runs_table,
     verdict_table,
 )
-from insdvl_replay.report.pictures import draw_ensemble, draw_nees
-from insdvl_replay.studies.montecarlo_document import montecarlo_sentences, run_sentences, shown_montecarlo, shown_run
+from insdvl_replay.studies.montecarlo_document import (
+    ensemble_figure,
+    montecarlo_sentences,
+    nees_figure,
+    run_sentences,
+    shown_montecarlo,
+    shown_run,
+)
 from insdvl_replay.studies.simulated_run import MATCHED, World, make_world, run_seed, simulated_run
 from insdvl_replay.studies.study_report import StudyReport, write_study
 
@@ -113,7 +119,7 @@ def save_montecarlo(report: StudyReport, ensembles: tuple[Ensemble, ...], folder
         Draw the pictures as PNG, too.
     """
     pictures = {
-        f"{ensemble.filter}_{name}": draw_ensemble(
+        f"{ensemble.filter}_{name}": ensemble_figure(
             f"{ensemble.filter}: {report.title}",
             states,
             *(ensemble.time_s, ensemble.sd, ensemble.error_sd, ensemble.error_mean),
@@ -121,7 +127,7 @@ def save_montecarlo(report: StudyReport, ensembles: tuple[Ensemble, ...], folder
         for ensemble in ensembles
         for name, states in PICTURES.items()
     }
-    write_study(report, folder, {"nees": draw_nees(report.title, report.series["nees"]), **pictures}, png=png)
+    write_study(report, folder, {"nees": nees_figure(report.title, report.series["nees"]), **pictures}, png=png)
 
 
 def repeat_run(

@@ -1,13 +1,23 @@
 """A Monte Carlo study for people: what each filter believes of its errors, and what they are."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 import pandas as pd
 
-from insdvl_replay.core.states import NINE, STATES
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.states import NINE, STATES, State
 from insdvl_replay.core.words import Consistency
 from insdvl_replay.report.display_table import ShownTable, number, percent, row_label
+from insdvl_replay.report.plots.panel import LIMIT, REFERENCE, Curve, Figure, Panel, filter_style
+
+BELIEVED: Final = f"{filter_style(0)} {filter_style(1)}"
+"""The dashes of the first filter in the blue of the second, as in the paper."""
+MEAN: Final = filter_style(2)
+SETTLED: Final = 0.02
+"""Share of the dive after which a panel shows everything; before, a sigma may fall from fifty times as high."""
+FAR_ABOVE: Final = 10.0
+"""A NEES this many times above the interval is drawn on a logarithmic scale, which shows the others, too."""
 
 
 def montecarlo_sentences(tables: Mapping[str, pd.DataFrame]) -> tuple[str, ...]:
@@ -168,4 +178,54 @@ def shown_run(table: pd.DataFrame) -> tuple[ShownTable, ...]:
             ),
         )
         for name, rows in table.groupby("filter", sort=False)
+    )
+
+
+def nees_figure(title: str, nees: pd.DataFrame) -> Figure:
+    """Draw the mean NEES of each filter over time, from `ensemble_tables.nees_table`, with its interval."""
+    names = list(nees["filter"].unique())
+    low, high = float(nees["low"][0]), float(nees["high"][0])
+    far_above = nees["mean_nees"].max() > FAR_ABOVE * high
+    panel = Panel(
+        "mean NEES",
+        "time [s]",
+        tuple(
+            Curve(rows["time_s"].to_numpy(), rows["mean_nees"].to_numpy(), filter_style(number))
+            for number, (_, rows) in enumerate(nees.groupby("filter", sort=False))
+        ),
+        levels=(low, high),
+        y_scale="log" if far_above else "linear",
+    )
+    legend = [(filter_style(number), name) for number, name in enumerate(names)]
+    caption = "Between the dashed lines lie 95 % of consistent filters."
+    return Figure(title, caption, (panel,), (*legend, (LIMIT, "95 % interval")))
+
+
+def ensemble_figure(
+    title: str, states: Sequence[State], time_s: Floats, sd: Floats, error_sd: Floats, error_mean: Floats
+) -> Figure:
+    """Draw sigma from P, ensemble sigma and ensemble mean over time, one panel for each state.
+
+    Parameters
+    ----------
+    title : str
+    states : sequence of State
+    time_s : ndarray, shape (k,)
+    sd, error_sd, error_mean : ndarray, shape (k, 12)
+        SI units.
+    """
+    panels = []
+    for state in states:
+        columns = [column[:, state.index] / state.factor for column in (sd, error_sd, error_mean)]
+        believed, actual, mean = columns
+        settled = time_s >= SETTLED * time_s[-1]
+        lowest, highest = min(0.0, mean[settled].min()), max(believed[settled].max(), actual[settled].max())
+        curves = (Curve(time_s, actual, REFERENCE), Curve(time_s, mean, MEAN), Curve(time_s, believed, BELIEVED))
+        y_limits = (1.1 * lowest - 0.1 * highest, 1.1 * highest)
+        panels.append(Panel(f"{state.label} [{state.unit}]", "time [s]", curves, y_limits=y_limits))
+    return Figure(
+        title,
+        "Where the sigma from P lies on that of the ensemble, the filter is as good as it says.",
+        tuple(panels),
+        ((BELIEVED, "sigma from P"), (REFERENCE, "ensemble sigma"), (MEAN, "ensemble mean")),
     )

@@ -22,8 +22,11 @@ from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.replay import prepared_timeline, run_one
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS
-from insdvl_replay.studies.observability_document import observability_sentences, shown_observability
-from insdvl_replay.studies.observability_picture import draw_singular_values
+from insdvl_replay.studies.observability_document import (
+    observability_sentences,
+    shown_observability,
+    singular_value_figure,
+)
 from insdvl_replay.studies.observability_tables import observability_tables
 from insdvl_replay.studies.study_report import StudyReport, write_study
 
@@ -105,7 +108,7 @@ def save_observability(report: StudyReport, folder: Path, *, png: bool = False) 
     png : bool
         Draw the picture as PNG, too.
     """
-    figure = draw_singular_values(report.title, report.tables["singular_values"], TOLERANCE)
+    figure = singular_value_figure(report.title, report.tables["singular_values"], TOLERANCE)
     write_study(report, folder, {"singular_values": figure}, png=png)
 
 

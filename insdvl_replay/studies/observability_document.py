@@ -9,6 +9,7 @@ import pandas as pd
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import DirectionStatus
 from insdvl_replay.report.display_table import MISSING, ShownTable, number, percent, row_label
+from insdvl_replay.report.plots.panel import LIMIT, Curve, Figure, Panel, filter_style
 
 _SHORT: Final = {
     "velocity + published": "velocity +\npublished",
@@ -16,6 +17,8 @@ _SHORT: Final = {
 }
 _NOTHING: Final = 1e-5
 """Smaller components of a direction, in shown units beside a leading 1, are left out."""
+_SMALLEST: Final = 1e-12
+"""Singular values are drawn down to this share of the largest; below is rounding."""
 _GROWN_PCT: Final = 101.0
 """Of the prior, above which a state is said to have grown more uncertain; a bias alone wanders by less."""
 
@@ -163,3 +166,31 @@ def _by_aiding(
         tuple((label, *(cells[key, aiding] for aiding in aidings)) for key, label in labels.items()),
         footnote,
     )
+
+
+def singular_value_figure(title: str, values: pd.DataFrame, tolerance: float) -> Figure:
+    """Draw the singular values of each aiding as shares of its largest, and the tolerance.
+
+    Parameters
+    ----------
+    title : str
+    values : DataFrame
+        Columns aiding, number, singular_value.
+    tolerance : float
+        Share of the largest up to which a singular value is called zero.
+    """
+    curves, legend = [], []
+    for count, (aiding, rows) in enumerate(values.groupby("aiding", sort=False)):
+        largest = rows["singular_value"].max() or 1.0
+        share = np.maximum(rows["singular_value"].to_numpy() / largest, _SMALLEST)
+        curves.append(Curve(rows["number"].to_numpy(np.float64), share, filter_style(count)))
+        legend.append((filter_style(count), str(aiding)))
+    panel = Panel(
+        "singular values, share of the largest",
+        "number of the singular value",
+        tuple(curves),
+        levels=(tolerance,),
+        y_scale="log",
+        x_whole=True,
+    )
+    return Figure(title, "Below the tolerance nothing is seen.", (panel,), (*legend, (LIMIT, "tolerance")))

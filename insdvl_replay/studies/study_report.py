@@ -1,29 +1,30 @@
-"""The result of a study: sentences and tables, for people, for scripts, as a page, and the folder that keeps them."""
+"""The result of a study: sentences and tables, for people, for scripts and for the folder that keeps them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
-import pandas as pd
-from matplotlib.figure import Figure
 from msgspec import Meta, Struct
-from rich.console import Group, RenderableType
-from rich.text import Text
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.errors import Note
-from insdvl_replay.report.csv_tables import rows_csv, table_csv
+from insdvl_replay.report.csv_tables import blocks_csv, table_csv
 from insdvl_replay.report.display_table import ShownTable
-from insdvl_replay.report.markup import latex_page, markdown_page
-from insdvl_replay.report.page import Heading, Lead, Part, page
-from insdvl_replay.report.page_parts import facts, losses, picture, settings_details
-from insdvl_replay.report.pictures import picture_bytes
-from insdvl_replay.report.terminal import dressed, spoken
-from insdvl_replay.results.folder import COMPLETE, PAGE
+from insdvl_replay.report.document import PAGE, Facts, Heading, Lead, Only, Part, Title, losses, settings_details
+from insdvl_replay.report.page import page
+from insdvl_replay.report.plots.panel import Figure
+from insdvl_replay.report.plots.png import figure_png
+from insdvl_replay.report.plots.svg import sheet_svg
+from insdvl_replay.results.folder import COMPLETE
+from insdvl_replay.results.folder import PAGE as PAGE_FILE
 from insdvl_replay.results.json_report import Files, Tool, as_json, package_versions, this_tool
+
+if TYPE_CHECKING:
+    # Only their types are needed, and whoever asks for the schema must not wait for them.
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -56,11 +57,11 @@ class StudyReport:
     title: str
     arguments: Mapping[str, Any]
     sentences: tuple[str, ...]
-    tables: Mapping[str, pd.DataFrame]
+    tables: "Mapping[str, pd.DataFrame]"
     shown: tuple[ShownTable, ...]
     config: Config
     notes: tuple[Note, ...] = ()
-    series: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    series: "Mapping[str, pd.DataFrame]" = field(default_factory=dict)
 
 
 class StudyResult(Struct, frozen=True):
@@ -80,57 +81,57 @@ class StudyResult(Struct, frozen=True):
 
 
 def write_study(
-    report: StudyReport, folder: Path, pictures: Mapping[str, Figure] | None = None, *, png: bool = False
+    report: StudyReport, folder: Path, figures: Mapping[str, Figure] | None = None, *, png: bool = False
 ) -> None:
-    """Write the pictures, the tables, the settings, the page and, last, the file by which a result is known.
+    """Write the figures, the tables, the settings, the page and, last, the file by which a result is known.
 
     Parameters
     ----------
     report : StudyReport
     folder : Path
         Exists; its other files are left alone.
-    pictures : mapping of str to matplotlib.figure.Figure, optional
+    figures : mapping of str to Figure, optional
         By the name of their files.
     png : bool
-        Write the pictures as PNG, too.
+        Draw them as PNG, too.
     """
-    drawn = {name: picture_bytes(figure, "svg") for name, figure in (pictures or {}).items()}
-    for name, svg in drawn.items():
-        (folder / f"{name}.svg").write_bytes(svg)
-    for name, figure in (pictures or {}).items() if png else ():
-        (folder / f"{name}.png").write_bytes(picture_bytes(figure, "png"))
-    (folder / PAGE).write_bytes(study_page(report, drawn))
+    figures = figures or {}
+    for name, figure in figures.items():
+        (folder / f"{name}.svg").write_bytes(sheet_svg(figure))
+        if png:
+            (folder / f"{name}.png").write_bytes(figure_png(figure))
+    (folder / PAGE_FILE).write_bytes(page(study_document(report, list(figures.values()))))
     for name, table in {**report.tables, **report.series}.items():
         (folder / f"{name}.csv").write_bytes(table_csv(table))
     (folder / "config.toml").write_text(render_toml(report.config), "utf-8")
     (folder / COMPLETE).write_bytes(study_json(report))
 
 
+def study_document(report: StudyReport, figures: Sequence[Figure] = ()) -> list[Part]:
+    """Lay out a study."""
+    return [
+        Title(report.title),
+        *map(Lead, report.sentences),
+        Heading("Pictures"),
+        *figures,
+        Heading("Tables"),
+        *report.shown,
+        Heading("What was lost or assumed"),
+        Only(PAGE, (losses(report.notes),)),
+        Heading("Provenance"),
+        *_provenance(report),
+    ]
+
+
 def study_csv(report: StudyReport) -> str:
-    """Write the tables one after the other, each line beginning with the table's name, a blank line between them."""
-    blocks = []
-    for name, table in report.tables.items():
-        rows = ((name, *row) for row in table.itertuples(index=False, name=None))
-        blocks.append(rows_csv(("table", *table.columns), rows))
-    return "\n".join(blocks)
-
-
-def study_markdown(report: StudyReport) -> str:
-    """Dress a study in Markdown."""
-    return markdown_page(report.title, report.sentences, report.shown)
-
-
-def study_latex(report: StudyReport) -> str:
-    """Dress a study in LaTeX."""
-    return latex_page(report.title, report.sentences, report.shown)
-
-
-def study_terminal(report: StudyReport) -> Group:
-    """Dress a study for a terminal, to be printed by a rich console."""
-    parts: list[RenderableType] = [spoken(report.title, "bold"), *map(spoken, report.sentences)]
-    for table in report.shown:
-        parts += [Text(), dressed(table)]
-    return Group(*parts)
+    """Write the tables one after the other."""
+    return blocks_csv(
+        "table",
+        {
+            name: (list(table.columns), table.itertuples(index=False, name=None))
+            for name, table in report.tables.items()
+        },
+    )
 
 
 def study_json(report: StudyReport) -> bytes:
@@ -148,40 +149,18 @@ def study_json(report: StudyReport) -> bytes:
     return as_json(result)
 
 
-def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+def _rows(table: "pd.DataFrame") -> list[dict[str, Any]]:
     return [{str(column): value for column, value in row.items()} for row in table.to_dict("records")]
 
 
-def study_page(report: StudyReport, pictures: Mapping[str, bytes]) -> bytes:
-    """Write the page of a study.
-
-    Parameters
-    ----------
-    report : StudyReport
-    pictures : mapping of str to bytes
-        SVG by name.
-
-    Returns
-    -------
-    bytes
-        The same study gives the same bytes.
-    """
+def _provenance(report: StudyReport) -> tuple[Part, ...]:
     tool = Tool()
     asked = {
         name: ", ".join(map(str, value)) if isinstance(value, list) else str(value)
         for name, value in report.arguments.items()
     }
     versions = ", ".join(f"{name} {version}" for name, version in package_versions().items())
-    parts: list[Part] = [
-        *map(Lead, report.sentences),
-        Heading("Pictures"),
-        *(picture(name, svg) for name, svg in pictures.items()),
-        Heading("Tables"),
-        *report.shown,
-        Heading("What was lost or assumed"),
-        losses(report.notes),
-        Heading("Provenance"),
-        facts({**asked, "tool": f"{tool.name} {tool.version}", "with": versions}),
+    return (
+        Facts({**asked, "tool": f"{tool.name} {tool.version}", "with": versions}),
         settings_details(render_toml(report.config)),
-    ]
-    return page(report.title, parts)
+    )

@@ -25,8 +25,7 @@ from insdvl_replay.nav.gaps import Gaps
 from insdvl_replay.preparation.prepared import prepare_dive, reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.studies.study_report import StudyReport, write_study
-from insdvl_replay.studies.window_document import shown_windows, window_sentences
-from insdvl_replay.studies.window_picture import draw_windows
+from insdvl_replay.studies.window_document import shown_windows, window_figure, window_sentences
 
 COMPENSATED: Final = "compensated"
 IGNORED: Final = "ignored"
@@ -99,7 +98,7 @@ def save_window(report: StudyReport, folder: Path, *, png: bool = False) -> None
     png : bool
         Draw the picture as PNG, too.
     """
-    write_study(report, folder, {"window": draw_windows(report.tables["window"])}, png=png)
+    write_study(report, folder, {"window": window_figure(report.tables["window"])}, png=png)
 
 
 def dive_windows(dive: Dive, config: Config, longest: int) -> tuple[pd.DataFrame, float, tuple[Note, ...]]:

@@ -1,11 +1,14 @@
 """A window study for people: how many velocities make the best acceleration."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 
 from insdvl_replay.report.display_table import ShownTable, number
+from insdvl_replay.report.plots.axis import limits
+from insdvl_replay.report.plots.panel import Curve, Figure, Panel, filter_style
 
 _ARM: Final = {
     "compensated": "With the lever arm compensated",
@@ -13,6 +16,10 @@ _ARM: Final = {
     "none": "Without a lever arm",
 }
 _HEADERS: Final = {"compensated": "arm comp.", "ignored": "arm ignored", "none": "no arm"}
+
+_TITLES: Final = {"compensated": "lever arm compensated", "ignored": "lever arm ignored", "none": "no lever arm"}
+_STYLES: Final = {"middle": filter_style(1), "end": filter_style(0)}
+_ALONE: Final = "zero"
 
 
 def window_sentences(best: pd.DataFrame, differentiated_over_s: Sequence[float]) -> tuple[str, ...]:
@@ -85,3 +92,40 @@ def _optima(best: pd.DataFrame) -> ShownTable:
         ),
         "log *: all logs together" if best["log"].iloc[0] == "*" else "",
     )
+
+
+def window_figure(windows: pd.DataFrame) -> Figure:
+    """Draw the error at the middle and at the end of windows, one panel for each treatment of the lever arm.
+
+    Parameters
+    ----------
+    windows : DataFrame
+        Columns log, n, at, lever_arm, rmse_mps2, samples. The first log is drawn bold, the others thin.
+    """
+    y_limits = limits(windows["rmse_mps2"].to_numpy(), "log")
+    panels = tuple(
+        Panel(
+            f"rms error [m/s²], {_TITLES[str(arm)]}",
+            "number of velocities n",
+            tuple(_curves(rows, windows["log"].iloc[0])),
+            y_scale="log",
+            y_limits=y_limits,
+            x_whole=True,
+        )
+        for arm, rows in windows.groupby("lever_arm", sort=False)
+    )
+    legend = [(style, f"{at} of the window") for at, style in _STYLES.items()]
+    if windows["log"].nunique() > 1:
+        legend.append((_ALONE, "each log alone"))
+    caption = "Dots: the number of velocities with the least error."
+    return Figure("Acceleration errors by the number of velocities", caption, panels, tuple(legend))
+
+
+def _curves(windows: pd.DataFrame, first: str) -> Iterator[Curve]:
+    """Draw the first log last, which lies on top."""
+    for (log, at), rows in reversed(list(windows.groupby(["log", "at"], sort=False))):
+        style, n, rmse = _STYLES[str(at)], rows["n"].to_numpy(np.float64), rows["rmse_mps2"].to_numpy()
+        yield Curve(n, rmse, style if log == first else f"{style} {_ALONE}")
+        if log == first:
+            least = int(rmse.argmin())
+            yield Curve(n[[least]], rmse[[least]], style, points=True)

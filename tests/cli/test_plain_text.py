@@ -17,11 +17,13 @@ from mcap.writer import Writer
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.plain_text import visible, visible_lines, without_commands
-from insdvl_replay.gates.github import github_annotations
 from insdvl_replay.gates.model import CheckResult, Judgement
+from insdvl_replay.gates.output import github_annotations
 from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.report.display_table import ShownTable
-from insdvl_replay.report.markup import latex_page, markdown_code, markdown_page
+from insdvl_replay.report.document import Code, Sentences, Title
+from insdvl_replay.report.latex import as_latex
+from insdvl_replay.report.markdown import as_markdown
 
 HOSTILE = "\n::error file=x::pwned\x1b]0;t\x07\r\x85\u2028\u202e\u200b##[error]x<b>&|`%\\input{evil}"
 DIVE = f"::error::=a{HOSTILE}"
@@ -111,13 +113,14 @@ def test_cells_that_a_spreadsheet_would_run_are_words_and_numbers_stay_numbers()
 
 def test_markup_is_not_left() -> None:
     table = ShownTable(HOSTILE, ("a", "b"), "ll", ((DIVE, "[x](javascript:1)"), ("[1cm]", "<i>")), HOSTILE)
-    text = markdown_page(HOSTILE, [HOSTILE], [table], [HOSTILE])
+    document = [Title(HOSTILE), HOSTILE, table, Sentences((HOSTILE,))]
+    text = as_markdown(document)
     assert_plain(without_commands(text))
     assert "<" not in text.replace("<br>", "")
     assert "](" not in text
     rows = [line for line in text.split("\n") if line.startswith("| ")]
     assert [len(re.findall(r"(?<!\\)\|", row)) for row in rows] == [3, 3, 3, 3]
-    latex = latex_page(HOSTILE, [HOSTILE], [table])
+    latex = as_latex(document)
     assert_plain(latex)
     assert [line for line in latex.split("\n") if r"\input" in line] == [
         line for line in latex.split("\n") if line.startswith("% ")
@@ -126,7 +129,7 @@ def test_markup_is_not_left() -> None:
 
 
 def test_a_block_of_code_is_not_left() -> None:
-    assert markdown_code('a = "```"\n', "toml") == '````toml\na = "```"\n````'
+    assert as_markdown([Code('a = "```"\n', "toml")]) == '````toml\na = "```"\n````\n'
 
 
 def test_annotations_are_commands_of_ours_alone() -> None:

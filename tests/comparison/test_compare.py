@@ -19,19 +19,16 @@ from taken_apart import Document
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.comparison.aggregation import aggregates
 from insdvl_replay.comparison.comparison import Selection, compare_results
-from insdvl_replay.comparison.document import comparison_tables, opening_lines
+from insdvl_replay.comparison.document import comparison_csv, comparison_document, comparison_tables, opening_lines
 from insdvl_replay.comparison.fail_on import breach, parse_limit
-from insdvl_replay.comparison.output import (
-    comparison_csv,
-    comparison_html,
-    comparison_json,
-    comparison_markdown,
-    comparison_terminal,
-)
 from insdvl_replay.comparison.sort_order import Order, arranged
 from insdvl_replay.core.changes import Change, Comparison
 from insdvl_replay.core.errors import ConfigError, ResultError
 from insdvl_replay.core.tables import LAYOUTS
+from insdvl_replay.report.markdown import as_markdown
+from insdvl_replay.report.page import page
+from insdvl_replay.report.terminal import for_terminal
+from insdvl_replay.results.json_report import as_json
 
 
 def compared(folder: Path, old: dict[str, Any], new: dict[str, Any], **selection: Any) -> Comparison:
@@ -316,7 +313,7 @@ def test_only_changed_leaves_the_counts_alone(tmp_path: Path) -> None:
 
 def test_a_page_says_first_how_much_moved_and_holds_every_cell(tmp_path: Path) -> None:
     comparison = arranged(compare_results(*two_sets(tmp_path)), "table", only_changed=True)
-    document = Document(comparison_html(comparison).decode())
+    document = Document(page(comparison_document(comparison)).decode())
     assert document.texts["p"][: len(opening_lines(comparison))] == opening_lines(comparison)
     tables = comparison_tables(comparison)
     assert document.texts["h3"] == [table.title for table in tables]
@@ -326,7 +323,7 @@ def test_a_page_says_first_how_much_moved_and_holds_every_cell(tmp_path: Path) -
 def test_dives_in_which_nothing_moved_are_counted(tmp_path: Path) -> None:
     old, new = two_sets(tmp_path)
     write(new / "four", content("four"))
-    text = comparison_markdown(arranged(compare_results(old, new), "table", only_changed=True))
+    text = as_markdown(comparison_document(arranged(compare_results(old, new), "table", only_changed=True)))
     assert text.startswith("## 4 dives: ")
     assert "| four |" not in text
     assert "and 1 dive in which nothing moved" in text
@@ -454,8 +451,8 @@ sys.exit(",".join({"pandas", "numba", "scipy", "mcap", "matplotlib"} & set(sys.m
 
 def test_json_is_read_back_as_the_comparison(tmp_path: Path) -> None:
     comparison = compare_results(*two_sets(tmp_path))
-    assert msgspec.json.decode(comparison_json(comparison), type=Comparison) == comparison
-    document = json.loads(comparison_json(comparison))
+    assert msgspec.json.decode(as_json(comparison), type=Comparison) == comparison
+    document = json.loads(as_json(comparison))
     # Of each dive 5 cells of the candidate, 2 x 3 of improvement, 2 x 4 of convergence, 5 of errors, 3 of consistency.
     assert document["total"]["counts"] == {"better": 1, "worse": 2, "same": 78, "changed": 0, "new": 0, "gone": 0}
 
@@ -481,7 +478,7 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped(dives: int, tmp
     comparison = compare_results(old / "two", new / "two") if dives == 1 else compare_results(old, new)
     for width in (80, 1000):
         console = Console(width=width, record=True, file=io.StringIO())
-        console.print(comparison_terminal(comparison))
+        console.print(for_terminal(comparison_document(comparison)))
         text = console.export_text()
         assert max(len(line.rstrip()) for line in text.split("\n")) <= width
         assert "…" not in text
@@ -517,7 +514,7 @@ def test_real_results_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_what_is_neither_better_nor_worse_comes_last(tmp_path: Path) -> None:
     new = content(rmse=0.2, final=0.4)
     new["tables"]["reference_error"][0]["samples"] = 290
-    text = comparison_markdown(arranged(compared(tmp_path, content(), new), "table", only_changed=True))
+    text = as_markdown(comparison_document(arranged(compared(tmp_path, content(), new), "table", only_changed=True)))
     titles = [line for line in text.split("\n") if line.startswith("**Reference error")]
     assert [title.split(": ")[1].split()[0].strip("*") for title in titles] == ["rmse", "final", "samples"]
 

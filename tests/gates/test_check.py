@@ -20,10 +20,9 @@ import xmlschema
 from small_results import content, write
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.gates.check_json import CheckReport
-from insdvl_replay.gates.github import SHOWN, github_annotations
 from insdvl_replay.gates.junit import junit_xml
 from insdvl_replay.gates.model import CheckResult, Judgement
+from insdvl_replay.gates.output import SHOWN, CheckReport, github_annotations
 
 DIVES = Path(__file__).parents[2] / "examples" / "archive" / "dives"
 SCHEMA = xmlschema.XMLSchema(Path(__file__).with_name("junit.xsd"))

@@ -20,12 +20,14 @@ from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.states import DEG
+from insdvl_replay.inspection.document import inventory_document
 from insdvl_replay.inspection.inventory import Inventory
-from insdvl_replay.inspection.output import encode_inventory, terminal_inventory
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.inspection.vectors import vector_paths
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.replay import replay_log
+from insdvl_replay.report.terminal import for_terminal
+from insdvl_replay.results.json_report import as_json
 from insdvl_replay.sim.dive import simulate_dive
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -449,14 +451,14 @@ def test_json_is_complete_and_reads_back(log: Path, capsys: pytest.CaptureFixtur
     captured = capsys.readouterr()
     inventory = inspect_log(log, load_config(), deep=True)
     assert msgspec.json.decode(captured.out, type=Inventory) == inventory
-    assert encode_inventory(inventory).decode() == captured.out
+    assert as_json(inventory).decode() == captured.out
     assert captured.err == ""
 
 
 def shown(inventory: Inventory, width: int) -> list[str]:
     console = Console(width=width, highlight=False)
     with console.capture() as capture:
-        console.print(terminal_inventory(inventory), crop=False)
+        console.print(for_terminal(inventory_document(inventory)), crop=False)
     return capture.get().splitlines()
 
 

@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from matplotlib.ticker import LogLocator, MaxNLocator
 
 from insdvl_replay.report.plots.axis import Axis, limits
 from insdvl_replay.report.plots.envelope import band_envelope, envelope, without_standstill
@@ -98,6 +99,29 @@ def test_limits_give_air_and_never_meet(values: list[float], expected: tuple[flo
 def test_limits_of_a_logarithmic_axis_are_powers_of_ten() -> None:
     assert limits(np.array([0.0, -1.0, 0.02, 300.0, NAN]), "log") == (0.01, 1000.0)
     assert limits(np.array([-1.0]), "log") == (1.0, 10.0)
+
+
+@pytest.mark.parametrize("count", [5, 6])
+def test_ticks_are_those_of_matplotlib(count: int) -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(2000):
+        low, span = rng.normal() * 10.0 ** rng.uniform(-8, 8), 10.0 ** rng.uniform(-8, 8)
+        if span > 1e-6 * abs(low):
+            theirs = MaxNLocator(count, steps=(1, 2, 2.5, 5, 10)).tick_values(low, low + span)
+            assert_same_ticks(Axis(low, low + span, 0.0, 1.0), count, theirs)
+        bottom, decades = 10.0 ** rng.uniform(-12, 12), 10.0 ** rng.uniform(0.1, 20)
+        theirs = LogLocator(numticks=count).tick_values(bottom, bottom * decades)
+        assert_same_ticks(Axis(bottom, bottom * decades, 0.0, 1.0, "log"), count, theirs)
+
+
+@pytest.mark.parametrize(("high", "labels"), [(3, "123"), (4, "1234"), (9, "123456789")])
+def test_what_is_counted_has_whole_ticks(high: int, labels: str) -> None:
+    assert [label for _, label in Axis(0.9, high + 0.1, 0.0, 1.0, whole=True).ticks(12)] == list(labels)
+
+
+def assert_same_ticks(axis: Axis, count: int, values: np.ndarray) -> None:
+    inside = values[(values >= axis.low) & (values <= axis.high)]
+    np.testing.assert_allclose([place for place, _ in axis.ticks(count)], axis.place(inside), atol=1e-6)
 
 
 def test_ticks_are_round_numbers_at_their_places() -> None:

@@ -13,10 +13,11 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import STATES
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.report.display_table import ShownTable
-from insdvl_replay.report.page import Heading, Html, Lead, page
+from insdvl_replay.report.document import Heading, Html, Lead, Title
+from insdvl_replay.report.page import page
+from insdvl_replay.results.coverage import Source, covered_shares
 from insdvl_replay.results.dive_tables import glance_table, shown_tables
-from insdvl_replay.results.figures.clock import Clock
-from insdvl_replay.results.figures.coverage import Source, covered_shares
+from insdvl_replay.results.filter_figures import Clock
 from insdvl_replay.results.json_report import Report, decode_report
 from insdvl_replay.results.result_files import save_replay
 from insdvl_replay.sim.dive import simulate_dive
@@ -158,7 +159,9 @@ def test_coverage_of_a_silent_sensor_is_nothing(samples: int) -> None:
 
 def test_any_text_is_text() -> None:
     table = ShownTable("<t>", ("a\nb", "&"), "lr", (("<script>", "1"), ('"', "2")), "<f>")
-    document = Document(page("<h>", ["<p>", Lead("<l>"), Heading("Über & <all>"), table, Html("<em>x</em>")]).decode())
+    document = Document(
+        page([Title("<h>"), "<p>", Lead("<l>"), Heading("Über & <all>"), table, Html("<em>x</em>")]).decode()
+    )
     assert document.texts["h1"] == ["<h>"]
     assert document.texts["td"] == ["<script>", "1", '"', "2"]
     assert document.texts["em"] == ["x"]

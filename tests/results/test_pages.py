@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 import pandas as pd
 from taken_apart import Document
@@ -11,11 +10,8 @@ from test_report import report
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
 from insdvl_replay.report.display_table import ShownTable
-from insdvl_replay.report.page_parts import picture
-from insdvl_replay.report.pictures import picture_bytes
-from insdvl_replay.results.index_page import index_page
-from insdvl_replay.results.summary import Failure
-from insdvl_replay.studies.observability_picture import draw_singular_values
+from insdvl_replay.results.overviews import Failure, index_page
+from insdvl_replay.studies.observability_document import singular_value_figure
 from insdvl_replay.studies.study_report import StudyReport, write_study
 
 VALUES = pd.DataFrame(
@@ -56,17 +52,18 @@ def test_index_allows_its_own_script_alone() -> None:
 
 
 def test_page_of_a_study_shows_its_findings_pictures_tables_and_losses(tmp_path: Path) -> None:
-    figure = draw_singular_values("Singular values", VALUES, 1e-6)
+    figure = singular_value_figure("Singular values", VALUES, 1e-6)
     write_study(study(), tmp_path, {"singular_values": figure}, png=True)
     names = {"singular_values.csv", "singular_values.svg", "singular_values.png", "config.toml", "report.json"}
     assert {path.name for path in tmp_path.iterdir()} == names | {"report.html"}
     document = Document((tmp_path / "report.html").read_text("utf-8"))
     assert document.texts["p"][:2] == ["rank 9 of 12", "rank 6 of 12"]
     assert document.texts["h1"] == ["Observability study: <straight>"]
-    assert document.count("figure", "picture") == 1
+    assert document.count("figure") == 1
+    assert document.count("path", "filter4") > 0
     assert {"velocity", "9", "the IMU pauses 3 times [imu_gaps]"} <= set(document.texts["td"])
     assert {"straight", "True"} <= set(document.texts["dd"])
-    assert "Singular values" in document.texts["text"]
+    assert "singular values, share of the largest" in document.texts["text"]
 
 
 def test_study_without_pictures_has_a_page_and_the_same_bytes(tmp_path: Path) -> None:
@@ -76,15 +73,3 @@ def test_study_without_pictures_has_a_page_and_the_same_bytes(tmp_path: Path) ->
         write_study(study(), tmp_path / name)
         pages.append((tmp_path / name / "report.html").read_bytes())
     assert pages[0] == pages[1]
-
-
-def test_picture_takes_the_colours_of_the_page_and_names_of_its_own() -> None:
-    svg = picture_bytes(draw_singular_values("Singular values", VALUES, 1e-6), "svg")
-    one, two = (picture(name, svg).text for name in ("first", "second"))
-    ET.fromstring(one.replace("xlink:", ""))
-    assert not re.search(r"#[0-9a-f]{6}\b", one)
-    ids = [set(re.findall(r'id="([^"]+)"', text)) for text in (one, two)]
-    assert ids[0]
-    assert not ids[0] & ids[1]
-    for text, named in zip((one, two), ids, strict=True):
-        assert set(re.findall(r'(?:url\(|href=")#([^")]+)', text)) <= named

@@ -13,7 +13,7 @@ from frames import frames
 from msgspec.structs import replace
 from rich.console import Console
 
-from insdvl_replay.cli.json_schemas import SCHEMAS
+from insdvl_replay.cli.json_schemas import SCHEMAS, json_schema
 from insdvl_replay.core.channel import Channel
 from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.config import Config
@@ -31,13 +31,15 @@ from insdvl_replay.core.tables import (
 from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.report.csv_tables import structs_csv, table_csv
 from insdvl_replay.report.display_table import number, percent
-from insdvl_replay.results.dive_sentences import closing_lines, heading
+from insdvl_replay.report.latex import as_latex
+from insdvl_replay.report.markdown import as_markdown
+from insdvl_replay.report.terminal import for_terminal
+from insdvl_replay.results.dive_document import closing_lines, dive_document, heading, report_csv
 from insdvl_replay.results.dive_tables import glance_table
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.json_report import Report, Tool, build_report, decode_report, encode_report
-from insdvl_replay.results.output import latex_report, markdown_report, report_csv, terminal_report
-from insdvl_replay.results.run_log import run_log
-from insdvl_replay.results.summary import Failure, summary_csv
+from insdvl_replay.results.overviews import Failure, summary_csv
+from insdvl_replay.results.result_files import run_log
 
 NAN = float("nan")
 HEADERS = {
@@ -176,14 +178,14 @@ def test_report_from_before_there_were_these_columns_is_still_read() -> None:
     early = decode_report(json.dumps(document).encode())
     assert early.tables.credibility == []
     assert early.tables.consistency[0].verdict == "consistent"
-    assert "Consistency" in markdown_report(early)
-    assert "Innovations" not in markdown_report(early)
+    assert "Consistency" in as_markdown(dive_document(early))
+    assert "Innovations" not in as_markdown(dive_document(early))
     assert b"velocity consistent; acceleration over-confident," in summary_csv([early])
 
 
 @pytest.mark.parametrize("name", sorted(SCHEMAS))
 def test_schema_file_is_what_the_code_generates(name: str) -> None:
-    assert (SCHEMA_FOLDER / f"{name}.schema.json").read_bytes() == SCHEMAS[name](), (
+    assert (SCHEMA_FOLDER / f"{name}.schema.json").read_bytes() == json_schema(name), (
         f"run: insdvl-replay schema {name} > schemas/{name}.schema.json"
     )
 
@@ -191,7 +193,7 @@ def test_schema_file_is_what_the_code_generates(name: str) -> None:
 def test_terminal_tables_fit_80_columns_and_are_whole_when_piped() -> None:
     for width in (80, 1000):
         console = Console(width=width, record=True, file=io.StringIO())
-        console.print(terminal_report(report()))
+        console.print(for_terminal(dive_document(report())))
         text = console.export_text()
         assert max(len(line.rstrip()) for line in text.split("\n")) <= width
         assert "…" not in text
@@ -219,14 +221,14 @@ def test_no_gain_stands_beside_a_filter_that_is_not_judged() -> None:
 
 
 def test_markdown_tables_have_one_cell_per_column() -> None:
-    lines = [line for line in markdown_report(report()).split("\n") if line.startswith("|")]
+    lines = [line for line in as_markdown(dive_document(report())).split("\n") if line.startswith("|")]
     assert len(lines) == 12 + 12 + 3 + 3 + 4 + 3 + 6 * 2
     assert {line.count("|") for line in lines} == {7, 8, 9}
     assert "| accelerometer bias, z | mg | 1.000 | 0.8000 | - | improved |" in lines
 
 
 def test_latex_escapes_what_latex_would_read() -> None:
-    text = latex_report(report())
+    text = as_latex(dive_document(report()))
     assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 6
     assert r"20.0 \% & improved \\" in text
     assert r"m/s & 1.000" in text

@@ -30,9 +30,11 @@ from insdvl_replay.evaluation.ensemble_tables import montecarlo_table, outage_ta
 from insdvl_replay.evaluation.state_errors import motion_error, nees
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import dvl_velocities
-from insdvl_replay.report.pictures import draw_ensemble, picture_bytes
+from insdvl_replay.report.plots.png import figure_png
+from insdvl_replay.report.plots.svg import sheet_svg
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
 from insdvl_replay.studies.montecarlo import repeat_run, save_montecarlo, study_montecarlo
+from insdvl_replay.studies.montecarlo_document import BELIEVED, ensemble_figure
 from insdvl_replay.studies.simulated_run import drawn_start, make_world, matched_errors, run_seed, simulated_run
 
 RUNS, DURATION_S = 100, 40.0
@@ -315,16 +317,15 @@ def test_work_is_given_back_in_order_and_ends_at_the_first_error() -> None:
 def test_picture_is_drawn_in_shown_units_and_to_the_same_bytes() -> None:
     rng = np.random.default_rng(5)
     columns = [np.arange(30.0), *(rng.random((30, 12)) for _ in range(3))]
-    svg = picture_bytes(draw_ensemble("title", STATES[:6], *columns), "svg")
-    assert svg == picture_bytes(draw_ensemble("title", STATES[:6], *columns), "svg")
-    assert b"<dc:date>" not in svg
-    assert ET.fromstring(svg).tag.endswith("svg")
-    figure = draw_ensemble("title", STATES[6:], *columns)
-    panel = figure.axes[0]
-    assert panel.get_title() == "accelerometer bias, x [mg]"
-    lines = {line.get_label(): line for line in panel.get_lines()}
-    np.testing.assert_allclose(lines["sigma from P"].get_ydata(), columns[1][:, 6] / MG)
-    assert len({(line.get_linestyle(), line.get_linewidth()) for line in lines.values()}) == 3, "told without colour"
+    figure = ensemble_figure("title", STATES[6:], *columns)
+    assert sheet_svg(figure) == sheet_svg(ensemble_figure("title", STATES[6:], *columns))
+    assert ET.fromstring(sheet_svg(figure)).tag.endswith("svg")
+    assert figure_png(figure) == figure_png(figure)
+    panel = figure.panels[0]
+    assert panel.title == "accelerometer bias, x [mg]"
+    curves = {curve.style: curve for curve in panel.curves}
+    assert len(curves) == 3, "told without colour"
+    np.testing.assert_allclose(curves[BELIEVED].y, columns[1][:, 6] / MG)
 
 
 # --- The command.

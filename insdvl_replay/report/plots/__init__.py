@@ -1,5 +1,6 @@
-"""Small plots as SVG, drawn by hand of a few functions: panels of curves on two axes, for pages with dozens of them.
+"""Small plots, drawn by hand of a few functions: panels of curves on two axes, for pages with dozens of them.
 
 `panel` says what there is to draw, `envelope` makes long series short without hiding their peaks, `axis` finds ticks,
-and `svg` draws. Colours and dashes are classes of the page's style sheet, so that a page decides about light and dark.
+`svg` draws, and `png` lets matplotlib draw the same. Colours and dashes are classes of the page's style sheet, so that
+a page decides about light and dark.
 """

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.report.plots.panel import Scale
 
-_STEPS: Final = (1, 2, 2.5, 5, 10)
+_STEPS: Final = (0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 2.5, 5.0, 10.0)
+"""Of ticks, times a power of ten."""
 _MARGIN: Final = 0.05
 """Share of the span that stays free at either end."""
 _SMALLEST_SPAN: Final = 1e-9
@@ -29,6 +31,8 @@ class Axis:
     start, end : float
         Places of the ends on the paper.
     scale : {'linear', 'log'}
+    whole : bool
+        Ticks are whole numbers alone.
     """
 
     low: float
@@ -36,6 +40,7 @@ class Axis:
     start: float
     end: float
     scale: Scale = "linear"
+    whole: bool = False
 
     def place(self, values: Floats) -> Floats:
         """Give the places of values; NaN where a logarithmic axis has none."""
@@ -48,14 +53,12 @@ class Axis:
 
     def ticks(self, count: int) -> list[tuple[float, str]]:
         """Give the places of at most some ticks, and their labels."""
-        from matplotlib.ticker import LogLocator, MaxNLocator  # tables alone must not wait for it
-
         if self.scale == "log":
-            values = np.asarray(LogLocator(numticks=count).tick_values(self.low, self.high), dtype=np.float64)
+            values = _decades(self.low, self.high, count)
             labels = [_power(value) for value in values]
         else:
-            values = np.asarray(MaxNLocator(count, steps=_STEPS).tick_values(self.low, self.high), dtype=np.float64)
-            labels = [_plain(value, values[1] - values[0]) for value in values]
+            step, values = _round_values(self.low, self.high, count, whole=self.whole)
+            labels = [_plain(value, step) for value in values]
         inside = (values >= self.low) & (values <= self.high)
         places = self.place(values).tolist()
         return [(place, label) for place, label, shown in zip(places, labels, inside.tolist(), strict=True) if shown]
@@ -86,6 +89,36 @@ def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
         return low - half, high + half
     air = _MARGIN * (high - low)
     return low - air, high + air
+
+
+def _round_values(low: float, high: float, count: int, *, whole: bool) -> tuple[float, Floats]:
+    """Find the smallest step that needs no more than some intervals, smaller if it shows one value, and its values."""
+    smallest = max((high - low) / count, 1.0 if whole else 0.0)
+    steps = [share * 10.0 ** math.floor(math.log10(smallest)) for share in _STEPS]
+    fitting = [
+        step for before, step in pairwise([0.0, *steps]) if before < smallest and (step.is_integer() or not whole)
+    ]
+    for step in reversed(fitting):
+        values = np.arange(math.floor(low / step), math.ceil(high / step) + 1, dtype=np.float64) * step
+        if np.sum((values >= low) & (values <= high)) > 1:
+            break
+    return step, values
+
+
+def _decades(low: float, high: float, count: int) -> Floats:
+    """Find some powers of ten, equally far apart: at multiples of their distance, where that loses none."""
+    first, last = math.ceil(math.log10(low)), math.floor(math.log10(high))
+    number = last - first + 1
+    shown = min(count, math.ceil(number / (number // (count + 1) + 1)))
+    if shown < 2:
+        return np.asarray(10.0 ** np.arange(first, last + 1))
+    stride = (number - 1) // (shown - 1)
+    if stride * shown < number:
+        stride = number // shown
+    fewest, most = max(number - stride * shown, 0), min(number - stride * (shown - 1), stride)
+    offset = -first % stride
+    begin = first + (offset if fewest <= offset < most else fewest)
+    return np.asarray(10.0 ** np.arange(begin, last + 1, stride))
 
 
 def _plain(value: float, step: float) -> str:

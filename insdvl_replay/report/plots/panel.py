@@ -83,6 +83,8 @@ class Panel:
         Left out: as much as the curves need.
     equal : bool
         One unit is as long on both axes, and curves are no functions of x.
+    x_whole : bool
+        x counts something, and has no ticks between whole numbers.
     """
 
     title: str
@@ -93,6 +95,7 @@ class Panel:
     y_scale: Scale = "linear"
     y_limits: tuple[float, float] | None = None
     equal: bool = False
+    x_whole: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,32 @@
-"""A panel as SVG: text stays text, colours and dashes are classes, and the same panel gives the same characters."""
+"""Panels as SVG: text stays text, colours and dashes are classes, and the same panel gives the same characters."""
 
-from collections.abc import Iterator
+import math
+import re
+from collections.abc import Iterator, Sequence
 from html import escape
+from importlib.resources import files
 from typing import Final
 
 import numpy as np
 
 from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.plain_text import visible
 from insdvl_replay.report.plots.axis import Axis, limits
 from insdvl_replay.report.plots.envelope import band_envelope, envelope, shared_columns, without_standstill
-from insdvl_replay.report.plots.panel import Band, Curve, Panel
+from insdvl_replay.report.plots.panel import Band, Curve, Figure, Panel
 
 WIDTH: Final = 360.0
 HEIGHT: Final = 210.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48.0, 10.0, 26.0, 36.0
 _TICKS_X, _TICKS_Y = 6, 5
+_TICKS_WHOLE: Final = 12
 _PIXEL: Final = 0.7
 _POINT: Final = 3.0
+COLUMNS: Final = 3
+"""Panels beside each other in a picture."""
+_CLASS: Final = re.compile(r'<svg class="[^"]*"')
+_LEGEND: Final = 28.0
+_ENTRY: Final = 170.0
 _FAR: Final = 1e4
 """Lines that leave the paper, to infinity even, end here."""
 
@@ -58,6 +68,43 @@ def panel_svg(panel: Panel) -> str:
     )
 
 
+def sheet_svg(figure: Figure) -> bytes:
+    """Draw the panels of a figure in one picture, in the colours of pages; the same figure gives the same bytes."""
+    rows = [figure.panels[first : first + COLUMNS] for first in range(0, len(figure.panels), COLUMNS)]
+    heights = [max(map(panel_height, row)) for row in rows]
+    width, tall = WIDTH * min(COLUMNS, len(figure.panels)), sum(heights)
+    entries = int(width // _ENTRY)
+    height = tall + _LEGEND * math.ceil(len(figure.legend) / entries)
+    style = files("insdvl_replay.report").joinpath("page.css").read_text("utf-8")
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" role="img">',
+        f"<title>{escape(visible(figure.title))}</title>",
+        f"<style>\n{style}</style>",
+        f'<rect width="{width:g}" height="{height:g}" fill="var(--paper)"/>',
+        *_panels(rows, heights),
+        *_legend(figure, tall + _LEGEND / 2.0, entries),
+        "</svg>",
+        "",
+    ]
+    return "\n".join(lines).encode()
+
+
+def _panels(rows: Sequence[Sequence[Panel]], heights: Sequence[float]) -> Iterator[str]:
+    top = 0.0
+    for row, height in zip(rows, heights, strict=True):
+        for column, panel in enumerate(row):
+            place = f'<svg x="{column * WIDTH:g}" y="{top:g}" width="{WIDTH:g}" height="{panel_height(panel):g}"'
+            yield _CLASS.sub(place, panel_svg(panel), count=1)
+        top += height
+
+
+def _legend(figure: Figure, top: float, entries: int) -> Iterator[str]:
+    for number, (style, label) in enumerate(figure.legend):
+        x, y = _ENTRY * (number % entries) + 48.0, top + _LEGEND * (number // entries)
+        yield f'<path class="line {style}" d="M{x:g} {y - 4:g}h36"/>'
+        yield f'<text x="{x + 44:g}" y="{y:g}">{escape(visible(label))}</text>'
+
+
 def _axes(panel: Panel, height: float) -> tuple[Axis, Axis]:
     """Find both axes; on equal ones the shorter span grows until a unit is as long in both directions."""
     x_all = [curve.x for curve in panel.curves] + [band.x for band in panel.bands]
@@ -70,7 +117,7 @@ def _axes(panel: Panel, height: float) -> tuple[Axis, Axis]:
         unit = max((x_high - x_low) / (right - _LEFT), (y_high - y_low) / (bottom - _TOP))
         x_low, x_high = _widened(x_low, x_high, unit * (right - _LEFT))
         y_low, y_high = _widened(y_low, y_high, unit * (bottom - _TOP))
-    return Axis(x_low, x_high, _LEFT, right), Axis(y_low, y_high, bottom, _TOP, panel.y_scale)
+    return Axis(x_low, x_high, _LEFT, right, whole=panel.x_whole), Axis(y_low, y_high, bottom, _TOP, panel.y_scale)
 
 
 def _widened(low: float, high: float, span: float) -> tuple[float, float]:
@@ -81,7 +128,7 @@ def _widened(low: float, high: float, span: float) -> tuple[float, float]:
 def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
     """Draw ticks as lines across the panel, with their labels outside."""
     bottom, top, left, right = y_axis.start, y_axis.end, x_axis.start, x_axis.end
-    for place, label in x_axis.ticks(_TICKS_X):
+    for place, label in x_axis.ticks(_TICKS_WHOLE if panel.x_whole else _TICKS_X):
         yield f'<path class="grid" d="M{place:.1f} {top:.1f}V{bottom:.1f}"/>'
         yield f'<text class="tick" x="{place:.1f}" y="{bottom + 13:.1f}" text-anchor="middle">{label}</text>'
     for place, label in y_axis.ticks(_TICKS_Y):

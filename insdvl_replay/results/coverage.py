@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import Floats, TimeNs
 from insdvl_replay.report.plots.axis import Axis
-from insdvl_replay.results.figures.clock import Clock
+from insdvl_replay.results.filter_figures import Clock
 
 _COLUMNS: Final = 300
 _HEIGHT: Final = 20

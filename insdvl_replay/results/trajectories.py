@@ -1,15 +1,42 @@
-"""Trajectories in the TUM format, which evo and the tools of visual odometry read.
+"""The trajectories of a replay on disk, each in a file of its own, in the TUM format, which evo reads.
 
 One line for each time: ``timestamp tx ty tz qx qy qz qw``, seconds and metres, with single spaces.
 Source: J. Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", 2012, and its file formats.
 """
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 
 from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
+from insdvl_replay.replay import Replay
+from insdvl_replay.results.folder import REFERENCE_TRAJECTORY, trajectory_file
+
+
+def save_trajectories(replay: Replay, folder: Path) -> None:
+    """Write the trajectory of each filter, and of the reference inside the replay, if its positions are known.
+
+    All count from where the baseline starts, and all are of the IMU.
+
+    Parameters
+    ----------
+    replay : Replay
+    folder : Path
+        Exists; its other files are left alone.
+    """
+    origin = replay.histories[0].position[0]
+    for history in replay.histories:
+        text = tum_trajectory(history.time_ns, history.position, history.mat_nb, origin)
+        (folder / trajectory_file(history.filter)).write_bytes(text)
+    reference = replay.dive.reference
+    if reference is None:
+        return
+    inside = (reference.time_ns >= replay.start_ns) & (reference.time_ns <= replay.end_ns)
+    text = tum_trajectory(reference.time_ns[inside], reference.position[inside], reference.mat_nb[inside], origin)
+    if text:
+        (folder / REFERENCE_TRAJECTORY).write_bytes(text)
 
 
 def tum_trajectory(time_ns: TimeNs, position: Floats, mat_nb: Floats, origin: Floats) -> bytes:

@@ -1,0 +1,63 @@
+"""A document as LaTeX, for a paper: sentences are comments, and tables need ``\\usepackage{booktabs}``.
+
+Text is shown as everywhere (`plain_text`) and cannot leave its place: no line break would end a comment.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from insdvl_replay.core.plain_text import visible
+from insdvl_replay.report.display_table import CellText, ShownTable, cell_lines
+from insdvl_replay.report.document import Document, Lead, Part, Remark, Sentences, Title, parts_for
+
+_ESCAPES: Final = {
+    "\\": r"\textbackslash{}",
+    "^": r"\textasciicircum{}",
+    "~": r"\textasciitilde{}",
+    **{character: f"\\{character}" for character in "&%$#_{}"},
+}
+
+
+def as_latex(document: Document) -> str:
+    """Render a document in LaTeX: all sentences first, then one ``table`` for each table."""
+    parts = list(parts_for("latex", document))
+    comments = "\n".join(f"% {visible(line)}" for part in parts for line in _sentences(part))
+    return "\n\n".join([comments, *(_table(part) for part in parts if isinstance(part, ShownTable))]) + "\n"
+
+
+def _sentences(part: Part) -> Iterator[str]:
+    match part:
+        case str(text) | Title(text) | Lead(text) | Remark(text=text):
+            yield text
+        case Sentences(lines):
+            for line in lines:
+                yield from _sentences(line)
+
+
+def _table(table: ShownTable) -> str:
+    return "\n".join(
+        [
+            r"\begin{table}",
+            rf"\caption{{{_text(table.title)}}}",
+            rf"\begin{{tabular}}{{{table.alignment}}}",
+            r"\toprule",
+            _row([" ".join(name.split()) for name in table.header]),
+            r"\midrule",
+            *map(_row, table.rows),
+            r"\bottomrule",
+            r"\end{tabular}",
+            *([rf"\par {_text(table.footnote)}"] if table.footnote else []),
+            r"\end{table}",
+        ]
+    )
+
+
+def _row(row: Sequence[CellText]) -> str:
+    """Write a row; braces before what would be an option of the one above, or a command to a job runner."""
+    text = " & ".join(_text(" ".join(" ".join(cell_lines(cell)).split())) for cell in row)
+    return re.sub(r"^(?=[\[*:])", "{}", text) + r" \\"
+
+
+def _text(text: str) -> str:
+    return re.sub(r"[\\^~&%$#_{}]", lambda match: _ESCAPES[match.group()], visible(text))

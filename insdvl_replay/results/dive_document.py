@@ -1,0 +1,217 @@
+"""What is shown of one dive: what to think of it, its tables; on its page also figures, losses and provenance."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from html import escape
+from typing import Final
+
+from msgspec.structs import astuple
+
+from insdvl_replay.core.tables import Candidate, each_table
+from insdvl_replay.core.words import Gain, ReferenceStatus
+from insdvl_replay.report.csv_tables import blocks_csv
+from insdvl_replay.report.display_table import ShownTable, percent, row_label
+from insdvl_replay.report.document import (
+    PAGE,
+    PRINTED,
+    Facts,
+    Heading,
+    Html,
+    Lead,
+    LinkedTable,
+    Only,
+    Part,
+    Sentences,
+    Title,
+    losses,
+    settings_details,
+)
+from insdvl_replay.report.page import page
+from insdvl_replay.report.plots.panel import Figure
+from insdvl_replay.results.dive_tables import glance_table, shown_tables
+from insdvl_replay.results.json_report import Report
+
+_TONES: Final[dict[str, str]] = {
+    Gain.BORNE_OUT: "good",
+    Gain.NOT_BORNE_OUT: "bad",
+    Gain.WORSE: "bad",
+    Gain.NOT_JUDGED: "bad",
+}
+_IN_SHORT: Final[dict[str, str]] = {
+    Gain.NOT_BORNE_OUT: "NOT borne out",
+    Gain.WORSE: "WORSE",
+    Gain.NONE_BELIEVED: "no improvement",
+}
+_SAME: Final = {"dv_n": "velocity_n", "dv_e": "velocity_e", "dv_d": "velocity_d", "phi_d": "heading"}
+"""States whose error is also compared with the reference, and under which name."""
+_FULL_PCT: Final = 100.0
+"""Longer bars end at the edge; the number beside them says it all."""
+
+
+def dive_document(report: Report, behind: Sequence[Part] = ()) -> list[Part]:
+    """Lay out a report.
+
+    Parameters
+    ----------
+    report : Report
+    behind : sequence of Part
+        What stands behind the tables.
+    """
+    glance = [LinkedTable(glance_table(report), ())] if report.filters else []
+    return [
+        Only(PRINTED, (Title(heading(report)),)),
+        Only(PAGE, (Title(_replayed(report)),)),
+        *(Lead(candidate.verdict, _TONES.get(candidate.improvement, "")) for candidate in report.filters.values()),
+        *glance,
+        Heading("Tables"),
+        *shown_tables(report),
+        Only(PRINTED, (Sentences(closing_lines(report)),)),
+        *behind,
+    ]
+
+
+def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: str) -> bytes:
+    """Write the page of a replay; the same replay gives the same bytes.
+
+    Parameters
+    ----------
+    report : Report
+    figures : sequence of Figure
+    strips : str
+        HTML from `coverage`.
+    settings : str
+        The resolved configuration as TOML.
+    """
+    behind: list[Part] = [
+        Heading("Figures"),
+        _bars(report),
+        *figures,
+        _figure(
+            "What they had to go on: sensors and gaps",
+            "A strip is as high as the share of the time that valid samples cover; where it falls, something is "
+            "missing.",
+            strips,
+        ),
+        Heading("What was lost or assumed"),
+        losses(report.notes),
+        Heading("Provenance"),
+        *_provenance(report),
+        settings_details(settings),
+    ]
+    return page(dive_document(report, behind))
+
+
+def report_csv(report: Report) -> str:
+    """Write the tables one after the other."""
+    return blocks_csv(
+        "table",
+        {layout.name: (layout.columns, map(astuple, rows)) for layout, rows in each_table(report.tables)},
+    )
+
+
+def heading(report: Report) -> str:
+    """Say in one line what was replayed, and what has become of each believed improvement."""
+    return "; ".join([_replayed(report), *(f"{name}: {_in_short(found)}" for name, found in report.filters.items())])
+
+
+def _replayed(report: Report) -> str:
+    candidates = f"{', '.join(report.filters)} against " if report.filters else ""
+    return f"{report.log.name}: {candidates}{report.baseline} over {report.log.duration_s:.1f} s"
+
+
+def _in_short(candidate: Candidate) -> str:
+    if candidate.improvement == Gain.NOT_JUDGED:
+        return "NOT JUDGED"
+    word = _IN_SHORT.get(candidate.improvement, candidate.improvement)
+    return f"{percent(candidate.mean_improvement_pct)} believed, {word}"
+
+
+def closing_lines(report: Report) -> tuple[str, ...]:
+    """Say for each candidate what its mean improvement is, and whose opinion that is."""
+    return tuple(
+        f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (believed by the filter's "
+        "own covariance; see reference error and consistency), "
+        f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner"
+        for name, means in report.filters.items()
+        if means.improvement != Gain.NOT_JUDGED
+    )
+
+
+def _provenance(report: Report) -> Iterator[Part]:
+    yield Facts(
+        {
+            "log": report.log.name,
+            "SHA-256 of the log": report.log.sha256 or "none",
+            "span on the log's clock": f"{report.log.start_ns} to {report.log.end_ns} ns",
+            "tool": f"{report.tool.name} {report.tool.version}",
+            "with": ", ".join(f"{name} {version}" for name, version in report.versions.items()),
+        }
+    )
+    yield ShownTable(
+        "Channels of the log",
+        ("topic", "type", "encoding", "role", "messages"),
+        "llllr",
+        tuple(
+            (channel.topic, channel.type_name, channel.encoding, channel.role or "not used", str(channel.messages))
+            for channel in report.log.channels
+        ),
+    )
+
+
+def _figure(title: str, caption: str, content: str) -> Html:
+    return Html(f"<figure><figcaption><strong>{title}</strong><span>{caption}</span></figcaption>{content}</figure>")
+
+
+def _bars(report: Report) -> Html:
+    """Draw what each candidate believes to have gained over the baseline, and what it has gained."""
+    return _figure(
+        "Believed against actual: how much smaller the errors are",
+        "Upper bars, blue: what a filter believes to have gained, by its own covariance. Lower bars: what it has "
+        "gained against the reference.",
+        f'<div class="tables">{"".join(_bars_of(report, name) for name in report.filters)}</div>',
+    )
+
+
+def _bars_of(report: Report, name: str) -> str:
+    rows = "".join(_gain_row(label, believed, actual) for label, believed, actual in _gains(report, name))
+    title = f"{name} against {report.baseline}"
+    return (
+        f'<section><h3><b>{escape(title)}</b></h3><table class="bars"><thead><tr><th>quantity</th>'
+        '<th class="r">believed</th><th class="r">actual</th><th class="axis"><span>&minus;100 %</span><span>0</span>'
+        f"<span>100 %</span></th></tr></thead><tbody>{rows}</tbody></table></section>"
+    )
+
+
+def _gains(report: Report, name: str) -> Iterator[tuple[str, float | None, float | None]]:
+    """Yield label, believed and actual improvement in percent: the means, the states, and what has no state."""
+    means = report.filters[name]
+    yield "mean of nine states, median of the errors", means.mean_improvement_pct, means.reference_improvement_pct
+    actual: dict[str, float | None] = {
+        row.quantity: row.improvement_pct
+        for row in report.tables.reference_error
+        if row.filter == name and row.status == ReferenceStatus.COMPARED
+    }
+    believed: Mapping[str, float | None] = {
+        row.state: row.improvement_pct for row in report.tables.improvement if row.filter == name
+    }
+    for state, improvement_pct in believed.items():
+        quantity = _SAME.get(state, "")
+        label = row_label(state) + (" / heading" if quantity == "heading" else "")
+        yield label, improvement_pct, actual.pop(quantity, None)
+    for quantity, improvement_pct in actual.items():
+        yield row_label(quantity), None, improvement_pct
+
+
+def _gain_row(label: str, believed_pct: float | None, actual_pct: float | None) -> str:
+    bars = _bar("believed", believed_pct, 1) + _bar("actual", actual_pct, 9)
+    return (
+        f'<tr><th scope="row">{escape(label)}</th><td class="r">{percent(believed_pct)}</td>'
+        f'<td class="r">{percent(actual_pct)}</td><td class="axis"><svg viewBox="-100 0 200 16" '
+        f'preserveAspectRatio="none"><path class="zero" d="M0 0V16"/>{bars}</svg></td></tr>'
+    )
+
+
+def _bar(style: str, value_pct: float | None, top: int) -> str:
+    if value_pct is None:
+        return ""
+    end = max(-_FULL_PCT, min(_FULL_PCT, value_pct))
+    return f'<rect class="{style}" x="{min(0.0, end):.1f}" y="{top}" width="{abs(end):.1f}" height="6"/>'
