@@ -104,7 +104,7 @@ def report_csv(report: Report) -> str:
     """Write the tables one after the other."""
     return blocks_csv(
         "table",
-        {layout.name: (layout.columns, map(astuple, rows)) for layout, rows in each_table(report.tables)},
+        {layout.name: (tuple(layout.columns), map(astuple, rows)) for layout, rows in each_table(report.tables)},
     )
 
 
