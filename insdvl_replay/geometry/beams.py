@@ -47,7 +47,7 @@ class DvlMounting:
 def beam_vectors(tilt_deg: float = TILT_DEG, azimuth_deg: Sequence[float] = AZIMUTH_DEG) -> Floats:
     """Make the unit vectors of the beams, from the instrument towards the seabed.
 
-    Levy and Klein print vectors of rank 2 that are not of unit length; see EQUATIONS.md.
+    Levy and Klein print vectors of rank 2 that are not of unit length; see equations/beams.md.
 
     Parameters
     ----------

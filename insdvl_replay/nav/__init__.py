@@ -1,4 +1,4 @@
 """The mathematics: strapdown mechanisation, DVL, error model, measurements, Kalman filter. Numpy and numba only.
 
-`filter.run_filter` joins the chapters; EQUATIONS.md maps every equation to its function and its test.
+`filter.run_filter` joins the chapters; equations/ maps every equation to its function and its test.
 """

@@ -10,7 +10,8 @@ heading error looks like which velocity error depends on the velocity: turned as
 same to DVL and IMU, and ``dv = -v x phi`` goes with the turn ``phi``. A filter that corrects v and leaves P as it was
 takes the difference between the old and the new v for a sight of the heading.
 
-Source: Barrau and Bonnabel, "The Invariant Extended Kalman Filter as a Stable Observer"; see EQUATIONS.md.
+Source: Barrau and Bonnabel, "The Invariant Extended Kalman Filter as a Stable Observer"; see
+equations/kalman_filter.md.
 """
 
 from insdvl_replay.core.columns import Floats

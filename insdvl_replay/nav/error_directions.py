@@ -50,7 +50,7 @@ def named_directions(
 ) -> tuple[ErrorDirection, ...]:
     """Make the directions that steady motion hides from velocities, or from accelerations.
 
-    Equations (50) to (54) of Levy and Klein, and what they leave out; see EQUATIONS.md.
+    Equations (50) to (54) of Levy and Klein, and what they leave out; see equations/observability.md.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ F = [ -[(2 w_ie + w_en) x]   -[f_n x]     C   0 ]        D dv = w_en of the velo
     [          0                0         0   0 ]
 
 Equations (26) to (32) of Levy and Klein, with the rates of n where they print the gyro's output, and with D, which lets
-velocity and misalignment swing with Schuler's period; see EQUATIONS.md.
+velocity and misalignment swing with Schuler's period; see equations/error_model.md.
 """
 
 import numpy as np

@@ -9,7 +9,7 @@ windowed      z = slope of the INS over the window - a_dvl   H = [ -[w x]C' | C'
 The slope of a body-frame velocity is ``f + C' g - w x v_b``; ``published`` is the paper's model, which leaves out w x
 v_b. ``windowed`` predicts the same weighted sum of velocities that the DVL's slope is, from what the mechanisation
 alone has added to the body velocity between pings. Equations (36) to (46) of Levy and Klein, with signs that agree with
-F; see EQUATIONS.md.
+F; see equations/updates.md.
 """
 
 from typing import Final, NamedTuple

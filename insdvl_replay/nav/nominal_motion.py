@@ -60,7 +60,8 @@ def nominal_pings(
 ) -> NominalPings:
     """Carry the errors at the start to each ping along a nominal motion.
 
-    Equations (48) and (49) of Levy and Klein, as the product of ``I + F dt`` along the way; see EQUATIONS.md.
+    Equations (48) and (49) of Levy and Klein, as the product of ``I + F dt`` along the way; see
+    equations/observability.md.
 
     Parameters
     ----------

@@ -140,7 +140,7 @@ def _counted(gaps: int) -> str:
 
 
 _TRUSTED: Final = "5 min with micromechanical sensors, 1 h with tactical and 2 h with fibre-optic ones"
-"""How long standard deviations hold without a velocity, by the presets; see EQUATIONS.md."""
+"""How long standard deviations hold without a velocity, by the presets; see equations/kalman_filter.md."""
 _HINT: Final = "--start and --end leave it out"
 
 

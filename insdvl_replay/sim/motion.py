@@ -72,7 +72,7 @@ class Course:
         """Give the motion at any times up to the course's end.
 
         Implements ``f_b = C'(v' - g + (2 w_ie + w_en) x v)`` and ``w_b = w_nb + C'(w_ie + w_en)`` with
-        ``v' = C (w_nb x v_b + v_b')``; see EQUATIONS.md.
+        ``v' = C (w_nb x v_b + v_b')``; see equations/mechanisation.md.
 
         Parameters
         ----------

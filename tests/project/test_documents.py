@@ -18,7 +18,9 @@ from insdvl_replay import __version__, nav, preparation
 from insdvl_replay.cli.app import app
 
 PROJECT = Path(__file__).resolve().parents[2]
-DOCUMENTS = ("README.md", "EQUATIONS.md", "CONTRIBUTING.md", "CHANGELOG.md")
+CHAPTERS = sorted(f"equations/{path.name}" for path in (PROJECT / "equations").glob("*.md"))
+DOCUMENTS = ("README.md", *CHAPTERS, "CONTRIBUTING.md", "CHANGELOG.md")
+WIDTH = 140
 LEFT_BEHIND = {"build", "dist", "replay", "checked", "__pycache__", "node_modules"}
 
 
@@ -30,31 +32,43 @@ def project_files() -> Iterator[Path]:
     """Every file of the project, without what tools leave behind."""
     for folder, below, files in os.walk(PROJECT):
         below[:] = [name for name in below if name == ".ci" or (not name.startswith(".") and name not in LEFT_BEHIND)]
-        yield from (Path(folder, name) for name in files)
+        yield from (Path(folder, name) for name in files if name != ".git")  # a file in a worktree
 
 
-# --- EQUATIONS.md.
+# --- The chapters of equations/.
 
 
-class Row(NamedTuple):
+class Entry(NamedTuple):
     """One equation."""
 
     id: str
     equation: str
+    status: str
     source: str
     functions: tuple[str, ...]
     tests: tuple[str, ...]
-    status: str
+    note: str
 
 
-def equations() -> list[Row]:
-    """Read all tables of EQUATIONS.md that have the columns of `Row`."""
-    rows = []
-    for table in re.findall(r"^\| id \|.*\n\|[-|]+\|\n((?:\|.*\n)+)", text_of("EQUATIONS.md"), re.MULTILINE):
-        for line in table.splitlines():
-            id_, equation, source, functions, tests, status = (cell.strip() for cell in line.strip("|").split("|"))
-            rows.append(Row(id_, equation, source, code_words(functions), code_words(tests), status))
-    return rows
+FORM = re.compile(
+    r"(?P<id>\S+)\n\n(?P<equation>.+?)\n\n- (?P<status>as printed|corrected|derived|not used): (?P<source>.+?)\n"
+    r"(?:- function: (?P<functions>.+?)\n- test: (?P<tests>.+?)\n)?(?:\n(?P<note>.*))?",
+    re.DOTALL,
+)
+
+
+def equations() -> list[Entry]:
+    """Read all equations of all chapters: a heading of the third level, and what follows it."""
+    entries = []
+    for chapter in CHAPTERS:
+        for text in re.split(r"^### ", text_of(chapter), flags=re.MULTILINE)[1:]:
+            found = FORM.fullmatch(re.split(r"^## ", text, maxsplit=1, flags=re.MULTILINE)[0])
+            assert found, f"{chapter}: {text.splitlines()[0]} has not the form of the others"
+            part = {name: value or "" for name, value in found.groupdict().items()}
+            part["source"] = re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", " ".join(part["source"].split()))
+            functions, tests = code_words(part.pop("functions")), code_words(part.pop("tests"))
+            entries.append(Entry(**part, functions=functions, tests=tests))
+    return entries
 
 
 def code_words(cell: str) -> tuple[str, ...]:
@@ -79,46 +93,45 @@ def resolve(name: str) -> Any:
 
 
 def test_every_equation_has_a_name_of_its_own() -> None:
-    ids = [row.id for row in equations()]
+    ids = [entry.id for entry in equations()]
     assert len(ids) > 60
     assert len(ids) == len(set(ids))
 
 
-@pytest.mark.parametrize("row", equations(), ids=lambda row: row.id)
-def test_equation_has_a_function_a_test_and_a_status(row: Row) -> None:
-    assert row.status in {"as printed", "corrected", "derived", "not used"}
-    if row.status == "not used":
-        assert not row.functions
-        assert not row.tests
+@pytest.mark.parametrize("entry", equations(), ids=lambda entry: entry.id)
+def test_equation_has_a_function_and_a_test(entry: Entry) -> None:
+    if entry.status == "not used":
+        assert not entry.functions
+        assert not entry.tests
         return
-    assert row.functions
-    assert row.tests
-    for function in row.functions:
+    assert entry.functions
+    assert entry.tests
+    for function in entry.functions:
         assert callable(resolve(function)), function
-    for test in row.tests:
+    for test in entry.tests:
         file, name = test.split("::")
         assert name in names_of_tests(file), test
 
 
 def test_what_is_corrected_or_not_used_is_explained() -> None:
-    explained = set(re.findall(r"\*\*([\w-]+)\*\*", "".join(re.findall(r"^- \*\*.*:", text_of("EQUATIONS.md"), re.M))))
-    assert {row.id for row in equations() if row.status in {"corrected", "not used"}} <= explained
+    to_explain = [entry for entry in equations() if entry.status in {"corrected", "not used"}]
+    assert [entry.id for entry in to_explain if not entry.note.strip()] == []
 
 
 def test_derived_equations_name_what_they_follow_from() -> None:
-    rows = equations()
-    ids = {row.id for row in rows}
-    for row in rows:
-        if row.status == "derived":
-            assert set(row.source.split(", ")) <= ids, row
+    entries = equations()
+    ids = {entry.id for entry in entries}
+    for entry in entries:
+        if entry.status == "derived":
+            assert set(entry.source.split(", ")) <= ids, entry
 
 
-def test_every_numbered_equation_of_the_paper_has_a_row(paper: Path) -> None:
+def test_every_numbered_equation_of_the_paper_has_an_entry(paper: Path) -> None:
     printed = (paper / "paper.tex").read_text("utf-8").count(r"\begin{equation}")
     named = {
         int(number)
-        for row in equations()
-        for numbers in re.findall(r"L&K ((?:\(\d+\)(?:, )?)+)", row.source)
+        for entry in equations()
+        for numbers in re.findall(r"L&K ((?:\(\d+\)(?:, )?)+)", entry.source)
         for number in re.findall(r"\d+", numbers)
     }
     assert named == set(range(1, printed + 1))
@@ -136,8 +149,25 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
         "nav.gaps",
         "nav.state_log",
     }
-    named = {".".join(function.split(".")[:2]) for row in equations() for function in row.functions}
+    named = {".".join(function.split(".")[:2]) for entry in equations() for function in entry.functions}
     assert modules - without == {name for name in named if name.startswith(("nav.", "preparation."))}
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS)
+def test_no_line_of_the_equations_is_wide(chapter: str) -> None:
+    wide = [number for number, line in enumerate(text_of(chapter).splitlines(), 1) if len(line) > WIDTH]
+    assert wide == []
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS)
+def test_headings_of_a_chapter_have_anchors_of_their_own(chapter: str) -> None:
+    headings = re.findall(r"^#+ (.+)$", text_of(chapter), re.MULTILINE)
+    assert len(anchors(PROJECT / chapter)) == len(headings)
+
+
+def test_every_chapter_stands_in_the_table_of_contents() -> None:
+    linked = re.findall(r"^\| \[.+\]\((.+)\) \|", text_of("equations/README.md"), re.MULTILINE)
+    assert sorted(["README.md", *linked]) == [Path(chapter).name for chapter in CHAPTERS]
 
 
 def test_tests_named_in_the_text_exist() -> None:
