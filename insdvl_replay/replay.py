@@ -55,7 +55,6 @@ class Replay:
         The first is the baseline.
     errors : dict of str to ReferenceErrors
         By filter name; empty without a reference.
-    tables : Tables
     verdicts : dict of str to Candidate
         What there is to say of each candidate, by name.
     notes : tuple of Note
@@ -83,15 +82,10 @@ def replay_log(
     ----------
     path : Path or sequence of Path
         An MCAP file, a bag folder, or several of them that are one dive.
-    config : Config
     allow_damaged : bool
         Replay what can be believed of a damaged log; what is lost is a note.
     name : str, optional
         Of the dive, if not that of the log.
-
-    Returns
-    -------
-    Replay
 
     Raises
     ------
@@ -114,14 +108,8 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
 
     Parameters
     ----------
-    dive : Dive
-    config : Config
     keep_cov : bool
         Whether the histories keep P at the times at which their errors are judged.
-
-    Returns
-    -------
-    Replay
 
     Raises
     ------
@@ -188,7 +176,6 @@ def run_filters(dive: Dive, start: Prepared, *, cov_ns: TimeNs | None = None) ->
 
     Parameters
     ----------
-    dive : Dive
     start : Prepared
         From `prepared.prepare_dive`.
     cov_ns : ndarray, shape (c,), optional

@@ -37,14 +37,6 @@ class Cluster:
 def cluster_workers(cluster: Cluster) -> Workers:
     """Work on a cluster.
 
-    Parameters
-    ----------
-    cluster : Cluster
-
-    Returns
-    -------
-    Workers
-
     Raises
     ------
     ConfigError
@@ -90,13 +82,7 @@ def _cluster(distributed: Any, cluster: Cluster, *, alone: bool) -> Iterator[Poo
 
 
 class _Health:
-    """Tells a cluster that takes long from one that will never be done.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    cluster : Cluster
-    """
+    """Tells a cluster that takes long from one that will never be done."""
 
     def __init__(self, client: Any, cluster: Cluster) -> None:
         self.client = client

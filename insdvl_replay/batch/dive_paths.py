@@ -28,7 +28,6 @@ def find_dives(names: Sequence[str], beside: Path = Path(), *, results: bool = F
 
     Parameters
     ----------
-    names : sequence of str
     beside : Path
         Folder from which relative names are seen.
     results : bool

@@ -30,7 +30,6 @@ class ReplayOptions:
 
     Attributes
     ----------
-    config : Config
     allow_damaged : bool
         Use what can be read of a damaged log.
     control : bool
@@ -61,7 +60,6 @@ class ReplayJob:
         The one of them after which the dive is named.
     target : Path
         Its result folder, which bears the dive's name.
-    options : ReplayOptions
     sha256 : str or None
         Of the logs, where the one who asks for the replay may see other files than the one who does it; empty if they
         cannot be read there.
@@ -80,8 +78,6 @@ class Outcome:
 
     Attributes
     ----------
-    job : ReplayJob
-    result : Report or Exception
     unchanged : bool
         The result lay there already.
     """
@@ -96,10 +92,8 @@ def plan_jobs(logs: Sequence[Path], output: Path, options: ReplayOptions, *, one
 
     Parameters
     ----------
-    logs : sequence of Path
     output : Path
         The folder above.
-    options : ReplayOptions
     one_dive : bool
         All logs are one dive; else each is one.
 
@@ -136,10 +130,8 @@ def replay_jobs(
 
     Parameters
     ----------
-    jobs : sequence of ReplayJob
     known : dict of Path to Report
         Those that need no replay, from `known_reports`. It is emptied on the way.
-    workers : Workers
     after_dive : callable
         Called as soon as a dive is done, in any options.
 
@@ -182,23 +174,7 @@ def _result_of(job: ReplayJob, result: bytes | Exception) -> Report | Exception:
 
 
 def replay_into(job: ReplayJob) -> bytes:
-    """Replay one log into its folder.
-
-    Parameters
-    ----------
-    job : ReplayJob
-
-    Returns
-    -------
-    bytes
-        The report as it was written, with the time of day, which is added here, and the list of files: what the room
-        writes depends on the log alone.
-
-    Raises
-    ------
-    LogError, ConfigError
-        As of `replay.replay_log`; or this worker has another version of the tool, or another file.
-    """
+    """Replay one log into its folder."""
     wanted, here = f"{job.options.version} ({job.options.sources})", f"{__version__} ({sources_digest()})"
     if wanted != here:
         raise ConfigError(
@@ -232,22 +208,7 @@ def replay_into(job: ReplayJob) -> bytes:
 
 
 def log_digest(job: ReplayJob) -> str:
-    """Digest the logs of a dive as its report does.
-
-    Parameters
-    ----------
-    job : ReplayJob
-
-    Returns
-    -------
-    str
-        SHA-256 in hexadecimal digits.
-
-    Raises
-    ------
-    OSError, LogError
-        A log cannot be read.
-    """
+    """Digest the logs of a dive as its report does."""
     if job.logs == (job.name,) and not job.name.is_dir():
         with job.name.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

@@ -31,7 +31,6 @@ def known_reports(
 
     Parameters
     ----------
-    jobs : sequence of ReplayJob
     force : bool
         Results made from anything else may be replaced.
     rerun : bool

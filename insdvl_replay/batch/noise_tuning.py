@@ -49,52 +49,14 @@ processor to processor, and the search would go where they point."""
 def replay_with_tuned_baseline(
     path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False, name: str | None = None
 ) -> Replay:
-    """Replay the dive in a log, with the tuned baseline beside the configured filters.
-
-    Parameters
-    ----------
-    path : Path or sequence of Path
-    config : Config
-    allow_damaged : bool
-    name : str, optional
-        As of `replay.replay_log`.
-
-    Returns
-    -------
-    Replay
-
-    Raises
-    ------
-    LogError, ConfigError
-        As of `replay.replay_log` and `with_tuned_baseline`.
-    """
+    """Replay the dive in a log, with the tuned baseline beside the configured filters."""
     dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
     config, notes = with_tuned_baseline(dive, config)
     return replay_dive(replace(dive, name=name or dive.name, notes=(*dive.notes, *notes)), config)
 
 
 def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:
-    """Add the tuned baseline to the filters.
-
-    Parameters
-    ----------
-    dive : Dive
-    config : Config
-
-    Returns
-    -------
-    Config
-        With the filter ``tuned`` at the end, which repeats the result without another fit.
-    tuple of Note
-        The fitted values, ready to be pasted, and a warning if one of them cannot be its sensor's.
-
-    Raises
-    ------
-    ConfigError
-        A filter bears the tuned baseline's name already, or the baseline is not aided by velocity.
-    LogError
-        The dive cannot be replayed.
-    """
+    """Add the tuned baseline to the filters."""
     baseline = config.filters[config.baseline]
     if NAME in config.filters:
         raise ConfigError(f"filter '{NAME}' is configured already", f"rename [filters.{NAME}], or leave --control out")

@@ -43,7 +43,6 @@ class Pool:
 
     Attributes
     ----------
-    executor : Executor
     in_flight : int
         How many items they hold at a time; more than there are workers, so that none waits.
     require_alive : callable
@@ -80,26 +79,7 @@ class Workers:
 def do_each(
     work: Callable[[Item], Result], items: Sequence[Item], workers: Workers
 ) -> Generator[tuple[int, Result | Exception], None, None]:
-    """Do the work on each item.
-
-    Parameters
-    ----------
-    work : callable
-        Can be imported by name. It should be the same to do it twice.
-
-    Yields
-    ------
-    int
-        Place of an item, in the order in which they are done.
-    anything or Exception
-        What the work gave or raised; `WorkerLostError` for an item whose worker died, and died again when the item was
-        alone with it.
-
-    Raises
-    ------
-    ConfigError
-        The cluster cannot be reached, or has no workers and gets none.
-    """
+    """Do the work on each item."""
     suspects = {}
     for place, outcome in _pass(work, dict(enumerate(items)), workers, alone=False):
         if isinstance(outcome, WorkerLostError):

@@ -34,21 +34,7 @@ UNIT_HINT: Final = 'dvl.velocity_unit = "mm/s", or "cm/s"; a wrong beam geometry
 
 
 def dvl_checks(place: str, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> tuple[Check, ...]:
-    """List what has to be looked at in the pings of a DVL.
-
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-    dvl : DvlColumns
-    reference : ReferenceColumns or None
-    config : Config
-
-    Returns
-    -------
-    tuple of Check
-        They find a DVL in another unit, without a lock, or whose axes are not those of the configuration.
-    """
+    """List what has to be looked at in the pings of a DVL."""
     return (
         partial(_speed_notes, place, dvl),
         partial(_zero_notes, dvl),
@@ -66,26 +52,7 @@ def median_speed_mps(dvl: DvlColumns) -> float:
 
 
 def scale_notes(place: str, scale: float, dvl: DvlColumns, config: Config) -> list[Note]:
-    """Doubt the scale of a DVL, and refuse what must be another unit.
-
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-    scale : float
-        Measured over true velocity.
-    dvl : DvlColumns
-    config : Config
-
-    Returns
-    -------
-    list of Note
-
-    Raises
-    ------
-    LogError
-        The velocity is in another unit.
-    """
+    """Doubt the scale of a DVL, and refuse what must be another unit."""
     if abs(scale - 1.0) <= SCALE_DOUBT:
         return []
     text = f"the DVL's velocity is {scale:.3f} times the reference's, from the first ping on"

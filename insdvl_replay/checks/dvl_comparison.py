@@ -76,10 +76,6 @@ def fit(measured: Complex, true: Complex) -> Fit:
     Parameters
     ----------
     measured, true : ndarray of complex, shape (k,)
-
-    Returns
-    -------
-    Fit
     """
     product = complex(np.vdot(true, measured))
     power, other_power = float(np.vdot(true, true).real), float(np.vdot(measured, measured).real)
@@ -93,8 +89,6 @@ def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config
 
     Parameters
     ----------
-    dvl : DvlColumns
-    reference : ReferenceColumns
     config : Config
         Mounting rotation and scale of the DVL.
 
@@ -134,20 +128,7 @@ def axes_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Confi
 def track_by_positions(
     imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns, config: Config
 ) -> TrackFit | None:
-    """Fit the track of gyros and DVL to positions, by the scale of the gyros at which it follows them best.
-
-    Parameters
-    ----------
-    imu : ImuColumns
-    dvl : DvlColumns
-    reference : ReferenceColumns
-    config : Config
-
-    Returns
-    -------
-    TrackFit or None
-        None where too few positions lie far enough apart.
-    """
+    """Fit the track of gyros and DVL to positions, by the scale of the gyros at which it follows them best."""
     ping_ns, measured_b = _pings(dvl, config)
     measured = horizontal(measured_b)
     fixes = np.flatnonzero(np.isfinite(reference.position[:, :2]).all(axis=1))

@@ -47,11 +47,6 @@ class AttitudeFit:
 def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFit | None:
     """Compare what the gyros add up to between two attitudes of the reference with the turn that it shows.
 
-    Parameters
-    ----------
-    imu : ImuColumns
-    reference : ReferenceColumns
-
     Returns
     -------
     AttitudeFit or None
@@ -85,17 +80,7 @@ def _correlation(product: Floats, powers: Floats) -> Floats:
 
 
 def gyro_by_gravity(imu: ImuColumns) -> float | None:
-    """Compare the gyros with the change of gravity's direction in body axes, ``du/dt = -w x u``.
-
-    Parameters
-    ----------
-    imu : ImuColumns
-
-    Returns
-    -------
-    float or None
-        Angular rate measured over true; None where the two do not move together enough to tell.
-    """
+    """Compare the gyros with the change of gravity's direction in body axes, ``du/dt = -w x u``."""
     length = samples_in(imu, _TILT_BLOCK_S)
     blocks = len(imu.time_ns) // length
     if blocks <= 2 * ENOUGH:
@@ -123,7 +108,6 @@ def turned_by(imu: ImuColumns, at_s: Floats, longest_s: float = np.inf) -> Float
 
     Parameters
     ----------
-    imu : ImuColumns
     at_s : ndarray, shape (k,)
         Times in seconds from the first sample.
     longest_s : float

@@ -54,22 +54,7 @@ Check = Callable[[], Iterable[Note]]
 
 
 def imu_checks(place: str, imu: ImuColumns, reference: ReferenceColumns | None, settings: Imu) -> tuple[Check, ...]:
-    """List what has to be looked at in the readings of an IMU.
-
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-    imu : ImuColumns
-    reference : ReferenceColumns or None
-        Its latitude tells gravity.
-    settings : Imu
-
-    Returns
-    -------
-    tuple of Check
-        They find an IMU that is too slow or dead, or whose readings are in another unit than the configuration says.
-    """
+    """List what has to be looked at in the readings of an IMU."""
     return (
         partial(_spin_notes, place, imu),
         partial(_rate_notes, place, imu, settings),

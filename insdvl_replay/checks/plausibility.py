@@ -67,10 +67,6 @@ def plausibility_checks(
     ----------
     place : str
         The file, for messages to the user.
-    imu : ImuColumns
-    dvl : DvlColumns
-    reference : ReferenceColumns or None
-    config : Config
 
     Returns
     -------
@@ -97,10 +93,6 @@ def plausibility_notes(
     ----------
     place, imu, dvl, reference, config
         As of `plausibility_checks`.
-
-    Returns
-    -------
-    tuple of Note
 
     Raises
     ------

@@ -22,20 +22,7 @@ _ENOUGH: Final = 20
 
 
 def reference_checks(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns) -> tuple[Check, ...]:
-    """List what has to be looked at in a reference.
-
-    Parameters
-    ----------
-    imu : ImuColumns
-    dvl : DvlColumns
-    reference : ReferenceColumns
-
-    Returns
-    -------
-    tuple of Check
-        They find quantities that never change while the sensors show a vehicle that moves, and what `motion_checks`
-        find.
-    """
+    """List what has to be looked at in a reference."""
     return (partial(_constant_notes, imu, dvl, reference), *motion_checks(imu, reference))
 
 

@@ -47,18 +47,7 @@ class _Ways:
 
 
 def motion_checks(imu: ImuColumns, reference: ReferenceColumns) -> tuple[Check, ...]:
-    """List what has to be looked at in the motion of a reference.
-
-    Parameters
-    ----------
-    imu : ImuColumns
-    reference : ReferenceColumns
-
-    Returns
-    -------
-    tuple of Check
-        They find positions that move in another way, or another distance, than the velocity says, and jumps.
-    """
+    """List what has to be looked at in the motion of a reference."""
     return (
         partial(_scale_notes, reference),
         partial(_position_jump_notes, reference),

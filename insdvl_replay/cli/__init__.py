@@ -47,18 +47,7 @@ def main() -> NoReturn:
 
 
 def run_command_line(arguments: list[str]) -> int:
-    """Run one command.
-
-    Parameters
-    ----------
-    arguments : list of str
-        What follows the program's name.
-
-    Returns
-    -------
-    int
-        The exit code.
-    """
+    """Run one command."""
     try:
         # Imported here, so that an interruption during the import is told like any other.
         from insdvl_replay.cli.app import app

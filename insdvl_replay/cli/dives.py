@@ -60,27 +60,7 @@ class RunOptions:
 
 
 def replay_dives(names: Sequence[str], output: Path, options: ReplayOptions, run: RunOptions) -> int:
-    """Replay dives, one result folder each, and a summary if there are several.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Logs, bags, folders, patterns and lists.
-    output : Path
-        The folder above the result folders, where the overviews of several dives lie.
-    options : ReplayOptions
-    run : RunOptions
-
-    Returns
-    -------
-    int
-        The worst exit code.
-
-    Raises
-    ------
-    ConfigError
-        Nothing is replayed, since a name stands for no dive, two dives would share a folder, or one is in the way.
-    """
+    """Replay dives, one result folder each, and a summary if there are several."""
     dives = plan_jobs(find_dives(names), output, options, one_dive=run.one_dive)
     if len(dives) > 1:
         _refuse_to_overwrite(dives, output, force=run.force)
@@ -105,22 +85,7 @@ def replay_dives(names: Sequence[str], output: Path, options: ReplayOptions, run
 def outcomes(
     dives: Sequence[ReplayJob], jobs: int, cluster: Cluster | None, *, force: bool, rerun: bool
 ) -> Generator[Outcome, None, None]:
-    """Replay what has changed, and say on a terminal how far it is.
-
-    Parameters
-    ----------
-    dives : sequence of ReplayJob
-    jobs : int
-        Dives at the same time.
-    cluster : Cluster, optional
-    force, rerun : bool
-        As of `jobs.known_reports`.
-
-    Yields
-    ------
-    Outcome
-        In the order of the dives.
-    """
+    """Replay what has changed, and say on a terminal how far it is."""
     known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
     changed = [dive for dive in dives if dive.target not in known]
     workers = local_workers(max(1, min(jobs, len(changed)))) if cluster is None else cluster_workers(cluster)

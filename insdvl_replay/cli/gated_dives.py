@@ -54,12 +54,10 @@ class OutputOptions:
 
     Attributes
     ----------
-    format : CheckFormat
     file : Path, optional
         File that it goes to, with text to stdout.
     summary : Path, optional
         File that Markdown is added to.
-    verbosity : int
     """
 
     format: CheckFormat
@@ -76,9 +74,6 @@ class CheckOptions:
     ----------
     results : Path
         The folder above the result folders.
-    jobs : int
-    cluster : Cluster, optional
-    rerun : bool
     update : bool
         Make the results the baselines.
     """
@@ -98,31 +93,7 @@ def check_dives(
     check: CheckOptions,
     output: OutputOptions,
 ) -> int:
-    """Hold dives against gates.
-
-    Parameters
-    ----------
-    path : Path
-        The gate file.
-    dives : sequence of str
-        In place of those that it names.
-    config : Path, optional
-        In place of the one that it names.
-    settings : sequence of str
-        Changes of single settings.
-    check : CheckOptions
-    output : OutputOptions
-
-    Returns
-    -------
-    int
-        The worst exit code of the dives.
-
-    Raises
-    ------
-    ConfigError
-        A mistake in the gates or the settings, or no dive.
-    """
+    """Hold dives against gates."""
     gates = load_gates(path)
     chosen, beside = (dives, Path()) if dives else (gates.content.dives, path.parent)
     if not chosen:

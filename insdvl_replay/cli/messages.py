@@ -17,15 +17,7 @@ UsageError = typer.BadParameter.__mro__[1]
 
 
 def write_stdout(text: str, *, commands: bool = False) -> None:
-    """Write a result to stdout.
-
-    Parameters
-    ----------
-    text : str
-        What stands in it from elsewhere is plain already, see `plain_text`.
-    commands : bool
-        Lines may begin as commands to a job runner do.
-    """
+    """Write a result to stdout."""
     sys.stdout.write(text if commands else without_commands(text))
     sys.stdout.flush()
 
@@ -43,19 +35,7 @@ def log_notes(notes: Iterable[Note], *, verbose: bool) -> None:
 
 
 def log_failure(error: Exception, verbosity: int) -> int:
-    """Report what went wrong, in one sentence and a hint, and with ``-vv`` where in the code it arose.
-
-    Parameters
-    ----------
-    error : Exception
-    verbosity : int
-        How often ``-v`` was given.
-
-    Returns
-    -------
-    int
-        The exit code that belongs to it.
-    """
+    """Report what went wrong, in one sentence and a hint, and with ``-vv`` where in the code it arose."""
     if verbosity >= 2:
         trace = "".join(traceback.format_exception(error))
         print(without_commands(visible_lines(trace)), end="", file=sys.stderr)

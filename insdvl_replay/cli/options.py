@@ -133,21 +133,7 @@ Verbose = Annotated[
 
 
 def outage_spans(texts: list[str]) -> list[tuple[float, float]]:
-    """Read what ``--outage`` was given.
-
-    Parameters
-    ----------
-    texts : list of str
-
-    Returns
-    -------
-    list of (start_s, end_s)
-
-    Raises
-    ------
-    ConfigError
-        One is not of the form START:END.
-    """
+    """Read what ``--outage`` was given."""
     return [_outage_span(text) for text in texts]
 
 

@@ -22,14 +22,7 @@ PIPED_COLUMNS = 10_000
 def in_format(
     format_: StrEnum, document: Callable[[], Document], json: Callable[[], bytes], csv: Callable[[], str]
 ) -> str:
-    """Write a result as `--format` asks for it.
-
-    Parameters
-    ----------
-    format_ : Format or ComparisonFormat
-    document, json, csv : callable
-        The result in parts, and as scripts read it; only what is wanted is made.
-    """
+    """Write a result as `--format` asks for it."""
     match format_.value:
         case "json":
             return json().decode()
@@ -119,22 +112,7 @@ class DivesBar:
 
 @contextmanager
 def progress(text: str, total: int, note: str = "") -> Iterator[Callable[[], None]]:
-    """Show how much of the work is done, on a terminal only.
-
-    Parameters
-    ----------
-    text : str
-        What is done.
-    total : int
-        How many steps it takes.
-    note : str
-        Said above it.
-
-    Yields
-    ------
-    callable
-        To be called after each step.
-    """
+    """Show how much of the work is done, on a terminal only."""
     from rich.progress import Progress
 
     console = Console(file=sys.stderr, highlight=False)

@@ -17,7 +17,6 @@ class Outlet(io.RawIOBase):
 
     Parameters
     ----------
-    descriptor : int
     is_closed : bool
         It was closed by whoever started the program.
 
@@ -61,13 +60,7 @@ class Outlet(io.RawIOBase):
 
 
 def open_outlets() -> tuple[Outlet, Outlet]:
-    """Put outlets below stdout and stderr.
-
-    Returns
-    -------
-    Outlet, Outlet
-        Of stdout and of stderr.
-    """
+    """Put outlets below stdout and stderr."""
     closed = sys.stdout is None, sys.stderr is None
     # Files that are opened later must not get the number of a closed stream, and what is meant for it.
     while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:

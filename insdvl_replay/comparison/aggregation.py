@@ -23,16 +23,6 @@ def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
     * worst: the dive with the largest loss, which is :math:`|p_i|` if the word is ``worse``, :math:`-|p_i|` if it is
       ``better``, 0 if it is ``same``; a number that was lost or grew from zero exceeds every other
     * share improved: :math:`100\,n_\mathrm{better} / n`
-
-    Parameters
-    ----------
-    changes : iterable of Change
-        Of all dives.
-
-    Returns
-    -------
-    tuple of Aggregate
-        For the cells whose word is better, worse or same in some dive, table by table.
     """
     cells: dict[tuple[str, str, str, str, str], list[Change]] = {}
     for change in changes:
@@ -61,19 +51,7 @@ def worst_of(changes: Iterable[Change]) -> Change | None:
 
 
 def loss(word: Word, change_pct: float | None) -> float:
-    """Say how much a cell lost, in percent.
-
-    Parameters
-    ----------
-    word : str
-    change_pct : float or None
-
-    Returns
-    -------
-    float
-        Positive where it is worse or gone, negative where it is better, zero otherwise; infinite where there is no
-        percentage.
-    """
+    """Say how much a cell lost, in percent."""
     if word not in {"better", "worse", "gone"}:
         return 0.0
     amount = math.inf if change_pct is None else abs(change_pct)

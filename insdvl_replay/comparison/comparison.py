@@ -47,11 +47,6 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
     ----------
     old, new : Path
         Each a report.json, a result folder, or a folder of result folders at any depth.
-    selection : Selection
-
-    Returns
-    -------
-    Comparison
 
     Raises
     ------

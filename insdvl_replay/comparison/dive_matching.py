@@ -42,19 +42,6 @@ def match_dives(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> Mat
     """Match results of the same dive.
 
     Two single results are matched whatever they are: they were meant.
-
-    Parameters
-    ----------
-    old, new : sequence of StoredResult
-
-    Returns
-    -------
-    Matching
-
-    Raises
-    ------
-    ConfigError
-        No dive is on both sides, or it cannot be told which of several results belong together.
     """
     if len(old) == len(new) == 1:
         return Matching(((old[0], new[0], _how_alike(old[0], new[0])),), (), ())

@@ -54,17 +54,7 @@ def opening_lines(comparison: Comparison) -> list[str]:
 
 
 def comparison_tables(comparison: Comparison) -> list[ShownTable]:
-    """Turn a comparison into tables for people.
-
-    Parameters
-    ----------
-    comparison : Comparison
-
-    Returns
-    -------
-    list of ShownTable
-        What differs beside the tables; where values moved; then the values of one dive, or their medians over several.
-    """
+    """Turn a comparison into tables for people."""
     matched = len(_matched(comparison))
     tables = list(_differences(comparison.differences, matched))
     if len(comparison.dives) > 1:

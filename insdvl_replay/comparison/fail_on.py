@@ -13,7 +13,6 @@ def parse_percentage(text: str, before: str) -> float:
 
     Parameters
     ----------
-    text : str
     before : str
         What was typed before it, for the message.
 
@@ -41,10 +40,6 @@ def parse_limit(text: str) -> Limit:
     text : str
         ``worse``, ``worse:5%`` or ``changed``.
 
-    Returns
-    -------
-    Limit
-
     Raises
     ------
     ConfigError
@@ -62,11 +57,6 @@ def parse_limit(text: str) -> Limit:
 
 def breach(comparison: Comparison, limit: Limit) -> Breach | None:
     """Find what exceeds a limit.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    limit : Limit
 
     Returns
     -------

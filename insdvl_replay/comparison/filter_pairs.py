@@ -12,10 +12,6 @@ from insdvl_replay.core.stored_result import StoredReport, StoredResult
 def parse_pairs(texts: Iterable[str]) -> dict[str, str]:
     """Read pairs such as ``aided=windowed``.
 
-    Parameters
-    ----------
-    texts : iterable of str
-
     Returns
     -------
     dict of str to str
@@ -36,23 +32,7 @@ def parse_pairs(texts: Iterable[str]) -> dict[str, str]:
 
 
 def with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) -> list[StoredResult]:
-    """Give old results with the new names of their filters.
-
-    Parameters
-    ----------
-    results : sequence of StoredResult
-    pairs : mapping of str to str
-        New name by old name.
-
-    Returns
-    -------
-    list of StoredResult
-
-    Raises
-    ------
-    ConfigError
-        No result has a filter of that name, or the new name is already another's.
-    """
+    """Give old results with the new names of their filters."""
     for old, new in pairs.items():
         names = list(dict.fromkeys(name for result in results for name in filter_names(result.report)))
         refuse_unknown("filter", old, names)
@@ -69,21 +49,7 @@ def filter_names(report: StoredReport) -> list[str]:
 
 
 def refuse_strangers(pairs: Iterable[tuple[StoredResult, StoredResult]]) -> list[Note]:
-    """Raise if no candidate is on both sides of any dive; note those that are on one side only.
-
-    Parameters
-    ----------
-    pairs : iterable of (StoredResult, StoredResult)
-
-    Returns
-    -------
-    list of Note
-
-    Raises
-    ------
-    ConfigError
-        Old and new have no candidate in common.
-    """
+    """Raise if no candidate is on both sides of any dive; note those that are on one side only."""
     sides: dict[str, Counter[str]] = {"old": Counter(), "new": Counter()}
     only: dict[str, Counter[str]] = {"old": Counter(), "new": Counter()}
     for old, new in pairs:

@@ -13,18 +13,7 @@ BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
 
 
 def differences(pairs: list[_Pair]) -> tuple[Difference, ...]:
-    """Name everything beside the tables that differs, once, with the dives that it concerns.
-
-    Parameters
-    ----------
-    pairs : list of (StoredResult, StoredResult)
-        Old and new of each dive.
-
-    Returns
-    -------
-    tuple of Difference
-        By block, then in the order of the dives.
-    """
+    """Name everything beside the tables that differs, once, with the dives that it concerns."""
     logs: dict[tuple[str, str, str | None, str | None], list[str]] = {}
     for old, new in pairs:
         before, after = _facts(old.report), _facts(new.report)
@@ -37,19 +26,7 @@ def differences(pairs: list[_Pair]) -> tuple[Difference, ...]:
 
 
 def flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Give nested settings by their dotted keys; lists stay whole.
-
-    Parameters
-    ----------
-    settings : mapping
-    prefix : str
-        Before each key.
-
-    Yields
-    ------
-    key : str
-    value : anything but a mapping
-    """
+    """Give nested settings by their dotted keys; lists stay whole."""
     for key, value in settings.items():
         if isinstance(value, dict) and value:
             yield from flattened(value, f"{prefix}{key}.")

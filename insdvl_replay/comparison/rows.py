@@ -29,34 +29,13 @@ Columns = list[Column[Item]]
 
 
 def change_tables(changes: Iterable[Change]) -> list[ShownTable]:
-    """Show the cells of one dive, a table for each column; what is said of the candidates is one table.
-
-    Parameters
-    ----------
-    changes : iterable of Change
-        Their order is kept, that of the tables too: the first cell of each decides. What is neither better nor worse
-        comes last.
-
-    Returns
-    -------
-    list of ShownTable
-    """
+    """Show the cells of one dive, a table for each column; what is said of the candidates is one table."""
     groups = sorted(_grouped(changes), key=lambda group: all(change.word == "changed" for change in group))
     return [_table(group, _value_columns(group)) for group in groups]
 
 
 def aggregate_tables(aggregates: Iterable[Aggregate]) -> list[ShownTable]:
-    """Show each cell over many dives, a table for each column; what is said of the candidates is one table.
-
-    Parameters
-    ----------
-    aggregates : iterable of Aggregate
-        Their order is kept.
-
-    Returns
-    -------
-    list of ShownTable
-    """
+    """Show each cell over many dives, a table for each column; what is said of the candidates is one table."""
     return [_table(group, _share_columns(group)) for group in _grouped(aggregates)]
 
 

@@ -17,14 +17,8 @@ def arranged(comparison: Comparison, order: Order, *, only_changed: bool) -> Com
 
     Parameters
     ----------
-    comparison : Comparison
-    order : str
     only_changed : bool
         Leave out what is the same, and of the aggregates what is the same in all dives.
-
-    Returns
-    -------
-    Comparison
     """
     changes, overall = comparison.changes, comparison.aggregates
     if only_changed:

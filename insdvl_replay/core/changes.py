@@ -54,7 +54,6 @@ class Change:
     change_pct : float or None
         By how much its size grew: of the value itself, of its magnitude (``nearer zero``), or of its distance from
         ``dof`` as a ratio. For columns that are percentages, in percentage points. None where there is no percentage.
-    word : str
     """
 
     log: str
@@ -98,7 +97,6 @@ class DiveComparison:
         Name of the dive, the new one where the two differ.
     old, new : str or None
         Folders of the results; None where a side does not have the dive.
-    matched_by : str
     tally : Tally or None
         None for a dive without counterpart.
     """
@@ -116,8 +114,6 @@ class Aggregate:
 
     Attributes
     ----------
-    table, filter, row, unit, column : str
-    dives : int
     better, worse, same : int
         Dives by word.
     share_better_pct : float
@@ -162,11 +158,6 @@ class Comparison:
         Of all dives.
     by_table : dict of str to Tally
         Likewise, for each table.
-    differences : tuple of Difference
-    dives : tuple of DiveComparison
-    aggregates : tuple of Aggregate
-    changes : tuple of Change
-    notes : tuple of Note
     """
 
     old: str
@@ -204,7 +195,6 @@ class Breach:
 
     Attributes
     ----------
-    limit : Limit
     count : int
         Cells.
     worst : Change or None

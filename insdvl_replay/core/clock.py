@@ -9,7 +9,6 @@ class Clock:
 
     Attributes
     ----------
-    role, topic : str
     stamp : str
         Where the stamps come from, as the configuration names it.
     messages : int

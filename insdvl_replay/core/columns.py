@@ -20,17 +20,7 @@ NS_PER_S: Final = 1_000_000_000
 
 
 def seconds(time_ns: TimeNs, origin_ns: int | TimeNs) -> Floats:
-    """Give the seconds since an origin, exact to the nanosecond for spans of months.
-
-    Parameters
-    ----------
-    time_ns : ndarray of int64
-    origin_ns : int or ndarray of int64
-
-    Returns
-    -------
-    ndarray, s
-    """
+    """Give the seconds since an origin, exact to the nanosecond for spans of months."""
     elapsed_s: Floats = np.multiply(time_ns - origin_ns, 1e-9)
     return elapsed_s
 

@@ -46,13 +46,7 @@ _OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "nogil": True, "no_cf
 
 
 def usual_folder() -> Path:
-    """Return the folder in which the code of these sources is looked for, and kept if that can be.
-
-    Raises
-    ------
-    RuntimeError
-        The user has no home, and the environment names no folder.
-    """
+    """Return the folder in which the code of these sources is looked for, and kept if that can be."""
     base = os.environ.get("INSDVL_REPLAY_CACHE") or Path.home() / ".cache" / "insdvl-replay"
     return Path(base) / f"compiled-{sources_digest(_SOURCES)}-numba-{version('numba')}"
 

@@ -37,10 +37,6 @@ def load_config(preset: str | None = None, file: Path | None = None, overrides: 
     overrides : sequence of str
         ``section.key=value`` with a TOML value; a bare word is taken as a string.
 
-    Returns
-    -------
-    Config
-
     Raises
     ------
     ConfigError
@@ -181,10 +177,6 @@ def _check_filter(filter_: Filter, key: str, where: str) -> None:
 def render_toml(config: Config) -> str:
     """Write the settings as commented TOML; reading it back gives the same settings.
 
-    Parameters
-    ----------
-    config : Config
-
     Returns
     -------
     str
@@ -215,16 +207,7 @@ def _toml_key(name: str, value: object, comment: str) -> str:
 
 
 def toml_value(value: object) -> str:
-    """Write a value as TOML.
-
-    Parameters
-    ----------
-    value : bool, str, float, or tuple or list of them
-
-    Returns
-    -------
-    str
-    """
+    """Write a value as TOML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

@@ -15,16 +15,7 @@ LONGEST_NAME: Final = 255
 
 
 def dive_name(path: Path) -> str:
-    """Name a dive after its file without the ending, or after its folder, in whose name a dot may be of a date.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    str
-    """
+    """Name a dive after its file without the ending, or after its folder, in whose name a dot may be of a date."""
     whole = _whole(path)
     name = whole.name if whole.is_dir() else whole.stem
     # `..mcap` would bear the name of the folder that its result lies in, and `...mcap` that of the one above.
@@ -38,10 +29,6 @@ def is_dive_name(name: str) -> bool:
     ----------
     name : str
         From a stored result, which anybody may have written.
-
-    Returns
-    -------
-    bool
     """
     separators = {"/", os.sep, os.altsep or os.sep, "\0"}
     return bool(name.strip(".")) and not separators & set(name) and len(os.fsencode(name)) <= LONGEST_NAME

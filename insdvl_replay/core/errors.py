@@ -107,8 +107,6 @@ def most_like(name: str, known: Iterable[str], most: int, least: float = 0.0) ->
 
     Parameters
     ----------
-    name : str
-    known : iterable of str
     most : int
         How many.
     least : float
@@ -142,8 +140,6 @@ def refuse_unknown(kind: str, name: str, known: Collection[str], *, within: str 
     ----------
     kind : str
         What it names.
-    name : str
-    known : collection of str
     within : str
         What stands before all of these names, such as ``dvl.``.
     """

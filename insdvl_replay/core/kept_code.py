@@ -16,14 +16,7 @@ _SEAL_SIZE: Final = hashlib.sha256().digest_size
 
 
 def keep(dispatcher: Any, function: Callable[..., Any]) -> None:
-    """Let the code of a compiled function be kept in the folder that numba is told of.
-
-    Parameters
-    ----------
-    dispatcher : numba dispatcher
-    function : callable
-        What it compiles.
-    """
+    """Let the code of a compiled function be kept in the folder that numba is told of."""
     dispatcher._cache = _KeptCode(function)  # what `cache=True` does, with a cache of numba's own
 
 

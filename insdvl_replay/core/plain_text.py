@@ -45,10 +45,6 @@ def read_text(path: Path) -> str:
 def visible(text: str) -> str:
     r"""Make one line of a text.
 
-    Parameters
-    ----------
-    text : str
-
     Returns
     -------
     str
@@ -66,16 +62,7 @@ def visible(text: str) -> str:
 
 
 def visible_lines(text: str) -> str:
-    """Do the same with a text of several lines, which stay lines.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    str
-    """
+    """Do the same with a text of several lines, which stay lines."""
     return "\n".join(map(visible, text.split("\n")))
 
 
@@ -100,16 +87,7 @@ def without_commands(text: str) -> str:
 
 
 def is_writable(text: str) -> bool:
-    """Return whether a text can be written as UTF-8: a file's name of other bytes cannot, as Python reads it.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether a text can be written as UTF-8: a file's name of other bytes cannot, as Python reads it."""
     try:
         text.encode()
     except UnicodeEncodeError:

@@ -86,7 +86,6 @@ def each(work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None
     ----------
     work : callable
         Takes an item. Changes nothing that others read.
-    items : iterable
     jobs : int, optional
         How many at the same time; left out, as many as there are cores.
     """

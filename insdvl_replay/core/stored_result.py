@@ -46,7 +46,6 @@ class StoredResult:
         That holds the report.
     below : str
         The same, seen from the folder that was searched; ``.`` for that folder itself.
-    report : StoredReport
     """
 
     folder: Path

@@ -32,7 +32,6 @@ class TomlSource:
         With which every message begins.
     hint : str
         What to do about a wrong value.
-    content : dict
     text : str
         Of the file; empty where lines are of no use.
     at : tuple of str and int
@@ -117,7 +116,6 @@ def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> 
 
     Parameters
     ----------
-    path : Path
     hint : str
         What to do about wrong values in it.
     if_unreadable, if_invalid : str

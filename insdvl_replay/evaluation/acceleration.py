@@ -63,10 +63,6 @@ def differentiated_over_s(reference: ReferenceColumns) -> float:
     ----------
     reference : ReferenceColumns
         At least three rows.
-
-    Returns
-    -------
-    float, s
     """
     return float(np.median(seconds(reference.time_ns[2:], reference.time_ns[:-2])))
 

@@ -28,10 +28,6 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> list[Improvem
         Name of the dive.
     histories : tuple of History
         The first is the baseline.
-
-    Returns
-    -------
-    list of ImprovementRow
     """
     baseline, *candidates = histories
     rows = []
@@ -123,19 +119,7 @@ def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float
 
 
 def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: str) -> float:
-    """Average a table's improvement over the nine states without the velocity errors, as the paper does.
-
-    Parameters
-    ----------
-    table : sequence of ImprovementRow or ConvergenceRow
-    candidate : str
-
-    Returns
-    -------
-    float
-        Percent. No improvement to speak of (``at_start``, ``never``) counts as 0; a state that became worse counts as
-        such. NaN if a standard deviation is not finite.
-    """
+    """Average a table's improvement over the nine states without the velocity errors, as the paper does."""
     nine = {state.id for state in NINE}
     rows = [row for row in table if row.filter == candidate and row.state in nine]
     if any(row.status == ImprovementStatus.NOT_FINITE for row in rows):

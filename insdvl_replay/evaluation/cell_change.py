@@ -25,7 +25,6 @@ def rounding(old: float, new: float, column: str) -> float:
 
     Parameters
     ----------
-    old, new : float
     column : str
         A percentage is itself a difference, of numbers that are 100 % or so.
 
@@ -38,17 +37,7 @@ def rounding(old: float, new: float, column: str) -> float:
 
 
 def agree(old: float, new: float, column: str) -> bool:
-    """Say whether two numbers are the same, but for a difference that says nothing.
-
-    Parameters
-    ----------
-    old, new : float
-    column : str
-
-    Returns
-    -------
-    bool
-    """
+    """Say whether two numbers are the same, but for a difference that says nothing."""
     return old == new or abs(new - old) <= rounding(old, new, column)
 
 
@@ -57,13 +46,8 @@ def within(change: float, allowed: float, digits: float) -> bool:
 
     Parameters
     ----------
-    change, allowed : float
     digits : float
         From `rounding` or `rounding_pct`, in the unit of the change.
-
-    Returns
-    -------
-    bool
     """
     return change <= allowed * (1.0 + ROUNDING) + digits
 
@@ -73,7 +57,6 @@ def size(value: float, better: Better, dof: float = math.nan) -> float:
 
     Parameters
     ----------
-    value : float
     better : str
         What counts as better.
     dof : float
@@ -99,7 +82,6 @@ def size_change_pct(old: float, new: float, column: str) -> float | None:
     ----------
     old, new : float
         From `size`.
-    column : str
 
     Returns
     -------
@@ -121,18 +103,7 @@ def rounding_pct(old: float, new: float, column: str) -> float:
 
 
 def prints_alike(old: float, new: float, column: str) -> bool:
-    """Say whether two sizes differ by no more than one unit of the last digit that is printed of the larger.
-
-    Parameters
-    ----------
-    old, new : float
-        From `size`.
-    column : str
-
-    Returns
-    -------
-    bool
-    """
+    """Say whether two sizes differ by no more than one unit of the last digit that is printed of the larger."""
     largest = max(abs(old), abs(new))
     if math.isinf(largest) or largest == 0.0:
         return old == new
@@ -151,7 +122,6 @@ class Moved:
     ----------
     change, change_pct : float or None
         As in `insdvl_replay.core.changes.Change`.
-    word : str
     """
 
     change: float | None
@@ -168,25 +138,7 @@ def judge_number(
     dofs: tuple[float, float] = (math.nan, math.nan),
     tolerance_pct: float | None = None,
 ) -> Moved:
-    """Say what became of a number.
-
-    Parameters
-    ----------
-    old, new : float or None
-        A number that was lost is worse, one that was found is better; missing on both sides is the same.
-    column : str
-        Its name, which says whether it is a percentage.
-    better : str
-        What counts as better.
-    dofs : tuple of float
-        Old and new, for ``nearer dof``.
-    tolerance_pct : float or None
-        Up to which a change is none, in percent or percentage points; None: up to the last printed digit.
-
-    Returns
-    -------
-    Moved
-    """
+    """Say what became of a number."""
     if old is None or new is None:
         return Moved(None, None, "same" if old is new else "worse" if new is None else "better")
     before, after = size(old, better, dofs[0]), size(new, better, dofs[1])
@@ -202,17 +154,7 @@ def judge_number(
 
 
 def rank_word(old: Cell, new: Cell, best_first: tuple[str, ...]) -> Word:
-    """Say what became of a word: better or worse if both words have a rank, else whether it changed.
-
-    Parameters
-    ----------
-    old, new : str or None
-    best_first : tuple of str
-
-    Returns
-    -------
-    str
-    """
+    """Say what became of a word: better or worse if both words have a rank, else whether it changed."""
     if old == new:
         return "same"
     if old not in best_first or new not in best_first:

@@ -41,10 +41,6 @@ def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tup
         How many are averaged; of variables that depend on each other the effective number, which need not be whole.
     confidence : float
         Probability of the interval, two-sided.
-
-    Returns
-    -------
-    low, high : float
     """
     tail = (1.0 - confidence) / 2.0
     return (
@@ -54,22 +50,7 @@ def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tup
 
 
 def verdict(mean: float, low: float, high: float, dof: int) -> Consistency:
-    """Say what a mean NIS or NEES means for the filter's own uncertainty.
-
-    Parameters
-    ----------
-    mean : float
-    low, high : float
-        Interval in which a consistent filter's mean lies.
-    dof : int
-        Degrees of freedom of one value, the mean of a consistent filter.
-
-    Returns
-    -------
-    Consistency
-        ``consistent`` also where the mean is outside the interval, but too close to ``dof`` to matter: over a long dive
-        any model is found wrong.
-    """
+    """Say what a mean NIS or NEES means for the filter's own uncertainty."""
     if not np.isfinite(mean):
         return Consistency.NOT_FINITE
     if low <= mean <= high or abs(mean / dof - 1.0) <= SMALL_EXCESS:

@@ -89,10 +89,6 @@ def log_likelihood(innovations: Innovations) -> float:
     ``-(ln det S + z' S^-1 z + d ln 2 pi) / 2``. Gated innovations count: leaving them out would reward a filter that
     rejects what it does not like.
 
-    Parameters
-    ----------
-    innovations : Innovations
-
     Returns
     -------
     float
@@ -105,10 +101,6 @@ def log_likelihood(innovations: Innovations) -> float:
 
 def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     """Warn of filters whose aiding did not happen as configured: their tables say less than they seem to.
-
-    Parameters
-    ----------
-    histories : tuple of History
 
     Returns
     -------
@@ -195,18 +187,7 @@ def autocorrelation(standardised: Floats, used: NDArray[np.bool_]) -> tuple[floa
 
 
 def whiteness(value: float, limit: float) -> Whiteness:
-    """Say what an autocorrelation means.
-
-    Parameters
-    ----------
-    value, limit : float
-        From `autocorrelation`.
-
-    Returns
-    -------
-    Whiteness
-        ``correlated`` where it is significant and larger than `SMALL_AUTOCORRELATION`.
-    """
+    """Say what an autocorrelation means."""
     if not np.isfinite(limit):
         return Whiteness.TOO_FEW
     if not np.isfinite(value):

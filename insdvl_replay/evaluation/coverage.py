@@ -37,7 +37,6 @@ def covered_share(time_ns: TimeNs, known: Known, start_ns: int, end_ns: int) -> 
         In order.
     known : ndarray of bool, shape (r,)
         Which rows hold numbers.
-    start_ns, end_ns : int
 
     Returns
     -------
@@ -56,7 +55,6 @@ def reference_coverage_notes(reference: ReferenceColumns, start_ns: int, end_ns:
 
     Parameters
     ----------
-    reference : ReferenceColumns
     start_ns, end_ns : int
         Of the replay.
 
@@ -74,13 +72,8 @@ def truth_coverage_notes(truth: TruthColumns, start_ns: int, end_ns: int) -> tup
 
     Parameters
     ----------
-    truth : TruthColumns
     start_ns, end_ns : int
         Of the replay.
-
-    Returns
-    -------
-    tuple of Note
     """
     biases = {"accelerometer biases": truth.accel_bias_b, "gyro biases": truth.gyro_bias_b}
     known = {quantity: np.asarray(np.isfinite(values).all(axis=1)) for quantity, values in biases.items()}

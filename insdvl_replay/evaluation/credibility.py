@@ -160,17 +160,6 @@ def probability_of(far_off: float, independent: float) -> float:
     Of at least one independent sample it is the binomial probability, continued between whole numbers. Of less, an
     excursion that happened to last, it is Markov's bound, which holds however the errors depend on each other. The two
     meet. Exceedances repeat themselves less than squares do, by whose correlation the samples are counted.
-
-    Parameters
-    ----------
-    far_off : float
-        Share above 0.
-    independent : float
-        Samples that do not repeat each other.
-
-    Returns
-    -------
-    float
     """
     expected = 1.0 - float(chdtr(1, 9.0))
     count = far_off * independent

@@ -18,7 +18,6 @@ class RunErrors:
 
     Attributes
     ----------
-    filter : str
     time_s : ndarray, shape (k,)
         From the start.
     error : ndarray, shape (k, 12)
@@ -71,7 +70,6 @@ class Ensemble:
 
     Attributes
     ----------
-    filter : str
     runs : int
         How many.
     time_s : ndarray, shape (k,)
@@ -111,7 +109,6 @@ class Tally:
 
     Attributes
     ----------
-    filter : str
     nees_by_run : list of tuple of float
         Of each run, NEES in the mean over its pings and after the last.
     """

@@ -66,10 +66,6 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     NEES at neighbouring times are nearly the same number. The mean over the dive is therefore held against the interval
     of a single time, which is too wide for it and never too narrow.
 
-    Parameters
-    ----------
-    ensembles : sequence of Ensemble
-
     Returns
     -------
     DataFrame
@@ -94,7 +90,6 @@ def outage_table(ensembles: Sequence[Ensemble], outages: Sequence[tuple[float, f
 
     Parameters
     ----------
-    ensembles : sequence of Ensemble
     outages : sequence of (start_s, end_s)
         Seconds from the start.
 
@@ -170,10 +165,6 @@ def run_table(errors: Sequence[RunErrors]) -> pd.DataFrame:
 def nees_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     """Lay the mean NEES out over time.
 
-    Parameters
-    ----------
-    ensembles : sequence of Ensemble
-
     Returns
     -------
     DataFrame
@@ -189,10 +180,6 @@ def nees_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
 
 def ensemble_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     """Lay sigma, ensemble sigma and ensemble mean out over time, in shown units.
-
-    Parameters
-    ----------
-    ensembles : sequence of Ensemble
 
     Returns
     -------

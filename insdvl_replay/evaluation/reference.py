@@ -52,7 +52,6 @@ def reference_errors(history: History, reference: ReferenceColumns) -> Reference
     ----------
     history : History
         Recorded at every reference time inside the replay.
-    reference : ReferenceColumns
 
     Returns
     -------
@@ -80,12 +79,7 @@ def distance_travelled_m(history: History, time_ns: TimeNs) -> float:
 
     Parameters
     ----------
-    history : History
     time_ns : ndarray, shape (k,)
-
-    Returns
-    -------
-    float, m
     """
     if not len(time_ns):
         return 0.0

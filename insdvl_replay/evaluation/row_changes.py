@@ -28,15 +28,10 @@ def compare_tables(
 
     Parameters
     ----------
-    old, new : StoredResult
     layouts : sequence of TableLayout
         Which tables.
     tolerance_pct : float or None
         Up to which a change is none; None: up to the last printed digit.
-
-    Returns
-    -------
-    list of Change
 
     Raises
     ------
@@ -57,11 +52,6 @@ def compare_tables(
 def rows_of(report: StoredReport, layout: TableLayout) -> list[Row]:
     """Give the rows of a table, the candidates' block included.
 
-    Parameters
-    ----------
-    report : StoredReport
-    layout : TableLayout
-
     Returns
     -------
     list of dict
@@ -74,11 +64,6 @@ def rows_of(report: StoredReport, layout: TableLayout) -> list[Row]:
 
 def named_rows(result: StoredResult, layout: TableLayout) -> dict[_Key, Row]:
     """Give the rows of a table by filter, key and unit.
-
-    Parameters
-    ----------
-    result : StoredResult
-    layout : TableLayout
 
     Returns
     -------

@@ -19,7 +19,6 @@ class Sensors:
 
     Attributes
     ----------
-    name : str
     worst : mapping of str to float
         The worst white noise of each class, in SI units, best class first.
     """
@@ -83,11 +82,6 @@ def sensor_class(key: str, noise: float) -> str:
     ----------
     key : str
         Of `SENSORS`.
-    noise : float
-
-    Returns
-    -------
-    str
     """
     return next((name for name, worst in SENSORS[key].worst.items() if noise <= worst), "")
 
@@ -99,7 +93,6 @@ def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
     ----------
     key : str
         Of `SENSORS`.
-    noise : float
     scatter : float
         From `readings_scatter`; 0 where the readings show nothing of the noise alone, as those of a DVL.
 

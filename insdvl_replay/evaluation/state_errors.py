@@ -19,7 +19,6 @@ class StateErrors:
 
     Attributes
     ----------
-    filter : str
     time_ns : ndarray, shape (k,)
         Times at which there is a reference and the history holds P.
     error : ndarray, shape (k, 12)
@@ -53,8 +52,6 @@ def state_errors(history: History, reference: ReferenceColumns, truth: TruthColu
 
     Parameters
     ----------
-    history : History
-    reference : ReferenceColumns
     truth : TruthColumns or None
         The biases, at any of the reference's times.
 

@@ -47,17 +47,12 @@ def verdicts(tables: Tables, baseline: str, candidates: Sequence[str], dead: Map
 
     Parameters
     ----------
-    tables : Tables
     baseline : str
         Name of the first filter.
     candidates : sequence of str
         Names of the others.
     dead : mapping of str to str
         What is wrong with filters that cannot be judged, from `dead_filters`.
-
-    Returns
-    -------
-    dict of str to Candidate
     """
     return {candidate: _verdict(tables, baseline, candidate, dead) for candidate in candidates}
 
@@ -168,10 +163,6 @@ def _on_trust(trust: str, of_baseline: str, candidate: str, baseline: str) -> st
 
 def dead_filters(histories: tuple[History, ...]) -> dict[str, str]:
     """Find the filters that are not to be judged.
-
-    Parameters
-    ----------
-    histories : tuple of History
 
     Returns
     -------

@@ -29,11 +29,6 @@ def checked_replay(name: str, result: Report | Exception) -> Checked:
     ----------
     name : str
         Of the dive.
-    result : Report or Exception
-
-    Returns
-    -------
-    tuple of str and StoredReport or Exception
     """
     return name, result if isinstance(result, Exception) else _stored(result)
 
@@ -43,16 +38,7 @@ def _stored(report: Report) -> StoredReport:
 
 
 def checked_results(folder: Path) -> Iterator[Checked]:
-    """Take a stored result as a dive to be judged.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Yields
-    ------
-    tuple of str and StoredReport or Exception
-    """
+    """Take a stored result as a dive to be judged."""
     try:
         results, _ = read_results(folder)
         yield from map(_checked_result, results)
@@ -71,17 +57,7 @@ def _checked_result(result: StoredResult) -> Checked:
 
 
 def judge_dives(gates: Gates, dives: Iterable[Checked]) -> CheckResult:
-    """Hold every dive against every gate.
-
-    Parameters
-    ----------
-    gates : Gates
-    dives : iterable of Checked
-
-    Returns
-    -------
-    CheckResult
-    """
+    """Hold every dive against every gate."""
     judgements = [
         _judged(gates, gate, line, name, result)
         for name, result in dives
@@ -111,19 +87,7 @@ def _missed(gate: Gate) -> Status:
 
 
 def baseline_path(gates: Gates, gate: Gate, dive: str) -> Path:
-    """Say where the baseline of a dive lies.
-
-    Parameters
-    ----------
-    gates : Gates
-    gate : Gate
-        Has a baseline.
-    dive : str
-
-    Returns
-    -------
-    Path
-    """
+    """Say where the baseline of a dive lies."""
     return gates.path.parent / (gate.baseline or "").replace(LOG, dive)
 
 
@@ -151,11 +115,6 @@ def _stored_baseline(path: Path) -> StoredReport | None:
 def compare_with_baselines(gates: Gates, dives: Sequence[Checked]) -> list[tuple[str, Finding]]:
     """Lay the values of all gates with a baseline beside those that it holds, as far as it holds any.
 
-    Parameters
-    ----------
-    gates : Gates
-    dives : sequence of Checked
-
     Returns
     -------
     list of tuple of str and Finding
@@ -170,11 +129,6 @@ def compare_with_baselines(gates: Gates, dives: Sequence[Checked]) -> list[tuple
 
 def write_baselines(gates: Gates, dives: Sequence[Checked]) -> list[Path]:
     """Make the results of today the baselines, without the time of day.
-
-    Parameters
-    ----------
-    gates : Gates
-    dives : sequence of Checked
 
     Returns
     -------

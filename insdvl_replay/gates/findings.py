@@ -19,21 +19,7 @@ _Named = dict[tuple[str, str], Row]
 
 
 def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> tuple[Finding, ...]:
-    """Hold a result against a gate.
-
-    Parameters
-    ----------
-    gate : Gate
-    report : StoredReport
-    baseline : StoredReport or None
-        Needed for a gate that has one.
-
-    Returns
-    -------
-    tuple of Finding
-        One for each cell that is meant, and one that is not passed for each that the baseline has and the result lacks;
-        one that is not passed if there is none.
-    """
+    """Hold a result against a gate."""
     findings = tuple(_findings(gate, report, baseline))
     if findings:
         return findings

@@ -20,8 +20,6 @@ class Gates:
 
     Attributes
     ----------
-    path : Path
-    content : GateFile
     lines : tuple of int
         Where each gate begins; 0 if that is not known.
     """

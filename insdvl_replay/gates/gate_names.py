@@ -14,7 +14,6 @@ def refuse_unknown_names(gates: Gates, filters: Sequence[str] | None) -> None:
 
     Parameters
     ----------
-    gates : Gates
     filters : sequence of str or None
         Those that will be replayed, the baseline first; None if there are stored results, which may have others.
     """

@@ -27,10 +27,8 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         For people; no two gates share it.
     table : str
         As in ``report.json``, or ``filters``.
-    filter : str
     row : str
         A state, quantity or measurement.
-    column : str
     min, max : float, optional
         Limits that may be reached.
     equals : str, number or tuple of them, optional
@@ -68,10 +66,8 @@ class GateFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         Logs, bags, folders, patterns, lists or results, seen from the file's folder.
     config : str, optional
         Settings of the replays, seen from the file's folder.
-    preset : str, optional
     allow_damaged : bool
         Use what can be read of damaged logs.
-    gate : tuple of Gate
     """
 
     dives: tuple[str, ...] = ()
@@ -94,7 +90,6 @@ class Finding(Struct, frozen=True):
         None for what is missing.
     sentence : str
         What is, and what is wanted.
-    passed : bool
     """
 
     table: str
@@ -114,10 +109,8 @@ class Judgement(Struct, frozen=True):
     ----------
     dive, gate : str
         Their names.
-    status : str
     reasons : tuple of str
         Why it is not passed, one sentence each.
-    findings : tuple of Finding
     line : int
         Where the gate stands in its file; 0 if that is not known.
     """

@@ -56,10 +56,6 @@ def normal_gravity(latitude: Any, height_m: Any) -> Any:
         rad
     height_m : float or ndarray
         Above the ellipsoid; negative for a dive.
-
-    Returns
-    -------
-    float or ndarray, m/s^2
     """
     return gravity_of(np.sin(latitude) ** 2, height_m)
 
@@ -78,10 +74,6 @@ def meridian_radius_m(latitude: Any) -> Any:
     ----------
     latitude : float or ndarray
         rad
-
-    Returns
-    -------
-    float or ndarray, m
     """
     return meridian_radius_of(np.sin(latitude) ** 2)
 
@@ -99,10 +91,6 @@ def transverse_radius_m(latitude: Any) -> Any:
     ----------
     latitude : float or ndarray
         rad
-
-    Returns
-    -------
-    float or ndarray, m
     """
     return transverse_radius_of(np.sin(latitude) ** 2)
 

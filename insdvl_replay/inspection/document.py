@@ -54,17 +54,7 @@ def inventory_csv(inventory: Inventory) -> str:
 
 
 def inventory_tables(inventory: Inventory) -> list[ShownTable]:
-    """Lay out roles, conventions, topics and clocks.
-
-    Parameters
-    ----------
-    inventory : Inventory
-
-    Returns
-    -------
-    list of ShownTable
-        Tables without rows are left out.
-    """
+    """Lay out roles, conventions, topics and clocks."""
     tables = (_roles(inventory), _conventions(inventory), _topics(inventory), _clocks(inventory))
     return [table for table in tables if table.rows]
 

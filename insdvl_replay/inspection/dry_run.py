@@ -56,8 +56,6 @@ class DryRun:
 
     Parameters
     ----------
-    log : Recording
-    config : Config
     deep : bool
         Read the messages whole, not only the first of each topic.
 
@@ -65,10 +63,6 @@ class DryRun:
     ----------
     clocks : list of Clock
         Of the topics that play a role, then of the others.
-    notes : list of Note
-    obstacles : list of Obstacle
-    pings : PingFacts or None
-    reference : ReferenceFacts or None
     columns : RoleColumns
         What was read of the roles.
     """
@@ -88,13 +82,7 @@ class DryRun:
         self.columns = RoleColumns(str(self.log.path), self.config)
 
     def examine(self, findings: Sequence[Finding]) -> None:
-        """Look at all topics that play a role or could.
-
-        Parameters
-        ----------
-        findings : sequence of Finding
-            The IMU first.
-        """
+        """Look at all topics that play a role or could."""
         for finding in findings:
             if finding.error is not None:
                 self._stopped_by(finding.error)
@@ -109,12 +97,7 @@ class DryRun:
             self._check_candidate(topic, imu)
 
     def examine_others(self, channels: Iterable[LogChannel]) -> None:
-        """Look at the clocks of topics without a role, as far as their messages have a header.
-
-        Parameters
-        ----------
-        channels : iterable of LogChannel
-        """
+        """Look at the clocks of topics without a role, as far as their messages have a header."""
         for channel in filter(_has_header, channels):
             source = Source("", channel.topic, channel.type_name, (channel,), {}, "header", 0.0)
             try:

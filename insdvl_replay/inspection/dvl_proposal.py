@@ -27,16 +27,7 @@ _AXES_OPEN: Final = "frd, flu (port and up turned) or a signed permutation; the 
 
 
 def dvl_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
-    """Choose the topic of a DVL: one with a velocity, best with a name that says so.
-
-    Parameters
-    ----------
-    seen : sequence of ProbedTopic
-
-    Returns
-    -------
-    ProbedTopic or None
-    """
+    """Choose the topic of a DVL: one with a velocity, best with a name that says so."""
     named = [topic for topic in seen if _DVL_WORDS.search(f"{topic.topic} {topic.channel.type_name}".lower())]
     moving = [topic for topic in seen if topic.likely("velocity") or topic.likely("beam_velocity")]
     both = [topic for topic in named if topic in moving]
@@ -44,17 +35,7 @@ def dvl_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
 
 
 def dvl_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
-    """Propose topic, fields, unit and stamp of a DVL of an unknown type.
-
-    Parameters
-    ----------
-    log : Recording
-    topic : ProbedTopic
-
-    Returns
-    -------
-    list of Setting
-    """
+    """Propose topic, fields, unit and stamp of a DVL of an unknown type."""
     beams, velocities = topic.likely("beam_velocity"), topic.likely("velocity")
     if not beams and not velocities:
         velocities = topic.vectors
@@ -70,20 +51,7 @@ def dvl_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
 
 
 def measured_dvl(dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> list[Setting]:
-    """Propose axes and unit by what the reference's velocity shows.
-
-    Parameters
-    ----------
-    dvl : DvlColumns
-        As the configuration reads it, with the axes forward-starboard-down.
-    reference : ReferenceColumns or None
-    config : Config
-
-    Returns
-    -------
-    list of Setting
-        The axes are open where there is nothing to compare with; beams have none, and configured ones stay.
-    """
+    """Propose axes and unit by what the reference's velocity shows."""
     if dvl.velocity_d is None or config.dvl.axes is not None:
         return []
     as_flu = replace(dvl, velocity_d=dvl.velocity_d @ MAT_FRD_FLU)

@@ -27,32 +27,13 @@ _UNITS_OPEN: Final = "rad/s or deg/s, which the maker says"
 
 
 def imu_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
-    """Choose a topic with a specific force; an angular rate beside it and the size of gravity speak for it.
-
-    Parameters
-    ----------
-    seen : sequence of ProbedTopic
-
-    Returns
-    -------
-    ProbedTopic or None
-    """
+    """Choose a topic with a specific force; an angular rate beside it and the size of gravity speak for it."""
     candidates = [topic for topic in seen if topic.forces and _possible_rates(topic)]
     return max(candidates, key=lambda topic: (bool(topic.rates), bool(topic.forces[0].force_unit)), default=None)
 
 
 def imu_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
-    """Propose topic, fields, unit of the force and stamp of an IMU of an unknown type.
-
-    Parameters
-    ----------
-    log : Recording
-    topic : ProbedTopic
-
-    Returns
-    -------
-    list of Setting
-    """
+    """Propose topic, fields, unit of the force and stamp of an IMU of an unknown type."""
     doubt = "" if topic.rates else "no field is named like it; this one or another"
     return [
         Setting("imu.topic", topic.topic),
@@ -70,23 +51,7 @@ def _possible_rates(topic: ProbedTopic) -> list[Candidate]:
 def measured_imu(
     imu: ImuColumns, settings: Imu, reference: ReferenceColumns | None, found: GyroScale | None
 ) -> list[Setting]:
-    """Propose units and axes by what gravity and the reference show.
-
-    Parameters
-    ----------
-    imu : ImuColumns
-        As the settings read it.
-    settings : Imu
-        Completed by what is known of the type.
-    reference : ReferenceColumns or None
-    found : GyroScale or None
-        Angular rate measured over true.
-
-    Returns
-    -------
-    list of Setting
-        What is in order needs none.
-    """
+    """Propose units and axes by what gravity and the reference show."""
     measured = list(_wrong_force_unit(imu, settings))
     if settings.axes is None and settings.specific_force_axes is None:
         measured += list(_axes(imu, reference))
@@ -96,21 +61,7 @@ def measured_imu(
 
 
 def corrected_rates(imu: ImuColumns, settings: Imu, measured: Sequence[Setting]) -> ImuColumns:
-    """Bring the angular rate to the axes and the unit that were proposed.
-
-    Parameters
-    ----------
-    imu : ImuColumns
-        As the settings read it.
-    settings : Imu
-        Completed by what is known of the type.
-    measured : sequence of Setting
-        From `measured_imu`.
-
-    Returns
-    -------
-    ImuColumns
-    """
+    """Bring the angular rate to the axes and the unit that were proposed."""
     values = {setting.key: setting.value for setting in measured if setting.value is not None}
     read_in = settings.angular_rate_unit or "rad/s"
     unit = ANGULAR_RATE_UNITS[values.get("imu.angular_rate_unit", read_in)] / ANGULAR_RATE_UNITS[read_in]
@@ -119,20 +70,7 @@ def corrected_rates(imu: ImuColumns, settings: Imu, measured: Sequence[Setting])
 
 
 def measured_scale(settings: Imu, found: GyroScale | None) -> list[Setting]:
-    """Propose a scale of the gyros that the reference shows.
-
-    Parameters
-    ----------
-    settings : Imu
-        With the unit that was proposed.
-    found : GyroScale or None
-        Angular rate measured over true, as these settings read it, in the whole log.
-
-    Returns
-    -------
-    list of Setting
-        Empty where the scale is in order, or nobody knows it well.
-    """
+    """Propose a scale of the gyros that the reference shows."""
     if found is None or found.tolerance > 1.0 + TRACK_DOUBT or not found.tolerance < found.off < UNIT_WRONG:
         return []
     text = f"the angular rate is {found.scale:.3g} times what {found.by} shows"

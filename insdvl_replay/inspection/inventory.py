@@ -18,15 +18,12 @@ class LogFacts:
 
     Attributes
     ----------
-    name : str
     parts : int
         Files of which it consists; more than one for a bag.
-    size_bytes : int
     profile, library : str
         As the recorder signed it.
     compression : tuple of str
         Ways in which chunks are compressed; ``none`` for those that are not. Empty without chunks.
-    chunks, messages : int
     has_summary : bool
         Whether the file closes with a summary.
     start_utc : str or None
@@ -64,7 +61,6 @@ class TopicFacts:
         What a replay takes from it; empty for nothing.
     channels : int
         How many channels of the log carry the topic.
-    messages : int
     start_s, end_s : float or None
         First and last message; None without messages.
     rate_hz : float or None
@@ -92,10 +88,8 @@ class RoleFacts:
 
     Attributes
     ----------
-    role : str
     topic : str or None
         None where nobody does.
-    reason : str
     candidates : tuple of str
         Topics between which the configuration has to choose.
     fields : dict of str to str
@@ -140,7 +134,6 @@ class ReferenceFacts:
 
     Attributes
     ----------
-    rows : int
     position_pct, velocity_pct, attitude_pct : float
         Part of the IMU's span from the first to the last row that has the quantity.
     """
@@ -153,12 +146,7 @@ class ReferenceFacts:
 
 @dataclass(frozen=True)
 class Obstacle:
-    """What would stop a replay: the error that ``run`` would end with.
-
-    Attributes
-    ----------
-    message, hint : str
-    """
+    """What would stop a replay: the error that ``run`` would end with."""
 
     message: str
     hint: str
@@ -170,20 +158,14 @@ class Inventory:
 
     Attributes
     ----------
-    log : LogFacts
     reading : {'sample', 'whole'}
         How much of the messages was read to know it.
-    topics : tuple of TopicFacts
-    roles : tuple of RoleFacts
     conventions : dict of str to dict of str to value
         By topic, for those that play a role or could: keys of the configuration that the type settles if it does not.
-    clocks : tuple of Clock
-    pings : PingFacts or None
     reference : ReferenceFacts or None
         These two only where the messages were read whole.
     obstacles : tuple of Obstacle
         Empty where nothing was found that would stop a replay.
-    notes : tuple of Note
     configuration : str
         TOML to start from where something stops a replay; empty where nothing does.
     decisions : tuple of str

@@ -34,18 +34,7 @@ _LONGEST: Final = 12
 
 
 def listed_settings(role: str, seen: Sequence[ProbedTopic]) -> Iterator[Setting]:
-    """List every field with numbers, that a person may choose.
-
-    Parameters
-    ----------
-    role : {'imu', 'dvl'}
-    seen : sequence of ProbedTopic
-
-    Yields
-    ------
-    Setting
-        Without values; none where no topic has numbers.
-    """
+    """List every field with numbers, that a person may choose."""
     if not seen or role not in _NEEDED:
         return
     often = sorted(seen, key=lambda topic: -topic.channel.messages)
@@ -105,23 +94,7 @@ class Proposal:
 def propose(
     log: Recording, findings: Sequence[Finding], obstacles: Sequence[Obstacle], config: Config, *, deep: bool
 ) -> Proposal:
-    """Propose what a replay lacks.
-
-    Parameters
-    ----------
-    log : Recording
-    findings : sequence of Finding
-        With the configuration as it is.
-    obstacles : sequence of Obstacle
-        What stops a replay with it.
-    config : Config
-    deep : bool
-        Judge by all messages, not only by the first.
-
-    Returns
-    -------
-    Proposal
-    """
+    """Propose what a replay lacks."""
     if not obstacles and not list(_start(findings, config.initial)):
         return Proposal()
     fields, notes = _fields(log, findings, config)

@@ -72,17 +72,7 @@ def field_setting(key: str, candidates: Sequence[Candidate], doubt: str = "") ->
 
 
 def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
-    """Set what has a value.
-
-    Parameters
-    ----------
-    config : Config
-    settings : iterable of Setting
-
-    Returns
-    -------
-    Config
-    """
+    """Set what has a value."""
     for setting in settings:
         if setting.value is not None:
             section = msgspec.structs.replace(getattr(config, setting.section), **{setting.name: setting.value})
@@ -91,50 +81,18 @@ def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
 
 
 def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
-    """Leave out the keys that the configuration has set already.
-
-    Parameters
-    ----------
-    settings : iterable of Setting
-    config : Config
-
-    Returns
-    -------
-    list of Setting
-        Those without a value stay, since they say what there is to choose from.
-    """
+    """Leave out the keys that the configuration has set already."""
     default = Config()
     return [setting for setting in settings if setting.value is None or setting.of(config) == setting.of(default)]
 
 
 def decisions(settings: Iterable[Setting]) -> tuple[str, ...]:
-    """Name the keys about which a person must decide.
-
-    Parameters
-    ----------
-    settings : iterable of Setting
-        Of two with the same key the later one counts.
-
-    Returns
-    -------
-    tuple of str
-        In the order of `settings_toml`.
-    """
+    """Name the keys about which a person must decide."""
     return tuple(setting.key for setting in _ordered(settings) if setting.open)
 
 
 def settings_toml(settings: Iterable[Setting]) -> str:
-    """Write settings as TOML with comments.
-
-    Parameters
-    ----------
-    settings : iterable of Setting
-        Of two with the same key the later one counts.
-
-    Returns
-    -------
-    str
-    """
+    """Write settings as TOML with comments."""
     sections = groupby(_ordered(settings), lambda setting: setting.section)
     return "\n".join(
         "".join(f"{line}\n" for line in (f"[{section}]", *(line for setting in group for line in _lines(setting))))

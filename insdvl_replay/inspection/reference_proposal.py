@@ -31,34 +31,12 @@ _MEANT: Final = (
 
 
 def reference_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
-    """Choose the topic with the most of a position, a velocity and an attitude.
-
-    Parameters
-    ----------
-    seen : sequence of ProbedTopic
-        Those that play no other role.
-
-    Returns
-    -------
-    ProbedTopic or None
-        None where no topic has fields that are named like a latitude and longitude, or like the three angles.
-    """
+    """Choose the topic with the most of a position, a velocity and an attitude."""
     return max((topic for topic in seen if _fields(topic)), key=lambda topic: len(_fields(topic)), default=None)
 
 
 def reference_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
-    """Propose topic, fields, unit and stamp of a reference.
-
-    Parameters
-    ----------
-    log : Recording
-    topic : ProbedTopic
-        With fields that are named like a position or an attitude.
-
-    Returns
-    -------
-    list of Setting
-    """
+    """Propose topic, fields, unit and stamp of a reference."""
     fields = _fields(topic)
     settings = [Setting("reference.topic", topic.topic, open=_MEANT)]
     settings += [Setting(f"reference.{quantity}", path) for quantity, path in fields.items()]

@@ -24,20 +24,7 @@ _STRAY: Final = 0.05
 
 
 def stamp_setting(log: Recording, seen: ProbedTopic, role: str) -> Setting:
-    """Propose what stamps the messages of a topic.
-
-    Parameters
-    ----------
-    log : Recording
-    seen : ProbedTopic
-    role : str
-        Section of the configuration.
-
-    Returns
-    -------
-    Setting
-        The recorder's clock where no field keeps step with it.
-    """
+    """Propose what stamps the messages of a topic."""
     key, clocks = f"{role}.stamp", list(_clocks(log, seen))
     if not clocks:
         return Setting(key, "log_time", "no field of the messages keeps step with the recorder's clock")
@@ -47,19 +34,7 @@ def stamp_setting(log: Recording, seen: ProbedTopic, role: str) -> Setting:
 
 
 def recorder_stamps(clocks: Sequence[Clock], text: str) -> list[Setting]:
-    """Propose the recorder's clock for all roles.
-
-    Parameters
-    ----------
-    clocks : sequence of Clock
-        Of the roles.
-    text : str
-        Why.
-
-    Returns
-    -------
-    list of Setting
-    """
+    """Propose the recorder's clock for all roles."""
     own = {clock.role: clock for clock in clocks if clock.role in ("imu", "dvl", "reference")}
     return [
         Setting(f"{role}.stamp", "log_time", f"{text}; that of {clock.topic}: {_apart(clock)}")

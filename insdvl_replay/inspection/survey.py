@@ -32,16 +32,11 @@ def inspect_log(
     ----------
     path : Path or sequence of Path
         A log, a bag, or several of them that are one dive.
-    config : Config
     deep : bool
         Read the messages of all roles whole, and go as far as a replay would before its filters run; else the first
         messages of each role tell about its clock and units.
     allow_damaged : bool
         Damage is told, and is no obstacle.
-
-    Returns
-    -------
-    Inventory
 
     Raises
     ------
@@ -85,27 +80,7 @@ _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 def survey_log(
     path: Path | Sequence[Path], config: Config, *, deep: bool = False, allow_damaged: bool = False
 ) -> Inventory:
-    """Take stock of a log.
-
-    Parameters
-    ----------
-    path : Path or sequence of Path
-        A log, a bag, or several of them that are one dive.
-    config : Config
-    deep : bool
-        Read the messages of all roles whole, not only the first of each.
-    allow_damaged : bool
-        Damage is told, and is no obstacle.
-
-    Returns
-    -------
-    Inventory
-
-    Raises
-    ------
-    LogError
-        The file cannot be read at all, or changes meanwhile.
-    """
+    """Take stock of a log."""
     log = open_recording(path, allow_damaged=True)
     with log.watched():
         return _surveyed(log, config, deep=deep, allow_damaged=allow_damaged)

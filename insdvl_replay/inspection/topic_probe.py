@@ -84,10 +84,8 @@ class ProbedTopic:
 
     Attributes
     ----------
-    channel : LogChannel
     known : mapping of str to str
         Every path that the messages have, with the type of what is there.
-    candidates : tuple of Candidate
     scalars : dict of str to float
         Median by the path of each single number.
     """
@@ -129,21 +127,7 @@ class ProbedTopic:
 
 
 def probe_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[ProbedTopic], list[str]]:
-    """Look at the first messages of some topics for vectors, beams and single numbers.
-
-    Parameters
-    ----------
-    log : Recording
-    channels : sequence of LogChannel
-        Those without messages, and those that cannot be read, are left out.
-
-    Returns
-    -------
-    list of ProbedTopic
-        Those with any.
-    list of str
-        Topics that were not looked at, since there are so many fields.
-    """
+    """Look at the first messages of some topics for vectors, beams and single numbers."""
     seen: list[ProbedTopic] = []
     unseen: list[str] = []
     work = 0

@@ -30,19 +30,7 @@ _NANOSECONDS: Final = {"nsec", "nsecs", "nanosec", "nanos", "nanoseconds"}
 
 
 def vector_paths(known: Kinds) -> list[str]:
-    """Find what could be a vector or beams among the fields of a type.
-
-    Parameters
-    ----------
-    known : mapping of str to str
-        Every path of the type, with the type of what is there.
-
-    Returns
-    -------
-    list of str
-        Paths of structures of x, y and z; of single fields whose names differ as axes or numbers do, joined by commas;
-        of arrays; and of one number of each element of a list. How many numbers a list holds only its messages tell.
-    """
+    """Find what could be a vector or beams among the fields of a type."""
     numbers = _numbers(known)
     lists = [path.removesuffix("[*]") for path in numbers if path.count("[*]") == 1]
     structures = set(_structures(numbers))
@@ -52,33 +40,14 @@ def vector_paths(known: Kinds) -> list[str]:
 
 
 def scalar_paths(known: Kinds) -> list[str]:
-    """Find the single numbers among the fields of a type.
-
-    Parameters
-    ----------
-    known : mapping of str to str
-
-    Returns
-    -------
-    list of str
-        In their order; without those in lists and those of times.
-    """
+    """Find the single numbers among the fields of a type."""
     in_times = tuple(f"{path}." for path in time_paths(known))
     numbers = [path for path in _numbers(known) if f"{path}[*]" not in known and "[*]" not in path]
     return [path for path in numbers if not path.startswith(in_times)]
 
 
 def time_paths(known: Kinds) -> list[str]:
-    """Find the times and durations of a type: structures of seconds and nanoseconds.
-
-    Parameters
-    ----------
-    known : mapping of str to str
-
-    Returns
-    -------
-    list of str
-    """
+    """Find the times and durations of a type: structures of seconds and nanoseconds."""
     return [
         path
         for path, names in _children(_numbers(known)).items()

@@ -37,7 +37,6 @@ def correct(state: NavState, P: Floats, KT: Floats, z: Vector, dx: Floats) -> Na
 
     Parameters
     ----------
-    state : NavState
     P : ndarray, shape (12, 12)
         Covariance after the update, carried along.
     KT : ndarray, shape (3, 12)

@@ -143,11 +143,6 @@ def derivative_weights(offset_s: Floats, order: int) -> Floats:
     -------
     ndarray, shape (..., order + 1, n)
         Row k gives the k-th derivative.
-
-    Raises
-    ------
-    ValueError
-        The window has not more values than the order.
     """
     if not 1 <= order < offset_s.shape[-1]:
         raise ValueError(f"order {order} needs a window above it, found {offset_s.shape[-1]}")
@@ -199,10 +194,6 @@ def slope_windows(time_s: Floats, window: int, order: int = 1, max_gap_s: float 
         Of the fitted polynomial; the slope is its first derivative at the mean time of the window.
     max_gap_s : float
         A longer pause starts a new window.
-
-    Returns
-    -------
-    SlopeWindows
     """
     m = len(time_s)
     complete = np.zeros(m, dtype=np.bool_)

@@ -105,7 +105,6 @@ def name_unobservable(
 
     Parameters
     ----------
-    observability : Observability
     directions : tuple of ErrorDirection
         From `named_directions`.
     prior_sd : ndarray, shape (12,)

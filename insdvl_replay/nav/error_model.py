@@ -22,23 +22,7 @@ from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate, scale, 
 def error_rate(
     motion: Motion, velocity_error: Vector, misalignment: Vector, accel_bias: Vector, gyro_bias: Vector
 ) -> tuple[Vector, Vector]:
-    """Give the rates at which the errors of velocity and attitude grow, the first six rows of ``F dx``; biases stay.
-
-    Parameters
-    ----------
-    motion : Motion
-    velocity_error, misalignment : tuple of 3 float
-        In n, m/s and rad.
-    accel_bias, gyro_bias : tuple of 3 float
-        In b, m/s^2 and rad/s.
-
-    Returns
-    -------
-    tuple of 3 float, m/s^2
-        Of the velocity error.
-    tuple of 3 float, rad/s
-        Of the misalignment.
-    """
+    """Give the rates at which the errors of velocity and attitude grow, the first six rows of ``F dx``; biases stay."""
     coriolis = cross(velocity_error, add(motion.rate_ie_n, motion.rate_in_n))
     tilted = cross(misalignment, motion.force_n)
     velocity_error_rate = add(add(coriolis, tilted), rotate(motion.mat_nb, accel_bias))
@@ -55,7 +39,6 @@ def propagate_errors(dx: Floats, motion: Motion, dt: float) -> None:
     dx : ndarray, shape (144,)
         Twelve errors, each a column of twelve states, row by row. Of an array of one dimension the compiler knows where
         each entry stands, and lets several columns grow at once.
-    motion : Motion
     dt : float
         Length of the interval, s.
     """
@@ -74,7 +57,6 @@ def propagate_cov(P: Floats, motion: Motion, noise_density: Floats, dt: float) -
     ----------
     P : ndarray, shape (144,)
         Covariance of the twelve states, row by row, advanced.
-    motion : Motion
     noise_density : ndarray, shape (12,)
         Diagonal of the noise's spectral density; sensor noise is alike on all axes, so turning it with C changes
         nothing.

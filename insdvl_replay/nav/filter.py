@@ -111,10 +111,6 @@ def run_filter(
         IMU to DVL, m.
     cov_ns : ndarray, shape (c,), optional
         Recorded times at which the history keeps all of P, not only its diagonal; others are ignored.
-
-    Returns
-    -------
-    History
     """
     keep_cov = np.isin(timeline.event_ns[timeline.record >= 0], () if cov_ns is None else cov_ns)
     records, updates = new_records(keep_cov), new_updates(len(measurements), int(timeline.ping.max()) + 1)

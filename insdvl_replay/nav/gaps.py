@@ -79,10 +79,6 @@ class Gaps:
     def longest_stretch(self, start_ns: int, end_ns: int) -> tuple[int, int]:
         """Give the longest part of a span that has no gap.
 
-        Parameters
-        ----------
-        start_ns, end_ns : int
-
         Returns
         -------
         tuple of int

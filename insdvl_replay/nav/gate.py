@@ -22,25 +22,7 @@ SOON_S: Final = 60.0
 
 @inlined
 def locks_out(updates: Updates, m: int, nis: float, time_s: float, reopen_after: int) -> bool:
-    """Count a rejection, and tell whether there were so many in a row that it is the INS which is off.
-
-    Parameters
-    ----------
-    updates : Updates
-        Its counts of this kind of measurement are changed.
-    m : int
-        The kind of measurement.
-    nis : float
-        Of the innovation that has been rejected; one that is not finite tells and helps nothing.
-    time_s : float
-        Seconds from the start.
-    reopen_after : int
-        So many are enough; 0: none are.
-
-    Returns
-    -------
-    bool
-    """
+    """Count a rejection, and tell whether there were so many in a row that it is the INS which is off."""
     if not math.isfinite(nis):
         return False
     goes_on = time_s - updates.refused_s[m] <= RUN_PAUSE_S

@@ -74,10 +74,8 @@ def linearise(measurement: Measurement, ping: int, ins: InsAtPing, H: Floats) ->
 
     Parameters
     ----------
-    measurement : Measurement
     ping : int
         Row of the ping.
-    ins : InsAtPing
     H : ndarray, shape (3, 12)
         Written.
 

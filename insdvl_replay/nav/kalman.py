@@ -33,7 +33,6 @@ def innovation_cov(P: Floats, H: Floats, R: Matrix, HP: Floats) -> Matrix:
     ----------
     P : ndarray, shape (n, n)
     H : ndarray, shape (3, n)
-    R : tuple of 3 rows
     HP : ndarray, shape (3, n)
         Written: H P.
 
@@ -53,17 +52,7 @@ def innovation_cov(P: Floats, H: Floats, R: Matrix, HP: Floats) -> Matrix:
 
 @inlined
 def cholesky(S: Matrix) -> Matrix:
-    """Give the lower triangle L with ``L L' = S``; NaN where S is not positive definite.
-
-    Parameters
-    ----------
-    S : tuple of 3 rows
-
-    Returns
-    -------
-    tuple of 3 rows
-        Zero above the diagonal.
-    """
+    """Give the lower triangle L with ``L L' = S``; NaN where S is not positive definite."""
     xx = _root(S[0][0])
     yx, zx = S[1][0] / xx, S[2][0] / xx
     yy = _root(S[1][1] - yx * yx)
@@ -78,18 +67,7 @@ def _root(square: float) -> float:
 
 @inlined
 def standardised(L: Matrix, innovation: Vector) -> Vector:
-    """Give ``L^-1 z``: innovations in standard deviations, uncorrelated. The sum of their squares is NIS.
-
-    Parameters
-    ----------
-    L : tuple of 3 rows
-        Cholesky factor of S.
-    innovation : tuple of 3 float
-
-    Returns
-    -------
-    tuple of 3 float
-    """
+    """Give ``L^-1 z``: innovations in standard deviations, uncorrelated. The sum of their squares is NIS."""
     x = innovation[0] / L[0][0]
     y = (innovation[1] - L[1][0] * x) / L[1][1]
     return x, y, (innovation[2] - L[2][0] * x - L[2][1] * y) / L[2][2]
@@ -102,7 +80,6 @@ def transposed_gain(HP: Floats, L: Matrix, KT: Floats) -> None:
     Parameters
     ----------
     HP : ndarray, shape (3, n)
-    L : tuple of 3 rows
     KT : ndarray, shape (3, n)
         Written: K'.
     """
@@ -125,7 +102,6 @@ def update_cov(P: Floats, H: Floats, R: Matrix, HP: Floats, KT: Floats, rest: Fl
     ----------
     P : ndarray, shape (n, n)
     H : ndarray, shape (3, n)
-    R : tuple of 3 rows
     HP : ndarray, shape (3, n)
         H P.
     KT : ndarray, shape (3, n)

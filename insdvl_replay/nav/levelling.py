@@ -105,11 +105,6 @@ class _Window:
 def levelling_samples(imu: ImuColumns, start_ns: int) -> ImuColumns:
     """Keep the samples of `LEVELLING_S` after the start, up to the first pause.
 
-    Parameters
-    ----------
-    imu : ImuColumns
-    start_ns : int
-
     Returns
     -------
     ImuColumns
@@ -142,16 +137,10 @@ def find_level(
         From `levelling_samples`, without the biases that are known beforehand.
     velocities : DvlVelocities
         m pings.
-    noise : SensorNoise
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
-    start_ns : int
     heading, latitude : float
         Of the start, rad; they say where the Earth's rotation points.
-
-    Returns
-    -------
-    Level
     """
     heard = (velocities.time_ns >= start_ns) & (velocities.time_ns <= samples.time_ns[-1])
     window = _window(samples, velocities.time_ns[heard], start_ns, heading, latitude)

@@ -31,7 +31,6 @@ class Place(NamedTuple):
         rad
     height_m : float
         Above the ellipsoid.
-    cos_latitude, tan_latitude : float
     rate_ie_n : tuple of 3 float
         The Earth's rotation rate w_ie in n, rad/s.
     meridian_radius_m, transverse_radius_m : float
@@ -55,18 +54,7 @@ class Place(NamedTuple):
 
 @inlined
 def place_at(latitude: float, height_m: float) -> Place:
-    """Compute what there is to know of a place.
-
-    Parameters
-    ----------
-    latitude : float
-        rad
-    height_m : float
-
-    Returns
-    -------
-    Place
-    """
+    """Compute what there is to know of a place."""
     gravity = normal_gravity(latitude, height_m)
     return Place(
         latitude,
@@ -83,19 +71,7 @@ def place_at(latitude: float, height_m: float) -> Place:
 
 @inlined
 def place_about(position: Vector, place: Place) -> Place:
-    """Give the place where the vehicle is now: the last one, as long as that still stands for it.
-
-    Parameters
-    ----------
-    position : tuple of 3 float
-        Latitude rad, longitude rad, height m.
-    place : Place
-        The last one.
-
-    Returns
-    -------
-    Place
-    """
+    """Give the place where the vehicle is now: the last one, as long as that still stands for it."""
     latitude, height_m = position[0], position[2]
     if abs(latitude - place.latitude) <= REACH_RAD and abs(height_m - place.height_m) <= REACH_M:
         return place
@@ -116,38 +92,14 @@ def curvatures(place: Place, height_m: float) -> tuple[float, float]:
 
 @inlined
 def transport_curvature(place: Place, height_m: float) -> Vector:
-    """Give what a velocity of 1 m/s turns n by as it moves over the curved Earth, see `transport_rate_n`.
-
-    Parameters
-    ----------
-    place : Place
-    height_m : float
-
-    Returns
-    -------
-    tuple of 3 float, 1/m
-        About north and about down for a velocity east, about east for one north: 1 / (R_E + h), 1 / (R_N + h) and
-        tan L / (R_E + h).
-    """
+    """Give what a velocity of 1 m/s turns n by as it moves over the curved Earth, see `transport_rate_n`."""
     to_north, to_east = curvatures(place, height_m)
     return to_east, to_north, to_east * place.tan_latitude
 
 
 @inlined
 def transport_rate_n(curvature: Vector, velocity_n: Vector) -> Vector:
-    """Give the rate w_en at which n turns because the vehicle moves over the curved Earth.
-
-    Parameters
-    ----------
-    curvature : tuple of 3 float
-        From `transport_curvature`, 1/m.
-    velocity_n : tuple of 3 float
-        m/s
-
-    Returns
-    -------
-    tuple of 3 float, rad/s
-    """
+    """Give the rate w_en at which n turns because the vehicle moves over the curved Earth."""
     return velocity_n[1] * curvature[0], -velocity_n[0] * curvature[1], -velocity_n[1] * curvature[2]
 
 
@@ -166,7 +118,6 @@ class GravityHeight(NamedTuple):
 
     Attributes
     ----------
-    height_m : float
     drift_m : float
         What the INS's height has moved by while this one was held: how much higher it is.
     aided_s : float
@@ -180,21 +131,7 @@ class GravityHeight(NamedTuple):
 
 @inlined
 def followed(gravity: GravityHeight, height_m: float, time_s: float) -> GravityHeight:
-    """Let the height of gravity follow that of the INS, or hold it.
-
-    Parameters
-    ----------
-    gravity : GravityHeight
-        At the node before.
-    height_m : float
-        Of the INS.
-    time_s : float
-        Seconds from the start.
-
-    Returns
-    -------
-    GravityHeight
-    """
+    """Let the height of gravity follow that of the INS, or hold it."""
     if time_s - gravity.aided_s <= HOLD_AFTER_S:
         return GravityHeight(height_m - gravity.drift_m, gravity.drift_m, gravity.aided_s)
     return GravityHeight(gravity.height_m, height_m - gravity.height_m, gravity.aided_s)

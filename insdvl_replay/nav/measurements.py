@@ -64,7 +64,6 @@ def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, of_one_beam: bool 
     ----------
     velocities : DvlVelocities
         m pings.
-    sd_mps : float
     of_one_beam : bool
         Whether the noise is that of a beam; of velocities that come from beams alone.
 
@@ -93,10 +92,6 @@ def velocity_measurement(velocities: DvlVelocities, cov_b: Floats, gate: float, 
         Largest NIS that is used.
     reopen_after : int
         Rejections in a row after which the velocity's uncertainty is opened; 0: never.
-
-    Returns
-    -------
-    Measurement
     """
     m = len(velocities.time_ns)
     return Measurement(
@@ -143,10 +138,6 @@ def acceleration_measurement(
         White noise of the accelerometers, m/s/sqrt(s).
     gate : float
         Largest NIS that is used.
-
-    Returns
-    -------
-    Measurement
     """
     time_s = seconds(velocities.time_ns, velocities.time_ns[:1])
     windows = slope_windows(time_s, window, order, max_gap_s)

@@ -74,10 +74,6 @@ def nominal_pings(
     earth_rate : bool
         False: let the Earth be flat and at rest, and take the Coriolis acceleration out of the readings.
 
-    Returns
-    -------
-    NominalPings
-
     Raises
     ------
     ValueError

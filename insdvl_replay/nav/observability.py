@@ -148,10 +148,6 @@ def analyse(rows: Floats, prior_sd: Floats, tolerance: float = TOLERANCE) -> Obs
         Standard deviations of the states at the start, SI units.
     tolerance : float
         A singular value up to this share of the largest is called zero.
-
-    Returns
-    -------
-    Observability
     """
     # R has the singular values of the stack, and is as small as one ping whatever the length of the dive.
     triangle = np.asarray(np.linalg.qr(rows * prior_sd, mode="r"))

@@ -110,22 +110,7 @@ def write_update(
 def history_of(
     name: str, timeline: Timeline, measurements: tuple[Measurement, ...], records: Records, updates: Updates
 ) -> History:
-    """Gather what a filter wrote down.
-
-    Parameters
-    ----------
-    name : str
-        The filter's name.
-    timeline : Timeline
-    measurements : tuple of Measurement
-        In the order of the updates.
-    records : Records
-    updates : Updates
-
-    Returns
-    -------
-    History
-    """
+    """Gather what a filter wrote down."""
     ping_ns = timeline.event_ns[timeline.ping >= 0]
     innovations = []
     for m, measurement in enumerate(measurements):

@@ -72,25 +72,6 @@ def propagate(
 
     The specific force is turned to n by the mean of the attitudes at both ends; the position moves with the mean of the
     velocities.
-
-    Parameters
-    ----------
-    state : NavState
-        At the start of the interval.
-    specific_force_b, angular_rate_b : tuple of 3 float
-        Means of the readings over the interval, m/s^2 and rad/s; the biases are taken off them.
-    dt : float
-        Length of the interval, s.
-    place : Place
-        Where the vehicle is, within its reach.
-    gravity : float
-        There, m/s^2.
-
-    Returns
-    -------
-    NavState
-        At the end.
-    Motion
     """
     height_m, velocity_n = state.position[2], state.velocity_n
     force_b, rate_b = subtract(specific_force_b, state.accel_bias_b), subtract(angular_rate_b, state.gyro_bias_b)

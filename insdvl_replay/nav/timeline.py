@@ -54,7 +54,6 @@ class Node(NamedTuple):
 
     Attributes
     ----------
-    time_ns : int
     time_s : float
         Seconds from the start.
     sample, event : int
@@ -88,10 +87,6 @@ def build_timeline(
         Span of the replay.
     gaps : Gaps
         The IMU's long gaps; in each the time line has nodes of its own.
-
-    Returns
-    -------
-    Timeline
 
     Raises
     ------
@@ -138,33 +133,13 @@ def _for_the_loop(column: NDArray[Scalar]) -> NDArray[Scalar]:
 
 @inlined
 def first_node(timeline: Timeline) -> Node:
-    """Give the node at the start.
-
-    Parameters
-    ----------
-    timeline : Timeline
-
-    Returns
-    -------
-    Node
-    """
+    """Give the node at the start."""
     return _node(timeline, timeline.event_ns[0], 0, 0)
 
 
 @inlined
 def next_node(timeline: Timeline, before: Node) -> Node:
-    """Go on to the next sample or event, whichever comes first.
-
-    Parameters
-    ----------
-    timeline : Timeline
-    before : Node
-        Not the last one.
-
-    Returns
-    -------
-    Node
-    """
+    """Go on to the next sample or event, whichever comes first."""
     sample_ns, event_ns = timeline.sample_ns[before.sample + 1], timeline.event_ns[before.event + 1]
     sample, event = before.sample + (sample_ns <= event_ns), before.event + (event_ns <= sample_ns)
     return _node(timeline, min(sample_ns, event_ns), sample, event)

@@ -158,10 +158,6 @@ def rotation_from_vector(rotation: Vector) -> Matrix:
     ----------
     rotation : tuple of 3 float
         rad
-
-    Returns
-    -------
-    tuple of 3 rows
     """
     x, y, z = rotation
     square = x * x + y * y + z * z

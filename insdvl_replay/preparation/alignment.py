@@ -62,29 +62,16 @@ def align(
 
     Parameters
     ----------
-    imu : ImuColumns
     velocities : DvlVelocities
         Pings.
     noise : SensorNoise
         Of the pings and the accelerometers.
-    reference : ReferenceColumns or None
     initial : Initial
         Configuration.
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
     start_ns, end_ns : int
         Span that IMU and configuration allow.
-
-    Returns
-    -------
-    Alignment
-
-    Raises
-    ------
-    LogError
-        The reference is missing or does not overlap the span.
-    ConfigError
-        Heading or latitude are needed and not configured.
     """
     notes: list[Note] = []
     check_start(
@@ -122,7 +109,6 @@ def check_start(initial: Initial, *, has_reference: bool, has_position: bool, ha
 
     Parameters
     ----------
-    initial : Initial
     has_reference, has_position, has_attitude : bool
         Whether there is a reference, and what it gives.
 
@@ -157,10 +143,6 @@ def _configured_heading_deg(initial: Initial) -> float:
 
 def initial_sd(initial: Initial) -> Floats:
     """Give the initial standard deviations of the 12 error states.
-
-    Parameters
-    ----------
-    initial : Initial
 
     Returns
     -------

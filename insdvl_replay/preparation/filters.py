@@ -31,7 +31,6 @@ class DvlNoise(NamedTuple):
     ----------
     key : {'beam_sd_mps', 'velocity_sd_mps'}
         Whether it is that of one beam, or of each axis of a velocity from all beams.
-    sd_mps : float
     """
 
     key: Literal["beam_sd_mps", "velocity_sd_mps"]
@@ -44,11 +43,8 @@ class ResolvedFilter:
 
     Attributes
     ----------
-    name : str
     aiding : tuple of str
         ``velocity``, ``acceleration``, in the order in which they are applied.
-    dvl_noise : DvlNoise
-    inertial_noise : Noise
     gate_probability : float
         See `gate`.
     gate_reopen_after : int
@@ -91,14 +87,9 @@ class ResolvedFilter:
         ----------
         velocities : DvlVelocities
             m pings.
-        mounting : DvlMounting
         gaps : Gaps
             The IMU's long gaps. In one the lever arm swings unseen, and no window of accelerations spans any part of
             one.
-
-        Returns
-        -------
-        tuple of Measurement
         """
         cov_b = self._ping_cov(velocities) + swing_cov(gaps, velocities.time_ns, mounting.lever_arm_b)
         return tuple(
@@ -135,15 +126,8 @@ def resolve_filter(name: str, filter_: Filter, config: Config, *, from_beams: bo
 
     Parameters
     ----------
-    name : str
-    filter_ : Filter
-    config : Config
     from_beams : bool
         Whether the velocities are solved from beams.
-
-    Returns
-    -------
-    ResolvedFilter
     """
     own = {key: getattr(filter_, key) for key in Noise.__struct_fields__}
     return ResolvedFilter(

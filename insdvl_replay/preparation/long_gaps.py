@@ -31,10 +31,6 @@ def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
         Times of the IMU's samples.
     imu : Imu
         Settings: how long is long, and what a vehicle may do unseen.
-
-    Returns
-    -------
-    Gaps
     """
     rows = np.flatnonzero(np.diff(time_ns) > nanoseconds(imu.max_gap_s))
     start_ns, end_ns = time_ns[rows], time_ns[rows + 1]
@@ -51,7 +47,6 @@ def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats) -> Floats:
 
     Parameters
     ----------
-    gaps : Gaps
     time_ns : ndarray, shape (m,)
         Times of the pings.
     lever_arm_b : ndarray, shape (3,)
@@ -67,29 +62,7 @@ def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats) -> Floats:
 
 
 def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int) -> tuple[int, int, tuple[Note, ...]]:
-    """Do with the long gaps of a span what the configuration wants, and say so.
-
-    Parameters
-    ----------
-    gaps : Gaps
-    imu : Imu
-        Settings.
-    start_ns, end_ns : int
-        Span to replay.
-    origin_ns : int
-        The dive's start, from which the notes count seconds.
-
-    Returns
-    -------
-    start_ns, end_ns : int
-        Span without what was split off.
-    notes : tuple of Note
-
-    Raises
-    ------
-    LogError
-        A gap is too long to be bridged.
-    """
+    """Do with the long gaps of a span what the configuration wants, and say so."""
     inside = gaps.within(start_ns, end_ns)
     if not len(inside.start_ns):
         return start_ns, end_ns, ()

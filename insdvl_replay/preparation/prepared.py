@@ -31,7 +31,6 @@ class Prepared:
         End of the span.
     gaps : Gaps
         The IMU's long gaps inside the span, which the filters bridge.
-    mounting : DvlMounting
     filters : tuple of ResolvedFilter
         The first is the baseline.
     notes : tuple of Note
@@ -54,7 +53,6 @@ def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
     ----------
     dive : Dive
         As it was read.
-    config : Config
 
     Returns
     -------
@@ -87,11 +85,6 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     ----------
     dive : Dive
         From `with_reference_at_imu`.
-    config : Config
-
-    Returns
-    -------
-    Prepared
 
     Raises
     ------

@@ -21,9 +21,6 @@ def start_position(reference: ReferenceColumns | None, initial: Initial, start_n
 
     Parameters
     ----------
-    reference : ReferenceColumns or None
-    initial : Initial
-    start_ns : int
     notes : list of Note
         Receives what was taken from elsewhere, or is far.
 
@@ -31,11 +28,6 @@ def start_position(reference: ReferenceColumns | None, initial: Initial, start_n
     -------
     ndarray, shape (3,)
         Latitude rad, longitude rad, height m.
-
-    Raises
-    ------
-    ConfigError
-        The latitude is needed and not configured.
     """
     if reference is not None and reference.has_position:
         return _reference_position(reference, initial, start_ns, notes)
@@ -81,21 +73,7 @@ def _latitude_notes(initial: Initial, latitude_deg: float) -> list[Note]:
 
 
 def configured_latitude_deg(initial: Initial) -> float:
-    """Give the configured latitude, deg.
-
-    Parameters
-    ----------
-    initial : Initial
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    ConfigError
-        There is none.
-    """
+    """Give the configured latitude, deg."""
     if initial.latitude_deg is None:
         raise ConfigError(
             "the latitude is needed for gravity and Earth rate, and no reference gives it",
@@ -133,7 +111,6 @@ def at_time(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:
     ----------
     time_ns : ndarray, shape (r,)
     values : ndarray, shape (r, n)
-    at_ns : int
 
     Returns
     -------

@@ -25,10 +25,6 @@ _FORMULA: Final = ("=", "+", "-", "@")
 def table_csv(table: "pd.DataFrame") -> bytes:
     """Write a table as CSV.
 
-    Parameters
-    ----------
-    table : DataFrame
-
     Returns
     -------
     bytes
@@ -62,14 +58,9 @@ def rows_csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
     Parameters
     ----------
-    header : sequence of str
     rows : iterable of sequences
         None and NaN become empty. A text that begins with ``=``, ``+``, ``-`` or ``@`` and is no number, as the name of
         a dive may, gets an apostrophe before it: spreadsheets take it for a formula.
-
-    Returns
-    -------
-    str
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

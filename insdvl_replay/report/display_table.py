@@ -40,7 +40,6 @@ class ShownTable:
         Column names with units; a line break is a good place to fold.
     alignment : str
         One letter for each column: l for words, r for numbers.
-    rows : tuple of tuples of str, or of tuples of str for cells of several lines
     footnote : str
         What the rows cannot say.
     title_apart : bool

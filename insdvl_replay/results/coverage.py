@@ -25,7 +25,6 @@ class Source:
 
     Attributes
     ----------
-    name : str
     time_ns : ndarray, shape (k,)
         Times of all its samples.
     valid : ndarray of bool, shape (k,)
@@ -38,30 +37,13 @@ class Source:
 
 
 def coverage_strips(sources: Sequence[Source], clock: Clock) -> str:
-    """Draw a strip for each source: as high as the share of the time that it covers.
-
-    Parameters
-    ----------
-    sources : sequence of Source
-    clock : Clock
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Draw a strip for each source: as high as the share of the time that it covers."""
     rows = "".join(_row(source, clock) for source in sources)
     return f'<div class="strips">{rows}<div></div><div class="times">{"".join(_times(clock))}</div></div>'
 
 
 def covered_shares(source: Source, start_ns: int, end_ns: int, columns: int = _COLUMNS) -> Floats:
     """Give the share of each column of a span that valid samples cover.
-
-    Parameters
-    ----------
-    source : Source
-    start_ns, end_ns : int
-    columns : int
 
     Returns
     -------

@@ -13,10 +13,6 @@ NAME_A_FILE = "give the name of a file"
 def replaceable_file(target: Path) -> Path | None:
     """Follow links to the file that a path stands for, whether it is there yet or not.
 
-    Parameters
-    ----------
-    target : Path
-
     Returns
     -------
     Path or None
@@ -45,18 +41,7 @@ def replaceable_file(target: Path) -> Path | None:
 
 
 def open_in_place(target: Path) -> BinaryIO:
-    """Open what is there, without making or emptying a file of its name.
-
-    Parameters
-    ----------
-    target : Path
-        Such that `replaceable_file` gives None.
-
-    Returns
-    -------
-    binary stream
-        For a descriptor of this process one that shares its place, so that what is printed goes behind what is written.
-    """
+    """Open what is there, without making or emptying a file of its name."""
     number = _descriptor(target)
     return os.fdopen(os.open(target, os.O_WRONLY) if number is None else os.dup(number), "wb")
 

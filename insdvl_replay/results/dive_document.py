@@ -52,7 +52,6 @@ def dive_document(report: Report, behind: Sequence[Part] = ()) -> list[Part]:
 
     Parameters
     ----------
-    report : Report
     behind : sequence of Part
         What stands behind the tables.
     """
@@ -70,17 +69,7 @@ def dive_document(report: Report, behind: Sequence[Part] = ()) -> list[Part]:
 
 
 def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: str) -> bytes:
-    """Write the page of a replay; the same replay gives the same bytes.
-
-    Parameters
-    ----------
-    report : Report
-    figures : sequence of Figure
-    strips : str
-        HTML from `coverage`.
-    settings : str
-        The resolved configuration as TOML.
-    """
+    """Write the page of a replay; the same replay gives the same bytes."""
     behind: list[Part] = [
         Heading("Figures"),
         _bars(report),

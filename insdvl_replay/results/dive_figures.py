@@ -31,7 +31,6 @@ class Track:
 
     Attributes
     ----------
-    label, style : str
     time_ns : ndarray, shape (k,)
     position_ned_m : ndarray, shape (k, 3)
         From the baseline's start; NaN where nothing is said.
@@ -44,17 +43,7 @@ class Track:
 
 
 def replay_figures(replay: Replay) -> tuple[Figure, ...]:
-    """Draw all figures of a replay.
-
-    Parameters
-    ----------
-    replay : Replay
-
-    Returns
-    -------
-    tuple of Figure
-        Those that need what the dive does not have are left out.
-    """
+    """Draw all figures of a replay."""
     clock = Clock(replay.start_ns, replay.end_ns)
     return (
         sigma_figure(replay.histories, clock),
@@ -66,17 +55,7 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
 
 
 def replay_coverage(replay: Replay) -> str:
-    """Draw which part of a replay each sensor covers.
-
-    Parameters
-    ----------
-    replay : Replay
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Draw which part of a replay each sensor covers."""
     return coverage_strips(list(_sources(replay.dive)), Clock(replay.start_ns, replay.end_ns))
 
 
@@ -162,19 +141,7 @@ def _reference_sources(reference: ReferenceColumns) -> Iterator[Source]:
 
 
 def motion_figure(tracks: Sequence[Track], baseline: History, clock: Clock) -> Figure:
-    """Draw the tracks from above and over time, and how the baseline says that the vehicle moved.
-
-    Parameters
-    ----------
-    tracks : sequence of Track
-        One for each filter, and the reference's if there is one.
-    baseline : History
-    clock : Clock
-
-    Returns
-    -------
-    Figure
-    """
+    """Draw the tracks from above and over time, and how the baseline says that the vehicle moved."""
     above = [Curve(track.position_ned_m[:, 1], track.position_ned_m[:, 0], track.style) for track in tracks]
     down = [Curve(clock.time(track.time_ns), track.position_ned_m[:, 2], track.style) for track in tracks]
     return Figure(
@@ -226,13 +193,8 @@ def acceleration_figure(
         Times of validity.
     derived_b, reference_b : ndarray, shape (m, 3)
         m/s^2; the reference's, if there is one that gives any.
-    clock : Clock
     lever_arm : bool
         Whether the DVL lies away from the IMU.
-
-    Returns
-    -------
-    Figure
     """
     swing = " The swing of the DVL about the IMU is left in." if lever_arm else ""
     legend = [(DERIVED, "slope of the DVL's velocities")]

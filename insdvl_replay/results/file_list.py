@@ -15,13 +15,7 @@ _TIME_OF_DAY: Final = ("started_at", "elapsed_s")
 
 
 def list_files(folder: Path) -> None:
-    """Write into the report of a finished result which files it has, and the SHA-256 of each.
-
-    Parameters
-    ----------
-    folder : Path
-        Holds the files of the result alone, its report among them.
-    """
+    """Write into the report of a finished result which files it has, and the SHA-256 of each."""
     report = folder / REPORT
     content = msgspec.json.decode(report.read_bytes())
     files = {path.name: _digest(path) for path in sorted(folder.iterdir()) if path != report}

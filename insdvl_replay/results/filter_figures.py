@@ -93,18 +93,7 @@ def filter_legend(names: list[str]) -> tuple[tuple[str, str], ...]:
 
 
 def sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
-    """Draw the standard deviations of all filters, one panel for each state.
-
-    Parameters
-    ----------
-    histories : sequence of History
-        The first is the baseline.
-    clock : Clock
-
-    Returns
-    -------
-    Figure
-    """
+    """Draw the standard deviations of all filters, one panel for each state."""
     return Figure(
         "What the filters believe: standard deviations",
         "Square roots of P's diagonal, as each ping leaves them, and as they grow where pings are missing. The start, "
@@ -150,7 +139,6 @@ class FilterErrors:
 
     Attributes
     ----------
-    filter : str
     time_ns : ndarray, shape (k,)
     state_error : ndarray, shape (k, 6)
         Velocity error m/s and misalignment rad, in n; NaN where the reference lacks them.
@@ -167,19 +155,7 @@ class FilterErrors:
 
 
 def error_figure(errors: Sequence[FilterErrors], clock: Clock) -> Figure:
-    """Draw velocity, attitude and position errors, as far as the reference has them.
-
-    Parameters
-    ----------
-    errors : sequence of FilterErrors
-        The first is the baseline's.
-    clock : Clock
-
-    Returns
-    -------
-    Figure
-        Without panels where the reference has nothing to compare with.
-    """
+    """Draw velocity, attitude and position errors, as far as the reference has them."""
     states = (_state_panel(state, errors, clock) for state in STATES[:6])
     positions = (_position_panel(axis, errors, clock) for axis in range(3))
     return Figure(
@@ -217,19 +193,7 @@ def _any(panel: Panel) -> bool:
 
 
 def nis_figure(histories: Sequence[History], clock: Clock, interval: Interval) -> Figure:
-    """Draw the NIS of every update, one panel for each filter and measurement.
-
-    Parameters
-    ----------
-    histories : sequence of History
-    clock : Clock
-    interval : callable
-
-    Returns
-    -------
-    Figure
-        Measurements without updates are left out.
-    """
+    """Draw the NIS of every update, one panel for each filter and measurement."""
     return Figure(
         "Whether they know it: normalised innovations squared",
         "Above the interval a filter is surer than it should be; below, it trusts its measurement too little.",

@@ -117,11 +117,6 @@ def refuse_existing_folder(target: Path, *, force: bool = False) -> None:
 
     With ``force`` an older result may be replaced, if the folder holds its files alone. Anything else that bears the
     name may not: it is somebody's work.
-
-    Parameters
-    ----------
-    target : Path
-    force : bool
     """
     if not os.path.lexists(target):
         return
@@ -140,10 +135,6 @@ def refuse_existing_folder(target: Path, *, force: bool = False) -> None:
 
 def is_result(folder: Path) -> bool:
     """Say whether a folder holds a result, so that the replay in it is no dive.
-
-    Parameters
-    ----------
-    folder : Path
 
     Returns
     -------
@@ -175,13 +166,7 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
 
 
 def refuse_existing_file(target: Path, *, force: bool = False) -> None:
-    """Raise a ConfigError if a file cannot be written, or exists and may not be replaced.
-
-    Parameters
-    ----------
-    target : Path
-    force : bool
-    """
+    """Raise a ConfigError if a file cannot be written, or exists and may not be replaced."""
     file = replaceable_file(target)
     if file is not None and file.exists() and not force:
         raise ConfigError(f"{target}: exists", "choose another name with -o, or replace it with --force")

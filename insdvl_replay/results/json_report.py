@@ -87,26 +87,7 @@ def build_report(
     end_ns: int,
     tool: Tool = Tool(),
 ) -> Report:
-    """Gather a result.
-
-    Parameters
-    ----------
-    dive : Dive
-    config : Config
-        Resolved settings.
-    tables : Tables
-    candidates : mapping of str to Candidate
-        By filter name.
-    notes : sequence of Note
-    start_ns, end_ns : int
-        Span of the replay.
-    tool : Tool
-        With the time of day, if that is wanted.
-
-    Returns
-    -------
-    Report
-    """
+    """Gather a result."""
     return Report(
         tool=tool,
         versions=package_versions(),
@@ -142,10 +123,6 @@ def decode_report(data: bytes) -> Report:
     ----------
     data : bytes
         From `encode_report`.
-
-    Returns
-    -------
-    Report
 
     Raises
     ------

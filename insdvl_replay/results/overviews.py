@@ -80,21 +80,7 @@ def _summary_rows(outcome: Report | Failure) -> Iterator[tuple[object, ...]]:
 
 
 def position_rmse(report: Report, name: str, quantity: str) -> tuple[float | None, float | None]:
-    """Give the baseline's and a candidate's rms position error.
-
-    Parameters
-    ----------
-    report : Report
-    name : str
-        A candidate.
-    quantity : str
-        ``position_h`` or ``position_h_pct``.
-
-    Returns
-    -------
-    tuple of float or None
-        Baseline and candidate; None where the dive has no reference.
-    """
+    """Give the baseline's and a candidate's rms position error."""
     for row in report.tables.reference_error:
         if (row.filter, row.quantity) == (name, quantity):
             return row.baseline_rmse, row.rmse

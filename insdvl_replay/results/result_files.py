@@ -23,7 +23,6 @@ def save_replay(replay: Replay, folder: Path) -> None:
 
     Parameters
     ----------
-    replay : Replay
     folder : Path
         Exists; its other files are left alone.
     """

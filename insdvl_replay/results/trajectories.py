@@ -22,7 +22,6 @@ def save_trajectories(replay: Replay, folder: Path) -> None:
 
     Parameters
     ----------
-    replay : Replay
     folder : Path
         Exists; its other files are left alone.
     """

@@ -33,21 +33,6 @@ def workspace_beside(target: Path) -> Iterator[Path]:
     """Give a hidden folder beside the target, on the same file system, and remove it with all it then holds.
 
     What killed runs left in the same place is cleared first.
-
-    Parameters
-    ----------
-    target : Path
-        Folders above it are made, and removed again if nothing came of them.
-
-    Yields
-    ------
-    Path
-        Holds an empty folder `NEW`. A result that lies in `OLD` at the end goes back if the target is not there.
-
-    Raises
-    ------
-    ConfigError
-        The disk refuses.
     """
     try:
         made = [parent for parent in target.parents if not parent.exists()]

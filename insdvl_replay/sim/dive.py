@@ -128,10 +128,6 @@ def exact_dive(
     mounting_rpy_deg : tuple of three floats
         The DVL's mounting rotation, d to b, as roll, pitch, heading.
 
-    Returns
-    -------
-    Dive
-
     Raises
     ------
     ConfigError
@@ -168,8 +164,6 @@ def add_errors(exact: Dive, imu_errors: ImuErrors, dvl_errors: DvlErrors, seed: 
     ----------
     exact : Dive
         From `exact_dive`.
-    imu_errors : ImuErrors
-    dvl_errors : DvlErrors
     seed : int
         Not negative. Accelerometers, gyros and DVL draw from streams of their own, by numpy's ziggurat, which asks the
         C library for a logarithm once in thousands of draws; readings are rounded to their quantum after it.
@@ -207,8 +201,6 @@ def named(kind: str, name: str, known: Mapping[str, T]) -> T:
     ----------
     kind : str
         What it names, for the error.
-    name : str
-    known : mapping of str to anything
 
     Returns
     -------

@@ -57,7 +57,6 @@ class Course:
 
     Parameters
     ----------
-    scenario : Scenario
     end_s : float
         How far the course is needed, seconds from the start.
     """
@@ -77,10 +76,6 @@ class Course:
         Parameters
         ----------
         time_s : ndarray, shape (k,)
-
-        Returns
-        -------
-        Motion
         """
         sine, cosine = sine_and_cosine(self._scenario.rpy(time_s))
         velocity_b = self._scenario.velocity_b(time_s)

@@ -108,23 +108,7 @@ def quantise(values: Floats, quantum: float) -> Floats:
 def add_imu_errors(
     exact: ImuColumns, errors: ImuErrors, accel_rng: np.random.Generator, gyro_rng: np.random.Generator
 ) -> tuple[ImuColumns, TruthColumns]:
-    """Spoil perfect readings.
-
-    Parameters
-    ----------
-    exact : ImuColumns
-        At least two evenly spaced samples.
-    errors : ImuErrors
-    accel_rng, gyro_rng : numpy.random.Generator
-        A stream for each triad, so that changing one leaves the other's draws alone.
-
-    Returns
-    -------
-    imu : ImuColumns
-        What the sensors report.
-    truth : TruthColumns
-        The biases at the same times.
-    """
+    """Spoil perfect readings."""
     interval_s = float(exact.time_ns[-1] - exact.time_ns[0]) * 1e-9 / (len(exact.time_ns) - 1)
     root_s, shape = math.sqrt(interval_s), exact.specific_force_b.shape
     accel_bias = _bias(shape, errors.accel_bias_sd_mps2, errors.accel_bias_walk_mps2_rts * root_s, accel_rng)
@@ -205,24 +189,7 @@ def beam_vectors_d() -> Floats:
 
 
 def add_dvl_errors(exact: DvlColumns, errors: DvlErrors, rng: np.random.Generator) -> DvlColumns:
-    """Spoil perfect beams; lost ones stay lost.
-
-    Parameters
-    ----------
-    exact : DvlColumns
-        With beams.
-    errors : DvlErrors
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    DvlColumns
-
-    Raises
-    ------
-    ValueError
-        The columns hold no beams.
-    """
+    """Spoil perfect beams; lost ones stay lost."""
     if exact.beam_velocity_mps is None or exact.beam_vectors_d is None:
         raise ValueError("the errors of a DVL are drawn for its beams, and these columns hold none")
     pings, beams = exact.beam_velocity_mps.shape

@@ -85,19 +85,7 @@ class Segment:
 
 
 def turn(turn_deg: float, peak_rate_degps: float) -> Segment:
-    """Make the segment that turns by an angle at a given rate between its ramps.
-
-    Parameters
-    ----------
-    turn_deg : float
-        Positive to starboard.
-    peak_rate_degps : float
-        Magnitude of the turn rate, deg/s.
-
-    Returns
-    -------
-    Segment
-    """
+    """Make the segment that turns by an angle at a given rate between its ramps."""
     return Segment(abs(turn_deg) / peak_rate_degps + RAMP_S, turn_deg)
 
 

@@ -51,7 +51,6 @@ def study_montecarlo(
     ----------
     scenario : str
         A name in `trajectories.SCENARIOS`.
-    config : Config
     runs : int
         At least two.
     seed : int
@@ -69,7 +68,6 @@ def study_montecarlo(
 
     Returns
     -------
-    StudyReport
     tuple of Ensemble
         One for each filter; the first is the baseline.
 
@@ -111,8 +109,6 @@ def save_montecarlo(report: StudyReport, ensembles: tuple[Ensemble, ...], folder
 
     Parameters
     ----------
-    report : StudyReport
-    ensembles : tuple of Ensemble
     folder : Path
         Exists.
     png : bool
@@ -148,10 +144,6 @@ def repeat_run(
         As of `study_montecarlo`.
     run : int
         Its number, from 1.
-
-    Returns
-    -------
-    StudyReport
 
     Raises
     ------

@@ -21,17 +21,7 @@ FAR_ABOVE: Final = 10.0
 
 
 def montecarlo_sentences(tables: Mapping[str, pd.DataFrame]) -> tuple[str, ...]:
-    """Say of each filter whether it is as good as it says, and of each candidate whether it is better.
-
-    Parameters
-    ----------
-    tables : mapping of str to DataFrame
-        ``montecarlo`` and ``verdicts``.
-
-    Returns
-    -------
-    tuple of str
-    """
+    """Say of each filter whether it is as good as it says, and of each candidate whether it is better."""
     verdicts = [_verdict(row) for row in tables["verdicts"].itertuples()]
     baseline, *candidates = tables["verdicts"]["filter"]
     return (*verdicts, *(_improvement(tables["montecarlo"], name, baseline) for name in candidates))
@@ -63,17 +53,7 @@ def _change(improvement_pct: float) -> str:
 
 
 def shown_montecarlo(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable, ...]:
-    """Turn the tables of a study into tables for people: one for each filter, and the verdicts.
-
-    Parameters
-    ----------
-    tables : mapping of str to DataFrame
-        ``montecarlo`` and ``verdicts``; ``outages`` where there were any.
-
-    Returns
-    -------
-    tuple of ShownTable
-    """
+    """Turn the tables of a study into tables for people: one for each filter, and the verdicts."""
     baseline, *_ = tables["verdicts"]["filter"]
     states = [
         _states(name, rows, "" if name == baseline else baseline)
@@ -137,17 +117,7 @@ def _outages(table: pd.DataFrame) -> ShownTable:
 
 
 def run_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """Say of each filter what its NEES was in one run.
-
-    Parameters
-    ----------
-    table : DataFrame
-        From `ensemble_tables.run_table`.
-
-    Returns
-    -------
-    tuple of str
-    """
+    """Say of each filter what its NEES was in one run."""
     return tuple(
         f"{row['filter']}: NEES {row['mean_nees']:.4g} in the mean over the pings, {row['final_nees']:.4g} at the end "
         f"({len(STATES)} expected)"
@@ -156,17 +126,7 @@ def run_sentences(table: pd.DataFrame) -> tuple[str, ...]:
 
 
 def shown_run(table: pd.DataFrame) -> tuple[ShownTable, ...]:
-    """Turn one run into tables for people, one for each filter.
-
-    Parameters
-    ----------
-    table : DataFrame
-        From `ensemble_tables.run_table`.
-
-    Returns
-    -------
-    tuple of ShownTable
-    """
+    """Turn one run into tables for people, one for each filter."""
     return tuple(
         ShownTable(
             f"Errors of {name} at the end of the run",
@@ -208,8 +168,6 @@ def ensemble_figure(
 
     Parameters
     ----------
-    title : str
-    states : sequence of State
     time_s : ndarray, shape (k,)
     sd, error_sd, error_mean : ndarray, shape (k, 12)
         SI units.

@@ -24,19 +24,7 @@ _GROWN_PCT: Final = 101.0
 
 
 def observability_sentences(tables: Mapping[str, pd.DataFrame], tolerance: float) -> tuple[str, ...]:
-    """Say for each aiding what its rank is, which directions it cannot see, and which states it lets grow uncertain.
-
-    Parameters
-    ----------
-    tables : mapping of str to DataFrame
-        ``ranks``, ``directions`` and ``states``.
-    tolerance : float
-        Share of the largest singular value up to which one is called zero.
-
-    Returns
-    -------
-    tuple of str
-    """
+    """Say for each aiding what its rank is, which directions it cannot see, and which states it lets grow uncertain."""
     directions = tables["directions"]
     unseen = directions[directions["status"] == DirectionStatus.UNOBSERVABLE].groupby("aiding")["label"].agg(list)
     sentences = [_rank_sentence(row, unseen.get(row["aiding"], [])) for row in tables["ranks"].to_dict("records")]
@@ -65,19 +53,7 @@ def _grown_sentence(aiding: object, states: pd.DataFrame) -> str:
 
 
 def shown_observability(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable, ...]:
-    """Turn the tables of a study into tables for people.
-
-    Parameters
-    ----------
-    tables : mapping of str to DataFrame
-        ``directions``, ``catalogue``, ``singular_values`` and ``states``.
-
-    Returns
-    -------
-    tuple of ShownTable
-        The directions, with their numbers and how they are seen; singular values; what is left of each state at the
-        end, with process noise, and of its error at the start, without.
-    """
+    """Turn the tables of a study into tables for people."""
     return (
         _catalogue(tables["catalogue"]),
         _directions(tables["directions"]),
@@ -169,16 +145,7 @@ def _by_aiding(
 
 
 def singular_value_figure(title: str, values: pd.DataFrame, tolerance: float) -> Figure:
-    """Draw the singular values of each aiding as shares of its largest, and the tolerance.
-
-    Parameters
-    ----------
-    title : str
-    values : DataFrame
-        Columns aiding, number, singular_value.
-    tolerance : float
-        Share of the largest up to which a singular value is called zero.
-    """
+    """Draw the singular values of each aiding as shares of its largest, and the tolerance."""
     curves, legend = [], []
     for count, (aiding, rows) in enumerate(values.groupby("aiding", sort=False)):
         largest = rows["singular_value"].max() or 1.0

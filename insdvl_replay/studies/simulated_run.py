@@ -54,29 +54,7 @@ def make_world(
     duration_s: float | None = None,
     outages: Sequence[tuple[float, float]] = (),
 ) -> World:
-    """Simulate the exact dive and say how its sensors are going to err.
-
-    Parameters
-    ----------
-    scenario : str
-        A name in `trajectories.SCENARIOS`.
-    config : Config
-    imu : str
-        `MATCHED`, or a name in `sensor_errors.GRADES`.
-    duration_s : float, optional
-        Left out: the scenario's own.
-    outages : sequence of (start_s, end_s)
-        Spans in which no beam finds the bottom.
-
-    Returns
-    -------
-    World
-
-    Raises
-    ------
-    ConfigError
-        Unknown scenario or grade, or a duration that cannot be.
-    """
+    """Simulate the exact dive and say how its sensors are going to err."""
     worlds = {name: (errors, DvlErrors()) for name, errors in GRADES.items()}
     imu_errors, dvl_errors = named("IMU grade", imu, {MATCHED: matched_errors(config), **worlds})
     exact = exact_dive(
@@ -91,18 +69,7 @@ def make_world(
 
 
 def matched_errors(config: Config) -> tuple[ImuErrors, DvlErrors]:
-    """Let the sensors err as the first filter's Q, R and initial uncertainty say.
-
-    Parameters
-    ----------
-    config : Config
-
-    Returns
-    -------
-    ImuErrors
-    DvlErrors
-        Noise of the beams, or alike on the axes of the velocity, whichever the filter is told.
-    """
+    """Let the sensors err as the first filter's Q, R and initial uncertainty say."""
     baseline, sd = resolve_filters(config, from_beams=True)[0], initial_sd(config.initial)
     imu_errors = ImuErrors(
         accel_bias_sd_mps2=sd[BA][0],
@@ -114,37 +81,12 @@ def matched_errors(config: Config) -> tuple[ImuErrors, DvlErrors]:
 
 
 def run_seed(seed: int, run: int) -> int:
-    """Give the seed of one run, from which it can be repeated without the others.
-
-    Parameters
-    ----------
-    seed : int
-        Of the study.
-    run : int
-        Its number, from 1.
-
-    Returns
-    -------
-    int
-        As ``insdvl-replay simulate --seed`` takes it.
-    """
+    """Give the seed of one run, from which it can be repeated without the others."""
     return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1)[0])
 
 
 def simulated_run(world: World, seed: int) -> tuple[RunErrors, ...]:
-    """Draw the errors of one run and replay it through every filter.
-
-    Parameters
-    ----------
-    world : World
-    seed : int
-        From `run_seed`.
-
-    Returns
-    -------
-    tuple of RunErrors
-        One for each filter, in the configuration's order.
-    """
+    """Draw the errors of one run and replay it through every filter."""
     config, dive = world.config, add_errors(world.exact, world.imu_errors, world.dvl_errors, seed)
     if dive.reference is None or dive.truth is None:
         raise ValueError("a simulated dive holds its truth")
@@ -163,16 +105,6 @@ def drawn_start(world: World, seed: int) -> Start:
     """Start where the exact dive does, off by what the configured initial uncertainty allows.
 
     Biases are estimated as zero: how large they are is the sensors' part of the draw.
-
-    Parameters
-    ----------
-    world : World
-    seed : int
-        From `run_seed`.
-
-    Returns
-    -------
-    Start
     """
     if world.exact.reference is None:
         raise ValueError("the filters start from the exact motion")

@@ -83,18 +83,7 @@ class StudyResult(Struct, frozen=True):
 def write_study(
     report: StudyReport, folder: Path, figures: Mapping[str, Figure] | None = None, *, png: bool = False
 ) -> None:
-    """Write the figures, the tables, the settings, the page and, last, the file by which a result is known.
-
-    Parameters
-    ----------
-    report : StudyReport
-    folder : Path
-        Exists; its other files are left alone.
-    figures : mapping of str to Figure, optional
-        By the name of their files.
-    png : bool
-        Draw them as PNG, too.
-    """
+    """Write the figures, the tables, the settings, the page and, last, the file by which a result is known."""
     figures = figures or {}
     for name, figure in figures.items():
         (folder / f"{name}.svg").write_bytes(sheet_svg(figure))

@@ -106,27 +106,6 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> tuple[pd.DataFrame
 
     All windows are judged at the same pings, those whose longest window is whole, so that no number of velocities has
     an easier dive than another.
-
-    Parameters
-    ----------
-    dive : Dive
-    config : Config
-    longest : int
-        Largest number of velocities.
-
-    Returns
-    -------
-    DataFrame
-        Columns `WINDOW_COLUMNS`.
-    float
-        Time over which the reference is differentiated, s.
-    tuple of Note
-        What was dropped, assumed or found odd.
-
-    Raises
-    ------
-    LogError, ConfigError
-        As of `study_window`.
     """
     reference = _reference(dive, config)
     start = prepare_dive(replace(dive, reference=reference), config)
@@ -228,35 +207,13 @@ def _velocities_at_imu(dive: Dive, velocities: DvlVelocities, mounting: DvlMount
 
 
 def pooled_windows(table: pd.DataFrame) -> pd.DataFrame:
-    """Pool the logs of a window study, each sample with the same weight.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Columns `WINDOW_COLUMNS`.
-
-    Returns
-    -------
-    DataFrame
-        The same columns; one row for each n, at and lever_arm, whose log is `POOLED`.
-    """
+    """Pool the logs of a window study, each sample with the same weight."""
     squares = table.assign(squares=table["samples"] * table["rmse_mps2"] ** 2)
     sums = squares.groupby(["lever_arm", "at", "n"], sort=False, as_index=False)[["squares", "samples"]].sum()
     return sums.assign(log=POOLED, rmse_mps2=np.sqrt(sums["squares"] / sums["samples"]))[WINDOW_COLUMNS]
 
 
 def best_windows(table: pd.DataFrame) -> pd.DataFrame:
-    """Find the number of velocities with the least error, for each log, place and lever arm.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Columns `WINDOW_COLUMNS`.
-
-    Returns
-    -------
-    DataFrame
-        The rows of the optima, in the order of the table.
-    """
+    """Find the number of velocities with the least error, for each log, place and lever arm."""
     least = table.groupby(["log", "lever_arm", "at"], sort=False)["rmse_mps2"].idxmin()
     return table.loc[least].reset_index(drop=True)

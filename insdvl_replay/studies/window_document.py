@@ -23,19 +23,7 @@ _ALONE: Final = "zero"
 
 
 def window_sentences(best: pd.DataFrame, differentiated_over_s: Sequence[float]) -> tuple[str, ...]:
-    """Say which window is best, at its middle and at its end, and how fine the reference is that says so.
-
-    Parameters
-    ----------
-    best : DataFrame
-        Columns log, n, at, lever_arm, rmse_mps2, samples; the rows of the first log are told.
-    differentiated_over_s : sequence of float
-        Time over which each log's reference is differentiated.
-
-    Returns
-    -------
-    tuple of str
-    """
+    """Say which window is best, at its middle and at its end, and how fine the reference is that says so."""
     told = best[best["log"] == best["log"].iloc[0]]
     optima = [_optimum(rows.set_index("at")) for _, rows in told.groupby("lever_arm", sort=False)]
     shortest_s, longest_s = min(differentiated_over_s), max(differentiated_over_s)
@@ -56,17 +44,7 @@ def _optimum(rows: Any) -> str:
 
 
 def shown_windows(windows: pd.DataFrame, best: pd.DataFrame) -> tuple[ShownTable, ...]:
-    """Turn the tables of a study into tables for people: errors by number of velocities, and the optima of each log.
-
-    Parameters
-    ----------
-    windows, best : DataFrame
-        Columns log, n, at, lever_arm, rmse_mps2, samples.
-
-    Returns
-    -------
-    tuple of ShownTable
-    """
+    """Turn the tables of a study into tables for people: errors by number of velocities, and the optima of each log."""
     return (_by_size(windows[windows["log"] == windows["log"].iloc[0]]), _optima(best))
 
 
@@ -95,13 +73,7 @@ def _optima(best: pd.DataFrame) -> ShownTable:
 
 
 def window_figure(windows: pd.DataFrame) -> Figure:
-    """Draw the error at the middle and at the end of windows, one panel for each treatment of the lever arm.
-
-    Parameters
-    ----------
-    windows : DataFrame
-        Columns log, n, at, lever_arm, rmse_mps2, samples. The first log is drawn bold, the others thin.
-    """
+    """Draw the error at the middle and at the end of windows, one panel for each treatment of the lever arm."""
     y_limits = limits(windows["rmse_mps2"].to_numpy(), "log")
     panels = tuple(
         Panel(

@@ -46,7 +46,6 @@ class Cleaner:
         Times of validity in the order of the file.
     rows : ndarray, shape (kept,)
         Indices of the rows that stay, in the order of time.
-    notes : list of Note
 
     Raises
     ------
@@ -113,7 +112,6 @@ class Cleaner:
         code, reason : str
             End of the note's code, and what the dropped messages are like.
         severity : {'info', 'warning'}
-        hint : str
         """
         self._keep_rows(good[self.rows], code, reason, severity, hint)
 
@@ -147,18 +145,12 @@ class Cleaner:
             For each row of the file.
         reason : str
             What the dropped messages are like.
-        hint : str
         """
         if is_few(int(np.count_nonzero(~possible)), possible.size):
             self.keep(possible, "impossible", reason, "warning", hint)
 
     def require_rows(self) -> None:
-        """Refuse a role of which nothing stays.
-
-        Raises
-        ------
-        LogError
-        """
+        """Refuse a role of which nothing stays."""
         if not self.rows.size:
             reasons = "; ".join(note.text for note in self.notes)
             hint = f"`inspect` lists the topics; {self.role}.topic names another one"
@@ -172,11 +164,6 @@ class Cleaner:
         *values : ndarray, shape (k, n)
             For each row of the file. Rows with the same time that differ in them were stamped as they were delivered,
             several together; where these are more than few, it is a warning.
-
-        Raises
-        ------
-        LogError
-            Most rows were stamped together with others.
         """
         times = self.times
         again = np.flatnonzero(times[1:] == times[:-1]) + 1
@@ -223,18 +210,7 @@ class Cleaner:
     def note(
         self, code: str, text: str, count: int, severity: Severity = "info", hint: str = "", first: Rows | None = None
     ) -> None:
-        """Add a note about some of the rows.
-
-        Parameters
-        ----------
-        code, text : str
-            Without the role and the count, which stand in front of them, and the first time, which stands behind.
-        count : int
-        severity : {'info', 'warning'}
-        hint : str
-        first : ndarray, optional
-            Rows of the file of which the first is named; left out, it is true from the first message on.
-        """
+        """Add a note about some of the rows."""
         first_s = 0.0 if first is None else float(seconds(self.time_ns[first].min(), self._first_ns))
         since = f"the first {first_s:.3f} s after the first message"
         self.notes.append(Note(f"{self.role}_{code}", f"{self.role}: {count} {text}; {since}", count, severity, hint))

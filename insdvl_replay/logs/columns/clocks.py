@@ -37,10 +37,6 @@ def measure_clock(role: str, topic: str, stamp: str, time_ns: TimeNs, log_time_n
     time_ns : ndarray, shape (k,)
         Times of validity in the order of the file, k at least 1.
     log_time_ns : ndarray, shape (k,)
-
-    Returns
-    -------
-    Clock
     """
     # As arrays, whose sums go round at 2^64: log times behind 2^63 still give what they are behind.
     behind_ns = log_time_ns - time_ns
@@ -86,10 +82,6 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
     max_disagreement_s : float
         How far log time minus stamp may differ between the IMU and another role, beyond the spread of both.
 
-    Returns
-    -------
-    tuple of Note
-
     Raises
     ------
     LogError
@@ -132,7 +124,6 @@ def stamp_unit(values: NDArray[Any], log_time_ns: TimeNs) -> tuple[int, str]:
     -------
     factor : int
         Nanoseconds of one unit.
-    name : str
     """
     ran, recorded_s = float(values[-1]) - float(values[0]), float(log_time_ns[-1] - log_time_ns[0]) * _NS
     for unit in _UNITS:

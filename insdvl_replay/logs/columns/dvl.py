@@ -33,7 +33,6 @@ def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
 
     Parameters
     ----------
-    table : Table
     settings : Dvl
         Completed by the conventions of the type.
     cleaner : Cleaner
@@ -43,11 +42,6 @@ def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
     -------
     ndarray, shape (beams, 3)
         In d.
-
-    Raises
-    ------
-    LogError
-        The messages do not hold vectors where they should.
     """
     configured = settings.beam_tilt_deg is not None or settings.beam_azimuth_deg is not None
     if configured or "beam_vectors" not in table:
@@ -72,7 +66,6 @@ def note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: F
 
     Parameters
     ----------
-    cleaner : Cleaner
     beam_velocity_mps : ndarray, shape (kept, beams)
     vectors_d : ndarray, shape (beams, 3)
     velocity_d : ndarray, shape (kept, 3)
@@ -128,25 +121,7 @@ _VALID_HINT: Final = 'dvl.valid = "field.path", or dvl.beam_valid, names what ma
 
 
 def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
-    """Make the columns of the DVL.
-
-    Parameters
-    ----------
-    table : Table
-    settings : Dvl
-
-    Returns
-    -------
-    DvlColumns
-    list of Note
-
-    Raises
-    ------
-    LogError
-        No ping can be used, or the messages do not hold what the configuration asks for.
-    ConfigError
-        The axes are none, or the geometry does not fit the number of beams.
-    """
+    """Make the columns of the DVL."""
     settings = table.source.completed(settings)
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)

@@ -133,16 +133,6 @@ def in_frd(vectors: Floats, axes: str, key: str, unit: float = 1.0) -> Floats:
 def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     """Make the columns of the IMU.
 
-    Parameters
-    ----------
-    table : Table
-    settings : Imu
-
-    Returns
-    -------
-    ImuColumns
-    list of Note
-
     Raises
     ------
     LogError
@@ -187,17 +177,7 @@ def _measured(table: Table, quantity: str) -> Floats:
 
 
 def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:
-    """Make the columns of the true sensor biases.
-
-    Parameters
-    ----------
-    table : Table
-
-    Returns
-    -------
-    TruthColumns
-    list of Note
-    """
+    """Make the columns of the true sensor biases."""
     accel_bias_b, gyro_bias_b = table.values("accel_bias", 3), table.values("gyro_bias", 3)
     cleaner = Cleaner(table)
     cleaner.drop_repeated_times()

@@ -63,10 +63,6 @@ def find_order(time_ns: TimeNs, log_time_ns: TimeNs) -> Order:
     time_ns : ndarray, shape (k,)
         Times of validity in the order of the file.
     log_time_ns : ndarray, shape (k,)
-
-    Returns
-    -------
-    Order
     """
     if np.all(time_ns[1:] >= time_ns[:-1]) and not _is_there_a_leap(time_ns, log_time_ns):
         nothing = np.empty(0, np.int64)

@@ -94,14 +94,8 @@ def raise_if_two_dives(table: Table, time_ns: TimeNs) -> None:
 
     Parameters
     ----------
-    table : Table
     time_ns : ndarray, shape (k,)
         Times of validity in the order of the table.
-
-    Raises
-    ------
-    LogError
-        The messages are those of two dives, two vehicles or two sensors.
     """
     files = table.files
     if files is None:

@@ -37,13 +37,7 @@ _HINT: Final = "what was not recorded cannot be replayed: look for a recorder or
 
 
 def note_lost_samples(cleaner: Cleaner) -> None:
-    """Note samples for which stamps leave a place, but which the log does not hold.
-
-    Parameters
-    ----------
-    cleaner : Cleaner
-        Before messages are dropped: those without a use were recorded all the same.
-    """
+    """Note samples for which stamps leave a place, but which the log does not hold."""
     steps_ns = np.diff(cleaner.times)
     if not steps_ns.size or steps_ns.max() < _PAUSE * steps_ns.mean():
         return  # as of nearly all logs
@@ -96,16 +90,7 @@ BURSTS: Final = 0.05
 
 
 def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
-    """Note pauses between rows in which several are missing.
-
-    Parameters
-    ----------
-    cleaner : Cleaner
-    pauses_ns : ndarray
-        From one of its times to the next.
-    max_gap_s : float
-        Pauses up to this count as harmless.
-    """
+    """Note pauses between rows in which several are missing."""
     max_gap_ns = nanoseconds(max_gap_s)
     is_short = pauses_ns <= max_gap_ns
     short_ns = pauses_ns if is_short.all() else pauses_ns[is_short]
@@ -123,14 +108,7 @@ def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
 
 
 def note_clock_set(cleaner: Cleaner, steps_ns: TimeNs) -> None:
-    """Note steps that are no pause of a dive: a recorder without a clock of its own begins in 1970 until it is told.
-
-    Parameters
-    ----------
-    cleaner : Cleaner
-    steps_ns : ndarray
-        From one of its times to the next.
-    """
+    """Note steps that are no pause of a dive: a recorder without a clock of its own begins in 1970 until it is told."""
     if not steps_ns.size or steps_ns.max() <= LONGEST_PAUSE_NS:
         return
     steps = np.flatnonzero(steps_ns > LONGEST_PAUSE_NS)
@@ -144,16 +122,7 @@ def note_clock_set(cleaner: Cleaner, steps_ns: TimeNs) -> None:
 
 
 def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
-    """Note rows that came several at once, so that their times are those of the delivery.
-
-    Parameters
-    ----------
-    cleaner : Cleaner
-    steps_ns : ndarray
-        From one of its times to the next.
-    remedy : str
-        What helps where the messages do not hold the sensor's own time.
-    """
+    """Note rows that came several at once, so that their times are those of the delivery."""
     # The usual step is none longer than the mean.
     if not steps_ns.size or steps_ns.min() >= BURST_STEP * steps_ns.mean():
         return

@@ -32,19 +32,7 @@ class _Part:
 
 
 def decode_reference(tables: list[Table], settings: Reference) -> tuple[ReferenceColumns | None, list[Note]]:
-    """Make the columns of the reference.
-
-    Parameters
-    ----------
-    tables : list of Table
-        None, one or two; where two give the same quantity the later one counts.
-    settings : Reference
-
-    Returns
-    -------
-    ReferenceColumns or None
-    list of Note
-    """
+    """Make the columns of the reference."""
     notes: list[Note] = []
     parts = []
     for table in tables:

@@ -28,14 +28,6 @@ class RoleColumns:
     ----------
     place : str
         The file, for messages to the user.
-    config : Config
-
-    Attributes
-    ----------
-    imu : ImuColumns or None
-    dvl : DvlColumns
-    reference : ReferenceColumns or None
-    truth : TruthColumns or None
     """
 
     place: str
@@ -53,10 +45,6 @@ class RoleColumns:
         role : {'imu', 'dvl', 'reference', 'truth'}
         tables : list of Table
             At least one; of a reference up to two.
-
-        Returns
-        -------
-        list of Note
         """
         if role == "reference":
             self.reference, notes = decode_reference(tables, self.config.reference)

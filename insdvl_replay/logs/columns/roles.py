@@ -49,8 +49,6 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     ----------
     place : str
         The file, for messages to the user.
-    channels : sequence of LogChannel
-    config : Config
 
     Returns
     -------
@@ -158,18 +156,7 @@ class _Topics:
         return []
 
     def alternatives(self, required: TopicRequirement, besides: str) -> Iterator[Source]:
-        """Make sources of the topics between which the configuration has to choose; those that cannot be are left out.
-
-        Parameters
-        ----------
-        required : TopicRequirement
-        besides : str
-            A topic that has another role.
-
-        Yields
-        ------
-        Source
-        """
+        """Make sources of the topics between which the configuration has to choose; those that cannot be are left out."""
         candidates = self.candidates(required, besides) if required.topic is None else []
         for topic in candidates if len(candidates) > 1 else []:
             with suppress(LogError):

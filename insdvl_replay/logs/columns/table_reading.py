@@ -53,22 +53,12 @@ class PartialDecoder:
     def read(self, reader: FieldReader, block: Block) -> Iterator[tuple[Block, Columns]]:
         """Read a block, in halves and halves of halves where some of it cannot be read.
 
-        Parameters
-        ----------
-        reader : FieldReader
-        block : Block
-
         Yields
         ------
         Block
             A part of it.
         dict of str to ndarray, shape (k, n)
             Its fields by path.
-
-        Raises
-        ------
-        LogError
-            Most messages cannot be read.
         """
         try:
             with error_context(*self.where):
@@ -166,11 +156,6 @@ def _are_all(values: NDArray[Any], row: NDArray[Any]) -> bool:
 def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
     """Read the columns of several topics.
 
-    Parameters
-    ----------
-    log : Log or Parts
-    sources : sequence of Source
-
     Returns
     -------
     list of Table
@@ -193,14 +178,8 @@ def read_sample(log: Recording, source: Source, enough: int) -> Table:
 
     Parameters
     ----------
-    log : Log or Parts
-    source : Source
     enough : int
         Stop after the block with which there are that many.
-
-    Returns
-    -------
-    Table
 
     Raises
     ------

@@ -27,7 +27,6 @@ class Table:
     ----------
     where : (str, str)
         File and topic, for messages to the user.
-    source : Source
     columns : dict of str to ndarray, shape (k, n)
         By field path; ``log_time`` and ``publish_time`` are the recorder's.
     unreadable_ns : tuple of int
@@ -95,10 +94,6 @@ class Table:
     def column(self, quantity: str) -> Floats:
         """Give a quantity that is one number in each message.
 
-        Parameters
-        ----------
-        quantity : str
-
         Returns
         -------
         ndarray, shape (k,)
@@ -144,10 +139,6 @@ class Table:
     def clock(self) -> Clock:
         """Compare the times of validity with the times of recording.
 
-        Returns
-        -------
-        Clock
-
         Raises
         ------
         LogError
@@ -182,16 +173,7 @@ class Table:
 
 
 def stamp_path(stamp: str) -> str:
-    """Give the field of a stamp; ``header`` is short for that of a ROS message.
-
-    Parameters
-    ----------
-    stamp : str
-
-    Returns
-    -------
-    str
-    """
+    """Give the field of a stamp; ``header`` is short for that of a ROS message."""
     return "header.stamp" if stamp == "header" else stamp
 
 

@@ -40,7 +40,6 @@ class Source:
     Attributes
     ----------
     role : {'imu', 'dvl', 'reference', 'truth'}
-    topic, type_name : str
     channels : tuple of LogChannel
         The channels of the topic that have messages.
     fields : mapping of str to str
@@ -69,10 +68,6 @@ class Source:
         ----------
         section : Struct
             Of this role.
-
-        Returns
-        -------
-        Struct
         """
         left_out = {key: value for key, value in self.conventions.items() if getattr(section, key) is None}
         return msgspec.structs.replace(section, **left_out)
@@ -84,7 +79,6 @@ class TopicRequirement:
 
     Attributes
     ----------
-    role : str
     key : str
         The configuration's key that names the topic; empty where none does.
     topic : str or None
@@ -122,24 +116,7 @@ class TopicRequirement:
         return next((types[type_name] for types in groups if type_name in types), None)
 
     def source(self, topic: str, channels: Sequence[LogChannel]) -> Source:
-        """Make a topic the source of the role.
-
-        Parameters
-        ----------
-        topic : str
-        channels : sequence of LogChannel
-            Those of the topic that have messages.
-
-        Returns
-        -------
-        Source
-
-        Raises
-        ------
-        LogError
-            The messages cannot be read, their type is not known and the configuration does not say where its fields
-            are, or the schema lacks them.
-        """
+        """Make a topic the source of the role."""
         for channel in channels:
             check_encoding(channel)
         type_name = channels[0].type_name

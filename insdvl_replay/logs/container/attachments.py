@@ -21,8 +21,6 @@ class Attachment:
 
     Attributes
     ----------
-    name, media_type : str
-    log_time_ns, create_time_ns : int
     data : memoryview
         Its bytes, which are read from the disk when they are looked at.
     size, crc : int
@@ -39,24 +37,7 @@ class Attachment:
 
 
 def attachment_at(data: memoryview, start: int, length: int) -> Attachment:
-    """Find an attachment's fields; its bytes are not touched.
-
-    Parameters
-    ----------
-    data : memoryview
-        The log.
-    start, length : int
-        Where the content of the record stands.
-
-    Returns
-    -------
-    Attachment
-
-    Raises
-    ------
-    DamageError
-        Its lengths do not fit.
-    """
+    """Find an attachment's fields; its bytes are not touched."""
     record = data[start : start + length]
     log_time_ns, create_time_ns = _TIMES.unpack_from(record)
     name, place = _text(record, start, _TIMES.size)
@@ -78,19 +59,7 @@ def _text(record: memoryview, start: int, place: int) -> tuple[str, int]:
 
 
 def attachment_damages(data: memoryview, places: Sequence[tuple[int, int]]) -> list[Damage]:
-    """Check the checksums of attachments.
-
-    Parameters
-    ----------
-    data : memoryview
-        The log.
-    places : sequence of (int, int)
-        Where the contents of the records stand.
-
-    Returns
-    -------
-    list of Damage
-    """
+    """Check the checksums of attachments."""
     damages = []
     for start, length in places:
         attachment = attachment_at(data, start, length)
@@ -115,19 +84,7 @@ class Digest(NamedTuple):
 
 
 def checked_digest(file: FileIO, section_end: int, section_crc: int) -> Digest:
-    """Digest a log, and check the checksum of all its messages on the way.
-
-    Parameters
-    ----------
-    file : FileIO
-        From its start.
-    section_end, section_crc : int
-        Where the messages end, and their checksum; 0 if there is none.
-
-    Returns
-    -------
-    Digest
-    """
+    """Digest a log, and check the checksum of all its messages on the way."""
     sha256, crc = _digest(file, section_end if section_crc else 0)
     if crc == section_crc:
         return Digest(sha256, [])

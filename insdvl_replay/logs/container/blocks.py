@@ -79,19 +79,7 @@ class Block:
 
 
 def by_channel(buffer: memoryview, records: Records) -> dict[int, Block]:
-    """Part the messages among records by their channels.
-
-    Parameters
-    ----------
-    buffer : memoryview
-        Bytes of an open chunk.
-    records : Records
-        In it.
-
-    Returns
-    -------
-    dict of int to Block
-    """
+    """Part the messages among records by their channels."""
     messages = records.where(records.opcodes == Opcode.MESSAGE)
     ids = message_field(buffer, messages.starts, "channel_id")
     order = np.argsort(ids, kind="stable")
@@ -106,10 +94,8 @@ def gather(buffer: memoryview | NDArray[np.uint8], offsets: NDArray[np.int64], d
 
     Parameters
     ----------
-    buffer : memoryview or ndarray of uint8
     offsets : ndarray, shape (k,)
         Where each structure starts; each must end within the buffer.
-    dtype : numpy.dtype
 
     Returns
     -------
@@ -129,7 +115,6 @@ def message_field(buffer: memoryview, starts: NDArray[np.int64], name: str) -> N
 
     Parameters
     ----------
-    buffer : memoryview
     starts : ndarray, shape (k,)
         Where the message records start.
     name : str

@@ -40,20 +40,7 @@ class LogChannel:
 
 
 def described(channel: records.Channel, schema: records.Schema | None, messages: int) -> LogChannel:
-    """Describe a channel by its records.
-
-    Parameters
-    ----------
-    channel : Channel
-    schema : Schema or None
-        None for messages without one.
-    messages : int
-        How many are found.
-
-    Returns
-    -------
-    LogChannel
-    """
+    """Describe a channel by its records."""
     return LogChannel(
         id=channel.id,
         topic=channel.topic,

@@ -27,24 +27,7 @@ _ENTRY: Final = np.dtype([("log_time", "<i8"), ("start", "<i8")])
 
 
 def index_count(data: memoryview, offset: int, length: int) -> tuple[int, int]:
-    """Read of which channel an index record is, and how many messages it names.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    offset, length : int
-        Where its content stands.
-
-    Returns
-    -------
-    channel_id, count : int
-
-    Raises
-    ------
-    DamageError
-        The lengths do not agree.
-    """
+    """Read of which channel an index record is, and how many messages it names."""
     channel_id, size = _INDEX.unpack_from(data, offset)
     if size > length - _INDEX.size or size % _ENTRY.itemsize:
         raise DamageError(offset, f"an index record of {length} bytes says it has {size} bytes of entries")
@@ -67,11 +50,6 @@ def index_entries(data: memoryview, offset: int, length: int) -> tuple[int, NDAr
         A channel.
     ndarray, shape (k,)
         Fields ``log_time``, ns, and ``start`` of the message record in the open chunk.
-
-    Raises
-    ------
-    DamageError
-        The lengths do not agree.
     """
     channel_id, count = index_count(data, offset, length)
     return channel_id, np.frombuffer(data, _ENTRY, count, offset + _INDEX.size)
@@ -115,48 +93,12 @@ class Content:
 
 
 def read_chunk(data: memoryview, chunk: Chunk) -> Content:
-    """Open a chunk and find its records.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    chunk : Chunk
-
-    Returns
-    -------
-    Content
-        Where bytes are no record it goes on at the next one; an index that disagrees is not believed. Both are damages.
-
-    Raises
-    ------
-    DamageError
-        Nothing in the chunk can be believed.
-    """
+    """Open a chunk and find its records."""
     return content_of(data, chunk, open_chunk(data, chunk))
 
 
 def content_of(data: memoryview, chunk: Chunk, buffer: memoryview) -> Content:
-    """Find the records of a chunk that is open.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    chunk : Chunk
-    buffer : memoryview
-        Its bytes, as `open_chunk` gives them.
-
-    Returns
-    -------
-    Content
-        As `read_chunk` gives it.
-
-    Raises
-    ------
-    DamageError
-        No record is in it.
-    """
+    """Find the records of a chunk that is open."""
     records, passed = _find_all(buffer)
     if passed and not len(records):
         raise DamageError(chunk.offset, f"in the chunk no record is found: {passed[0][2]}")
@@ -171,19 +113,7 @@ def content_of(data: memoryview, chunk: Chunk, buffer: memoryview) -> Content:
 
 
 def _find_all(buffer: memoryview) -> tuple[Records, list[tuple[int, int, str]]]:
-    """Find the messages of a chunk and the definitions before them; others, which nobody reads, are passed over.
-
-    Parameters
-    ----------
-    buffer : memoryview
-        Bytes of an open chunk.
-
-    Returns
-    -------
-    Records
-    list of (int, int, str)
-        Where bytes between them are no record: from where to where, and why.
-    """
+    """Find the messages of a chunk and the definitions before them; others, which nobody reads, are passed over."""
     batches: list[Records] = []
     passed: list[tuple[int, int, str]] = []
     place, end = 0, len(buffer)

@@ -26,7 +26,6 @@ class ChunkReader:
 
     Parameters
     ----------
-    file : MappedFile
     index : McapIndex
         Told which chunks cannot be opened, and what is wrong inside others.
 

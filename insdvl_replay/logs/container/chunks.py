@@ -26,18 +26,7 @@ _MOST_COMPRESSED: Final = 256
 
 
 def most_opened(compressed_size: int, usual: int = _USUAL_SIZE) -> int:
-    """Give the bytes to which compressed bytes may open: what is usual, or more where there are more of them.
-
-    Parameters
-    ----------
-    compressed_size : int
-    usual : int
-        What the fewest may open to.
-
-    Returns
-    -------
-    int
-    """
+    """Give the bytes to which compressed bytes may open: what is usual, or more where there are more of them."""
     return max(usual, _MOST_COMPRESSED * compressed_size)
 
 
@@ -74,7 +63,6 @@ class ChunkHeader:
         Span of the log times.
     size, crc : int
         Bytes and checksum of the content once it is open; 0 where the recorder computed none.
-    compression : str
     compressed_start, compressed_size : int
         Where in the file the compressed bytes stand.
     """
@@ -94,24 +82,7 @@ class ChunkHeader:
 
 
 def chunk_header(data: memoryview, offset: int, room: int) -> ChunkHeader:
-    """Read the fields in front of a chunk's compressed bytes.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    offset, room : int
-        Where the chunk's content starts, and how many bytes it has.
-
-    Returns
-    -------
-    ChunkHeader
-
-    Raises
-    ------
-    DamageError
-        The bytes are too few for a chunk.
-    """
+    """Read the fields in front of a chunk's compressed bytes."""
     record = data[offset : offset + room]
     if len(record) < _CHUNK.size:
         raise DamageError(offset, f"a chunk has {len(record)} bytes, too few for its own header")
@@ -125,19 +96,7 @@ def chunk_header(data: memoryview, offset: int, room: int) -> ChunkHeader:
 
 
 def opened_size(data: memoryview, chunk: Chunk) -> int:
-    """Give the bytes that an open chunk takes: none where it is not compressed, or says more than can be.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    chunk : Chunk
-        With a header that can be read.
-
-    Returns
-    -------
-    int
-    """
+    """Give the bytes that an open chunk takes: none where it is not compressed, or says more than can be."""
     if chunk.kind == "unchunked":
         return 0
     header = chunk_header(data, chunk.offset, chunk.length)
@@ -148,24 +107,7 @@ def opened_size(data: memoryview, chunk: Chunk) -> int:
 
 
 def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
-    """Decompress a chunk, and check its length and checksum.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    chunk : Chunk
-
-    Returns
-    -------
-    memoryview
-        Of a chunk that is cut, what can be had without checking.
-
-    Raises
-    ------
-    DamageError
-        The chunk is damaged or compressed in an unknown way.
-    """
+    """Decompress a chunk, and check its length and checksum."""
     if chunk.kind == "unchunked":
         return data[chunk.offset : chunk.offset + chunk.length]
     header = chunk_header(data, chunk.offset, chunk.length)

@@ -69,17 +69,7 @@ class Loss:
 
 
 def plausible_span(first_ns: int, last_ns: int) -> Span | None:
-    """Give a span if it can be one.
-
-    Parameters
-    ----------
-    first_ns, last_ns : int
-
-    Returns
-    -------
-    (int, int) or None
-        None where it ends before it begins, or is longer than any dive.
-    """
+    """Give a span if it can be one."""
     return (first_ns, last_ns) if first_ns > 0 and 0 <= last_ns - first_ns < _LONGEST_NS else None
 
 
@@ -94,10 +84,6 @@ def damaged_file_error(faults: Sequence[LogError], saved: Iterable[TimeNs], plac
         Log times of all messages that can be read, ns.
     places : str
         What has the faults.
-
-    Returns
-    -------
-    LogError
     """
     first, *others = faults
     what = f"{first.what} ({len(others)} more {places})" if others else first.what

@@ -23,20 +23,7 @@ from insdvl_replay.logs.container.scanner import McapIndex
 
 
 def duplicate_messages(data: memoryview, mcap_index: McapIndex) -> int:
-    """Count the messages that are copies of others.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    mcap_index : McapIndex
-
-    Returns
-    -------
-    int
-        0 where every byte is part of a record, or all messages stand in chunks: these are copied as a whole or not
-        readable.
-    """
+    """Count the messages that are copies of others."""
     if not mcap_index.passed or all(chunk.kind != "unchunked" for chunk in mcap_index.chunks.values()):
         return 0
     headers = np.concatenate([np.empty(0, MESSAGE), *_headers(data, mcap_index)])
@@ -61,22 +48,7 @@ _SHORTEST_S: Final = 0.0005
 
 
 def damage_note(name: str, data: memoryview, mcap_index: McapIndex) -> Note:
-    """Say what was found and lost in a damaged log.
-
-    Parameters
-    ----------
-    name : str
-        Of the log.
-    data : memoryview
-        The file.
-    mcap_index : McapIndex
-        With at least one damage.
-
-    Returns
-    -------
-    Note
-        A warning, ``log_damaged``.
-    """
+    """Say what was found and lost in a damaged log."""
     # Checksums are checked beside the reading, and what is found first is a matter of chance.
     damages = sorted(mcap_index.damages, key=lambda damage: damage.offset)
     shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
@@ -93,20 +65,7 @@ def damage_note(name: str, data: memoryview, mcap_index: McapIndex) -> Note:
 
 
 def loss_text(found: Sequence[Loss], missing: int | None, *, is_cut: bool) -> str:
-    """Say how many messages were lost and in what time, and where that is not known, why.
-
-    Parameters
-    ----------
-    found : sequence of Loss
-    missing : int or None
-        How many of the messages that the log announces are not found; None where it announces none.
-    is_cut : bool
-        Whether the end of the log is gone with all that is said there of the whole.
-
-    Returns
-    -------
-    str
-    """
+    """Say how many messages were lost and in what time, and where that is not known, why."""
     known = sum(loss.messages or 0 for loss in found)
     is_counted = missing is not None or all(loss.messages is not None for loss in found)
     count = known if missing is None else max(missing, 0)
@@ -138,18 +97,7 @@ def _covered_s(spans: Sequence[Span]) -> float:
 
 
 def losses(data: memoryview, mcap_index: McapIndex) -> list[Loss]:
-    """Find what was lost, each loss with what is known of it; they may overlap.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    mcap_index : McapIndex
-
-    Returns
-    -------
-    list of Loss
-    """
+    """Find what was lost, each loss with what is known of it; they may overlap."""
     spans = _Spans(data, mcap_index)
     return [
         *mcap_index.losses.values(),
@@ -189,19 +137,7 @@ def _offset(chunk: Chunk) -> int:
 
 
 def chunk_span(data: memoryview, chunk: Chunk) -> Span | None:
-    """Give the log times between which the messages of a chunk are.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    chunk : Chunk
-
-    Returns
-    -------
-    (int, int) or None
-        As a whole chunk says itself, and as the messages say where they stand in none or the chunk is cut.
-    """
+    """Give the log times between which the messages of a chunk are."""
     if chunk.kind == "intact":
         return _stated_span(data, chunk)
     try:

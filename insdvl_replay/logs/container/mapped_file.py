@@ -39,13 +39,8 @@ class ChangedLogError(LogError):
 class MappedFile:
     """A file that is mapped into memory, and stays open so that its bytes can be told from those of any other.
 
-    Parameters
-    ----------
-    path : Path
-
     Attributes
     ----------
-    path : Path
     data : memoryview
         Its bytes; zeros where the file was cut since.
 
@@ -96,13 +91,7 @@ class MappedFile:
             self._map.madvise(mmap.MADV_DONTNEED, page, end - page)
 
     def require_unchanged(self) -> None:
-        """Refuse the file if it is no longer what it was.
-
-        Raises
-        ------
-        ChangedLogError
-            It was written to, cut, replaced or removed since it was opened.
-        """
+        """Refuse the file if it is no longer what it was."""
         if change := self._change():
             raise ChangedLogError(f"{change} while it was read", _HINT, self.path)
 
@@ -143,23 +132,7 @@ _OTHER_FORMATS: Final = {
 
 
 def mapped(path: Path) -> MappedFile:
-    """Map an MCAP file into memory, also one of which the opening bytes are damaged.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    MappedFile
-
-    Raises
-    ------
-    UnusableFileError
-        The file is empty, or is no MCAP file.
-    LogError
-        It cannot be opened.
-    """
+    """Map an MCAP file into memory, also one of which the opening bytes are damaged."""
     file = MappedFile(path)
     start = bytes(file.data[:16])
     if not start.startswith(MAGIC) and not _goes_on_like_mcap(file.data):

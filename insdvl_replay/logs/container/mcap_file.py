@@ -42,15 +42,8 @@ class Log:
 
     Parameters
     ----------
-    path : Path
     allow_damaged : bool
         Read what can be believed of a damaged file.
-
-    Attributes
-    ----------
-    path : Path
-    allow_damaged : bool
-    channels : tuple of LogChannel
 
     Raises
     ------
@@ -161,34 +154,13 @@ class Log:
         return [chunk_header(self._data, chunk.offset, chunk.length) for chunk in chunks]
 
     def digests(self) -> list[Digest]:
-        """Go over all bytes of the file. It changes nothing here, so that another thread can do it meanwhile.
-
-        Returns
-        -------
-        list of Digest
-            One.
-        """
+        """Go over all bytes of the file. It changes nothing here, so that another thread can do it meanwhile."""
         section_end, section_crc = self._index.data_end or (0, 0)
         sha256, damages = checked_digest(self._file.reopened(), section_end, section_crc)
         return [Digest(sha256, damages + attachment_damages(self._data, self._index.attachments))]
 
     def sha256(self, digests: Sequence[Digest] | None = None) -> str:
-        """Give the digest of the file's bytes, and note which checksums are wrong that only a whole pass can check.
-
-        Parameters
-        ----------
-        digests : sequence of Digest, optional
-            What `digests` gave, where that is done already.
-
-        Returns
-        -------
-        str
-
-        Raises
-        ------
-        LogError
-            The checksum of the data section or of an attachment is not that of its bytes.
-        """
+        """Give the digest of the file's bytes, and note which checksums are wrong that only a whole pass can check."""
         (digest,) = digests or self.digests()
         for damage in digest.damages:
             self._index.add_damage(damage)
@@ -197,31 +169,12 @@ class Log:
 
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """Refuse the log if it has changed by the end since it was opened, above all if that made something fail.
-
-        Raises
-        ------
-        ChangedLogError
-        """
+        """Refuse the log if it has changed by the end since it was opened, above all if that made something fail."""
         with self._file.watched():
             yield
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
-        """Go through the messages of some channels, a chunk at a time; chunks without them stay closed.
-
-        Parameters
-        ----------
-        channel_ids : collection of int
-
-        Yields
-        ------
-        Block
-
-        Raises
-        ------
-        LogError
-            A chunk is damaged or compressed in an unknown way.
-        """
+        """Go through the messages of some channels, a chunk at a time; chunks without them stay closed."""
         wanted = [chunk for chunk in self._index.chunks.values() if not chunk.counts.keys().isdisjoint(channel_ids)]
         for content in self._reader.contents(wanted):
             self._raise_if_damaged()
@@ -229,13 +182,7 @@ class Log:
         self._raise_if_damaged()
 
     def check_unopened(self) -> None:
-        """Open the chunks that nobody has opened so far, for their checksums alone.
-
-        Raises
-        ------
-        LogError
-            One is damaged.
-        """
+        """Open the chunks that nobody has opened so far, for their checksums alone."""
         unopened = [chunk for chunk in self._index.chunks.values() if chunk.offset not in self._reader.opened]
         for _ in self._reader.contents([chunk for chunk in unopened if self._has_checksum(chunk)]):
             self._raise_if_damaged()
@@ -251,11 +198,6 @@ class Log:
         -------
         dict of int to ndarray, shape (k,)
             By channel, in the order of the file; ns.
-
-        Raises
-        ------
-        LogError
-            An index, or a chunk without one, is damaged.
         """
         parts: dict[int, list[TimeNs]] = {channel.id: [np.empty(0, np.int64)] for channel in self.channels}
         for chunk in self._index.chunks.values():

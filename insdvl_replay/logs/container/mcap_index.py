@@ -19,19 +19,7 @@ from insdvl_replay.logs.container.summary import read_summary, summary_behind
 
 
 def build_index(data: memoryview, release: Callable[[int, int], None]) -> McapIndex:
-    """Find what a file holds.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    release : callable
-        Is told the start and end of bytes that are not needed for now.
-
-    Returns
-    -------
-    McapIndex
-    """
+    """Find what a file holds."""
     summary = read_summary(data)
     mcap_index = McapIndex(summary, damages=dict.fromkeys(summary.damages))
     if (opening := bytes(data[: len(MAGIC)])) != MAGIC:

@@ -34,8 +34,6 @@ class Parts:
 
     Attributes
     ----------
-    path : Path
-    allow_damaged : bool
     parts : tuple of Log
         In the order of their first log times.
     channels : tuple of LogChannel
@@ -110,12 +108,7 @@ class Parts:
         return times
 
     def digests(self) -> list[Digest]:
-        """Go over all bytes of the parts, in their order, and then of the files that cannot be used, as `Log.digests`.
-
-        Returns
-        -------
-        list of Digest
-        """
+        """Go over all bytes of the parts, in their order, and then of the files that cannot be used, as `Log.digests`."""
         of_parts = [digest for part in self.parts for digest in part.digests()]
         return of_parts + [Digest(_sha256(file), []) for file in self._unusable]
 
@@ -136,21 +129,7 @@ class Parts:
             yield
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
-        """Go through the messages of some channels, part by part.
-
-        Parameters
-        ----------
-        channel_ids : collection of int
-
-        Yields
-        ------
-        Block
-
-        Raises
-        ------
-        LogError
-            A part is damaged.
-        """
+        """Go through the messages of some channels, part by part."""
         for number, part in enumerate(self.parts):
             first = number * CHANNELS_OF_A_PART
             inside = {id_ - first for id_ in channel_ids if 0 <= id_ - first < CHANNELS_OF_A_PART}

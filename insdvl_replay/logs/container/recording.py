@@ -21,24 +21,7 @@ _PACKED: Final = ".zstd"
 
 
 def bag_parts(path: Path) -> tuple[Path, ...]:
-    """Find the files of a bag.
-
-    Parameters
-    ----------
-    path : Path
-        A folder.
-
-    Returns
-    -------
-    tuple of Path
-        As the metadata lists them, else all that there are.
-
-    Raises
-    ------
-    LogError
-        There are none, one that is listed is not there, one that is there is not listed, or one is compressed as a
-        whole.
-    """
+    """Find the files of a bag."""
     listed = _listed(path / METADATA)
     found = sorted(path.glob("*.mcap"))
     if listed is None:
@@ -138,10 +121,6 @@ def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) 
     allow_damaged : bool
         Read what can be believed of damaged files.
 
-    Returns
-    -------
-    Log or Parts
-
     Raises
     ------
     LogError
@@ -163,24 +142,10 @@ def name_giver(paths: Sequence[Path]) -> Path:
     ----------
     paths : sequence of Path
         At least one, in any order.
-
-    Returns
-    -------
-    Path
     """
     return min(paths, key=natural_sort_key)
 
 
 def natural_sort_key(path: Path) -> list[tuple[str, int]]:
-    """Sort names as people count: part 2 before part 10.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    list of (str, int)
-        To be compared.
-    """
+    """Sort names as people count: part 2 before part 10."""
     return [(word, int(digits or 0)) for word, digits in re.findall(r"(\D*)(\d*)", path.name)]

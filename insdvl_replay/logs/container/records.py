@@ -90,21 +90,7 @@ def can_be_record(opcode: int, length: int) -> bool:
 
 
 def find_records(data: memoryview, start: int, end: int) -> tuple[Records, int]:
-    """Go from record to record.
-
-    Parameters
-    ----------
-    data : memoryview
-    start, end : int
-        Where the first record starts and the last one ends.
-
-    Returns
-    -------
-    Records
-        At most `BATCH`; none follows one that ends the data section.
-    int
-        Where the walk stopped: at the end, behind the last of the records, or at bytes that are no record.
-    """
+    """Go from record to record."""
     if _Plain.left > 0 and not is_loaded():
         found, stop = find_plainly(data, start, end)
         _Plain.left -= len(found)
@@ -148,77 +134,26 @@ def find_plainly(data: memoryview, start: int, end: int) -> tuple[Records, int]:
 
 
 def is_broken(batch: Records, stop: int, end: int) -> bool:
-    """Tell whether a walk stopped because the bytes are no record.
-
-    Parameters
-    ----------
-    batch : Records
-    stop : int
-        As `find_records` gives them.
-    end : int
-        Where the last record ends.
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether a walk stopped because the bytes are no record."""
     return stop < end and len(batch) < BATCH and not (len(batch) and batch.opcodes[-1] == _DATA_END)
 
 
 def next_record(data: memoryview, start: int, end: int) -> int:
-    """Search for a place where a record can stand with another one, or the end, right behind it.
-
-    Parameters
-    ----------
-    data : memoryview
-    start, end : int
-
-    Returns
-    -------
-    int
-        The place, or the end.
-    """
+    """Search for a place where a record can stand with another one, or the end, right behind it."""
     from insdvl_replay.logs.container.record_loops import resume
 
     return int(resume(np.frombuffer(data, np.uint8), start, end))
 
 
 def go_on(data: memoryview, batch: Records, stop: int, end: int) -> tuple[Records, int]:
-    """Go on behind bytes that are no record.
-
-    Parameters
-    ----------
-    data : memoryview
-    batch : Records
-    stop : int
-        As `find_records` gives them.
-    end : int
-        Where to give up.
-
-    Returns
-    -------
-    Records
-        Without a message just before the place, since its own length may be what is wrong.
-    int
-        Where the next record stands, or the end.
-    """
+    """Go on behind bytes that are no record."""
     if len(batch) and batch.opcodes[-1] == _MESSAGE:
         return batch.where(slice(-1)), next_record(data, int(batch.starts[-1]) + 1, end)
     return batch, next_record(data, stop + 1, end)
 
 
 def what_stands(data: memoryview, start: int, end: int) -> str:
-    """Say why no record can stand at a place.
-
-    Parameters
-    ----------
-    data : memoryview
-    start, end : int
-
-    Returns
-    -------
-    str
-    """
+    """Say why no record can stand at a place."""
     room = end - start - RECORD_HEADER_SIZE
     if room < 0:
         return f"{end - start} bytes are left where a record needs at least {RECORD_HEADER_SIZE}"
@@ -229,25 +164,7 @@ def what_stands(data: memoryview, start: int, end: int) -> str:
 
 
 def parsed(kind: Any, data: memoryview, start: int, length: int) -> Any:
-    """Parse a record.
-
-    Parameters
-    ----------
-    kind : type
-        One of `mcap.records`.
-    data : memoryview
-    start, length : int
-        Where its content stands.
-
-    Returns
-    -------
-    object of `kind`
-
-    Raises
-    ------
-    DamageError
-        The content is none of this kind.
-    """
+    """Parse a record."""
     try:
         return kind.read(ReadDataStream(BytesIO(data[start : start + length])))
     except (McapError, struct.error, UnicodeDecodeError, EOFError) as error:

@@ -40,7 +40,6 @@ class McapIndex:
 
     Attributes
     ----------
-    summary : Summary
     header : Header or None
         Profile and library of the recorder.
     chunks : dict of int to Chunk

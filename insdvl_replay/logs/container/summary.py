@@ -33,10 +33,8 @@ class Summary:
         Whether a checksum vouches for it.
     schemas, channels : dict of int
         By id.
-    statistics : Statistics or None
     chunks : dict of int to ChunkIndex
         By the place of the chunk's record.
-    damages : list of Damage
     """
 
     start: int | None = None
@@ -66,18 +64,7 @@ class Summary:
 
 
 def read_summary(data: memoryview) -> Summary:
-    """Read and check the end of a file.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-
-    Returns
-    -------
-    Summary
-        Without content where there is none or it cannot be believed.
-    """
+    """Read and check the end of a file."""
     end = len(data) - len(MAGIC)
     if end < len(MAGIC) or bytes(data[end:]) != MAGIC:
         text = "the file ends without the closing bytes; it was cut or is still being written"
@@ -118,20 +105,7 @@ def _read(data: memoryview, footer_start: int, footer: records.Footer) -> Summar
 
 
 def summary_behind(data: memoryview, start: int) -> Summary | None:
-    """Read the summary where the messages end, for a file in which the footer no longer tells where that is.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    start : int
-        Where the records behind the messages begin.
-
-    Returns
-    -------
-    Summary or None
-        None if nothing stands there, or its checksum is not that of its bytes.
-    """
+    """Read the summary where the messages end, for a file in which the footer no longer tells where that is."""
     summary = Summary(start, len(data))
     batch, _ = find_records(data, start, len(data))
     for opcode, content, length in batch.rows():

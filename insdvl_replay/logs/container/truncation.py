@@ -29,7 +29,6 @@ class Mapping:
         Of its first byte.
     size : int
         Bytes that are mapped and still the file's.
-    descriptor : int
     is_cut : bool
         Whether some of them are zeros by now.
     """
@@ -104,19 +103,7 @@ def _library() -> Any:
 
 
 def keep_readable(address: int, size: int, descriptor: int) -> Mapping:
-    """Let a mapped file read as zeros where it is cut, until `forget`.
-
-    Parameters
-    ----------
-    address, size : int
-        Where it is mapped.
-    descriptor : int
-        That stays open until then.
-
-    Returns
-    -------
-    Mapping
-    """
+    """Let a mapped file read as zeros where it is cut, until `forget`."""
     mapping = Mapping(address, size, descriptor)
     if hasattr(signal, "SIGBUS"):  # Windows lets nobody cut a mapped file
         _GUARD.add(mapping)

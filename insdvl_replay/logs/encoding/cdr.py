@@ -65,19 +65,10 @@ class CdrReader:
     def columns(self, block: Block) -> Columns:
         """Read the fields of all messages of a block.
 
-        Parameters
-        ----------
-        block : Block
-
         Returns
         -------
         dict of str to ndarray, shape (k, n)
             By path. Messages whose sequences are shorter than others' are filled up with NaN.
-
-        Raises
-        ------
-        LogError
-            A message is not little-endian CDR, or does not fit its definition.
         """
         data = np.frombuffer(block.buffer, np.uint8)
         parts: list[tuple[Rows, Columns]] = []
@@ -146,22 +137,7 @@ def _chosen(rows: Rows, mask: NDArray[np.bool_]) -> Rows:
 
 
 def cdr_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """List every path that a type knows.
-
-    Parameters
-    ----------
-    definitions : mapping of str to Definition
-        The type and all types in it.
-    type_name : str
-        Full name of the type.
-    prefix : str
-        Path of the structure, with a dot behind it.
-
-    Yields
-    ------
-    path, kind : str
-        The kind is the name of a primitive or of a type.
-    """
+    """List every path that a type knows."""
     for field in definitions[type_name].fields:
         path = f"{prefix}{field.name}"
         yield path, field.type_name

@@ -43,11 +43,6 @@ class _Leaf(NamedTuple):
 class Numbers:
     """The numbers in the messages of one layout that some paths mean.
 
-    Parameters
-    ----------
-    layout : Layout
-    paths : sequence of str
-
     Raises
     ------
     LogError

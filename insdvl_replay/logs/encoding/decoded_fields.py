@@ -59,7 +59,6 @@ class DecodedFields:
 
     Parameters
     ----------
-    type_name : str
     paths : sequence of str
         The fields, as `field_paths` says.
     decode : callable
@@ -107,10 +106,6 @@ def known_paths(shape: Shape, prefix: str = "") -> Iterator[tuple[str, str]]:
     shape : Shape
     prefix : str
         Path of the structure, with a dot behind it.
-
-    Yields
-    ------
-    path, kind : str
     """
     for name, inner in shape.fields.items():
         path = f"{prefix}{name}"
@@ -132,20 +127,12 @@ def numbers_at(path: str, shape: Shape, access: Access) -> Numbers:
         Of the whole message.
     access : Access
         Of the encoding.
-
-    Returns
-    -------
-    Numbers
     """
     return _inside(shape, [_step(part) for part in path.split(".")], access)
 
 
 def rows_as_columns(rows: Sequence[Sequence[float]]) -> NDArray[Any]:
     """Make an array of the rows; shorter ones are filled up with NaN.
-
-    Parameters
-    ----------
-    rows : sequence of sequences of float
 
     Returns
     -------

@@ -46,19 +46,10 @@ class FieldReader(Protocol):
     def columns(self, block: Block) -> Columns:
         """Read the fields of all messages of a block.
 
-        Parameters
-        ----------
-        block : Block
-
         Returns
         -------
         dict of str to ndarray, shape (k, n)
             By path. What a message lacks is NaN.
-
-        Raises
-        ------
-        LogError
-            A message cannot be read.
         """
 
 
@@ -69,59 +60,23 @@ def split_paths(path: str) -> tuple[str, ...]:
     ----------
     path : str
         Such as ``gyro_x, gyro_y, gyro_z``.
-
-    Returns
-    -------
-    tuple of str
     """
     return tuple(part.strip() for part in path.split(","))
 
 
 def find_path(path: str, known: Kinds) -> str | None:
-    """Give the type of what stands at a path, or None where the path is not known.
-
-    Parameters
-    ----------
-    path : str
-    known : mapping of str to str
-
-    Returns
-    -------
-    str or None
-    """
+    """Give the type of what stands at a path, or None where the path is not known."""
     return known.get(re.sub(r"\[\d+\]", "[*]", path))
 
 
 def too_large(type_name: str) -> LogError:
-    """Make the error with which a type is refused that has more than `MOST_PATHS` or `MOST_LEVELS`.
-
-    Parameters
-    ----------
-    type_name : str
-
-    Returns
-    -------
-    LogError
-    """
+    """Make the error with which a type is refused that has more than `MOST_PATHS` or `MOST_LEVELS`."""
     text = f"{type_name}: the schema means more than {MOST_PATHS} fields, or more than {MOST_LEVELS} within each other"
     return LogError(text, "leave its topic out of the roles")
 
 
 def check_path(path: str, known: Kinds, type_name: str) -> None:
-    """Refuse a path that a type does not know, or at which there are no numbers.
-
-    Parameters
-    ----------
-    path : str
-    known : mapping of str to str
-    type_name : str
-        For messages to the user.
-
-    Raises
-    ------
-    LogError
-        With the path that is like it, and those that there are.
-    """
+    """Refuse a path that a type does not know, or at which there are no numbers."""
     kind = find_path(path, known)
     if kind is None:
         meant = nearest(path, known)
@@ -132,18 +87,7 @@ def check_path(path: str, known: Kinds, type_name: str) -> None:
 
 
 def fields_hint(known: Kinds, path: str) -> str:
-    """List the fields with numbers, for a hint to the user.
-
-    Parameters
-    ----------
-    known : mapping of str to str
-    path : str
-        Where there are too many fields, those are listed that are named most like it.
-
-    Returns
-    -------
-    str
-    """
+    """List the fields with numbers, for a hint to the user."""
     numbers = {name: kind for name, kind in known.items() if kind not in TEXTS and f"{name}[*]" not in known}
     if not numbers:
         return "the type has no fields of numbers"

@@ -61,22 +61,7 @@ def _decoded(message: memoryview) -> Any:
 
 
 def json_shape(schema_data: bytes) -> Shape:
-    """Describe messages by their JSON schema, as far as it tells.
-
-    Parameters
-    ----------
-    schema_data : bytes
-        May be empty.
-
-    Returns
-    -------
-    Shape
-
-    Raises
-    ------
-    LogError
-        The schema is no JSON.
-    """
+    """Describe messages by their JSON schema, as far as it tells."""
     if not schema_data.strip():
         return Shape(_STRUCTURE)
     try:

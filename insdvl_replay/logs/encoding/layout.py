@@ -52,10 +52,6 @@ class Layout:
     def new_messages(self, count: int) -> NDArray[np.void]:
         """Make messages whose header and length words are set and whose fields are zero.
 
-        Parameters
-        ----------
-        count : int
-
         Returns
         -------
         ndarray, shape (count,), of `dtype`
@@ -68,28 +64,7 @@ class Layout:
 
 
 def layout_of(definitions: Mapping[str, Definition], type_name: str, lengths: Sequence[int]) -> Layout:
-    """Lay out a message whose strings and sequences have the given lengths.
-
-    Parameters
-    ----------
-    definitions : mapping of str to Definition
-        The type and all types in it, as `ros2msg.parse_definitions` gives them.
-    type_name : str
-        Type of the message.
-    lengths : sequence of int
-        Lengths of strings (with their final zero byte) and sequences in the order in which they are met.
-
-    Returns
-    -------
-    Layout
-
-    Raises
-    ------
-    ValueError
-        There are fewer or more lengths than strings and sequences.
-    LogError
-        A type in it is not supported.
-    """
+    """Lay out a message whose strings and sequences have the given lengths."""
     remaining = list(reversed(lengths))
 
     def next_length(path: str) -> int:
@@ -105,22 +80,7 @@ def layout_of(definitions: Mapping[str, Definition], type_name: str, lengths: Se
 
 
 def layout_for_texts(definitions: Mapping[str, Definition], type_name: str, texts: Mapping[str, bytes]) -> Layout:
-    """Lay out a message that has to hold the given strings, and no sequences.
-
-    Parameters
-    ----------
-    definitions : mapping of str to Definition
-        The type and all types in it.
-    type_name : str
-        Type of the message.
-    texts : mapping of str to bytes
-        Strings by path, without a final zero byte; those not given are empty.
-
-    Returns
-    -------
-    Layout
-        Its string fields have one byte more than the texts, the final zero.
-    """
+    """Lay out a message that has to hold the given strings, and no sequences."""
     walk = _FieldWalk(definitions, lambda path: len(texts.get(path, b"")) + 1)
     walk.message("", full_name(type_name))
     return walk.layout()
@@ -129,27 +89,7 @@ def layout_for_texts(definitions: Mapping[str, Definition], type_name: str, text
 def dynamic_lengths(
     definitions: Mapping[str, Definition], type_name: str, message: bytes | memoryview
 ) -> tuple[int, ...]:
-    """Read the lengths of the strings and sequences of one message.
-
-    Parameters
-    ----------
-    definitions : mapping of str to Definition
-        The type and all types in it, as `ros2msg.parse_definitions` gives them.
-    type_name : str
-        Type of the message.
-    message : bytes or memoryview
-        With its encapsulation header.
-
-    Returns
-    -------
-    tuple of int
-        In the order in which they are met; what `layout_of` takes.
-
-    Raises
-    ------
-    LogError
-        The encapsulation is not little-endian XCDR1, the message ends too early, or a type in it is not supported.
-    """
+    """Read the lengths of the strings and sequences of one message."""
     data = bytes(message)
     if data[:2] != ENCAPSULATION[:2]:
         raise LogError(

@@ -20,10 +20,6 @@ ENCODINGS: Final = {"cdr": ("ros2msg", ""), "protobuf": ("protobuf",), "json": (
 def check_encoding(channel: LogChannel) -> None:
     """Refuse a channel whose messages cannot be read.
 
-    Parameters
-    ----------
-    channel : LogChannel
-
     Raises
     ------
     LogError
@@ -71,10 +67,6 @@ def open_reader(channel: LogChannel, paths: Sequence[str]) -> FieldReader:
         One that `check_encoding` lets pass.
     paths : sequence of str
         The fields, as `field_paths` says.
-
-    Returns
-    -------
-    FieldReader
 
     Raises
     ------

@@ -58,23 +58,7 @@ class ProtobufReader(DecodedFields):
 
 
 def protobuf_shape(type_name: str, schema_data: bytes) -> Shape:
-    """Describe the messages of a type.
-
-    Parameters
-    ----------
-    type_name : str
-    schema_data : bytes
-        A serialised ``FileDescriptorSet``.
-
-    Returns
-    -------
-    Shape
-
-    Raises
-    ------
-    LogError
-        The schema cannot be read.
-    """
+    """Describe the messages of a type."""
     descriptor = _message_class(type_name, schema_data).DESCRIPTOR
     return _structure(descriptor, (), count())
 

@@ -92,26 +92,7 @@ _EMPTY: Final = (Field("structure_needs_at_least_one_member", "uint8", "single",
 
 
 def parse_definitions(type_name: str, text: str) -> dict[str, Definition]:
-    """Parse the full text of a type.
-
-    Parameters
-    ----------
-    type_name : str
-        Type that the first section defines, ``package/msg/Type`` or ``package/Type``.
-    text : str
-        Sections parted by lines of ``=``, each but the first headed by ``MSG: package/Type``.
-
-    Returns
-    -------
-    dict of str to Definition
-        By full type name, the asked type first.
-
-    Raises
-    ------
-    LogError
-        A line is no field, a section has no name, a type is used and not defined, contains itself, or means more
-        fields than any real one.
-    """
+    """Parse the full text of a type."""
     definitions: dict[str, Definition] = {}
     for name, section in _sections(type_name, text):
         definitions.setdefault(name, Definition(name, tuple(_fields(name, section)) or _EMPTY))
@@ -127,10 +108,6 @@ def definition_text(type_name: str) -> str:
     type_name : str
         As ``package/msg/Type``.
 
-    Returns
-    -------
-    str
-
     Raises
     ------
     LogError
@@ -143,17 +120,7 @@ def definition_text(type_name: str) -> str:
 
 
 def full_name(type_name: str) -> str:
-    """Give a type's name as ``package/msg/Type``.
-
-    Parameters
-    ----------
-    type_name : str
-        ``package/msg/Type`` or ``package/Type``.
-
-    Returns
-    -------
-    str
-    """
+    """Give a type's name as ``package/msg/Type``."""
     return type_name if type_name.count("/") != 1 else type_name.replace("/", "/msg/")
 
 

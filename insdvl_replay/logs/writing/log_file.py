@@ -68,7 +68,6 @@ class LogFile:
 
     Parameters
     ----------
-    stream : file opened for binary writing
     profile, library : str
         Stand in the header.
     """

@@ -77,15 +77,9 @@ def stamped(topic: str, type_name: str, time_ns: TimeNs, frame: str, columns: Ma
 
     Parameters
     ----------
-    topic, type_name : str
     time_ns : ndarray, shape (k,)
     frame : str
         One of `FRAMES`.
-    columns : mapping of str to Column
-
-    Returns
-    -------
-    Batch
     """
     return Batch(topic, type_name, time_ns, {**stamp("header.stamp", time_ns), "header.frame_id": frame, **columns})
 
@@ -98,10 +92,6 @@ def stamp(path: str, time_ns: TimeNs) -> dict[str, Column]:
     path : str
         Of the field.
     time_ns : ndarray, shape (k,)
-
-    Returns
-    -------
-    dict of str to Column
     """
     seconds, nanoseconds = np.divmod(time_ns, NS_PER_S)
     return {f"{path}.sec": seconds.astype(np.int32), f"{path}.nanosec": nanoseconds.astype(np.uint32)}
@@ -115,10 +105,6 @@ def xyz(path: str, vectors: Floats) -> dict[str, Column]:
     path : str
         Of the field.
     vectors : ndarray, shape (k, 3)
-
-    Returns
-    -------
-    dict of str to Column
     """
     return {f"{path}.{axis}": vectors[:, i] for i, axis in enumerate("xyz")}
 
@@ -137,10 +123,6 @@ def solution(position: Floats, velocity_n: Floats, rpy: Floats) -> dict[str, Col
         Latitude rad, longitude rad, height m.
     velocity_n : ndarray, shape (k, 3)
     rpy : ndarray, shape (k, 3), rad
-
-    Returns
-    -------
-    dict of str to Column
     """
     latitude_deg, longitude_deg = np.rad2deg(position[:, :2]).T
     return {
@@ -158,10 +140,6 @@ def angles(rpy: Floats) -> dict[str, Column]:
     Parameters
     ----------
     rpy : ndarray, shape (k, 3), rad
-
-    Returns
-    -------
-    dict of str to Column
     """
     roll_deg, pitch_deg, heading_deg = np.rad2deg(rpy).T
     return {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "heading_deg": heading_deg}

@@ -85,8 +85,6 @@ def write_replay(
         ``velocity`` and ``acceleration``, as far as there are any.
     errors : mapping of str to Errors
         By filter, as far as there is a reference.
-    tables : Tables
-    notes : sequence of Note
     config_toml : str
         The resolved configuration.
     version : str

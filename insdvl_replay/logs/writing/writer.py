@@ -32,7 +32,6 @@ class MessageRecords:
 
     Parameters
     ----------
-    batch : Batch
     channel : int
         Number of its channel.
 
@@ -74,17 +73,6 @@ def in_chunks(batches: Sequence[MessageRecords], head: bytes) -> Iterator[Indexe
     """Put the messages of all batches in the order of their times, and cut them into chunks.
 
     The messages of a batch in one chunk are neighbours in the batch: they are laid out together and then dealt out.
-
-    Parameters
-    ----------
-    batches : sequence of MessageRecords
-        Where times are equal, the earlier batch comes first.
-    head : bytes
-        Stands at the beginning of the first chunk.
-
-    Yields
-    ------
-    IndexedChunk
     """
     time_ns, batch_of = _in_order(batches)
     channels = np.array([records.channel for records in batches])
@@ -141,27 +129,7 @@ def write_log(
     metadata: Mapping[str, str],
     attachments: Mapping[str, tuple[str, bytes]] | None = None,
 ) -> None:
-    """Write messages to a log; it appears under its name when it is complete.
-
-    Parameters
-    ----------
-    path : Path
-    batches : sequence of Batch
-        Batches of the same topic share its channel.
-    metadata : mapping of str to str
-        Becomes the record ``insdvl_replay``, beside the meaning of the frames and the stamps.
-    attachments : mapping of str to (str, bytes), optional
-        Media type and content by name.
-
-    Raises
-    ------
-    LogError
-        A time does not fit the 32-bit seconds of a ROS stamp.
-    OSError
-        The file cannot be written.
-    ValueError
-        The times of a batch decrease, or it names a field that its type does not have.
-    """
+    """Write messages to a log; it appears under its name when it is complete."""
     for batch in batches:
         _check_times(batch)
     part = path.with_name(f"{path.name}.part")

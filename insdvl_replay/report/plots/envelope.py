@@ -50,7 +50,6 @@ def band_envelope(x: Floats, low: Floats, high: Floats, columns: int = COLUMNS) 
     Parameters
     ----------
     x, low, high : ndarray, shape (k,)
-    columns : int
 
     Returns
     -------

@@ -108,7 +108,6 @@ class Figure:
         What they show.
     caption : str
         How they are to be read.
-    panels : tuple of Panel
     legend : tuple of tuple of str
         Style and meaning of what is drawn.
     """

@@ -37,17 +37,7 @@ def panel_height(panel: Panel) -> float:
 
 
 def panel_svg(panel: Panel) -> str:
-    """Draw a panel.
-
-    Parameters
-    ----------
-    panel : Panel
-
-    Returns
-    -------
-    str
-        An ``svg`` element without size, to be made as wide as its place on the page.
-    """
+    """Draw a panel."""
     height = panel_height(panel)
     x_axis, y_axis = _axes(panel, height)
     width, tall = WIDTH - _LEFT - _RIGHT, height - _TOP - _BOTTOM
