@@ -89,7 +89,7 @@ class TableLayout:
 
 
 def layout_of(name: str, row: type[Struct]) -> TableLayout:
-    """Read the layout of a table from the type of its rows; rows without a column that names them bear a filter's name."""
+    """Read the layout of a table from its row type; rows without a column that names them bear a filter's name."""
     hints = get_type_hints(row, include_extras=True)
     columns = {column: _column(hints[column]) for column in row.__struct_fields__}
     key = next((column for column, told in columns.items() if told.names is not None), "filter")

@@ -156,7 +156,7 @@ class _Topics:
         return []
 
     def alternatives(self, required: TopicRequirement, besides: str) -> Iterator[Source]:
-        """Make sources of the topics between which the configuration has to choose; those that cannot be are left out."""
+        """Make sources of the topics between which the configuration has to choose, of those that can be."""
         candidates = self.candidates(required, besides) if required.topic is None else []
         for topic in candidates if len(candidates) > 1 else []:
             with suppress(LogError):

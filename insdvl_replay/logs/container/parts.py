@@ -108,7 +108,7 @@ class Parts:
         return times
 
     def digests(self) -> list[Digest]:
-        """Go over all bytes of the parts, in their order, and then of the files that cannot be used, as `Log.digests`."""
+        """Go over all bytes of the parts in their order, then of the files that cannot be used, as `Log.digests`."""
         of_parts = [digest for part in self.parts for digest in part.digests()]
         return of_parts + [Digest(_sha256(file), []) for file in self._unusable]
 
