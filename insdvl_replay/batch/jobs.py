@@ -183,8 +183,7 @@ def replay_into(job: ReplayJob) -> bytes:
         )
     from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
     from insdvl_replay.replay import replay_log
-    from insdvl_replay.results.result_files import save_replay
-    from insdvl_replay.results.trajectories import save_trajectories
+    from insdvl_replay.results.result_files import save_replay, save_trajectories
 
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     run = replay_with_tuned_baseline if job.options.control else replay_log

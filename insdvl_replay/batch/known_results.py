@@ -14,8 +14,7 @@ import msgspec
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
 from insdvl_replay.core.runtime import each
-from insdvl_replay.results.file_list import damaged_files
-from insdvl_replay.results.folder import COMPLETE, refuse_existing_folder, trajectory_file
+from insdvl_replay.results.folder import COMPLETE, damaged_files, refuse_existing_folder, trajectory_file
 from insdvl_replay.results.json_report import Report, decode_report, package_versions
 from insdvl_replay.results.workspace import clear_leftovers
 

@@ -14,8 +14,7 @@ from insdvl_replay.checks.imu import AXES, Check
 from insdvl_replay.core.columns import DvlColumns, ReferenceColumns, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.states import DEG
-from insdvl_replay.core.units import FASTEST_MPS
+from insdvl_replay.core.states import DEG, FASTEST_MPS
 from insdvl_replay.geometry.rotation import wrap_angle
 
 SCALE_DOUBT: Final = 0.1

@@ -9,10 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import NS_PER_S, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
+from insdvl_replay.core.columns import NS_PER_S, Floats, ImuColumns, ReferenceColumns, find_runs, nanoseconds, seconds
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.runs import find_runs
 from insdvl_replay.core.states import DEG, MG
 from insdvl_replay.geometry import earth
 

@@ -12,7 +12,7 @@ import warnings
 from types import FrameType
 from typing import NoReturn
 
-from insdvl_replay.cli.streams import open_outlets, report_lost_output
+from insdvl_replay.cli.messages import open_outlets, report_lost_output
 from insdvl_replay.core.runtime import collect_rarely, use_small_pages
 
 INTERRUPTED = 130

@@ -50,11 +50,11 @@ def compare(
       insdvl-replay compare before after --table reference_error --column rmse --fail-on worse:5%
     """
     from insdvl_replay.cli.screen import in_format
+    from insdvl_replay.comparison.aggregation import parse_pairs
     from insdvl_replay.comparison.comparison import Selection, compare_results
     from insdvl_replay.comparison.document import breach_sentence, comparison_csv, comparison_document
     from insdvl_replay.comparison.fail_on import breach, parse_limit, parse_percentage
-    from insdvl_replay.comparison.filter_pairs import parse_pairs
-    from insdvl_replay.comparison.sort_order import arranged
+    from insdvl_replay.comparison.rows import arranged
     from insdvl_replay.core.errors import LimitError
     from insdvl_replay.results.json_report import as_json
 

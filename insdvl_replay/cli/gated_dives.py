@@ -22,9 +22,7 @@ from insdvl_replay.gates.checking import (
     judge_dives,
     write_baselines,
 )
-from insdvl_replay.gates.gate_file import Gates, load_gates
-from insdvl_replay.gates.gate_names import refuse_unknown_names
-from insdvl_replay.gates.junit import junit_xml
+from insdvl_replay.gates.gate_file import Gates, load_gates, refuse_unknown_names
 from insdvl_replay.gates.model import CheckResult
 from insdvl_replay.gates.output import (
     baseline_text,
@@ -33,9 +31,10 @@ from insdvl_replay.gates.output import (
     check_sentence,
     check_text,
     github_annotations,
+    junit_xml,
 )
-from insdvl_replay.results.destination import replaceable_file
 from insdvl_replay.results.folder import COMPLETE, result_file
+from insdvl_replay.results.workspace import replaceable_file
 
 GATE_FAILED = 1
 

@@ -1,20 +1,161 @@
 """Two sets of results laid beside each other, dive by dive and cell by cell."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import json
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Final
 
-from insdvl_replay.comparison.aggregation import aggregates, tally
-from insdvl_replay.comparison.dive_matching import Matching, match_dives
-from insdvl_replay.comparison.filter_pairs import refuse_strangers, with_new_names
-from insdvl_replay.comparison.provenance import differences
-from insdvl_replay.core.changes import Change, Comparison, DiveComparison
+from insdvl_replay.comparison.aggregation import aggregates, refuse_strangers, tally, with_new_names
+from insdvl_replay.core.changes import Change, Comparison, Difference, DiveComparison, MatchedBy
 from insdvl_replay.core.errors import ConfigError, Note, refuse_unknown
-from insdvl_replay.core.stored_result import StoredResult
 from insdvl_replay.core.table_layout import TableLayout
-from insdvl_replay.core.tables import LAYOUTS
+from insdvl_replay.core.tables import LAYOUTS, StoredReport, StoredResult
 from insdvl_replay.evaluation.row_changes import compare_tables, named_rows
 from insdvl_replay.results.stored_results import read_results
+
+_Pair = tuple[StoredResult, StoredResult]
+BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
+"""In the order of what a reader asks first."""
+
+
+def differences(pairs: list[_Pair]) -> tuple[Difference, ...]:
+    """Name everything beside the tables that differs, once, with the dives that it concerns."""
+    logs: dict[tuple[str, str, str | None, str | None], list[str]] = {}
+    for old, new in pairs:
+        before, after = _facts(old.report), _facts(new.report)
+        for block, key in dict.fromkeys((*before, *after)):
+            was, is_ = before.get((block, key)), after.get((block, key))
+            if was != is_:
+                logs.setdefault((block, key, was, is_), []).append(new.name)
+    found = [Difference(*what, tuple(names)) for what, names in logs.items()]
+    return tuple(sorted(found, key=lambda difference: BLOCKS.index(difference.block)))
+
+
+def flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Give nested settings by their dotted keys; lists stay whole."""
+    for key, value in settings.items():
+        if isinstance(value, dict) and value:
+            yield from flattened(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _facts(report: StoredReport) -> dict[tuple[str, str], str]:
+    """Give all that may differ as text, by block and key. Times of day and of computation always differ."""
+    log = report.log
+    tool = {key: value for key, value in report.tool.items() if key in {"name", "version", "sources"}}
+    filters = ", ".join([report.baseline, *report.filters])
+    span = {"start_ns": log.start_ns, "end_ns": log.end_ns, "duration_s": log.duration_s}
+    channels = {f"channels {channel.get('topic')}": _channel(channel) for channel in log.channels}
+    blocks: dict[str, Mapping[str, Any]] = {
+        "tool": tool,
+        "versions": report.versions,
+        "config": dict(flattened(report.config)),
+        "filters": {"names": filters},
+        "log": {"name": log.name, "sha256": log.sha256, **span, **channels},
+        "notes": {note.code: f"{note.count} ({note.severity})" for note in report.notes},
+    }
+    return {
+        (block, key): value if isinstance(value, str) else json.dumps(value)
+        for block, facts in blocks.items()
+        for key, value in facts.items()
+        if value is not None
+    }
+
+
+def _channel(channel: Mapping[str, Any]) -> str:
+    return f"{channel.get('messages')} {channel.get('type_name')} ({channel.get('role') or 'unused'})"
+
+
+_Key = Callable[[StoredResult], Hashable]
+
+
+@dataclass(frozen=True)
+class Matching:
+    """Who belongs to whom.
+
+    Attributes
+    ----------
+    pairs : tuple of (StoredResult, StoredResult, str)
+        Old, new, and what they were matched by; in the order of the new ones.
+    gone, new : tuple of StoredResult
+        Without counterpart.
+    """
+
+    pairs: tuple[tuple[StoredResult, StoredResult, MatchedBy], ...]
+    gone: tuple[StoredResult, ...]
+    new: tuple[StoredResult, ...]
+
+
+# Results of one log in several folders are told apart by their place, then by their name.
+_KEYS: Final[tuple[tuple[MatchedBy, _Key], ...]] = (
+    ("hash", lambda result: (result.report.log.sha256, result.below)),
+    ("hash", lambda result: (result.report.log.sha256, result.name)),
+    ("hash", lambda result: result.report.log.sha256),
+    ("name", lambda result: (result.name, result.below)),
+    ("name", lambda result: result.name),
+)
+
+
+def match_dives(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> Matching:
+    """Match results of the same dive.
+
+    Two single results are matched whatever they are: they were meant.
+    """
+    if len(old) == len(new) == 1:
+        return Matching(((old[0], new[0], _how_alike(old[0], new[0])),), (), ())
+    left = {id(result): result for result in old}
+    found: dict[int, tuple[StoredResult, MatchedBy]] = {}
+    for how, key in _KEYS:
+        unmatched = [result for result in new if id(result) not in found]
+        theirs, ours = (_unique(results, how, key) for results in (left.values(), unmatched))
+        for value in theirs.keys() & ours.keys():
+            found[id(ours[value])] = theirs[value], how
+            del left[id(theirs[value])]
+    pairs = tuple((found[id(result)][0], result, found[id(result)][1]) for result in new if id(result) in found)
+    unmatched = [result for result in new if id(result) not in found]
+    _refuse_ambiguous(list(left.values()), unmatched)
+    if not pairs:
+        raise ConfigError(
+            f"no dive of {_names(old)} is among {_names(new)}, by hash or by name",
+            "name two folders that hold results of the same logs, or two single results",
+        )
+    return Matching(pairs, tuple(left.values()), tuple(unmatched))
+
+
+def _how_alike(old: StoredResult, new: StoredResult) -> MatchedBy:
+    if old.report.log.sha256 and old.report.log.sha256 == new.report.log.sha256:
+        return "hash"
+    return "name" if old.name == new.name else "choice"
+
+
+def _unique(results: Iterable[StoredResult], how: MatchedBy, key: _Key) -> dict[Hashable, StoredResult]:
+    """Give the results that are alone with their key. A dive that was never a file has no hash."""
+    by_key: dict[Hashable, list[StoredResult]] = {}
+    for result in results:
+        if how != "hash" or result.report.log.sha256:
+            by_key.setdefault(key(result), []).append(result)
+    return {value: together[0] for value, together in by_key.items() if len(together) == 1}
+
+
+def _refuse_ambiguous(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> None:
+    """Raise if a dive is left on both sides: it has several results, and nothing says which belong together."""
+    shared = {result.name for result in old} & {result.name for result in new}
+    hashes = {result.report.log.sha256 for result in old} & {result.report.log.sha256 for result in new} - {""}
+    for result in new:
+        if result.name in shared or result.report.log.sha256 in hashes:
+            folders = [str(other.folder) for other in (*old, *new) if other.name == result.name]
+            raise ConfigError(
+                f"{result.name}: several results could belong together: {', '.join(folders)}",
+                "name the two folders that are to be compared",
+            )
+
+
+def _names(results: Sequence[StoredResult]) -> str:
+    names = [result.name for result in results]
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
 
 _Pairs = Sequence[tuple[StoredResult, StoredResult]]
 

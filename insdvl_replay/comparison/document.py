@@ -17,8 +17,7 @@ from insdvl_replay.core.changes import (
     Word,
 )
 from insdvl_replay.report.csv_tables import blocks_csv
-from insdvl_replay.report.display_table import MISSING, ShownTable, counted
-from insdvl_replay.report.document import Lead, Only, Part, Sentences, Title
+from insdvl_replay.report.document import MISSING, Lead, Only, Part, Sentences, ShownTable, Title, counted
 
 WORDS: Final[tuple[Word, ...]] = ("better", "worse", "same", "changed", "new", "gone")
 _HASH_SHOWN: Final = 12

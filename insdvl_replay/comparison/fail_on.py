@@ -5,7 +5,7 @@ import re
 from insdvl_replay.comparison.aggregation import loss_of, worst_of
 from insdvl_replay.core.changes import Breach, Change, Comparison, Limit
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.evaluation.cell_change import ROUNDING, within
+from insdvl_replay.evaluation.row_changes import ROUNDING, within
 
 
 def parse_percentage(text: str, before: str) -> float:

@@ -1,14 +1,54 @@
 """The cells of a comparison as text, and their tables: the cells of one dive, or each cell over many dives."""
 
+import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Final, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Final, Literal, TypeVar
 
-from insdvl_replay.core.changes import Aggregate, Change
-from insdvl_replay.core.stored_result import Cell
+from insdvl_replay.comparison.aggregation import loss, loss_of
+from insdvl_replay.core.changes import Aggregate, Change, Comparison
 from insdvl_replay.core.table_layout import PERCENTAGE
-from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
-from insdvl_replay.report.display_table import MISSING, Column, ShownTable, number, row_label, table_of
+from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, Cell
+from insdvl_replay.report.document import MISSING, Column, ShownTable, number, row_label, table_of
+
+Order = Literal["table", "name", "change", "worse"]
+"""As in the reports; by row; largest change first; largest loss first."""
+
+
+def arranged(comparison: Comparison, order: Order, *, only_changed: bool) -> Comparison:
+    """Put changes and aggregates into an order; counts stay those of all.
+
+    Parameters
+    ----------
+    only_changed : bool
+        Leave out what is the same, and of the aggregates what is the same in all dives.
+    """
+    changes, overall = comparison.changes, comparison.aggregates
+    if only_changed:
+        changes = tuple(change for change in changes if change.word != "same")
+        overall = tuple(aggregate for aggregate in overall if aggregate.same < aggregate.dives)
+    if order != "table":
+        changes = tuple(sorted(changes, key=_CHANGE_KEYS[order]))
+        overall = tuple(sorted(overall, key=_AGGREGATE_KEYS[order]))
+    return replace(comparison, changes=changes, aggregates=overall)
+
+
+def _size(change_pct: float | None) -> float:
+    return math.inf if change_pct is None else abs(change_pct)
+
+
+_CHANGE_KEYS: Final[dict[str, Callable[[Change], str | float]]] = {
+    "name": lambda change: change.row,
+    "change": lambda change: 0.0 if change.word == "same" else -_size(change.change_pct),
+    "worse": lambda change: -loss_of(change),
+}
+_AGGREGATE_KEYS: Final[dict[str, Callable[[Aggregate], str | float]]] = {
+    "name": lambda aggregate: aggregate.row,
+    "change": lambda aggregate: -_size(aggregate.median_change_pct),
+    "worse": lambda aggregate: -loss(aggregate.worst_word, aggregate.worst_change_pct),
+}
+
 
 _BETTER: Final = {(layout.name, column): better for layout in LAYOUTS for column, better in layout.better.items()}
 _KEYS: Final = {layout.name: layout.key for layout in LAYOUTS}

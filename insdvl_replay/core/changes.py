@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.stored_result import Cell
+from insdvl_replay.core.tables import Cell
 
 Word = Literal["better", "worse", "same", "changed", "new", "gone"]
 """``changed`` is said of what is neither better nor worse; ``new`` and ``gone`` of what only one side has."""

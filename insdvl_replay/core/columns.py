@@ -14,6 +14,23 @@ from numpy.typing import NDArray
 from insdvl_replay.core.channel import Channel
 from insdvl_replay.core.errors import Note
 
+
+def find_runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Find where a mask is true.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (k,)
+
+    Returns
+    -------
+    starts, ends : ndarray, shape (runs,)
+        First row of each run, and the row behind its last.
+    """
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    return edges[::2], edges[1::2]
+
+
 Floats = NDArray[np.float64]
 TimeNs = NDArray[np.int64]
 NS_PER_S: Final = 1_000_000_000

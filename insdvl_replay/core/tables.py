@@ -6,10 +6,13 @@ computed, and null, or None, in a report.
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Annotated, ClassVar, Final, get_args, get_type_hints
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, get_args, get_type_hints
 
 from msgspec import Meta, Struct
 
+from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import BA, STATES
 from insdvl_replay.core.table_layout import Column, TableLayout, layout_of
 from insdvl_replay.core.words import Consistency, Gain, Whiteness
@@ -262,3 +265,53 @@ def each_table(tables: Tables) -> Iterator[tuple[TableLayout, Sequence[Struct]]]
 def finite(number: Number) -> float:
     """Return a number of a row, NaN where it is missing or not finite."""
     return math.nan if number is None or not math.isfinite(number) else number
+
+
+Cell = str | int | float | bool | None
+Row = dict[str, Cell]
+
+
+class StoredLog(Struct, frozen=True):
+    """What was replayed. Of an old result, what it does not say is empty."""
+
+    name: str
+    sha256: str = ""
+    start_ns: int | None = None
+    end_ns: int | None = None
+    duration_s: float | None = None
+    channels: list[dict[str, Cell]] = []
+
+
+class StoredReport(Struct, frozen=True):
+    """The blocks of a report.json, with whatever rows and columns they hold."""
+
+    tool: dict[str, Cell]
+    log: StoredLog
+    tables: dict[str, list[Row]]
+    versions: dict[str, str] = {}
+    baseline: str = ""
+    filters: dict[str, Row] = {}
+    notes: list[Note] = []
+    config: dict[str, Any] = {}
+
+
+@dataclass(frozen=True)
+class StoredResult:
+    """One result and where it lies.
+
+    Attributes
+    ----------
+    folder : Path
+        That holds the report.
+    below : str
+        The same, seen from the folder that was searched; ``.`` for that folder itself.
+    """
+
+    folder: Path
+    below: str
+    report: StoredReport
+
+    @property
+    def name(self) -> str:
+        """Name of the log."""
+        return self.report.log.name

@@ -1,4 +1,4 @@
 """What must hold of a dive's tables: `gate_file` reads gates, `checking` holds dives against them.
 
-`model` is gates and what became of them as data; `output` and `junit` tell it.
+`model` is gates and what became of them as data; `output` tells it.
 """

@@ -5,12 +5,10 @@ import math
 from collections.abc import Iterator
 from typing import TypeGuard
 
-from insdvl_replay.core.stored_result import Cell, Row, StoredReport
 from insdvl_replay.core.table_layout import PERCENTAGE, TableLayout
-from insdvl_replay.core.tables import CANDIDATES, TABLES
+from insdvl_replay.core.tables import CANDIDATES, TABLES, Cell, Row, StoredReport
 from insdvl_replay.core.words import Gain, ReferenceStatus
-from insdvl_replay.evaluation.cell_change import agree, rounding, rounding_pct, size, size_change_pct, within
-from insdvl_replay.evaluation.row_changes import rows_of
+from insdvl_replay.evaluation.row_changes import agree, rounding, rounding_pct, rows_of, size, size_change_pct, within
 from insdvl_replay.gates.model import ANY, Finding, Gate
 
 LAYOUTS = (*TABLES, CANDIDATES)

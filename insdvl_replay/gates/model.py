@@ -4,7 +4,7 @@ from typing import Annotated, Final, Literal
 
 from msgspec import Meta, Struct
 
-from insdvl_replay.core.stored_result import Cell
+from insdvl_replay.core.tables import Cell
 
 ANY: Final = "*"
 """Stands for every table, filter or row."""

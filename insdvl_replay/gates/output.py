@@ -1,17 +1,63 @@
 """What became of the gates: text, Markdown for a merge request or a job's summary, JSON, and what GitHub shows."""
 
+import re
 from collections.abc import Sequence
 from typing import Annotated, Final
+from xml.etree import ElementTree
 
 from msgspec import Meta, Struct
 
-from insdvl_replay.core.plain_text import visible
-from insdvl_replay.core.stored_result import Cell
+from insdvl_replay.core.plain_text import visible, visible_lines
+from insdvl_replay.core.tables import Cell
 from insdvl_replay.gates.model import CheckResult, Finding, Judgement, Status
-from insdvl_replay.report.display_table import MISSING, ShownTable, counted
-from insdvl_replay.report.document import Part, Title
+from insdvl_replay.report.document import MISSING, Part, ShownTable, Title, counted
 from insdvl_replay.report.markdown import as_markdown
 from insdvl_replay.results.json_report import Tool, as_json, this_tool
+
+_ELEMENTS: Final[dict[Status, str]] = {
+    "unusable": "error",
+    "failed": "failure",
+    "warning": "skipped",
+    "off": "skipped",
+}
+_NOT_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def junit_xml(result: CheckResult) -> str:
+    """Write JUnit XML."""
+    root = ElementTree.Element("testsuites", {"name": _clean(result.gates), **_counts(result.judgements)})
+    for dive in dict.fromkeys(judgement.dive for judgement in result.judgements):
+        own = tuple(judgement for judgement in result.judgements if judgement.dive == dive)
+        skipped = str(sum(_ELEMENTS.get(judgement.status) == "skipped" for judgement in own))
+        attributes = {"name": _clean(dive), **_counts(own), "skipped": skipped}
+        suite = ElementTree.SubElement(root, "testsuite", attributes)
+        for judgement in own:
+            _add_case(suite, judgement)
+    ElementTree.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def _counts(judgements: tuple[Judgement, ...]) -> dict[str, str]:
+    def count(status: Status) -> str:
+        return str(sum(judgement.status == status for judgement in judgements))
+
+    return {"tests": str(len(judgements)), "failures": count("failed"), "errors": count("unusable")}
+
+
+def _add_case(suite: ElementTree.Element, judgement: Judgement) -> None:
+    names = {"classname": _clean(judgement.dive), "name": _clean(judgement.gate)}
+    case = ElementTree.SubElement(suite, "testcase", names)
+    if element := _ELEMENTS.get(judgement.status):
+        message = {"message": _clean("; ".join(map(visible, judgement.reasons)) or judgement.status)}
+        kind = {} if element == "skipped" else {"type": judgement.status}
+        told = ElementTree.SubElement(case, element, {**message, **kind})
+        told.text = _clean("\n".join(map(visible, judgement.reasons)))
+
+
+def _clean(text: str) -> str:
+    """Show control characters, which XML cannot hold, and leave out what else it cannot."""
+    return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", visible_lines(text))
+
 
 WORDS: Final[dict[Status, str]] = {
     "unusable": "NO RESULT",

@@ -8,8 +8,18 @@ import msgspec
 
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, PingFacts, ReferenceFacts, TopicFacts
 from insdvl_replay.report.csv_tables import blocks_csv
-from insdvl_replay.report.display_table import MISSING, CellText, ShownTable, number
-from insdvl_replay.report.document import Code, Only, Part, Remark, Sentences, Title
+from insdvl_replay.report.document import (
+    MISSING,
+    CellText,
+    Code,
+    Only,
+    Part,
+    Remark,
+    Sentences,
+    ShownTable,
+    Title,
+    number,
+)
 
 _PREFIXES: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 _PROPOSAL: Final = "To start from, as a file for -c; the comments say what was seen and what is to decide:"

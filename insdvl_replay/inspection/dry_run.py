@@ -14,18 +14,17 @@ import numpy as np
 
 from insdvl_replay.checks.imu import Check
 from insdvl_replay.checks.plausibility import plausibility_checks
-from insdvl_replay.core.clock import Clock
+from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, Note, UserError
 from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
-from insdvl_replay.logs.columns.role_columns import RoleColumns
-from insdvl_replay.logs.columns.roles import Finding
+from insdvl_replay.logs.columns.roles import Finding, RoleColumns
 from insdvl_replay.logs.columns.table_reading import read_sample, read_tables
 from insdvl_replay.logs.columns.tables import Table, loss_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.container.blocks import LogChannel
 from insdvl_replay.logs.container.recording import Recording
 from insdvl_replay.logs.encoding.message_encodings import channel_paths, check_encoding
 

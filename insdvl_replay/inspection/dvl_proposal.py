@@ -8,10 +8,9 @@ from typing import Final
 from insdvl_replay.checks.dvl_comparison import Fit, dvl_by_velocity
 from insdvl_replay.core.columns import DvlColumns, ReferenceColumns
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.units import VELOCITY_UNITS
+from insdvl_replay.core.states import VELOCITY_UNITS
 from insdvl_replay.geometry.frames import MAT_FRD_FLU
-from insdvl_replay.inspection.proposed_settings import Setting, field_setting
-from insdvl_replay.inspection.stamp_proposal import stamp_setting
+from insdvl_replay.inspection.proposed_settings import Setting, field_setting, stamp_setting
 from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic
 from insdvl_replay.logs.container.recording import Recording
 

@@ -11,9 +11,8 @@ from insdvl_replay.checks.imu import SPIN_RADPS
 from insdvl_replay.checks.plausibility import TRACK_DOUBT, UNIT_WRONG, GyroScale
 from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.config import Imu
-from insdvl_replay.core.units import ANGULAR_RATE_UNITS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
-from insdvl_replay.inspection.proposed_settings import Setting, field_setting
-from insdvl_replay.inspection.stamp_proposal import stamp_setting
+from insdvl_replay.core.states import ANGULAR_RATE_UNITS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
+from insdvl_replay.inspection.proposed_settings import Setting, field_setting, stamp_setting
 from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.container.recording import Recording

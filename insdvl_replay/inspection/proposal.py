@@ -4,12 +4,13 @@ In three steps, each of which reads with what the one before has found: who play
 stamps; what units and axes those show; and whether their clocks agree. What then stops a replay is said too.
 """
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 from insdvl_replay.checks.plausibility import gyro_scale
-from insdvl_replay.core.clock import Clock
+from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import ImuColumns
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import toml_value
@@ -18,14 +19,90 @@ from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, measured_dvl
 from insdvl_replay.inspection.imu_proposal import corrected_rates, imu_settings, imu_topic, measured_imu, measured_scale
 from insdvl_replay.inspection.inventory import Obstacle
-from insdvl_replay.inspection.proposed_settings import Setting, decisions, not_yet_set, settings_toml, with_settings
-from insdvl_replay.inspection.reference_proposal import reference_settings, reference_topic
-from insdvl_replay.inspection.stamp_proposal import recorder_stamps
+from insdvl_replay.inspection.proposed_settings import (
+    Setting,
+    decisions,
+    not_yet_set,
+    recorder_stamps,
+    settings_toml,
+    stamp_setting,
+    with_settings,
+)
 from insdvl_replay.inspection.topic_probe import ProbedTopic, probe_topics
 from insdvl_replay.logs.columns.clocks import clock_notes
 from insdvl_replay.logs.columns.roles import Finding, find_roles
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.recording import Recording
+
+_WORDS: Final = {
+    "latitude": re.compile(r"(^|[._])lat(itude)?([._]|$)"),
+    "longitude": re.compile(r"(^|[._])(lon|lng|long|longitude)([._]|$)"),
+    "depth": re.compile(r"(^|[._])depth([._]|$)"),
+    "roll": re.compile(r"(^|[._])roll([._]|$)"),
+    "pitch": re.compile(r"(^|[._])pitch([._]|$)"),
+    "heading": re.compile(r"(^|[._])(heading|hdg|yaw)([._]|$)"),
+}
+"""An altitude is no height here: most vehicles mean that above the bottom."""
+_PLACE: Final = ("latitude", "longitude")
+_ATTITUDE: Final = ("roll", "pitch", "heading")
+_NORTH: Final = re.compile(r"(?i)(.*(?:v|vel|velocity)_?)(n|north)")
+_OTHERS: Final = {"n": ("e", "d"), "north": ("east", "down")}
+_FULL_CIRCLE: Final = 6.3
+"""No angle in radians is larger."""
+_MEANT: Final = (
+    "whether it is a solution to start from and to compare with; meant are roll starboard side down, pitch bow up and "
+    "heading from north over east"
+)
+
+
+def reference_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
+    """Choose the topic with the most of a position, a velocity and an attitude."""
+    return max(
+        (topic for topic in seen if _reference_fields(topic)),
+        key=lambda topic: len(_reference_fields(topic)),
+        default=None,
+    )
+
+
+def reference_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
+    """Propose topic, fields, unit and stamp of a reference."""
+    fields = _reference_fields(topic)
+    settings = [Setting("reference.topic", topic.topic, open=_MEANT)]
+    settings += [Setting(f"reference.{quantity}", path) for quantity, path in fields.items()]
+    angles = [abs(topic.scalars[path]) for quantity, path in fields.items() if quantity in (*_PLACE, *_ATTITUDE)]
+    return [*settings, _unit(max(angles)), stamp_setting(log, topic, "reference")]
+
+
+def _reference_fields(topic: ProbedTopic) -> dict[str, str]:
+    """Find the fields of a solution; angles only where none is missing."""
+    found = {quantity: path for quantity, words in _WORDS.items() if (path := _first(topic, words))}
+    for together in (_PLACE, _ATTITUDE):
+        if not found.keys() >= set(together):
+            found = {quantity: path for quantity, path in found.items() if quantity not in together}
+    if not found.keys() & {*_PLACE, *_ATTITUDE}:
+        return {}
+    velocity = next(_velocities(topic), None)
+    return found | ({"velocity_n": velocity} if velocity else {})
+
+
+def _first(topic: ProbedTopic, words: re.Pattern[str]) -> str | None:
+    return next((path for path in topic.scalars if words.search(path.lower())), None)
+
+
+def _velocities(topic: ProbedTopic) -> Iterator[str]:
+    """Find fields such as ``vn``, ``ve``, ``vd`` or ``vel_north``, ``vel_east``, ``vel_down``."""
+    for path in topic.scalars:
+        if (match := _NORTH.fullmatch(path)) and (others := _OTHERS.get(match[2])):
+            names = [path, *(f"{match[1]}{other}" for other in others)]
+            if topic.scalars.keys() >= set(names):
+                yield ", ".join(names)
+
+
+def _unit(largest: float) -> Setting:
+    if largest > _FULL_CIRCLE:
+        return Setting("reference.angle_unit", "deg", f"an angle of {largest:.3g} is none in radians")
+    return Setting("reference.angle_unit", "deg", open=f"no angle is larger than {largest:.3g}: deg or rad")
+
 
 _NEEDED: Final = {"imu": ("specific_force", "angular_rate"), "dvl": ("velocity",)}
 _INSTEAD: Final = {"velocity": ("beam_velocity =  # one number for each beam",)}

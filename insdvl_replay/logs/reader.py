@@ -10,12 +10,11 @@ from insdvl_replay.core.columns import Dive, ImuColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_names import dive_name
 from insdvl_replay.core.runtime import begin
-from insdvl_replay.logs.columns.role_columns import RoleColumns
-from insdvl_replay.logs.columns.roles import find_roles
+from insdvl_replay.logs.columns.roles import RoleColumns, find_roles
 from insdvl_replay.logs.columns.table_reading import read_tables
 from insdvl_replay.logs.columns.tables import loss_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.channel import LogChannel, by_topic
+from insdvl_replay.logs.container.blocks import LogChannel, by_topic
 from insdvl_replay.logs.container.recording import open_recording
 
 

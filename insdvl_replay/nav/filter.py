@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from insdvl_replay.core.columns import Floats, TimeNs
 from insdvl_replay.core.compiled import compiled, inlined
 from insdvl_replay.core.history import History
-from insdvl_replay.nav.correction import correct
+from insdvl_replay.nav.correction import correct, locks_out, open_state
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
-from insdvl_replay.nav.gate import locks_out, open_state
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import (

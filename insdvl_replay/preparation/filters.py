@@ -11,7 +11,6 @@ from insdvl_replay.core.config import Acceleration, Config, Filter, Noise
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.error_model import noise_density
-from insdvl_replay.nav.gaps import NO_GAPS, Gaps
 from insdvl_replay.nav.levelling import SensorNoise
 from insdvl_replay.nav.measurements import (
     PUBLISHED,
@@ -21,6 +20,7 @@ from insdvl_replay.nav.measurements import (
     velocity_cov,
     velocity_measurement,
 )
+from insdvl_replay.nav.timeline import NO_GAPS, Gaps
 from insdvl_replay.preparation.long_gaps import swing_cov
 
 

@@ -13,8 +13,8 @@ from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, DV, PHI, STATES
 from insdvl_replay.geometry.rotation import skew
-from insdvl_replay.nav.gaps import Gaps
 from insdvl_replay.nav.local_earth import HOLD_AFTER_S
+from insdvl_replay.nav.timeline import Gaps
 
 LONGEST_BRIDGE_S: Final = 3600.0
 """Through a longer gap the line between two readings says nothing; the dive has to be split there."""

@@ -11,7 +11,7 @@ from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
-from insdvl_replay.nav.gaps import Gaps
+from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.alignment import Alignment, align
 from insdvl_replay.preparation.filters import ResolvedFilter, dvl_mounting, resolve_filters
 from insdvl_replay.preparation.long_gaps import find_gaps, settle_gaps

@@ -8,8 +8,18 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from insdvl_replay.core.plain_text import visible
-from insdvl_replay.report.display_table import CellText, ShownTable, cell_lines
-from insdvl_replay.report.document import Document, Lead, Part, Remark, Sentences, Title, parts_for
+from insdvl_replay.report.document import (
+    CellText,
+    Document,
+    Lead,
+    Part,
+    Remark,
+    Sentences,
+    ShownTable,
+    Title,
+    cell_lines,
+    parts_for,
+)
 
 _ESCAPES: Final = {
     "\\": r"\textbackslash{}",

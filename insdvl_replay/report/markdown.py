@@ -8,8 +8,19 @@ import re
 from collections.abc import Iterator
 
 from insdvl_replay.core.plain_text import visible, visible_lines
-from insdvl_replay.report.display_table import CellText, ShownTable, cell_lines
-from insdvl_replay.report.document import Code, Document, Lead, Part, Remark, Sentences, Title, parts_for
+from insdvl_replay.report.document import (
+    CellText,
+    Code,
+    Document,
+    Lead,
+    Part,
+    Remark,
+    Sentences,
+    ShownTable,
+    Title,
+    cell_lines,
+    parts_for,
+)
 
 
 def as_markdown(document: Document) -> str:

@@ -8,7 +8,6 @@ from importlib.resources import files
 from typing import Final
 
 from insdvl_replay.core.plain_text import visible_lines
-from insdvl_replay.report.display_table import ShownTable, cell_lines
 from insdvl_replay.report.document import (
     Code,
     Details,
@@ -21,7 +20,9 @@ from insdvl_replay.report.document import (
     Part,
     Remark,
     Sentences,
+    ShownTable,
     Title,
+    cell_lines,
     parts_for,
 )
 from insdvl_replay.report.plots.panel import Figure

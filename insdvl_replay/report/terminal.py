@@ -11,8 +11,18 @@ from rich.table import Table
 from rich.text import Text
 
 from insdvl_replay.core.plain_text import visible, visible_lines
-from insdvl_replay.report.display_table import ShownTable, cell_lines
-from insdvl_replay.report.document import Code, Document, Lead, Part, Remark, Sentences, Title, parts_for
+from insdvl_replay.report.document import (
+    Code,
+    Document,
+    Lead,
+    Part,
+    Remark,
+    Sentences,
+    ShownTable,
+    Title,
+    cell_lines,
+    parts_for,
+)
 
 _JUSTIFY: Final[dict[str, JustifyMethod]] = {"l": "left", "r": "right"}
 

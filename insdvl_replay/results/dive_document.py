@@ -9,7 +9,6 @@ from msgspec.structs import astuple
 from insdvl_replay.core.tables import Candidate, each_table
 from insdvl_replay.core.words import Gain, ReferenceStatus
 from insdvl_replay.report.csv_tables import blocks_csv
-from insdvl_replay.report.display_table import ShownTable, percent, row_label
 from insdvl_replay.report.document import (
     PAGE,
     PRINTED,
@@ -21,8 +20,11 @@ from insdvl_replay.report.document import (
     Only,
     Part,
     Sentences,
+    ShownTable,
     Title,
     losses,
+    percent,
+    row_label,
     settings_details,
 )
 from insdvl_replay.report.page import page

@@ -13,7 +13,7 @@ from insdvl_replay.core.tables import (
     is_whole,
 )
 from insdvl_replay.core.words import Gain, ReferenceStatus
-from insdvl_replay.report.display_table import (
+from insdvl_replay.report.document import (
     MISSING,
     Column,
     ShownTable,

@@ -10,8 +10,7 @@ from urllib.parse import quote
 from insdvl_replay.core.tables import is_whole
 from insdvl_replay.core.words import Gain
 from insdvl_replay.report.csv_tables import rows_csv
-from insdvl_replay.report.display_table import MISSING, ShownTable, number
-from insdvl_replay.report.document import Lead, LinkedTable, Title
+from insdvl_replay.report.document import MISSING, Lead, LinkedTable, ShownTable, Title, number
 from insdvl_replay.report.page import page
 from insdvl_replay.results.dive_tables import MEANS, gain_cells
 from insdvl_replay.results.folder import PAGE

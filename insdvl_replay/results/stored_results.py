@@ -9,8 +9,7 @@ import msgspec
 
 from insdvl_replay import __version__
 from insdvl_replay.core.errors import ConfigError, Note, ResultError, looked_for
-from insdvl_replay.core.stored_result import StoredReport, StoredResult
-from insdvl_replay.core.tables import TABLES
+from insdvl_replay.core.tables import TABLES, StoredReport, StoredResult
 from insdvl_replay.results.folder import COMPLETE
 
 

@@ -22,8 +22,7 @@ from insdvl_replay.sim.sensor_errors import (
     add_imu_errors,
     beam_vectors_d,
 )
-from insdvl_replay.sim.sines import sine_and_cosine
-from insdvl_replay.sim.trajectories import SCENARIOS
+from insdvl_replay.sim.trajectories import SCENARIOS, sine_and_cosine
 
 LONGEST_S: Final = 7 * 86400.0
 """No simulated dive is longer: a week at 100 Hz already fills 10 GB."""

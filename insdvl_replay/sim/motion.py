@@ -15,8 +15,7 @@ from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.earth import earth_rate_of, gravity_of, meridian_radius_of, transverse_radius_of
 from insdvl_replay.geometry.rotation import mat_from_sines, turned
-from insdvl_replay.sim.sines import sine_and_cosine
-from insdvl_replay.sim.trajectories import Scenario
+from insdvl_replay.sim.trajectories import Scenario, sine_and_cosine
 
 START: Final = (32.8 * DEG, 34.9 * DEG, -20.0)
 """Where every dive starts: latitude and longitude off Haifa, height at 20 m depth."""

@@ -8,7 +8,7 @@ import pandas as pd
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.states import NINE, STATES, State
 from insdvl_replay.core.words import Consistency
-from insdvl_replay.report.display_table import ShownTable, number, percent, row_label
+from insdvl_replay.report.document import ShownTable, number, percent, row_label
 from insdvl_replay.report.plots.panel import LIMIT, REFERENCE, Curve, Figure, Panel, filter_style
 
 BELIEVED: Final = f"{filter_style(0)} {filter_style(1)}"

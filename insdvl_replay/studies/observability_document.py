@@ -8,7 +8,7 @@ import pandas as pd
 
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import DirectionStatus
-from insdvl_replay.report.display_table import MISSING, ShownTable, number, percent, row_label
+from insdvl_replay.report.document import MISSING, ShownTable, number, percent, row_label
 from insdvl_replay.report.plots.panel import LIMIT, Curve, Figure, Panel, filter_style
 
 _SHORT: Final = {

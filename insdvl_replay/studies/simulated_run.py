@@ -12,8 +12,8 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.evaluation.ensemble import RunErrors, run_errors
 from insdvl_replay.nav.dvl import dvl_velocities
-from insdvl_replay.nav.gaps import NO_GAPS
 from insdvl_replay.nav.initial_state import Start
+from insdvl_replay.nav.timeline import NO_GAPS
 from insdvl_replay.nav.vector_algebra import rotation_from_vector, vector
 from insdvl_replay.preparation.alignment import Alignment, initial_sd
 from insdvl_replay.preparation.filters import dvl_mounting, resolve_filters

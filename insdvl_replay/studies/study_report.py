@@ -12,12 +12,19 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.errors import Note
 from insdvl_replay.report.csv_tables import blocks_csv, table_csv
-from insdvl_replay.report.display_table import ShownTable
-from insdvl_replay.report.document import PAGE, Facts, Heading, Lead, Only, Part, Title, losses, settings_details
-from insdvl_replay.report.page import page
+from insdvl_replay.report.document import (
+    PAGE,
+    Facts,
+    Heading,
+    Lead,
+    Only,
+    Part,
+    ShownTable,
+    Title,
+    losses,
+    settings_details,
+)
 from insdvl_replay.report.plots.panel import Figure
-from insdvl_replay.report.plots.png import figure_png
-from insdvl_replay.report.plots.svg import sheet_svg
 from insdvl_replay.results.folder import COMPLETE
 from insdvl_replay.results.folder import PAGE as PAGE_FILE
 from insdvl_replay.results.json_report import Files, Tool, as_json, package_versions, this_tool
@@ -84,6 +91,11 @@ def write_study(
     report: StudyReport, folder: Path, figures: Mapping[str, Figure] | None = None, *, png: bool = False
 ) -> None:
     """Write the figures, the tables, the settings, the page and, last, the file by which a result is known."""
+    # Not for whoever asks for the schema, which must not wait for numpy.
+    from insdvl_replay.report.page import page
+    from insdvl_replay.report.plots.png import figure_png
+    from insdvl_replay.report.plots.svg import sheet_svg
+
     figures = figures or {}
     for name, figure in figures.items():
         (folder / f"{name}.svg").write_bytes(sheet_svg(figure))

@@ -21,7 +21,7 @@ from insdvl_replay.evaluation.acceleration import (
 )
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
-from insdvl_replay.nav.gaps import Gaps
+from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.prepared import prepare_dive, reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.studies.study_report import StudyReport, write_study

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from insdvl_replay.report.display_table import ShownTable, number
+from insdvl_replay.report.document import ShownTable, number
 from insdvl_replay.report.plots.axis import limits
 from insdvl_replay.report.plots.panel import Curve, Figure, Panel, filter_style
 

@@ -11,7 +11,7 @@ import pytest
 from frames import frame
 
 from insdvl_replay import checks, logs
-from insdvl_replay.core.clock import Clock
+from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import Dive, DvlColumns
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import LogError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.checks.reference_motion import motion_checks
+from insdvl_replay.checks.reference import motion_checks
 from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config

@@ -20,8 +20,7 @@ from insdvl_replay.core.plain_text import visible, visible_lines, without_comman
 from insdvl_replay.gates.model import CheckResult, Judgement
 from insdvl_replay.gates.output import github_annotations
 from insdvl_replay.report.csv_tables import rows_csv
-from insdvl_replay.report.display_table import ShownTable
-from insdvl_replay.report.document import Code, Sentences, Title
+from insdvl_replay.report.document import Code, Sentences, ShownTable, Title
 from insdvl_replay.report.latex import as_latex
 from insdvl_replay.report.markdown import as_markdown
 

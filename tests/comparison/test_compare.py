@@ -21,7 +21,7 @@ from insdvl_replay.comparison.aggregation import aggregates
 from insdvl_replay.comparison.comparison import Selection, compare_results
 from insdvl_replay.comparison.document import comparison_csv, comparison_document, comparison_tables, opening_lines
 from insdvl_replay.comparison.fail_on import breach, parse_limit
-from insdvl_replay.comparison.sort_order import Order, arranged
+from insdvl_replay.comparison.rows import Order, arranged
 from insdvl_replay.core.changes import Change, Comparison
 from insdvl_replay.core.errors import ConfigError, ResultError
 from insdvl_replay.core.tables import LAYOUTS

@@ -21,11 +21,11 @@ sys.exit(int(_get_madvise_hugepage()))
 FAIL = """
 import resource
 import sys
-from insdvl_replay.cli.messages import tell_failure
-from insdvl_replay.memory import _most_mapped
+from insdvl_replay.cli.messages import log_failure
+from insdvl_replay.core.runtime import _most_mapped
 most = _most_mapped() + (int(sys.argv[1]) << 20)
 resource.setrlimit(resource.RLIMIT_AS, (most, most))
-sys.exit(tell_failure(ImportError("no segment"), 0))
+sys.exit(log_failure(ImportError("no segment"), 0))
 """
 
 

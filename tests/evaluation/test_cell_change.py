@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from insdvl_replay.core.table_layout import Better
 from insdvl_replay.core.tables import VERDICTS_BEST_FIRST
-from insdvl_replay.evaluation.cell_change import judge_number, prints_alike, rank_word
-from insdvl_replay.report.display_table import number, percent
+from insdvl_replay.evaluation.row_changes import judge_number, prints_alike, rank_word
+from insdvl_replay.report.document import number, percent
 
 BETTER: tuple[Better, ...] = ("lower", "higher", "nearer zero", "nearer dof")
 OPPOSITE = {"better": "worse", "worse": "better", "same": "same"}

@@ -20,9 +20,8 @@ import xmlschema
 from small_results import content, write
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.gates.junit import junit_xml
 from insdvl_replay.gates.model import CheckResult, Judgement
-from insdvl_replay.gates.output import SHOWN, CheckReport, github_annotations
+from insdvl_replay.gates.output import SHOWN, CheckReport, github_annotations, junit_xml
 
 DIVES = Path(__file__).parents[2] / "examples" / "archive" / "dives"
 SCHEMA = xmlschema.XMLSchema(Path(__file__).with_name("junit.xsd"))

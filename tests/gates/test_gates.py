@@ -9,10 +9,9 @@ import pytest
 from small_results import content, nudged
 
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.stored_result import StoredReport
+from insdvl_replay.core.tables import StoredReport
 from insdvl_replay.gates.findings import gate_findings
-from insdvl_replay.gates.gate_file import load_gates
-from insdvl_replay.gates.gate_names import refuse_unknown_names
+from insdvl_replay.gates.gate_file import load_gates, refuse_unknown_names
 from insdvl_replay.gates.model import Gate
 
 GATE = '[[gate]]\nname = "a"\ntable = "improvement"\ncolumn = "sd"\n'

@@ -23,7 +23,7 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.inspection.document import inventory_document
 from insdvl_replay.inspection.inventory import Inventory
 from insdvl_replay.inspection.survey import inspect_log
-from insdvl_replay.inspection.vectors import vector_paths
+from insdvl_replay.inspection.topic_probe import vector_paths
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.replay import replay_log
 from insdvl_replay.report.terminal import for_terminal

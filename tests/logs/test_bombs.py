@@ -20,7 +20,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from insdvl_replay.checks.gyro_comparison import turned_by
-from insdvl_replay.checks.reference_motion import _legs, _Ways
+from insdvl_replay.checks.reference import _legs, _Ways
 from insdvl_replay.cli.messages import log_failure
 from insdvl_replay.core.columns import ImuColumns
 from insdvl_replay.core.config import Config
@@ -28,7 +28,7 @@ from insdvl_replay.core.errors import LogError, Note, most_like
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container import mcap_file
-from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.container.blocks import LogChannel
 from insdvl_replay.logs.container.chunks import LARGEST_CHUNK, Chunk, most_opened, open_chunk
 from insdvl_replay.logs.container.damage import Damage
 from insdvl_replay.logs.container.mcap_file import Log
@@ -109,7 +109,7 @@ def test_a_chunk_without_a_record_is_opened_once(tmp_path: Path, monkeypatch: py
         return open_chunk(data, one)
 
     monkeypatch.setattr("insdvl_replay.logs.container.chunk_messages.open_chunk", counted)
-    monkeypatch.setattr("insdvl_replay.logs.container.chunk_reader.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.chunks.open_chunk", counted)
     seen = Log(write(tmp_path / "zeros.mcap", log(chunk(zstd_zeros(4 * MB), 4 * MB, "zstd"))), allow_damaged=True)
     assert not list(seen.blocks({1}))
     assert not list(seen.saved_times())
@@ -147,7 +147,7 @@ def test_a_chunk_with_many_channels_is_opened_a_few_times(tmp_path: Path, monkey
         opened.append(one.offset)
         return open_chunk(data, one)
 
-    monkeypatch.setattr("insdvl_replay.logs.container.chunk_reader.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.chunks.open_chunk", counted)
     inventory = inspect_log(path, Config())
     assert len(inventory.clocks) >= 50
     assert len(opened) <= 2

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap_ros2.writer import Writer
 
-from insdvl_replay.core.clock import Clock
+from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import Floats, TimeNs
 from insdvl_replay.core.config import Clocks, Config, Dvl, Imu
 from insdvl_replay.core.errors import LogError

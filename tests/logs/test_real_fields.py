@@ -11,8 +11,7 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as RosDecoders
 
-from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.container.channel import LogChannel
+from insdvl_replay.logs.container.blocks import Block, LogChannel
 from insdvl_replay.logs.container.mcap_file import Log
 from insdvl_replay.logs.encoding.field_paths import NUMBER, Columns
 from insdvl_replay.logs.encoding.message_encodings import channel_paths, open_reader

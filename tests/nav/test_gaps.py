@@ -10,8 +10,7 @@ from insdvl_replay.core.columns import Dive, Floats, ImuColumns, TimeNs, seconds
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Imu, Noise
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import BG, DEG, DV, PHI
-from insdvl_replay.nav.gaps import Gaps
-from insdvl_replay.nav.timeline import Timeline, build_timeline
+from insdvl_replay.nav.timeline import Gaps, Timeline, build_timeline
 from insdvl_replay.preparation.long_gaps import find_gaps
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import START_NS, exact_dive

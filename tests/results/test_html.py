@@ -12,8 +12,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import STATES
 from insdvl_replay.replay import Replay, replay_dive, replay_log
-from insdvl_replay.report.display_table import ShownTable
-from insdvl_replay.report.document import Heading, Html, Lead, Title
+from insdvl_replay.report.document import Heading, Html, Lead, ShownTable, Title
 from insdvl_replay.report.page import page
 from insdvl_replay.results.coverage import Source, covered_shares
 from insdvl_replay.results.dive_tables import glance_table, shown_tables

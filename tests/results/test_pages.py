@@ -9,7 +9,7 @@ from test_report import report
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.report.display_table import ShownTable
+from insdvl_replay.report.document import ShownTable
 from insdvl_replay.results.overviews import Failure, index_page
 from insdvl_replay.studies.observability_document import singular_value_figure
 from insdvl_replay.studies.study_report import StudyReport, write_study

@@ -30,7 +30,7 @@ from insdvl_replay.core.tables import (
 )
 from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.report.csv_tables import structs_csv, table_csv
-from insdvl_replay.report.display_table import number, percent
+from insdvl_replay.report.document import number, percent
 from insdvl_replay.report.latex import as_latex
 from insdvl_replay.report.markdown import as_markdown
 from insdvl_replay.report.terminal import for_terminal

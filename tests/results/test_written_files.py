@@ -13,8 +13,7 @@ import pytest
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.results.file_list import damaged_files
-from insdvl_replay.results.folder import COMPLETE, DIVE_FILES, result_file, result_folder
+from insdvl_replay.results.folder import COMPLETE, DIVE_FILES, damaged_files, result_file, result_folder
 from insdvl_replay.results.workspace import LOCK, clear_leftovers
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "archive"

@@ -21,8 +21,7 @@ from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive, simulate_dive
 from insdvl_replay.sim.motion import START, Course
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors, LostBeam, beam_vectors_d, quantise
-from insdvl_replay.sim.sines import sine_and_cosine
-from insdvl_replay.sim.trajectories import RAMP_S, SCENARIOS, Segment, Wave, turn
+from insdvl_replay.sim.trajectories import RAMP_S, SCENARIOS, Segment, Wave, sine_and_cosine, turn
 
 WHITE = ImuErrors(accel_white_mps_rts=0.02, gyro_white_rad_rts=3e-4)
 REPEATABLE = settings(derandomize=True, deadline=None)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.columns import Floats, TimeNs, is_new, seconds
 from insdvl_replay.core.errors import LogError, Note, Severity
 from insdvl_replay.logs.columns.clocks import SAME_CLOCK_S
-from insdvl_replay.logs.columns.order import Mask, Order, Rows, find_order
-from insdvl_replay.logs.columns.overlaps import raise_if_two_dives
+from insdvl_replay.logs.columns.order import Mask, Order, Rows, find_order, raise_if_two_dives
 from insdvl_replay.logs.columns.tables import Table
 
 Scalar = TypeVar("Scalar", bound=np.generic)

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.clock import Clock
+from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import TimeNs, distinct
 from insdvl_replay.core.errors import LogError, Note
 

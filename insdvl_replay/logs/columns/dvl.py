@@ -8,11 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import DvlColumns, Floats, seconds
+from insdvl_replay.core.columns import DvlColumns, Floats, find_runs, seconds
 from insdvl_replay.core.config import Dvl
 from insdvl_replay.core.errors import ConfigError, LogError, Note
-from insdvl_replay.core.runs import find_runs
-from insdvl_replay.core.units import FASTEST_MPS, VELOCITY_UNITS
+from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
 from insdvl_replay.geometry import beams
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, same_rows
 from insdvl_replay.logs.columns.imu import FRD, in_frd

@@ -12,7 +12,7 @@ import numpy as np
 from insdvl_replay.core.columns import Floats, ImuColumns, TimeNs, TruthColumns, nanoseconds
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import ConfigError, Note
-from insdvl_replay.core.units import ANGULAR_RATE_UNITS, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS, SPECIFIC_FORCE_UNITS
+from insdvl_replay.core.states import ANGULAR_RATE_UNITS, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS, SPECIFIC_FORCE_UNITS
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few
 from insdvl_replay.logs.columns.order import Mask
 from insdvl_replay.logs.columns.pauses import note_bursts, note_clock_set, note_gaps, note_lost_samples

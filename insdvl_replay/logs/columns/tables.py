@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.clock import Clock
+from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs.columns.clocks import measure_clock, stamp_unit

@@ -18,7 +18,7 @@ from insdvl_replay.logs.container.blocks import MESSAGE, gather
 from insdvl_replay.logs.container.chunk_messages import read_chunk
 from insdvl_replay.logs.container.chunks import Chunk, chunk_header
 from insdvl_replay.logs.container.damage import COPY_AGAIN, DamageError, Loss, Span, plausible_span
-from insdvl_replay.logs.container.records import RECORD_HEADER_SIZE
+from insdvl_replay.logs.container.record_form import RECORD_HEADER_SIZE
 from insdvl_replay.logs.container.scanner import McapIndex
 
 

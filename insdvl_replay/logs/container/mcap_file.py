@@ -22,8 +22,7 @@ from insdvl_replay.logs.container.attachments import (
     attachment_damages,
     checked_digest,
 )
-from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.container.channel import described
+from insdvl_replay.logs.container.blocks import Block, described
 from insdvl_replay.logs.container.chunk_messages import index_entries
 from insdvl_replay.logs.container.chunk_reader import ChunkReader
 from insdvl_replay.logs.container.chunks import Chunk, ChunkHeader, chunk_header

@@ -13,7 +13,8 @@ from mcap import records
 from insdvl_replay.logs.container.chunk_messages import index_count, read_chunk
 from insdvl_replay.logs.container.chunks import LARGEST_CHUNK, Chunk, chunk_header, most_opened, opened_size
 from insdvl_replay.logs.container.damage import Damage, DamageError
-from insdvl_replay.logs.container.records import DATA_END_SIZE, MAGIC, RECORD_HEADER_SIZE
+from insdvl_replay.logs.container.record_form import RECORD_HEADER_SIZE
+from insdvl_replay.logs.container.records import DATA_END_SIZE, MAGIC
 from insdvl_replay.logs.container.scanner import McapIndex, RecordScanner, file_definition
 from insdvl_replay.logs.container.summary import read_summary, summary_behind
 

@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.compiled import is_loaded
 from insdvl_replay.logs.container.damage import DamageError
+from insdvl_replay.logs.container.record_form import RECORD_HEADER_SIZE, can_be_record
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 """First and last bytes of an MCAP file."""
-
-RECORD_HEADER_SIZE: Final = 9
-"""Bytes in front of each record's content: its kind and its length."""
 
 DATA_END_SIZE: Final = RECORD_HEADER_SIZE + 4
 """Bytes of the record behind the last message."""
@@ -38,11 +36,6 @@ BATCH: Final = 1 << 16
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _DATA_END: Final = int(Opcode.DATA_END)
-LAST_KNOWN: Final = 15
-"""Highest kind of record that the specification knows."""
-_FIRST_PRIVATE: Final = 128
-_LEAST_LENGTHS: Final = (0, 8, 20, 14, 16, 22, 40, 6, 64, 36, 64, 46, 8, 20, 17, 4)
-"""What a record of each known kind must at least hold for its own fields."""
 
 
 @dataclass(frozen=True)
@@ -80,13 +73,6 @@ class Records:
 def joined(batches: Sequence[Records]) -> Records:
     """Put batches one behind the other."""
     return Records(*map(np.concatenate, zip(*((one.opcodes, one.starts, one.lengths) for one in batches), strict=True)))
-
-
-def can_be_record(opcode: int, length: int) -> bool:
-    """Tell whether a record of a kind can have a length."""
-    if opcode > LAST_KNOWN:
-        return opcode >= _FIRST_PRIVATE
-    return opcode > 0 and length >= _LEAST_LENGTHS[opcode]
 
 
 def find_records(data: memoryview, start: int, end: int) -> tuple[Records, int]:

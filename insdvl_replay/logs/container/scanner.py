@@ -18,9 +18,9 @@ from insdvl_replay.logs.container.blocks import message_field
 from insdvl_replay.logs.container.chunk_messages import Content
 from insdvl_replay.logs.container.chunks import COMPRESSED, Chunk, chunk_header
 from insdvl_replay.logs.container.damage import Damage, DamageError, Loss
+from insdvl_replay.logs.container.record_form import RECORD_HEADER_SIZE
 from insdvl_replay.logs.container.records import (
     MAGIC,
-    RECORD_HEADER_SIZE,
     Records,
     find_records,
     go_on,

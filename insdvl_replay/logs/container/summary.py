@@ -8,7 +8,8 @@ from mcap.opcode import Opcode
 from zlib_ng import zlib_ng
 
 from insdvl_replay.logs.container.damage import Damage, DamageError, Span, plausible_span
-from insdvl_replay.logs.container.records import MAGIC, RECORD_HEADER_SIZE, find_records, parsed, what_stands
+from insdvl_replay.logs.container.record_form import RECORD_HEADER_SIZE
+from insdvl_replay.logs.container.records import MAGIC, find_records, parsed, what_stands
 
 _FOOTER_SIZE: Final = RECORD_HEADER_SIZE + 20
 _KINDS: Final[dict[int, Any]] = {

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
-from insdvl_replay.core.columns import Floats
+if TYPE_CHECKING:
+    # Only its type is needed, and whoever asks for a schema must not wait for numpy.
+    from insdvl_replay.core.columns import Floats
 
 Scale = Literal["linear", "log"]
 
@@ -33,8 +35,8 @@ class Curve:
         Draw points and no line.
     """
 
-    x: Floats
-    y: Floats
+    x: "Floats"
+    y: "Floats"
     style: str
     points: bool = False
 
@@ -55,9 +57,9 @@ class Band:
         Class in the style sheet.
     """
 
-    x: Floats
-    low: Floats
-    high: Floats
+    x: "Floats"
+    low: "Floats"
+    high: "Floats"
     style: str
 
 
