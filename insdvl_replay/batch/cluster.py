@@ -2,9 +2,10 @@
 
 import importlib
 import logging
+import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
@@ -66,7 +67,7 @@ def _silence(*libraries: str) -> None:
 @contextmanager
 def _cluster(distributed: Any, cluster: Cluster, *, alone: bool) -> Iterator[Pool]:
     try:
-        client = distributed.Client(cluster.address, timeout=_REACHED_WITHIN_S, set_as_default=False)
+        client = _client(distributed, cluster)
     except (OSError, ValueError) as error:
         raise ConfigError(
             f"--scheduler {cluster.address}: cannot be reached: {error}",
@@ -79,6 +80,23 @@ def _cluster(distributed: Any, cluster: Cluster, *, alone: bool) -> Iterator[Poo
     finally:
         executor.shutdown(wait=False)
         client.close(timeout=_LEFT_WITHIN_S)
+
+
+def _client(distributed: Any, cluster: Cluster) -> Any:
+    """Connect, in a thread that nobody waits for: a scheduler that hears and does not answer would hold it for ever."""
+    connected: Future[Any] = Future()
+
+    def connect() -> None:
+        try:
+            connected.set_result(distributed.Client(cluster.address, timeout=_REACHED_WITHIN_S, set_as_default=False))
+        except Exception as error:
+            connected.set_exception(error)
+
+    threading.Thread(target=connect, daemon=True).start()
+    within_s = max(cluster.patience_s, 2.0 * _REACHED_WITHIN_S)
+    if not wait([connected], within_s).done:
+        raise TimeoutError(f"no answer in {within_s:g} s")
+    return connected.result()
 
 
 class _Health:

@@ -112,6 +112,19 @@ def test_a_scheduler_that_goes_is_told(
     assert sentence in told
 
 
+@pytest.mark.slow
+def test_a_scheduler_that_never_answers_is_told(log: Path, scheduler: tuple[str, psutil.Process]) -> None:
+    address, of_scheduler = scheduler
+    of_scheduler.suspend()
+    process = started(log, address, 1.0)
+    _, told = process.communicate(timeout=90)
+    assert process.returncode == 2, told
+    assert told.splitlines() == [
+        f"error: --scheduler {address}: cannot be reached: no answer in 20 s; "
+        "hint: `dask scheduler` prints the address it listens on"
+    ]
+
+
 def test_a_worker_answers_only_for_the_bytes_that_are_meant(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

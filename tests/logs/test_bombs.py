@@ -259,6 +259,17 @@ def test_a_message_of_many_keys_is_looked_at_in_steps_that_grow_with_their_numbe
     assert all(one != other for one, other in pairwise(looked))
 
 
+def test_a_field_that_no_message_has_is_looked_for_in_a_limited_number_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    from insdvl_replay.logs.encoding import json_fields
+
+    monkeypatch.setattr(json_fields, "_MOST_LOOKS", 100)
+    reader = json_fields.JsonReader("", b"", ["absent"])
+    for _ in range(5):
+        with pytest.raises(LogError, match="a JSON message has no field 'absent'"):
+            reader.learn([{f"key{i}": 1.5 for i in range(60)}] * 3)
+    assert reader._looks == 3 * 60
+
+
 def test_topics_beyond_what_is_looked_at_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from insdvl_replay.inspection import topic_probe
 

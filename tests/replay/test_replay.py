@@ -510,7 +510,7 @@ def test_errors_of_a_long_dive_are_judged_at_fewer_times_by_the_same_p(
     straight: Dive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = replay_dive(straight, config(), keep_cov=True)
-    monkeypatch.setattr("insdvl_replay.replay.MOST_COVARIANCES", len(reference_of(straight).time_ns))
+    monkeypatch.setattr("insdvl_replay.evaluation.judging.MOST_COVARIANCES", len(reference_of(straight).time_ns))
     fewer = replay_dive(straight, config(), keep_cov=True)
     for before, after in zip(whole.histories, fewer.histories, strict=True):
         np.testing.assert_array_equal(after.cov_ns, before.cov_ns[::2], "two filters share the room")

@@ -173,7 +173,9 @@ class MappedFile:
                 raise
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else str(error)
-            raise LogError(f"cannot be read: {reason}", "check the path", path) from error
+            many = isinstance(error, OSError) and error.errno == errno.EMFILE
+            hint = "each part of a dive stays open; raise the limit with `ulimit -n`" if many else "check the path"
+            raise LogError(f"cannot be read: {reason}", hint, path) from error
         self.data = memoryview(self._map)
         address = np.frombuffer(self._map, np.uint8).ctypes.data
         weakref.finalize(self, forget, keep_readable(address, len(self._map), self._descriptor))

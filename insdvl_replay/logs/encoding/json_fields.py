@@ -13,6 +13,8 @@ from insdvl_replay.logs.encoding.field_paths import NUMBER, TEXT
 _STRUCTURE: Final = "object"
 _EXAMPLES: Final = 100
 """Messages from which the fields are learnt that no schema names."""
+_MOST_LOOKS: Final = 1 << 20
+"""Fields at which is looked for those that no schema names, before all messages are taken to be without them."""
 _DEEPEST: Final = 32
 """Levels of structures within structures that are looked at."""
 _FIRST: Final = ("sec", "nsec", "nanosec", "x", "y", "z", "w")
@@ -41,10 +43,23 @@ class JsonReader(DecodedFields):
         super().__init__(type_name or "a JSON message", paths, _decoded, _access)
         self._shape = json_shape(schema_data)
         self.known = dict(known_paths(self._shape))
+        self._looks = 0
+        self._missing: LogError | None = None
 
     def learn(self, messages: Sequence[Any]) -> None:
-        """Add what the first messages show to what the schema says."""
-        self.find(reduce(_merged, map(_shape_of, messages[:_EXAMPLES]), self._shape))
+        """Add what the first messages show to what the schema says.
+
+        Where they lack a field, a reader of damaged logs asks again for fewer and fewer of them, each time in vain.
+        """
+        if self._missing is not None and self._looks > _MOST_LOOKS:
+            raise LogError(self._missing.what, self._missing.hint)
+        examples = messages[:_EXAMPLES]
+        try:
+            self.find(reduce(_merged, map(_shape_of, examples), self._shape))
+        except LogError as error:
+            self._missing = error
+            self._looks += len(examples) * len(self.known)
+            raise
 
 
 _DECODER: Final = msgspec.json.Decoder()

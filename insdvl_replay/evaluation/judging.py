@@ -1,0 +1,92 @@
+"""Filters that ran side by side, compared with the reference and with each other: all tables of a dive."""
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.core.columns import Dive, ReferenceColumns, TimeNs
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.history import History
+from insdvl_replay.core.tables import Tables
+from insdvl_replay.evaluation.believed import convergence_table, improvement_table
+from insdvl_replay.evaluation.consistency import consistency_table
+from insdvl_replay.evaluation.coverage import reference_coverage_notes, reference_rate_notes, truth_coverage_notes
+from insdvl_replay.evaluation.credibility import credibility_table
+from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
+from insdvl_replay.evaluation.state_errors import state_errors
+
+MOST_COVARIANCES: Final = 20_000
+"""So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times."""
+
+
+def judged_times(reference: ReferenceColumns | None, start_ns: int, end_ns: int, *, filters: int) -> TimeNs:
+    """Choose the times at which P is kept and errors are judged by it: all of the reference, or evenly some of them.
+
+    Returns
+    -------
+    ndarray, shape (c,), ns
+    """
+    if reference is None:
+        return np.empty(0, dtype=np.int64)
+    inside_ns = _inside(reference.time_ns, start_ns, end_ns)
+    every = math.ceil(len(inside_ns) * filters / MOST_COVARIANCES)
+    return inside_ns[:: max(every, 1)]
+
+
+def _inside(reference_ns: TimeNs, start_ns: int, end_ns: int) -> TimeNs:
+    return reference_ns[(reference_ns >= start_ns) & (reference_ns <= end_ns)]
+
+
+def compared_filters(
+    dive: Dive, histories: tuple[History, ...], start_ns: int, *, bridged_gaps: bool
+) -> tuple[dict[str, ReferenceErrors], Tables]:
+    """Compare the filters with the reference and with each other.
+
+    Returns
+    -------
+    dict of str to ReferenceErrors
+        By filter; empty without a reference.
+    Tables
+    """
+    errors, in_states = {}, {}
+    if dive.reference is not None:
+        errors = {history.filter: reference_errors(history, dive.reference) for history in histories}
+        in_states = {
+            history.filter: state_errors(history, dive.reference, dive.truth).after(start_ns) for history in histories
+        }
+    names = [history.filter for history in histories]
+    return errors, Tables(
+        improvement_table(dive.name, histories),
+        convergence_table(dive.name, histories),
+        reference_error_table(dive.name, histories, errors, bridged_gaps=bridged_gaps),
+        consistency_table(dive.name, histories),
+        credibility_table(dive.name, names, in_states),
+    )
+
+
+def reference_notes(
+    dive: Dive, start_ns: int, end_ns: int, history: History, judged_ns: TimeNs, *, independent: bool
+) -> tuple[Note, ...]:
+    """Note what the reference cannot tell: errors that it shares, and what of the dive it does not see."""
+    if dive.reference is None:
+        return ()
+    notes = []
+    if not independent:
+        text = "the reference shares sensors with the filters: errors that they have in common are not seen"
+        notes.append(Note("reference_not_independent", text))
+    notes += reference_coverage_notes(dive.reference, start_ns, end_ns)
+    if dive.truth is not None:
+        notes += truth_coverage_notes(dive.truth, start_ns, end_ns)
+    notes += _thinned_notes(len(_inside(dive.reference.time_ns, start_ns, end_ns)), len(judged_ns))
+    return (*notes, *reference_rate_notes(history, dive.reference.time_ns))
+
+
+def _thinned_notes(inside: int, judged: int) -> Iterator[Note]:
+    if left_out := inside - judged:
+        text = (
+            f"credibility is judged at {judged} of the {inside} times of the reference, evenly chosen: P "
+            "at all of them would fill the memory"
+        )
+        yield Note("credibility_thinned", text, left_out)
