@@ -43,7 +43,7 @@ def dvl_checks(place: str, dvl: DvlColumns, reference: ReferenceColumns | None, 
 
 
 def median_speed_mps(dvl: DvlColumns) -> float:
-    """Give the largest component of a ping in the median, 0 without any."""
+    """Return the largest component of a ping in the median, 0 without any."""
     values = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
     if values is None or not np.isfinite(values).any():
         return 0.0

@@ -160,7 +160,7 @@ def track_by_positions(
 
 
 def _velocity_pairs(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> tuple[Floats, Floats]:
-    """Give the velocities of DVL and reference in body axes, at times of the reference that have both."""
+    """Return the velocities of DVL and reference in body axes, at times of the reference that have both."""
     ping_ns, measured_b = _pings(dvl, config)
     complete = np.isfinite(reference.velocity_n).all(axis=1) & np.isfinite(reference.mat_nb).all(axis=(1, 2))
     if len(ping_ns) < ENOUGH:
@@ -178,7 +178,7 @@ def horizontal(vectors: Floats) -> Complex:
 
 
 def _pings(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:
-    """Give the velocities in body axes of the pings that have a velocity or all beams."""
+    """Return the velocities in body axes of the pings that have a velocity or all beams."""
     if dvl.velocity_d is not None:
         velocity_d = dvl.velocity_d
     elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
@@ -192,7 +192,7 @@ def _pings(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:
 
 
 def _pause_s(time_ns: TimeNs, at_ns: TimeNs) -> Floats:
-    """Give the length of the step of ``time_ns`` in which each time lies."""
+    """Return the length of the step of ``time_ns`` in which each time lies."""
     after = np.clip(np.searchsorted(time_ns, at_ns), 1, len(time_ns) - 1)
     return seconds(time_ns[after], time_ns[after - 1])
 

@@ -133,7 +133,7 @@ def turned_by(imu: ImuColumns, at_s: Floats, longest_s: float = np.inf) -> Float
 
 
 def lies_within(time_ns: TimeNs, others_ns: TimeNs) -> NDArray[np.bool_]:
-    """Tell which times lie between the first and the last of others.
+    """Find which times lie between the first and the last of others.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ def imu_checks(place: str, imu: ImuColumns, reference: ReferenceColumns | None, 
 
 
 def samples_in(imu: ImuColumns, length_s: float) -> int:
-    """Give the number of samples, 1 at least, that an IMU takes in a time."""
+    """Return the number of samples, 1 at least, that an IMU takes in a time."""
     return max(1, round(length_s / imu.usual_step_s)) if len(imu.time_ns) > 1 else 1
 
 
@@ -103,7 +103,7 @@ def _dead_notes(place: str, imu: ImuColumns) -> list[Note]:
 
 
 def _is_constant(column: Floats) -> bool:
-    """Tell whether all numbers are the same; the first few mostly tell that they are not."""
+    """Return whether all numbers are the same; the first few mostly tell that they are not."""
     return bool(np.all(column[:_FEW] == column[0]) and np.all(column == column[0]))
 
 
@@ -168,7 +168,7 @@ def _gravity_notes(place: str, imu: ImuColumns, reference: ReferenceColumns | No
 
 
 def _quiet_blocks(imu: ImuColumns) -> tuple[Floats, Floats]:
-    """Give the mean force over each of the quieter half of some seconds, and the rows at which they begin."""
+    """Return the mean force over each of the quieter half of some seconds, and the rows at which they begin."""
     length = min(samples_in(imu, 1.0), len(imu.time_ns))
     blocks = len(imu.time_ns) // length
     some = np.arange(0, blocks, 1 + blocks // _BLOCKS)
@@ -179,7 +179,7 @@ def _quiet_blocks(imu: ImuColumns) -> tuple[Floats, Floats]:
 
 
 def _gravity(reference: ReferenceColumns | None) -> float:
-    """Give gravity at the reference's latitude, and the standard's where there is none."""
+    """Return gravity at the reference's latitude, and the standard's where there is none."""
     if reference is None or not reference.has_position:
         return 1000.0 * MG
     return float(earth.normal_gravity(float(np.nanmedian(reference.position[:, 0])), 0.0))

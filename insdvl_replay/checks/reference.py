@@ -164,7 +164,7 @@ def _attitude_jump_notes(imu: ImuColumns, reference: ReferenceColumns) -> list[N
 
 
 def _least_difference(steps: Floats) -> Floats:
-    """Give the distance of each of k vectors from the one of its neighbours that is nearest to it, shape (k,)."""
+    """Return the distance of each of k vectors from the one of its neighbours that is nearest to it, shape (k,)."""
     least = np.full(len(steps), np.nan)
     for reach in range(1, _AROUND + 1):
         apart = np.linalg.norm(steps[reach:] - steps[:-reach], axis=1)

@@ -36,7 +36,7 @@ def parse_pairs(texts: Iterable[str]) -> dict[str, str]:
 
 
 def with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) -> list[StoredResult]:
-    """Give old results with the new names of their filters."""
+    """Return old results with the new names of their filters."""
     for old, new in pairs.items():
         names = list(dict.fromkeys(name for result in results for name in filter_names(result.report)))
         refuse_unknown("filter", old, names)
@@ -48,7 +48,7 @@ def with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) ->
 
 
 def filter_names(report: StoredReport) -> list[str]:
-    """Give the baseline and the candidates."""
+    """Return the baseline and the candidates."""
     return [report.baseline, *report.filters]
 
 
@@ -135,7 +135,7 @@ def worst_of(changes: Iterable[Change]) -> Change | None:
 
 
 def loss(word: Word, change_pct: float | None) -> float:
-    """Say how much a cell lost, in percent."""
+    """State how much a cell lost, in percent."""
     if word not in {"better", "worse", "gone"}:
         return 0.0
     amount = math.inf if change_pct is None else abs(change_pct)
@@ -143,12 +143,12 @@ def loss(word: Word, change_pct: float | None) -> float:
 
 
 def loss_of(change: Change) -> float:
-    """Say how much a cell lost, as `loss` does."""
+    """State how much a cell lost, as `loss` does."""
     return loss(change.word, change.change_pct)
 
 
 def _is_chief(change: Change) -> bool:
-    """Say whether a cell is what a reader looks at first. Words with a rank are: they sum up all numbers."""
+    """Return whether a cell is what a reader looks at first. Words with a rank are: they sum up all numbers."""
     return (change.table, change.column) in _CHIEF
 
 

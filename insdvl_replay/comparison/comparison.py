@@ -33,7 +33,7 @@ def differences(pairs: list[_Pair]) -> tuple[Difference, ...]:
 
 
 def flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Give nested settings by their dotted keys; lists stay whole."""
+    """Return nested settings by their dotted keys; lists stay whole."""
     for key, value in settings.items():
         if isinstance(value, dict) and value:
             yield from flattened(value, f"{prefix}{key}.")
@@ -42,7 +42,7 @@ def flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
 
 
 def _facts(report: StoredReport) -> dict[tuple[str, str], str]:
-    """Give all that may differ as text, by block and key. Times of day and of computation always differ."""
+    """Return all that may differ as text, by block and key. Times of day and of computation always differ."""
     log = report.log
     tool = {key: value for key, value in report.tool.items() if key in {"name", "version", "sources"}}
     filters = ", ".join([report.baseline, *report.filters])
@@ -131,7 +131,7 @@ def _how_alike(old: StoredResult, new: StoredResult) -> MatchedBy:
 
 
 def _unique(results: Iterable[StoredResult], how: MatchedBy, key: _Key) -> dict[Hashable, StoredResult]:
-    """Give the results that are alone with their key. A dive that was never a file has no hash."""
+    """Return the results that are alone with their key. A dive that was never a file has no hash."""
     by_key: dict[Hashable, list[StoredResult]] = {}
     for result in results:
         if how != "hash" or result.report.log.sha256:

@@ -38,7 +38,7 @@ def comparison_document(comparison: Comparison) -> list[Part]:
 
 
 def opening_lines(comparison: Comparison) -> list[str]:
-    """Say how many values moved, and which of them most."""
+    """State how many values moved, and which of them most."""
     counts = comparison.total.counts
     number = sum(counts.values())
     words = ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word] and word != "same")
@@ -87,7 +87,7 @@ def _dive_row(dive: DiveComparison) -> tuple[object, ...]:
 
 
 def breach_sentence(breach: Breach) -> str:
-    """Say how much is worse than allowed, and what most."""
+    """State how much is worse than allowed, and what most."""
     reasons = []
     if breach.worst is not None:
         verb = "are" if breach.count > 1 else "is"
@@ -135,7 +135,7 @@ def _shown(difference: Difference, value: str | None) -> str:
 
 
 def _where(logs: Sequence[str], dives: int) -> str:
-    """Say which dives it is: all, a few by name, or how many."""
+    """State which dives it is: all, a few by name, or how many."""
     if len(logs) == dives:
         return "all"
     return ", ".join(logs) if len(logs) <= _NAMED_DIVES else f"{len(logs)} of {dives}"

@@ -99,7 +99,7 @@ def _table(items: Sequence[Item], value_columns: Columns[Item]) -> ShownTable:
 
 
 def _naming_columns(items: Sequence[Item]) -> Columns[Item]:
-    """Give the columns that name a row: its filter and its unit only where they are not the same for all."""
+    """Return the columns that name a row: its filter and its unit only where they are not the same for all."""
     columns: Columns[Item] = []
     if len({item.filter for item in items}) > 1 or items[0].table == CANDIDATES.name:
         columns.append(("filter", "l", lambda item: item.filter))
@@ -162,7 +162,7 @@ def _spoken(name: str) -> str:
 
 
 def is_percentage(cell: Change | Aggregate) -> bool:
-    """Say whether a cell holds a percentage, which changes by percentage points."""
+    """Return whether a cell holds a percentage, which changes by percentage points."""
     return cell.column.endswith(PERCENTAGE)
 
 
@@ -198,25 +198,25 @@ def change_text(change: Change) -> str:
 
 
 def place(change: Change) -> str:
-    """Say where in its table a cell stands, in the names that files and options use."""
+    """State where in its table a cell stands, in the names that files and options use."""
     row = "" if change.row == change.filter else f" {change.row}"
     return f"{change.filter}{row} {change.column}"
 
 
 def movement(change: Change) -> str:
-    """Say from where to where a cell moved, and by how much."""
+    """State from where to where a cell moved, and by how much."""
     old, new = old_and_new(change)
     unit = f" {change.unit}" if change.unit else ""
     return f"from {old} to {new}{unit} ({growth(change)})"
 
 
 def growth(change: Change) -> str:
-    """Say by how much a cell's size grew, with the unit; its word where there is no percentage."""
+    """State by how much a cell's size grew, with the unit; its word where there is no percentage."""
     if change.change_pct is None:
         return change.word
     return f"{percent_text(change.change_pct)} {'points' if is_percentage(change) else '%'}"
 
 
 def described(change: Change) -> str:
-    """Say in one line where a cell stands and how it moved."""
+    """State in one line where a cell stands and how it moved."""
     return f"{change.log}, {change.table}: {place(change)} {movement(change)}"

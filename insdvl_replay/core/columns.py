@@ -37,25 +37,25 @@ NS_PER_S: Final = 1_000_000_000
 
 
 def seconds(time_ns: TimeNs, origin_ns: int | TimeNs) -> Floats:
-    """Give the seconds since an origin, exact to the nanosecond for spans of months."""
+    """Return the seconds since an origin, exact to the nanosecond for spans of months."""
     elapsed_s: Floats = np.multiply(time_ns - origin_ns, 1e-9)
     return elapsed_s
 
 
 def nanoseconds(time_s: float) -> int:
-    """Give the nearest number of nanoseconds, for any finite number of seconds."""
+    """Return the nearest number of nanoseconds, for any finite number of seconds."""
     return round(Fraction(time_s) * NS_PER_S)
 
 
 def is_new(values: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
-    """Tell which values, the first among them, are not the same as the one before; shape (k,)."""
+    """Find which values, the first among them, are not the same as the one before; shape (k,)."""
     new = np.ones(values.size, np.bool_)
     new[1:] = values[1:] != values[:-1]
     return new
 
 
 def distinct(time_ns: TimeNs) -> TimeNs:
-    """Give each time once, in order.
+    """Return each time once, in order.
 
     `numpy.unique` does the same with a table of hashes, which takes thirty times as long.
 
@@ -101,7 +101,7 @@ class ImuColumns:
         return ImuColumns(self.time_ns[rows], self.specific_force_b[rows], self.angular_rate_b[rows])
 
     def times_only(self) -> "ImuColumns":
-        """Give the times with no rows of readings, which are the better part of a long dive's memory."""
+        """Return the times with no rows of readings, which are the better part of a long dive's memory."""
         return ImuColumns(self.time_ns, self.specific_force_b[:0].copy(), self.angular_rate_b[:0].copy())
 
 

@@ -42,7 +42,7 @@ class UserError(Exception):
         return ": ".join((*self.where, self.what))
 
     def inside(self, *known: object) -> str:
-        """Give the sentence for whom it is clear already which places are meant."""
+        """Return the sentence for whom it is clear already which places are meant."""
         places = {str(place) for place in known}
         return ": ".join((*(place for place in self.where if place not in places), self.what))
 
@@ -90,7 +90,7 @@ def error_context(*where: object) -> Iterator[None]:
 
 @contextmanager
 def looked_for(path: Path) -> Iterator[None]:
-    """Tell why the system cannot look for a file: too long a name, or a folder that may not be entered."""
+    """State why the system cannot look for a file: too long a name, or a folder that may not be entered."""
     try:
         yield
     except OSError as error:

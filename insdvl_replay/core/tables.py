@@ -53,7 +53,7 @@ def axis_of(measurement: str, axis: str) -> str:
 
 
 def is_whole(measurement: str) -> bool:
-    """Tell a whole measurement, which stands for a filter's verdict, from one of its axes, which say where."""
+    """Distinguish a whole measurement, which stands for a filter's verdict, from one of its axes, which say where."""
     return not measurement.endswith(tuple(axis_of("", axis) for axis in AXES))
 
 

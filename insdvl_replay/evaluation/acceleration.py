@@ -38,7 +38,7 @@ def reference_acceleration(reference: ReferenceColumns, max_gap_s: float) -> Flo
 
 
 def acceleration_at(time_ns: TimeNs, reference_ns: TimeNs, acceleration_b: Floats) -> Floats:
-    """Give the reference's acceleration at other times, on the line between its rows.
+    """Return the reference's acceleration at other times, on the line between its rows.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def acceleration_at(time_ns: TimeNs, reference_ns: TimeNs, acceleration_b: Float
 
 
 def differentiated_over_s(reference: ReferenceColumns) -> float:
-    """Give the time over which the reference's velocity is differentiated, from row to row but one, in the median.
+    """Return the time over which the reference's velocity is differentiated, from row to row but one, in the median.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def differentiated_over_s(reference: ReferenceColumns) -> float:
 
 
 def vector_rmse(estimated: Floats, reference: Floats, rows: NDArray[np.bool_]) -> float:
-    """Give the root mean square length of the difference of vectors.
+    """Return the root mean square length of the difference of vectors.
 
     Equation (55) of Levy and Klein.
 

@@ -41,13 +41,13 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> list[Improvem
 
 
 def _final_sd(history: History) -> Floats:
-    """Give the standard deviations after the last ping."""
+    """Return the standard deviations after the last ping."""
     sd: Floats = history.sd[np.flatnonzero(history.updated)[-1]]
     return sd
 
 
 def improvement_pct(before: float, after: float) -> float:
-    """Give ``(before - after) / before`` in percent; NaN where ``before`` is zero or either is not finite."""
+    """Return ``(before - after) / before`` in percent; NaN where ``before`` is zero or either is not finite."""
     if not (np.isfinite(before) and np.isfinite(after)) or before == 0.0:
         return float("nan")
     return float(100.0 * (before - after) / before)
@@ -62,7 +62,7 @@ def _improvement_status(change_pct: float) -> ImprovementStatus:
 
 
 def convergence_table(log: str, histories: tuple[History, ...]) -> list[ConvergenceRow]:
-    """Say when each candidate became, and stayed, as sure as the baseline is at the end, in 12 states.
+    """State when each candidate became, and stayed, as sure as the baseline is at the end, in 12 states.
 
     Parameters
     ----------

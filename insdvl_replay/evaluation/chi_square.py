@@ -24,12 +24,12 @@ WINDOW_TIMES: Final = 5.0
 
 
 def chi_square_quantile(probability: float, dof: float) -> float:
-    """Give the value below which a chi-square variable lies with a probability; infinite for probability 1."""
+    """Return the value below which a chi-square variable lies with a probability; infinite for probability 1."""
     return float("inf") if probability >= 1.0 else float(chdtri(dof, 1.0 - probability))
 
 
 def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Give the interval in which the mean of chi-square variables lies.
+    """Return the interval in which the mean of chi-square variables lies.
 
     The sum of ``count`` independent variables with ``dof`` degrees of freedom has ``count * dof`` of them.
 
@@ -50,7 +50,7 @@ def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tup
 
 
 def verdict(mean: float, low: float, high: float, dof: int) -> Consistency:
-    """Say what a mean NIS or NEES means for the filter's own uncertainty."""
+    """State what a mean NIS or NEES means for the filter's own uncertainty."""
     if not np.isfinite(mean):
         return Consistency.NOT_FINITE
     if low <= mean <= high or abs(mean / dof - 1.0) <= SMALL_EXCESS:
@@ -59,7 +59,7 @@ def verdict(mean: float, low: float, high: float, dof: int) -> Consistency:
 
 
 def effective_samples(standardised: Floats) -> float:
-    """Give the number of independent samples whose mean square would scatter as much as that of a series.
+    """Return the number of independent samples whose mean square would scatter as much as that of a series.
 
     For a normal series with autocorrelation ``r_j`` the mean square of N values has the variance of one square over
     ``N / tau``, with ``tau = 1 + 2 sum (1 - j/N) r_j^2``. With several components tau is their mean, which makes the

@@ -57,7 +57,7 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> list[Consiste
 
 
 def _rows(log: str, filter_: str, innovations: Innovations) -> Iterator[ConsistencyRow]:
-    """Give the row of a whole measurement, then those of its axes."""
+    """Return the row of a whole measurement, then those of its axes."""
     standardised, rejected = innovations.standardised_b, rejections(innovations)
     whole = (innovations.measurement, innovations.dof, innovations.nis, standardised)
     axes = (
@@ -83,7 +83,7 @@ def _judged(nis: Floats, dof: int) -> tuple[float, float, float, Consistency]:
 
 
 def log_likelihood(innovations: Innovations) -> float:
-    """Give the logarithm of the probability density of all innovations under the filter that met them.
+    """Return the logarithm of the probability density of all innovations under the filter that met them.
 
     Innovations of a filter that is right are independent and normal, so that it is the sum of
     ``-(ln det S + z' S^-1 z + d ln 2 pi) / 2``. Gated innovations count: leaving them out would reward a filter that
@@ -187,7 +187,7 @@ def autocorrelation(standardised: Floats, used: NDArray[np.bool_]) -> tuple[floa
 
 
 def whiteness(value: float, limit: float) -> Whiteness:
-    """Say what an autocorrelation means."""
+    """State what an autocorrelation means."""
     if not np.isfinite(limit):
         return Whiteness.TOO_FEW
     if not np.isfinite(value):

@@ -29,7 +29,7 @@ Known = NDArray[np.bool_]
 
 
 def covered_share(time_ns: TimeNs, known: Known, start_ns: int, end_ns: int) -> float:
-    """Give the share of a span that lies between numbers that follow each other about as usual.
+    """Return the share of a span that lies between numbers that follow each other about as usual.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def covered_share(time_ns: TimeNs, known: Known, start_ns: int, end_ns: int) -> 
 
 
 def reference_coverage_notes(reference: ReferenceColumns, start_ns: int, end_ns: int) -> tuple[Note, ...]:
-    """Say which quantities of a reference cover too little of a replay.
+    """State which quantities of a reference cover too little of a replay.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def reference_coverage_notes(reference: ReferenceColumns, start_ns: int, end_ns:
 
 
 def truth_coverage_notes(truth: TruthColumns, start_ns: int, end_ns: int) -> tuple[Note, ...]:
-    """Say which true biases cover too little of a replay.
+    """State which true biases cover too little of a replay.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def _joined(names: list[str]) -> str:
 
 
 def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, ...]:
-    """Say that a reference is too slow for the dive's turns, where it is.
+    """State that a reference is too slow for the dive's turns, where it is.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, 
 
 
 def _since_last_sample(history: History, reference_ns: TimeNs) -> tuple[TimeNs, Floats, Floats]:
-    """Give the time of the last sample before each recorded time, and turn and change of velocity since then."""
+    """Return the time of the last sample before each recorded time, and turn and change of velocity since then."""
     sampled = np.flatnonzero(np.isin(history.time_ns, reference_ns))
     if len(sampled) < 2:
         return np.empty(0, np.int64), np.empty(0), np.empty(0)

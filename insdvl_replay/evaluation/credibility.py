@@ -100,7 +100,7 @@ def _standardised(errors: StateErrors) -> Floats:
 
 
 def _own_share(errors: StateErrors, state: int, times: NDArray[np.bool_]) -> float:
-    """Give the share of a variance that would be left if the attitude were known; 1 for the attitude itself.
+    """Return the share of a variance that would be left if the attitude were known; 1 for the attitude itself.
 
     A filter starts at the reference. The misalignment that it allows for is not there, nor is what hangs on it, such as
     a velocity across the track or, on a straight line, a horizontal accelerometer bias.
@@ -150,7 +150,7 @@ def _word(mean_nees: float, low: float, high: float, dof: int, independent: floa
 
 
 def _many_far_off(share: float, independent: float) -> bool:
-    """Tell whether more errors exceed 3 standard deviations than chance allows, and by enough to matter."""
+    """Return whether more errors exceed 3 standard deviations than chance allows, and by enough to matter."""
     return share >= MANY_FAR_OFF and probability_of(share, independent) < 1.0 - CONFIDENCE
 
 
@@ -167,5 +167,5 @@ def probability_of(far_off: float, independent: float) -> float:
 
 
 def _ellipsoid(sigmas: float, dof: int) -> float:
-    """Give the NEES that is exceeded as rarely as a normal variable exceeds so many standard deviations."""
+    """Return the NEES that is exceeded as rarely as a normal variable exceeds so many standard deviations."""
     return chi_square_quantile(float(chdtr(1, sigmas**2)), dof)

@@ -130,7 +130,7 @@ class Tally:
         self.nees_by_run.append((float(run.nees[1:].mean()), float(run.nees[-1])))
 
     def ensemble(self) -> Ensemble:
-        """Give the runs so far; two at least."""
+        """Return the runs so far; two at least."""
         return Ensemble(
             self.filter,
             self._runs,

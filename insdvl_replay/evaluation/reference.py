@@ -89,7 +89,7 @@ def distance_travelled_m(history: History, time_ns: TimeNs) -> float:
 
 
 def attitude_error(mat_nb: Floats, mat_nb_reference: Floats) -> Floats:
-    """Give the error rotation as roll, pitch and heading error.
+    """Return the error rotation as roll, pitch and heading error.
 
     The rotation vector of ``C_hat C'``, which lies in n, is turned by the reference's heading to the vehicle's level
     axes. Differences of Euler angles would blow up near the vertical; these do not, and on a level vehicle they are the
@@ -167,7 +167,7 @@ def _status(
 
 
 def _summary(errors: ReferenceErrors, span_ns: tuple[int, int]) -> dict[str, tuple[float, float, int, float]]:
-    """Give rms, final error, number of samples and share of the replay of each quantity, in its shown unit."""
+    """Return rms, final error, number of samples and share of the replay of each quantity, in its shown unit."""
     horizontal_m = np.hypot(errors.position_error_ned_m[:, 0], errors.position_error_ned_m[:, 1])
     per_cent = 100.0 / errors.distance_m if errors.distance_m >= SHORTEST_M else float("nan")
     columns = [

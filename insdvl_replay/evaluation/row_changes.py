@@ -19,7 +19,7 @@ ROUNDING: Final = 1e-9
 
 
 def rounding(old: float, new: float, column: str) -> float:
-    """Give the difference of two numbers that says nothing.
+    """Return the difference of two numbers that says nothing.
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ def rounding(old: float, new: float, column: str) -> float:
 
 
 def agree(old: float, new: float, column: str) -> bool:
-    """Say whether two numbers are the same, but for a difference that says nothing."""
+    """Return whether two numbers are the same, but for a difference that says nothing."""
     return old == new or abs(new - old) <= rounding(old, new, column)
 
 
 def within(change: float, allowed: float, digits: float) -> bool:
-    """Say whether a change is no more than allowed, but for a difference that says nothing.
+    """Return whether a change is no more than allowed, but for a difference that says nothing.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def within(change: float, allowed: float, digits: float) -> bool:
 
 
 def size(value: float, better: Better, dof: float = math.nan) -> float:
-    """Give what is compared of a number.
+    """Return what is compared of a number.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def size(value: float, better: Better, dof: float = math.nan) -> float:
 
 
 def size_change_pct(old: float, new: float, column: str) -> float | None:
-    """Say by how much a size grew, in percent of the old one; in percentage points where it is a percentage.
+    """State by how much a size grew, in percent of the old one; in percentage points where it is a percentage.
 
     Parameters
     ----------
@@ -96,12 +96,12 @@ def size_change_pct(old: float, new: float, column: str) -> float | None:
 
 
 def rounding_pct(old: float, new: float, column: str) -> float:
-    """Give the change of a size, as `size_change_pct` has it, that says nothing."""
+    """Return the change of a size, as `size_change_pct` has it, that says nothing."""
     return rounding(old, new, column) if column.endswith(PERCENTAGE) else 100.0 * ROUNDING
 
 
 def prints_alike(old: float, new: float, column: str) -> bool:
-    """Say whether two sizes differ by no more than one unit of the last digit that is printed of the larger."""
+    """Return whether two sizes differ by no more than one unit of the last digit that is printed of the larger."""
     largest = max(abs(old), abs(new))
     if math.isinf(largest) or largest == 0.0:
         return old == new
@@ -136,7 +136,7 @@ def judge_number(
     dofs: tuple[float, float] = (math.nan, math.nan),
     tolerance_pct: float | None = None,
 ) -> Moved:
-    """Say what became of a number."""
+    """State what became of a number."""
     if old is None or new is None:
         return Moved(None, None, "same" if old is new else "worse" if new is None else "better")
     before, after = size(old, better, dofs[0]), size(new, better, dofs[1])
@@ -152,7 +152,7 @@ def judge_number(
 
 
 def rank_word(old: Cell, new: Cell, best_first: tuple[str, ...]) -> Word:
-    """Say what became of a word: better or worse if both words have a rank, else whether it changed."""
+    """State what became of a word: better or worse if both words have a rank, else whether it changed."""
     if old == new:
         return "same"
     if old not in best_first or new not in best_first:
@@ -200,7 +200,7 @@ def compare_tables(
 
 
 def rows_of(report: StoredReport, layout: TableLayout) -> list[Row]:
-    """Give the rows of a table, the candidates' block included.
+    """Return the rows of a table, the candidates' block included.
 
     Returns
     -------
@@ -213,7 +213,7 @@ def rows_of(report: StoredReport, layout: TableLayout) -> list[Row]:
 
 
 def named_rows(result: StoredResult, layout: TableLayout) -> dict[_Key, Row]:
-    """Give the rows of a table by filter, key and unit.
+    """Return the rows of a table by filter, key and unit.
 
     Returns
     -------
@@ -238,7 +238,7 @@ def named_rows(result: StoredResult, layout: TableLayout) -> dict[_Key, Row]:
 def _cells(
     old: Row | None, new: Row | None, layout: TableLayout, tolerance_pct: float | None
 ) -> Iterator[tuple[str, Cell, Cell, Moved]]:
-    """Give each cell of a row with what became of it."""
+    """Return each cell of a row with what became of it."""
     before, after = old or {}, new or {}
     skipped = NAMES | {layout.key} | {column for table, column in SENTENCES if table == layout.name}
     for column in dict.fromkeys((*after, *before)):

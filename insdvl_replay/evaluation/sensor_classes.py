@@ -87,7 +87,7 @@ def sensor_class(key: str, noise: float) -> str:
 
 
 def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
-    """Say why a white noise cannot be its sensor's.
+    """State why a white noise cannot be its sensor's.
 
     Parameters
     ----------

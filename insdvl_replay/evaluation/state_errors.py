@@ -79,7 +79,7 @@ def state_errors(history: History, reference: ReferenceColumns, truth: TruthColu
 def motion_error(
     velocity_n: Floats, mat_nb: Floats, true_velocity_n: Floats, true_mat_nb: Floats
 ) -> tuple[Floats, Floats]:
-    """Give the errors of velocity and attitude of which P speaks.
+    """Return the errors of velocity and attitude of which P speaks.
 
     What the filter is exact for is the invariant error ``xi = v_hat - C_hat C' v``, and to first order that is
     ``dv + v_hat x phi``. The dv of this relation is the difference of the velocities where the misalignment is small;
@@ -110,7 +110,7 @@ def motion_error(
 
 
 def nees(error: Floats, cov: Floats) -> Floats:
-    """Give the normalised estimation error squared, ``x' P^-1 x``.
+    """Return the normalised estimation error squared, ``x' P^-1 x``.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def nees(error: Floats, cov: Floats) -> Floats:
 
 
 def whitened(error: Floats, cov: Floats) -> Floats:
-    """Give ``L^-1 x`` with ``L L' = P``: errors in standard deviations, uncorrelated if P is right.
+    """Return ``L^-1 x`` with ``L L' = P``: errors in standard deviations, uncorrelated if P is right.
 
     The states are scaled by their standard deviations first: in SI units P spans some fifteen decades.
 

@@ -58,7 +58,7 @@ def verdicts(tables: Tables, baseline: str, candidates: Sequence[str], dead: Map
 
 
 def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
-    """Give the gravest verdict among a filter's measurements.
+    """Return the gravest verdict among a filter's measurements.
 
     Their axes say where and do not count: of eight tests one fails by chance in every third honest filter.
     """
@@ -67,7 +67,7 @@ def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
 
 
 def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
-    """Give the verdict of a filter's errors against the reference, of all states together."""
+    """Return the verdict of a filter's errors against the reference, of all states together."""
     return next(row.verdict for row in table if (row.filter, row.quantity) == (filter_name, JOINT))
 
 
@@ -211,7 +211,7 @@ def _set_again(history: History) -> str:
 
 
 def _by_chance(innovations: Innovations) -> float:
-    """Give the share of the innovations that the gate of a sound filter rejects."""
+    """Return the share of the innovations that the gate of a sound filter rejects."""
     return float(chdtrc(innovations.dof, innovations.gate))
 
 

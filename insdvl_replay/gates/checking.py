@@ -87,7 +87,7 @@ def _missed(gate: Gate) -> Status:
 
 
 def baseline_path(gates: Gates, gate: Gate, dive: str) -> Path:
-    """Say where the baseline of a dive lies."""
+    """State where the baseline of a dive lies."""
     return gates.path.parent / (gate.baseline or "").replace(LOG, dive)
 
 

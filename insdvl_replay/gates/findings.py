@@ -71,14 +71,14 @@ def _is_meant(gate: Gate, layout: TableLayout, row: Row) -> bool:
 
 
 def _is_unjudged(layout: TableLayout, row: Row, gate: Gate, report: StoredReport) -> bool:
-    """Tell whether a cell speaks of what a filter gains where nothing can be said of that; the verdict itself can."""
+    """Return whether a cell speaks of what a filter gains where nothing can be said of that; the verdict itself can."""
     candidate = report.filters.get(str(row["filter"]), {})
     of_gain = not layout.baseline_too and gate.column in layout.better and gate.column != "improvement"
     return of_gain and candidate.get("improvement") == Gain.NOT_JUDGED
 
 
 def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None, unjudged: bool) -> str:
-    """Say why a cell does not pass; nothing if it does."""
+    """State why a cell does not pass; nothing if it does."""
     value = row.get(gate.column)
     if unjudged:
         return f"is {shown(value)}, and the filter is {Gain.NOT_JUDGED}"
@@ -144,7 +144,7 @@ def _agree(value: Cell, wanted: str | int | float, column: str) -> bool:
 
 
 def _is_number(value: Cell) -> TypeGuard[float | int]:
-    """Tell a number from a word, and from ``true`` and ``false``, which Python counts among them."""
+    """Distinguish a number from a word, and from ``true`` and ``false``, which Python counts among them."""
     return isinstance(value, float | int) and not isinstance(value, bool)
 
 

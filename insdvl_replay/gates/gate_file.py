@@ -120,7 +120,7 @@ def refuse_unknown_names(gates: Gates, filters: Sequence[str] | None) -> None:
 
 
 def _layouts(gate: Gate) -> list[TableLayout]:
-    """Give the tables that a gate means: those of its name that have its column."""
+    """Return the tables that a gate means: those of its name that have its column."""
     refuse_unknown("table", gate.table, [ANY, *(layout.name for layout in LAYOUTS)])
     named = [layout for layout in LAYOUTS if gate.table in (ANY, layout.name)]
     refuse_unknown("column", gate.column, _unique(column for layout in named for column in _columns(layout)))
@@ -151,7 +151,7 @@ def _refuse_baseline(gate: Gate, layouts: Sequence[TableLayout], filters: Sequen
 
 
 def _columns(layout: TableLayout) -> list[str]:
-    """Give the columns that a gate may name."""
+    """Return the columns that a gate may name."""
     return [name for name in layout.columns if name not in ("log", "filter", layout.key)]
 
 

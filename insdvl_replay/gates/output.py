@@ -98,7 +98,7 @@ def check_sentence(result: CheckResult) -> str:
 
 
 def check_text(result: CheckResult) -> str:
-    """Say what did not pass, and then for each gate on how many dives it did."""
+    """State what did not pass, and then for each gate on how many dives it did."""
     lines = []
     for judgement in _missed(result):
         lines.append(f"{WORDS[judgement.status]}  {judgement.dive}: {judgement.gate}")
@@ -146,7 +146,7 @@ def github_annotations(result: CheckResult) -> str:
 
 
 def baseline_text(changes: Sequence[tuple[str, Finding]]) -> str:
-    """Say what a new baseline would change.
+    """State what a new baseline would change.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def _missed(result: CheckResult) -> list[Judgement]:
 
 
 def _passed(result: CheckResult) -> list[tuple[str, str]]:
-    """Say for each gate on how many dives it was passed."""
+    """State for each gate on how many dives it was passed."""
     rows = []
     for name in _gates(result):
         own = [judgement for judgement in result.judgements if judgement.gate == name]

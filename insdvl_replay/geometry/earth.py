@@ -48,7 +48,7 @@ def earth_rate_of(sine: Any, cosine: Any) -> tuple[Any, float, Any]:
 
 
 def normal_gravity(latitude: Any, height_m: Any) -> Any:
-    """Give the magnitude of normal gravity, Somigliana's formula with the second-order height term.
+    """Return the magnitude of normal gravity, Somigliana's formula with the second-order height term.
 
     Parameters
     ----------
@@ -61,14 +61,14 @@ def normal_gravity(latitude: Any, height_m: Any) -> Any:
 
 
 def gravity_of(sin2: Any, height_m: Any) -> Any:
-    """Give `normal_gravity` where the sine of the latitude has this square."""
+    """Return `normal_gravity` where the sine of the latitude has this square."""
     surface = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA_K * sin2) / np.sqrt(1.0 - ECCENTRICITY_2 * sin2)
     linear = 2.0 / SEMI_MAJOR_M * (1.0 + FLATTENING + GRAVITY_RATIO - 2.0 * FLATTENING * sin2)
     return surface * (1.0 - linear * height_m + 3.0 * height_m**2 / SEMI_MAJOR_M**2)
 
 
 def meridian_radius_m(latitude: Any) -> Any:
-    """Give the radius of curvature north-south, R_N.
+    """Return the radius of curvature north-south, R_N.
 
     Parameters
     ----------
@@ -79,13 +79,13 @@ def meridian_radius_m(latitude: Any) -> Any:
 
 
 def meridian_radius_of(sin2: Any) -> Any:
-    """Give `meridian_radius_m` where the sine of the latitude has this square."""
+    """Return `meridian_radius_m` where the sine of the latitude has this square."""
     root = np.sqrt(1.0 - ECCENTRICITY_2 * sin2)
     return SEMI_MAJOR_M * (1.0 - ECCENTRICITY_2) / (root * root * root)
 
 
 def transverse_radius_m(latitude: Any) -> Any:
-    """Give the radius of curvature east-west, R_E.
+    """Return the radius of curvature east-west, R_E.
 
     Parameters
     ----------
@@ -96,5 +96,5 @@ def transverse_radius_m(latitude: Any) -> Any:
 
 
 def transverse_radius_of(sin2: Any) -> Any:
-    """Give `transverse_radius_m` where the sine of the latitude has this square."""
+    """Return `transverse_radius_m` where the sine of the latitude has this square."""
     return SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_2 * sin2)

@@ -80,7 +80,7 @@ def turned(mat: Floats, vector: Floats) -> Floats:
 
 
 def rpy_from_mat(mat_nb: Floats) -> Floats:
-    """Give roll, pitch, heading of an attitude matrix; heading in (-pi, pi].
+    """Return roll, pitch, heading of an attitude matrix; heading in (-pi, pi].
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def quat_from_mat(mat: Floats) -> Floats:
 
 
 def vector_from_mat(mat: Floats) -> Floats:
-    """Give the rotation vector of matrices, the logarithm of a rotation.
+    """Return the rotation vector of matrices, the logarithm of a rotation.
 
     Parameters
     ----------

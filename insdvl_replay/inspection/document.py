@@ -136,7 +136,7 @@ def _clocks(inventory: Inventory) -> ShownTable:
 
 
 def _findings(inventory: Inventory) -> Iterator[Remark]:
-    """Say what was seen of pings and reference, every note, every obstacle, and last whether it can be replayed."""
+    """State what was seen of pings and reference, every note, every obstacle, and last whether it can be replayed."""
     if inventory.pings is not None:
         announced = sum(topic.messages for topic in inventory.topics if topic.role == "dvl")
         yield Remark(_pings(inventory.pings, announced))
@@ -220,7 +220,7 @@ def _verdict(inventory: Inventory) -> str:
 
 
 def _columns(records: Sequence[Any]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
-    """Give the names of the fields of records of one kind, and their values."""
+    """Return the names of the fields of records of one kind, and their values."""
     names = tuple(field.name for field in fields(records[0]))
     return names, [tuple(getattr(record, name) for name in names) for record in records]
 

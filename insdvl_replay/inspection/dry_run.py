@@ -175,7 +175,7 @@ class DryRun:
         self.notes += [replace(note, hint=self._hint(note.hint)) for note in kept]
 
     def _hint(self, hint: str) -> str:
-        """Give no value to copy that only the whole log shows well enough."""
+        """Return no value to copy that only the whole log shows well enough."""
         return hint if self.deep or not _MEASURED.search(hint) else _LOOK_DEEPER
 
     def _doubt(self, topic: str, error: UserError) -> None:
@@ -187,7 +187,7 @@ class DryRun:
 
 
 def _has_header(channel: LogChannel) -> bool:
-    """Tell whether a channel has messages with a stamp; what cannot be read is no matter where nobody needs it."""
+    """Return whether a channel has messages with a stamp; what cannot be read is no matter where nobody needs it."""
     try:
         check_encoding(channel)
         return channel.messages > 0 and "header.stamp" in channel_paths(channel)
@@ -213,7 +213,7 @@ def _reference_facts(reference: ReferenceColumns, imu: ImuColumns) -> ReferenceF
 
 
 def _covered_pct(time_ns: TimeNs, imu_time_ns: TimeNs) -> float:
-    """Give the part of the IMU's span that lies between the first and the last of some times."""
+    """Return the part of the IMU's span that lies between the first and the last of some times."""
     first_ns, last_ns = int(imu_time_ns[0]), int(imu_time_ns[-1])
     if not time_ns.size or last_ns == first_ns:
         return 0.0

@@ -107,7 +107,7 @@ class _Axes:
     force: str
 
     def settings(self, seen: str, open_: str, others: tuple[str, ...] = ()) -> Iterator[Setting]:
-        """Give them as settings."""
+        """Return them as settings."""
         yield Setting("imu.axes", self.rate, seen, open_, others if self.rate == self.force else ())
         if self.rate != self.force:
             yield Setting("imu.specific_force_axes", self.force, "the accelerometers show the opposite of a force")

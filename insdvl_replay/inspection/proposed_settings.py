@@ -68,7 +68,7 @@ class Setting:
         return self.key.partition(".")[2]
 
     def of(self, config: Config) -> Any:
-        """Give the value that a configuration has for this key."""
+        """Return the value that a configuration has for this key."""
         return getattr(getattr(config, self.section), self.name)
 
 
@@ -165,7 +165,7 @@ def recorder_stamps(clocks: Sequence[Clock], text: str) -> list[Setting]:
 
 
 def _clocks(log: Recording, seen: ProbedTopic) -> Iterator[tuple[Clock, str]]:
-    """Give the clocks of fields that could be stamps, the likelier first, with the unit of those that are numbers."""
+    """Return the clocks of fields that could be stamps, the likelier first, with the unit of those that are numbers."""
     times = sorted(time_paths(seen.known), key=lambda path: path != _HEADER)
     named = [path for path in seen.scalars if _NAMES.search(path.rpartition(".")[2].lower())]
     for path in (*times, *named):

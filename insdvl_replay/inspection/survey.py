@@ -26,7 +26,7 @@ from insdvl_replay.preparation.alignment import check_start
 def inspect_log(
     path: Path | Sequence[Path], config: Config, *, deep: bool = False, allow_damaged: bool = False
 ) -> Inventory:
-    """Say what a log holds and whether it can be replayed.
+    """State what a log holds and whether it can be replayed.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ def _numbers(known: Kinds) -> list[str]:
 
 
 def _children(numbers: Iterable[str]) -> dict[str, list[str]]:
-    """Give the names of the numbers in each structure that is in no list."""
+    """Return the names of the numbers in each structure that is in no list."""
     children: dict[str, list[str]] = {}
     for path in numbers:
         parent, _, child = path.rpartition(".")
@@ -97,7 +97,7 @@ def _families(single: Iterable[str]) -> Iterator[str]:
 
 
 def _siblings(path: str) -> Iterator[list[str]]:
-    """Give the names that a field and its siblings would have, were it the first of a family; longer families first."""
+    """Return the names that a field and its siblings would have, were it the first of a family; larger ones first."""
     parent, dot, name = path.rpartition(".")
     for first, *others in _FAMILIES:
         for place in re.finditer(first, name):
@@ -159,7 +159,7 @@ class Candidate:
         return ""
 
     def __str__(self) -> str:
-        """Say what was seen."""
+        """State what was seen."""
         numbers = ", ".join(f"{value:.3g}" for value in self.median)
         return f"median ({numbers}), size {self.size:.3g}, at most {self.largest:.3g}"
 
@@ -207,7 +207,7 @@ class ProbedTopic:
         return [candidate for candidate in self.candidates if not _NEVER.search(candidate.path.lower())]
 
     def likely(self, quantity: str) -> list[Candidate]:
-        """Give those that are named like a quantity, and have as many numbers as it."""
+        """Return those that are named like a quantity, and have as many numbers as it."""
         named = [candidate for candidate in self.plausible if _WORDS[quantity].search(candidate.path.lower())]
         return [candidate for candidate in named if candidate.is_beams == quantity.startswith("beam")]
 
@@ -255,7 +255,7 @@ def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
 
 
 def _first_of(block: Block) -> Block:
-    """Give a block's first messages; of images and sonar records one or two."""
+    """Return a block's first messages; of images and sonar records one or two."""
     within = int(np.searchsorted(np.cumsum(block.sizes), _LARGEST_BYTES))
     return block.part(slice(max(1, min(_MESSAGES, within))))
 

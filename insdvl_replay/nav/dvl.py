@@ -130,7 +130,7 @@ def taylor_fit(time_s: Floats, velocity: Floats, order: int, at_s: float) -> Flo
 
 
 def derivative_weights(offset_s: Floats, order: int) -> Floats:
-    """Give the weights that make derivatives out of values, ``(L' L)^-1 L'`` with ``L_jk = offset_j^k / k!``.
+    """Return the weights that make derivatives out of values, ``(L' L)^-1 L'`` with ``L_jk = offset_j^k / k!``.
 
     Parameters
     ----------

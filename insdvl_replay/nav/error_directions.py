@@ -39,7 +39,7 @@ class ErrorDirection:
     error: Floats
 
     def scaled(self, prior_sd: Floats) -> Floats:
-        """Give the direction in prior standard deviations, of unit length."""
+        """Return the direction in prior standard deviations, of unit length."""
         scaled = self.error / prior_sd
         unit: Floats = scaled / np.linalg.norm(scaled)
         return unit
@@ -142,7 +142,7 @@ def _error(**parts: Floats) -> Floats:
 
 
 def _rates_n(position: Floats, velocity_n: Floats) -> tuple[Floats, Floats]:
-    """Give the rates of the Earth, and of n against the Earth at a velocity."""
+    """Return the rates of the Earth, and of n against the Earth at a velocity."""
     latitude, height_m = float(position[0]), float(position[2])
     place = place_at(latitude, height_m)
     rate_en_n = transport_rate_n(transport_curvature(place, height_m), vector(velocity_n))

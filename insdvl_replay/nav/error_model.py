@@ -22,7 +22,7 @@ from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate, scale, 
 def error_rate(
     motion: Motion, velocity_error: Vector, misalignment: Vector, accel_bias: Vector, gyro_bias: Vector
 ) -> tuple[Vector, Vector]:
-    """Give the rates at which the errors of velocity and attitude grow, the first six rows of ``F dx``; biases stay."""
+    """Return how fast the errors of velocity and attitude grow, the first six rows of ``F dx``; biases stay."""
     coriolis = cross(velocity_error, add(motion.rate_ie_n, motion.rate_in_n))
     tilted = cross(misalignment, motion.force_n)
     velocity_error_rate = add(add(coriolis, tilted), rotate(motion.mat_nb, accel_bias))
@@ -82,7 +82,7 @@ def propagate_cov(P: Floats, motion: Motion, noise_density: Floats, dt: float) -
 
 @inlined
 def _over(motion: Motion, dt: float) -> Motion:
-    """Give what a motion comes to in an interval; since F is linear in it, the F of that is ``F dt``."""
+    """Return what a motion comes to in an interval; since F is linear in it, the F of that is ``F dt``."""
     return Motion(
         scale(dt, motion.rate_ie_n),
         scale(dt, motion.rate_in_n),
@@ -113,7 +113,7 @@ def _entries(P: Floats, first: int, apart: int) -> tuple[Vector, Vector, Vector,
 
 @inlined
 def _grown(step: Motion, dx: tuple[Vector, Vector, Vector, Vector]) -> tuple[Vector, Vector]:
-    """Give the errors of velocity and attitude after an interval, ``dx + F dt dx``."""
+    """Return the errors of velocity and attitude after an interval, ``dx + F dt dx``."""
     velocity_error_growth, misalignment_growth = error_rate(step, dx[0], dx[1], dx[2], dx[3])
     return add(dx[0], velocity_error_growth), add(dx[1], misalignment_growth)
 
@@ -141,7 +141,7 @@ def noise_density(
     accel_bias_walk_mps2_rts: float,
     gyro_bias_walk_radps_rts: float,
 ) -> Floats:
-    """Give the diagonal of the process noise's spectral density, diag(N_a^2, N_g^2, K_a^2, K_g^2).
+    """Return the diagonal of the process noise's spectral density, diag(N_a^2, N_g^2, K_a^2, K_g^2).
 
     Parameters
     ----------

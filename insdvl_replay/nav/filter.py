@@ -187,7 +187,7 @@ def _run(
 
 
 def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
-    """Give all measurements the longest window; the weights of older pings are zero."""
+    """Return all measurements the longest window; the weights of older pings are zero."""
     longest = max(measurement.velocity_weights.shape[1] for measurement in measurements)
 
     def padded(weights: Floats, width: int) -> Floats:

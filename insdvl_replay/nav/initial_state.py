@@ -42,7 +42,7 @@ class Start:
 
 
 def start_cov(sd: Floats, mat_nb: Floats, level: Level | None, velocity_by_dvl_n: Floats | None) -> Floats:
-    """Give the covariance of a start from the errors that do not depend on each other.
+    """Return the covariance of a start from the errors that do not depend on each other.
 
     Accelerometers that are biased tilt the level by exactly ``phi = (-b_e, b_n) / g``, and a velocity that the DVL
     measures in b is off by ``phi x v`` in n: what the filter finds of one it finds of the other.

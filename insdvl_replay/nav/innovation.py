@@ -70,7 +70,7 @@ class InsAtPing(NamedTuple):
 
 @inlined
 def linearise(measurement: Measurement, ping: int, ins: InsAtPing, H: Floats) -> Vector:
-    """Give the innovation of a measurement, and write its Jacobian.
+    """Return the innovation of a measurement, and write its Jacobian.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def linearise(measurement: Measurement, ping: int, ins: InsAtPing, H: Floats) ->
 
 @inlined
 def _predict_velocity(ins: InsAtPing, ping: int, H: Floats) -> Vector:
-    """Give the velocity at the DVL, C' v + w_eb x l, and write its Jacobian, [ C' | C'[v x] | 0 | -[l x] ]."""
+    """Return the velocity at the DVL, C' v + w_eb x l, and write its Jacobian, [ C' | C'[v x] | 0 | -[l x] ]."""
     mat_bn = transpose(ins.mat_nb)
     turned = compose(mat_bn, skew(ins.velocity_n))
     write_blocks((mat_bn, turned, ZERO, skew(scale(-1.0, ins.lever_arm_b))), H)
@@ -104,7 +104,7 @@ def _predict_velocity(ins: InsAtPing, ping: int, H: Floats) -> Vector:
 
 @inlined
 def _predict_specific_force(ins: InsAtPing, H: Floats) -> Vector:
-    """Give the paper's prediction, f + C' g, and write its Jacobian, [ 0 | C'[g x] | I | 0 ]."""
+    """Return the paper's prediction, f + C' g, and write its Jacobian, [ 0 | C'[g x] | I | 0 ]."""
     mat_bn, gravity_n = transpose(ins.mat_nb), (0.0, 0.0, ins.gravity)
     write_blocks((ZERO, compose(mat_bn, skew(gravity_n)), IDENTITY, ZERO), H)
     return add(ins.specific_force_b, rotate(mat_bn, gravity_n))
@@ -112,7 +112,7 @@ def _predict_specific_force(ins: InsAtPing, H: Floats) -> Vector:
 
 @inlined
 def _predict_slope(measurement: Measurement, ins: InsAtPing, ping: int, H: Floats) -> Vector:
-    """Give the slope of the DVL's velocity that the mechanisation predicts over the window, and write its Jacobian."""
+    """Return the slope of the DVL's velocity that the mechanisation predicts in the window, and write its Jacobian."""
     n = measurement.velocity_weights.shape[1]
     first, slope_b = ping - n + 1, (0.0, 0.0, 0.0)
     for j in range(max(0, -first), n):

@@ -27,7 +27,7 @@ def multiply(A: Floats, B: Floats, product: Floats) -> None:
 
 @inlined
 def innovation_cov(P: Floats, H: Floats, R: Matrix, HP: Floats) -> Matrix:
-    """Give the covariance of the innovation, ``S = H P H' + R``.
+    """Return the covariance of the innovation, ``S = H P H' + R``.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def innovation_cov(P: Floats, H: Floats, R: Matrix, HP: Floats) -> Matrix:
 
 @inlined
 def cholesky(S: Matrix) -> Matrix:
-    """Give the lower triangle L with ``L L' = S``; NaN where S is not positive definite."""
+    """Return the lower triangle L with ``L L' = S``; NaN where S is not positive definite."""
     xx = _root(S[0][0])
     yx, zx = S[1][0] / xx, S[2][0] / xx
     yy = _root(S[1][1] - yx * yx)
@@ -67,7 +67,7 @@ def _root(square: float) -> float:
 
 @inlined
 def standardised(L: Matrix, innovation: Vector) -> Vector:
-    """Give ``L^-1 z``: innovations in standard deviations, uncorrelated. The sum of their squares is NIS."""
+    """Return ``L^-1 z``: innovations in standard deviations, uncorrelated. The sum of their squares is NIS."""
     x = innovation[0] / L[0][0]
     y = (innovation[1] - L[1][0] * x) / L[1][1]
     return x, y, (innovation[2] - L[2][0] * x - L[2][1] * y) / L[2][2]

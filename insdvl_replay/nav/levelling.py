@@ -175,7 +175,7 @@ def _window(imu: ImuColumns, ping_ns: TimeNs, start_ns: int, heading: float, lat
 
 
 def _earth_rate_b(mean_force_b: Floats, heading: float, latitude: float) -> Floats:
-    """Give the Earth's rotation in b; a level that is wrong by 3 deg moves the result by 0.001 deg."""
+    """Return the Earth's rotation in b; a level that is wrong by 3 deg moves the result by 0.001 deg."""
     x, y, z = mean_force_b
     mat_nb = mat_from_rpy(np.array([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), heading]))
     rate_ie_b: Floats = earth_rate_n(latitude) @ mat_nb
@@ -183,7 +183,7 @@ def _earth_rate_b(mean_force_b: Floats, heading: float, latitude: float) -> Floa
 
 
 def _turned(rate_b: Floats, time_s: Floats) -> Floats:
-    """Give the rotation from b at each time to b at the first, shape (k, 3, 3).
+    """Return the rotation from b at each time to b at the first, shape (k, 3, 3).
 
     Products of neighbours are doubled in reach until each has all before it, in place of one after the other.
     """

@@ -71,7 +71,7 @@ def place_at(latitude: float, height_m: float) -> Place:
 
 @inlined
 def place_about(position: Vector, place: Place) -> Place:
-    """Give the place where the vehicle is now: the last one, as long as that still stands for it."""
+    """Return the place where the vehicle is now: the last one, as long as that still stands for it."""
     latitude, height_m = position[0], position[2]
     if abs(latitude - place.latitude) <= REACH_RAD and abs(height_m - place.height_m) <= REACH_M:
         return place
@@ -80,26 +80,26 @@ def place_about(position: Vector, place: Place) -> Place:
 
 @inlined
 def gravity_at(place: Place, height_m: float) -> float:
-    """Give normal gravity at a height near a place, m/s^2."""
+    """Return normal gravity at a height near a place, m/s^2."""
     return place.gravity + (height_m - place.height_m) * place.gravity_gradient
 
 
 @inlined
 def curvatures(place: Place, height_m: float) -> tuple[float, float]:
-    """Give the curvatures north-south and east-west, 1 / (R_N + h) and 1 / (R_E + h), 1/m."""
+    """Return the curvatures north-south and east-west, 1 / (R_N + h) and 1 / (R_E + h), 1/m."""
     return 1.0 / (place.meridian_radius_m + height_m), 1.0 / (place.transverse_radius_m + height_m)
 
 
 @inlined
 def transport_curvature(place: Place, height_m: float) -> Vector:
-    """Give what a velocity of 1 m/s turns n by as it moves over the curved Earth, see `transport_rate_n`."""
+    """Return what a velocity of 1 m/s turns n by as it moves over the curved Earth, see `transport_rate_n`."""
     to_north, to_east = curvatures(place, height_m)
     return to_east, to_north, to_east * place.tan_latitude
 
 
 @inlined
 def transport_rate_n(curvature: Vector, velocity_n: Vector) -> Vector:
-    """Give the rate w_en at which n turns because the vehicle moves over the curved Earth."""
+    """Return the rate w_en at which n turns because the vehicle moves over the curved Earth."""
     return velocity_n[1] * curvature[0], -velocity_n[0] * curvature[1], -velocity_n[1] * curvature[2]
 
 

@@ -55,7 +55,7 @@ class Measurement(NamedTuple):
 
 
 def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, of_one_beam: bool = False) -> Floats:
-    """Give the covariance of each DVL velocity.
+    """Return the covariance of each DVL velocity.
 
     Noise of one beam goes through the least squares. Else each axis of a velocity from all beams has ``sd_mps``, and a
     velocity from fewer beams is worse by as much as the least squares says.

@@ -165,7 +165,7 @@ def _walk(timeline: Timeline, nominal: _States, noise_density: Floats, earth_rat
 
 @inlined
 def _on_a_resting_earth(motion: Motion, velocity_n: Vector) -> Motion:
-    """Give the motion with the specific force that the same way would take on an Earth that is flat and at rest."""
+    """Return the motion with the specific force that the same way would take on an Earth that is flat and at rest."""
     coriolis_n = cross(add(motion.rate_ie_n, motion.rate_in_n), velocity_n)
     still = (0.0, 0.0, 0.0)
     return Motion(still, still, subtract(motion.force_n, coriolis_n), motion.mat_nb, still)

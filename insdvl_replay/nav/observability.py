@@ -52,7 +52,7 @@ def whitened_rows(pings: NominalPings, measurement: Measurement, lever_arm_b: Fl
 
 
 def jacobians(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats) -> Floats:
-    """Give the H of a measurement at every ping.
+    """Return the H of a measurement at every ping.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Observability:
         return self.directions[self.rank :]
 
     def response(self, direction: Floats) -> float:
-        """Give the signal to noise with which the measurements see an error in a direction.
+        """Return the signal to noise with which the measurements see an error in a direction.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class Observability:
         return float(np.linalg.norm(self.singular_values * (self.directions @ direction)))
 
     def left(self) -> Floats:
-        """Give the share of each state's prior standard deviation at the start that is left without process noise.
+        """Return the share of each state's prior standard deviation at the start that is left without process noise.
 
         Returns
         -------

@@ -53,7 +53,7 @@ class Gaps:
         return self.where((self.start_ns < end_ns) & (self.end_ns > start_ns))
 
     def overlap(self, from_ns: TimeNs, to_ns: TimeNs) -> NDArray[np.bool_]:
-        """Tell which of some intervals hold part of a gap; an interval of no length, whether it lies inside one.
+        """Find which of some intervals hold part of a gap; an interval of no length, whether it lies inside one.
 
         Parameters
         ----------
@@ -69,13 +69,13 @@ class Gaps:
         return np.asarray(begun > over)
 
     def after(self, time_ns: TimeNs) -> NDArray[np.int64]:
-        """Give the row of the gap that lies after each of some times, -1 for none; shape as the times."""
+        """Return the row of the gap that lies after each of some times, -1 for none; shape as the times."""
         row = np.searchsorted(self.start_ns, time_ns, side="right") - 1
         over = np.searchsorted(self.end_ns, time_ns, side="right") - 1
         return np.where(row > over, row, -1)
 
     def node_ns(self) -> TimeNs:
-        """Give the times at which a time line needs nodes: both ends of each gap and some between, shape (n,)."""
+        """Return the times at which a time line needs nodes: both ends of each gap and some between, shape (n,)."""
         steps = np.ceil(self.length_s / BRIDGE_STEP_S).astype(np.int64)
         nodes = [
             start + np.linspace(0, end - start, int(count) + 1, dtype=np.int64)  # times since 1970 are no floats
@@ -84,7 +84,7 @@ class Gaps:
         return np.concatenate([np.empty(0, np.int64), *nodes])
 
     def longest_stretch(self, start_ns: int, end_ns: int) -> tuple[int, int]:
-        """Give the longest part of a span that has no gap.
+        """Return the longest part of a span that has no gap.
 
         Returns
         -------
@@ -207,20 +207,20 @@ def _inside(time_ns: TimeNs, ends_ns: TimeNs) -> TimeNs:
 
 
 def _row_at(event_ns: TimeNs, time_ns: TimeNs) -> NDArray[np.int64]:
-    """Give the row that each event has among other times, which are all events; -1 for none."""
+    """Return the row that each event has among other times, which are all events; -1 for none."""
     row = np.full(len(event_ns), -1)
     row[np.searchsorted(event_ns, time_ns)] = np.arange(len(time_ns))
     return row
 
 
 def _for_the_loop(column: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Give a column as the loop is compiled for; only a strided one, or one that cannot be written to, is copied."""
+    """Return a column as the loop is compiled for; only a strided one, or one that cannot be written to, is copied."""
     return np.require(column, requirements=["C", "W"])
 
 
 @inlined
 def first_node(timeline: Timeline) -> Node:
-    """Give the node at the start."""
+    """Return the node at the start."""
     return _node(timeline, timeline.event_ns[0], 0, 0)
 
 
@@ -234,13 +234,13 @@ def next_node(timeline: Timeline, before: Node) -> Node:
 
 @inlined
 def is_last(timeline: Timeline, node: Node) -> bool:
-    """Tell whether a node is the end of the time line."""
+    """Return whether a node is the end of the time line."""
     return node.event == len(timeline.event_ns) - 1
 
 
 @inlined
 def is_event(timeline: Timeline, node: Node) -> bool:
-    """Tell whether a node is an event, and not a sample alone."""
+    """Return whether a node is an event, and not a sample alone."""
     here: bool = node.time_ns == timeline.event_ns[node.event]
     return here
 
@@ -280,5 +280,5 @@ def _on_the_line(before: Vector, after: Vector, into_s: float, step_s: float) ->
 
 @inlined
 def mean(one: Vector, other: Vector) -> Vector:
-    """Give the mean of a reading over an interval, from those at its ends."""
+    """Return the mean of a reading over an interval, from those at its ends."""
     return scale(0.5, add(one, other))

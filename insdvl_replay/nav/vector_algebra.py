@@ -77,80 +77,80 @@ def write_blocks(blocks: tuple[Matrix, ...], array: Floats) -> None:
 
 @inlined
 def add(a: Vector, b: Vector) -> Vector:
-    """Give ``a + b``."""
+    """Return ``a + b``."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @inlined
 def subtract(a: Vector, b: Vector) -> Vector:
-    """Give ``a - b``."""
+    """Return ``a - b``."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @inlined
 def scale(factor: float, a: Vector) -> Vector:
-    """Give ``factor a``."""
+    """Return ``factor a``."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
 @inlined
 def dot(a: Vector, b: Vector) -> float:
-    """Give the scalar product."""
+    """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @inlined
 def cross(a: Vector, b: Vector) -> Vector:
-    """Give ``a x b``."""
+    """Return ``a x b``."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @inlined
 def skew(a: Vector) -> Matrix:
-    """Give ``[a x]``, the matrix with which ``[a x] b`` is the cross product."""
+    """Return ``[a x]``, the matrix with which ``[a x] b`` is the cross product."""
     return (0.0, -a[2], a[1]), (a[2], 0.0, -a[0]), (-a[1], a[0], 0.0)
 
 
 @inlined
 def transpose(mat: Matrix) -> Matrix:
-    """Give the rows as columns; of a rotation, its inverse."""
+    """Return the rows as columns; of a rotation, its inverse."""
     return (mat[0][0], mat[1][0], mat[2][0]), (mat[0][1], mat[1][1], mat[2][1]), (mat[0][2], mat[1][2], mat[2][2])
 
 
 @inlined
 def rotate(mat: Matrix, a: Vector) -> Vector:
-    """Give ``mat @ a``."""
+    """Return ``mat @ a``."""
     return dot(mat[0], a), dot(mat[1], a), dot(mat[2], a)
 
 
 @inlined
 def rotate_back(mat: Matrix, a: Vector) -> Vector:
-    """Give ``mat.T @ a``."""
+    """Return ``mat.T @ a``."""
     return rotate(transpose(mat), a)
 
 
 @inlined
 def compose(mat_ab: Matrix, mat_bc: Matrix) -> Matrix:
-    """Give ``mat_ac = mat_ab @ mat_bc``."""
+    """Return ``mat_ac = mat_ab @ mat_bc``."""
     columns = transpose(mat_bc)
     return rotate(columns, mat_ab[0]), rotate(columns, mat_ab[1]), rotate(columns, mat_ab[2])
 
 
 @inlined
 def add_matrices(one: Matrix, other: Matrix) -> Matrix:
-    """Give the sum."""
+    """Return the sum."""
     return add(one[0], other[0]), add(one[1], other[1]), add(one[2], other[2])
 
 
 @inlined
 def scale_matrix(factor: float, mat: Matrix) -> Matrix:
-    """Give ``factor mat``."""
+    """Return ``factor mat``."""
     return scale(factor, mat[0]), scale(factor, mat[1]), scale(factor, mat[2])
 
 
 @inlined
 def rotation_from_vector(rotation: Vector) -> Matrix:
-    """Give the rotation matrix exp([rotation x]) by Rodrigues' formula.
+    """Return the rotation matrix exp([rotation x]) by Rodrigues' formula.
 
     Below 0.01 rad the sine and cosine are replaced by their series, which there are exact to the last bit but one.
 

@@ -142,7 +142,7 @@ def _configured_heading_deg(initial: Initial) -> float:
 
 
 def initial_sd(initial: Initial) -> Floats:
-    """Give the initial standard deviations of the 12 error states.
+    """Return the initial standard deviations of the 12 error states.
 
     Returns
     -------
@@ -214,7 +214,7 @@ def _heading_notes(reference: ReferenceColumns | None, mat_nb: Floats, start_ns:
 
 
 def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:
-    """Tell roll and pitch with their standard deviations, about the vehicle's level forward and starboard axes."""
+    """State roll and pitch with their standard deviations, about the vehicle's level forward and starboard axes."""
     roll_deg, pitch_deg, heading_deg = rpy_from_mat(mat_nb) / DEG
     level_axes = mat_from_rpy(np.array([0.0, 0.0, heading_deg * DEG]))
     roll_sd_deg, pitch_sd_deg, _ = np.sqrt(np.diagonal(level_axes.T @ cov[PHI, PHI] @ level_axes)) / DEG
@@ -249,7 +249,7 @@ def _dvl_velocity(
     start_ns: int,
     position: Floats,
 ) -> tuple[Floats, Note]:
-    """Give the IMU's velocity in b, of the nearest ping; after levelling, of the first, and carried to the start."""
+    """Return the IMU's velocity in b, of the nearest ping; after levelling, of the first, and carried to the start."""
     if level is not None and level.pings:
         away_s = seconds(velocities.time_ns[velocities.time_ns >= start_ns][:1], start_ns)[0]
         return level.velocity_b, _dvl_note(away_s)

@@ -43,7 +43,7 @@ def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
 
 
 def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats) -> Floats:
-    """Give the covariance of ``w x l`` at pings inside a gap, where the turn rate is unknown; zero elsewhere.
+    """Return the covariance of ``w x l`` at pings inside a gap, where the turn rate is unknown; zero elsewhere.
 
     Parameters
     ----------
@@ -83,12 +83,12 @@ def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int
 
 
 def _turns_unseen_rad(gaps: Gaps) -> Floats:
-    """Give the deviation of what a vehicle may have turned in each gap."""
+    """Return the deviation of what a vehicle may have turned in each gap."""
     return np.asarray(gaps.rate_sd_radps * gaps.length_s)
 
 
 def _split_note(gaps: Gaps, imu: Imu, span_ns: tuple[int, int], kept_ns: tuple[int, int], origin_ns: int) -> Note:
-    """Say what is left of a dive that is split, and which setting bridges its gaps."""
+    """State what is left of a dive that is split, and which setting bridges its gaps."""
     from_s, to_s = ((time_ns - origin_ns) * 1e-9 for time_ns in kept_ns)
     left_out_s = (span_ns[1] - span_ns[0] - kept_ns[1] + kept_ns[0]) * 1e-9
     hint, why = "--set imu.long_gaps=grow bridges those in which the attitude is not lost", ""
@@ -118,7 +118,7 @@ _HINT: Final = "--start and --end leave it out"
 
 
 def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> tuple[Note, ...]:
-    """Say of long outages that gravity is held in them, and beyond which length standard deviations do not hold.
+    """State of long outages that gravity is held in them, and beyond which length standard deviations do not hold.
 
     Parameters
     ----------

@@ -136,7 +136,7 @@ def _velocities(dive: Dive, mounting: DvlMounting, limit_mps: float | None) -> t
 
 
 def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, int]:
-    """Give the span that the IMU covers, the DVL reaches and the configuration wants."""
+    """Return the span that the IMU covers, the DVL reaches and the configuration wants."""
     first_ns, last_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
     start_s, end_s = config.span.start_s, config.span.end_s
     start_ns = first_ns if start_s is None else max(first_ns, first_ns + nanoseconds(start_s))

@@ -61,7 +61,7 @@ def _far_notes(quantity: str, time_ns: TimeNs, values: Floats, start_ns: int) ->
 
 
 def _latitude_notes(initial: Initial, latitude_deg: float) -> list[Note]:
-    """Say that a latitude is configured in vain, where it is another than the reference's."""
+    """State that a latitude is configured in vain, where it is another than the reference's."""
     if initial.latitude_deg is None or abs(initial.latitude_deg - latitude_deg) <= CONTRADICTION_DEG:
         return []
     text = (
@@ -73,7 +73,7 @@ def _latitude_notes(initial: Initial, latitude_deg: float) -> list[Note]:
 
 
 def configured_latitude_deg(initial: Initial) -> float:
-    """Give the configured latitude, deg."""
+    """Return the configured latitude, deg."""
     if initial.latitude_deg is None:
         raise ConfigError(
             "the latitude is needed for gravity and Earth rate, and no reference gives it",
@@ -83,7 +83,7 @@ def configured_latitude_deg(initial: Initial) -> float:
 
 
 def apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
-    """Give the seconds from each time to the nearest finite row of values.
+    """Return the seconds from each time to the nearest finite row of values.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ def _cell(value: object) -> object:
 
 
 def _is_number(text: str) -> bool:
-    """Tell whether a text is a number, as values of settings are."""
+    """Return whether a text is a number, as values of settings are."""
     try:
         float(text)
     except ValueError:

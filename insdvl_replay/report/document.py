@@ -76,7 +76,7 @@ def table_of(title: str, rows: Sequence[Row], columns: Sequence[Column[Row]], fo
 
 
 def cell_lines(cell: CellText) -> list[str]:
-    """Give the lines of a cell as they can be shown anywhere."""
+    """Return the lines of a cell as they can be shown anywhere."""
     return [visible(line) for line in ([cell] if isinstance(cell, str) else cell)]
 
 
@@ -224,7 +224,7 @@ def parts_for(format_: Format, document: Document) -> Iterator[Part]:
 
 
 def losses(notes: Iterable[Note]) -> ShownTable | str:
-    """Say with counts what was dropped, assumed or found odd."""
+    """State with counts what was dropped, assumed or found odd."""
     rows = tuple((str(note.count), note.severity, f"{note.text} [{note.code}]", note.hint) for note in notes)
     if not rows:
         return "Nothing."

@@ -69,7 +69,7 @@ def page(document: Document, script: str = "") -> bytes:
 
 
 def is_page(data: bytes) -> bool:
-    """Say whether a file is a page of ours."""
+    """Return whether a file is a page of ours."""
     return _SIGNATURE.encode() in data[:1000]
 
 

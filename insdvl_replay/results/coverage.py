@@ -43,7 +43,7 @@ def coverage_strips(sources: Sequence[Source], clock: Clock) -> str:
 
 
 def covered_shares(source: Source, start_ns: int, end_ns: int, columns: int = _COLUMNS) -> Floats:
-    """Give the share of each column of a span that valid samples cover.
+    """Return the share of each column of a span that valid samples cover.
 
     Returns
     -------

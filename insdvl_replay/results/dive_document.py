@@ -100,7 +100,7 @@ def report_csv(report: Report) -> str:
 
 
 def heading(report: Report) -> str:
-    """Say in one line what was replayed, and what has become of each believed improvement."""
+    """State in one line what was replayed, and what has become of each believed improvement."""
     return "; ".join([_replayed(report), *(f"{name}: {_in_short(found)}" for name, found in report.filters.items())])
 
 
@@ -117,7 +117,7 @@ def _in_short(candidate: Candidate) -> str:
 
 
 def closing_lines(report: Report) -> tuple[str, ...]:
-    """Say for each candidate what its mean improvement is, and whose opinion that is."""
+    """State for each candidate what its mean improvement is, and whose opinion that is."""
     return tuple(
         f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (believed by the filter's "
         "own covariance; see reference error and consistency), "

@@ -132,7 +132,7 @@ def _sources(dive: Dive) -> Iterator[Source]:
 
 
 def _reference_sources(reference: ReferenceColumns) -> Iterator[Source]:
-    """Give the reference as one where it tells all that it ever tells in each row, else each quantity by itself."""
+    """Return the reference as one where it tells all that it ever tells in each row, else each quantity by itself."""
     known = {quantity: rows for quantity, rows in reference.known.items() if rows.any()}
     if all(rows.all() for rows in known.values()):
         known = {"": np.ones(len(reference.time_ns), dtype=bool)}

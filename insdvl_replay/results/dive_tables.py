@@ -135,7 +135,7 @@ def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]
 
 
 def _not_compared(rows: Sequence[ReferenceErrorRow]) -> str:
-    """Say why numbers are missing or mean nothing; the word alone where it holds for all rows."""
+    """State why numbers are missing or mean nothing; the word alone where it holds for all rows."""
     quantities: dict[str, list[str]] = {}
     for row in rows:
         quantities.setdefault(row.status, []).append(row_label(row.quantity))

@@ -56,11 +56,11 @@ class Clock:
         return f"time [{self._unit[1]}]"
 
     def time(self, time_ns: TimeNs) -> Floats:
-        """Give times since the start in the axis's unit, shape (k,)."""
+        """Return times since the start in the axis's unit, shape (k,)."""
         return seconds(time_ns, self.start_ns) / self._unit[0]
 
     def settled(self, time_ns: TimeNs) -> NDArray[np.bool_]:
-        """Tell which times lie behind the settling at the start, shape (k,)."""
+        """Find which times lie behind the settling at the start, shape (k,)."""
         settled: NDArray[np.bool_] = time_ns - self.start_ns >= SETTLED * (self.end_ns - self.start_ns)
         return settled
 
@@ -71,7 +71,7 @@ class Clock:
 
 
 def settled_height(values: Floats) -> float:
-    """Give the height that a panel needs for values behind the settling: short peaks may rise above it.
+    """Return the height that a panel needs for values behind the settling: short peaks may rise above it.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def settled_height(values: Floats) -> float:
 
 
 def filter_legend(names: list[str]) -> tuple[tuple[str, str], ...]:
-    """Give each filter's style and name."""
+    """Return each filter's style and name."""
     return tuple((filter_style(number), name) for number, name in enumerate(names))
 
 
@@ -116,7 +116,7 @@ def _sigma_panel(state: State, histories: Sequence[History], clock: Clock) -> Pa
 
 
 def _told(history: History) -> NDArray[np.bool_]:
-    """Tell which rows show what a filter has learnt: those with a ping, and those that wait long for one.
+    """Find which rows show what a filter has learnt: those with a ping, and those that wait long for one.
 
     Between two pings an uncertainty grows. A curve through all rows would be a broad stroke of that growth.
     """
@@ -128,7 +128,7 @@ def _told(history: History) -> NDArray[np.bool_]:
 
 
 def _last_ping_ns(history: History) -> TimeNs:
-    """Give the time of the last ping before or at each row, or of the start."""
+    """Return the time of the last ping before or at each row, or of the start."""
     rows = np.where(history.updated, np.arange(len(history.time_ns)), 0)
     return history.time_ns[np.maximum.accumulate(rows)]
 

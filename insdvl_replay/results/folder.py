@@ -100,7 +100,7 @@ def trajectory_file(name: str) -> str:
 
 @contextmanager
 def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
-    """Give a new folder to write into, which becomes the target when the block ends without an exception.
+    """Return a new folder to write into, which becomes the target when the block ends without an exception.
 
     On any exception, an interruption included, nothing of it remains, and an older result stays as it was. The report
     in it is made to list its files.
@@ -135,7 +135,7 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
-    """Give a path to write to, which becomes the target when the block ends without an exception.
+    """Return a path to write to, which becomes the target when the block ends without an exception.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def refuse_existing_folder(target: Path, *, force: bool = False) -> None:
 
 
 def is_result(folder: Path) -> bool:
-    """Say whether a folder holds a result, so that the replay in it is no dive.
+    """Return whether a folder holds a result, so that the replay in it is no dive.
 
     Returns
     -------
@@ -230,7 +230,7 @@ def refuse_existing_file(target: Path, *, force: bool = False) -> None:
 
 @contextmanager
 def _copied_into(target: Path) -> Iterator[Path]:
-    """Give a path to write to, whose bytes go into what is there already when the block ends without an exception."""
+    """Return a path to write to, whose bytes go into what is there already when the block ends without an exception."""
     try:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / target.name

@@ -102,7 +102,7 @@ def build_report(
 
 @cache
 def package_versions() -> dict[str, str]:
-    """Give the versions of Python and of the packages that may move a number."""
+    """Return the versions of Python and of the packages that may move a number."""
     return {"python": platform.python_version()} | {name: version(name) for name in NUMERICAL_PACKAGES}
 
 

@@ -54,7 +54,7 @@ def summary_csv(outcomes: Sequence[Report | Failure]) -> bytes:
 
 
 def is_summary(data: bytes) -> bool:
-    """Say whether a file is a summary."""
+    """Return whether a file is a summary."""
     return data.startswith(rows_csv(COLUMNS, ()).encode())
 
 
@@ -79,7 +79,7 @@ def _summary_rows(outcome: Report | Failure) -> Iterator[tuple[object, ...]]:
 
 
 def position_rmse(report: Report, name: str, quantity: str) -> tuple[float | None, float | None]:
-    """Give the baseline's and a candidate's rms position error."""
+    """Return the baseline's and a candidate's rms position error."""
     for row in report.tables.reference_error:
         if (row.filter, row.quantity) == (name, quantity):
             return row.baseline_rmse, row.rmse
@@ -122,7 +122,7 @@ def index_page(outcomes: Sequence[Report | Failure]) -> bytes:
 
 
 def _opening(outcomes: Sequence[Report | Failure]) -> Iterator[Lead]:
-    """Say of how many candidates the improvement is borne out."""
+    """State of how many candidates the improvement is borne out."""
     reports = [outcome for outcome in outcomes if isinstance(outcome, Report)]
     counts = Counter(candidate.improvement for report in reports for candidate in report.filters.values())
     if counts:
@@ -131,7 +131,7 @@ def _opening(outcomes: Sequence[Report | Failure]) -> Iterator[Lead]:
 
 
 def _index_rows(outcome: Report | Failure) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Give the cells of each row, and where it leads."""
+    """Return the cells of each row, and where it leads."""
     if isinstance(outcome, Failure):
         yield (outcome.log, *[MISSING] * 9, outcome.reason), ""
         return

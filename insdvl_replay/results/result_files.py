@@ -116,7 +116,7 @@ def save_replay(replay: Replay, folder: Path) -> None:
 
 
 def _measured(histories: tuple[History, ...]) -> dict[str, tuple[TimeNs, Floats]]:
-    """Give the DVL's velocity and derived acceleration as the first filter that is aided by each met them."""
+    """Return the DVL's velocity and derived acceleration as the first filter that is aided by each met them."""
     measured: dict[str, tuple[TimeNs, Floats]] = {}
     for history in histories:
         for innovations in history.innovations:

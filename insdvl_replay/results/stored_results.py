@@ -60,7 +60,7 @@ def _below(folder: Path, root: Path) -> str:
 
 
 def _report_files(root: Path) -> Iterator[Path]:
-    """Give the report of each result; folders whose name begins with a dot are results that are still written."""
+    """Return the report of each result; folders whose name begins with a dot are results that are still written."""
     with looked_for(root):
         if not root.exists():
             raise ConfigError(f"{root}: does not exist", "name a result folder, a report.json or a folder of results")

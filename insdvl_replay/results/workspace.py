@@ -58,7 +58,7 @@ def open_in_place(target: Path) -> BinaryIO:
 
 
 def _descriptor(target: Path) -> int | None:
-    """Give the number of the descriptor of this process that a path stands for, as ``/dev/stdout`` does for 1."""
+    """Return the number of the descriptor of this process that a path stands for, as ``/dev/stdout`` does for 1."""
     own = {Path("/dev/fd").resolve(), Path("/proc/self/fd").resolve()}
     while True:
         folder = target.parent.resolve()
@@ -82,7 +82,7 @@ _NO_LOCKS: Final = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 @contextmanager
 def workspace_beside(target: Path) -> Iterator[Path]:
-    """Give a hidden folder beside the target, on the same file system, and remove it with all it then holds.
+    """Return a hidden folder beside the target, on the same file system, and remove it with all it then holds.
 
     What killed runs left in the same place is cleared first.
     """

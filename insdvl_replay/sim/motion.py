@@ -67,7 +67,7 @@ class Course:
         self._way = _Way.of_velocity(knots_s, turned(mat_nb, scenario.velocity_b(knots_s)))
 
     def at(self, time_s: Floats) -> Motion:
-        """Give the motion at any times up to the course's end.
+        """Return the motion at any times up to the course's end.
 
         Implements ``f_b = C'(v' - g + (2 w_ie + w_en) x v)`` and ``w_b = w_nb + C'(w_ie + w_en)`` with
         ``v' = C (w_nb x v_b + v_b')``; see equations/mechanisation.md.
@@ -121,7 +121,7 @@ class _Way:
         return cls(knots_s, position, _Place(position).position_rate(velocity_n))
 
     def position(self, time_s: Floats) -> Floats:
-        """Give the position at times of shape (k,)."""
+        """Return the position at times of shape (k,)."""
         left = np.clip(np.searchsorted(self.knots_s, time_s, side="right") - 1, 0, len(self.knots_s) - 2)
         right = left + 1
         step_s = (self.knots_s[right] - self.knots_s[left])[:, None]
@@ -141,23 +141,23 @@ class _Place:
         self._sin2, self._height_m = self._sine * self._sine, position[:, 2]
 
     def position_rate(self, velocity_n: Floats) -> Floats:
-        """Give the rates of latitude, longitude and height."""
+        """Return the rates of latitude, longitude and height."""
         north_mps, east_mps, down_mps = velocity_n.T
         latitude_rate = north_mps / (meridian_radius_of(self._sin2) + self._height_m)
         longitude_rate = east_mps / ((transverse_radius_of(self._sin2) + self._height_m) * self._cosine)
         return np.stack([latitude_rate, longitude_rate, -down_mps], axis=-1)
 
     def gravity(self) -> Floats:
-        """Give the magnitude of gravity."""
+        """Return the magnitude of gravity."""
         gravity: Floats = gravity_of(self._sin2, self._height_m)
         return gravity
 
     def earth_rate_n(self) -> Floats:
-        """Give the rotation rate of the Earth."""
+        """Return the rotation rate of the Earth."""
         return np.stack(np.broadcast_arrays(*earth_rate_of(self._sine, self._cosine)), axis=-1)
 
     def transport_rate_n(self, velocity_n: Floats) -> Floats:
-        """Give the turn rate of north-east-down against the Earth as the vehicle moves on."""
+        """Return the turn rate of north-east-down against the Earth as the vehicle moves on."""
         north = velocity_n[:, 1] / (transverse_radius_of(self._sin2) + self._height_m)
         east = -velocity_n[:, 0] / (meridian_radius_of(self._sin2) + self._height_m)
         return np.stack([north, east, -north * self._sine / self._cosine], axis=-1)

@@ -177,7 +177,7 @@ class LostBeam:
 
 
 def beam_vectors_d() -> Floats:
-    """Give the unit vectors of a Janus of four beams, from the instrument towards the seabed.
+    """Return the unit vectors of a Janus of four beams, from the instrument towards the seabed.
 
     They are rounded to twelve digits, so that no machine's last bit of a sine shows in a log.
 

@@ -23,7 +23,7 @@ _COSINE_ORDERS: Final = range(16, 0, -2)
 
 
 def sine_and_cosine(angle: Floats) -> tuple[Floats, Floats]:
-    """Give sine and cosine, within one unit of the last bit of 1.
+    """Return sine and cosine, within one unit of the last bit of 1.
 
     Parameters
     ----------
@@ -78,12 +78,12 @@ class Wave:
     period_s: float = 60.0
 
     def value(self, time_s: Floats) -> Floats:
-        """Give the quantity at times of shape (k,)."""
+        """Return the quantity at times of shape (k,)."""
         sine, _ = sine_and_cosine(2.0 * np.pi * time_s / self.period_s)
         return self.mean + self.amplitude * sine
 
     def rate(self, time_s: Floats) -> Floats:
-        """Give its derivative, per second, at times of shape (k,)."""
+        """Return its derivative, per second, at times of shape (k,)."""
         frequency = 2.0 * np.pi / self.period_s
         _, cosine = sine_and_cosine(frequency * time_s)
         return self.amplitude * frequency * cosine
@@ -113,13 +113,13 @@ class Segment:
         return self.turn_deg * DEG / (self.duration_s - RAMP_S)
 
     def heading_change(self, time_s: Floats) -> Floats:
-        """Give the change of heading, rad, at seconds from the segment's start, shape (k,)."""
+        """Return the change of heading, rad, at seconds from the segment's start, shape (k,)."""
         fall_s = time_s - (self.duration_s - RAMP_S)
         change: Floats = self.peak_rate * RAMP_S * (_ramp_area(time_s / RAMP_S) - _ramp_area(fall_s / RAMP_S))
         return change
 
     def heading_rate(self, time_s: Floats) -> Floats:
-        """Give the turn rate, rad/s, at seconds from the segment's start, shape (k,)."""
+        """Return the turn rate, rad/s, at seconds from the segment's start, shape (k,)."""
         fall_s = time_s - (self.duration_s - RAMP_S)
         rate: Floats = self.peak_rate * (_ramp(time_s / RAMP_S) - _ramp(fall_s / RAMP_S))
         return rate
@@ -179,25 +179,25 @@ class Scenario:
         ]
 
     def rpy(self, time_s: Floats) -> Floats:
-        """Give roll, pitch and heading, rad, shape (k, 3); the heading is not wrapped."""
+        """Return roll, pitch and heading, rad, shape (k, 3); the heading is not wrapped."""
         heading = np.full_like(time_s, HEADING_DEG * DEG)
         for segment, since_s in self._turns(time_s):
             heading += segment.heading_change(since_s)
         return np.stack([self.roll_deg.value(time_s) * DEG, self.pitch_deg.value(time_s) * DEG, heading], axis=-1)
 
     def rpy_rate(self, time_s: Floats) -> Floats:
-        """Give the derivatives of roll, pitch and heading, rad/s, shape (k, 3)."""
+        """Return the derivatives of roll, pitch and heading, rad/s, shape (k, 3)."""
         heading_rate = np.zeros_like(time_s)
         for segment, since_s in self._turns(time_s):
             heading_rate += segment.heading_rate(since_s)
         return np.stack([self.roll_deg.rate(time_s) * DEG, self.pitch_deg.rate(time_s) * DEG, heading_rate], axis=-1)
 
     def velocity_b(self, time_s: Floats) -> Floats:
-        """Give the velocity over ground in b, m/s, shape (k, 3)."""
+        """Return the velocity over ground in b, m/s, shape (k, 3)."""
         return _forward(self.speed_mps.value(time_s))
 
     def velocity_rate_b(self, time_s: Floats) -> Floats:
-        """Give the derivative of the components of `velocity_b`, m/s^2, shape (k, 3)."""
+        """Return the derivative of the components of `velocity_b`, m/s^2, shape (k, 3)."""
         return _forward(self.speed_mps.rate(time_s))
 
 

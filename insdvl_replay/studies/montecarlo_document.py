@@ -21,7 +21,7 @@ FAR_ABOVE: Final = 10.0
 
 
 def montecarlo_sentences(tables: Mapping[str, pd.DataFrame]) -> tuple[str, ...]:
-    """Say of each filter whether it is as good as it says, and of each candidate whether it is better."""
+    """State of each filter whether it is as good as it says, and of each candidate whether it is better."""
     verdicts = [_verdict(row) for row in tables["verdicts"].itertuples()]
     baseline, *candidates = tables["verdicts"]["filter"]
     return (*verdicts, *(_improvement(tables["montecarlo"], name, baseline) for name in candidates))
@@ -117,7 +117,7 @@ def _outages(table: pd.DataFrame) -> ShownTable:
 
 
 def run_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """Say of each filter what its NEES was in one run."""
+    """State of each filter what its NEES was in one run."""
     return tuple(
         f"{row['filter']}: NEES {row['mean_nees']:.4g} in the mean over the pings, {row['final_nees']:.4g} at the end "
         f"({len(STATES)} expected)"

@@ -24,7 +24,7 @@ _GROWN_PCT: Final = 101.0
 
 
 def observability_sentences(tables: Mapping[str, pd.DataFrame], tolerance: float) -> tuple[str, ...]:
-    """Say for each aiding what its rank is, which directions it cannot see, and which states it lets grow uncertain."""
+    """State for each aiding its rank, which directions it cannot see, and which states it lets grow uncertain."""
     directions = tables["directions"]
     unseen = directions[directions["status"] == DirectionStatus.UNOBSERVABLE].groupby("aiding")["label"].agg(list)
     sentences = [_rank_sentence(row, unseen.get(row["aiding"], [])) for row in tables["ranks"].to_dict("records")]

@@ -81,7 +81,7 @@ def matched_errors(config: Config) -> tuple[ImuErrors, DvlErrors]:
 
 
 def run_seed(seed: int, run: int) -> int:
-    """Give the seed of one run, from which it can be repeated without the others."""
+    """Return the seed of one run, from which it can be repeated without the others."""
     return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1)[0])
 
 

@@ -171,7 +171,7 @@ def _max_gap_s(config: Config) -> float:
 def _expected(
     windows: dict[int, SlopeWindows], velocities: DvlVelocities, reference: ReferenceColumns, max_gap_s: float
 ) -> dict[tuple[str, int], Floats]:
-    """Give the reference's acceleration at the middle and at the end of each window, by place and size."""
+    """Return the reference's acceleration at the middle and at the end of each window, by place and size."""
     acceleration_b = reference_acceleration(reference, max_gap_s)
     middle_ns = {
         n: velocities.time_ns[:1] + np.round(window.middle_s * 1e9).astype(np.int64) for n, window in windows.items()
@@ -184,7 +184,7 @@ def _expected(
 
 
 def _across_gaps(gaps: Gaps, velocities: DvlVelocities, longest: int) -> NDArray[np.bool_]:
-    """Tell which pings end a window over a long gap of the IMU, in which nothing is known of the lever arm's swing."""
+    """Find which pings end a window over a long gap of the IMU, in which nothing is known of the lever arm's swing."""
     first = np.maximum(np.arange(len(velocities.time_ns)) - longest + 1, 0)
     return gaps.overlap(velocities.time_ns[first], velocities.time_ns)
 

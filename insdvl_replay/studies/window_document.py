@@ -23,7 +23,7 @@ _ALONE: Final = "zero"
 
 
 def window_sentences(best: pd.DataFrame, differentiated_over_s: Sequence[float]) -> tuple[str, ...]:
-    """Say which window is best, at its middle and at its end, and how fine the reference is that says so."""
+    """State which window is best, at its middle and at its end, and how fine the reference is that says so."""
     told = best[best["log"] == best["log"].iloc[0]]
     optima = [_optimum(rows.set_index("at")) for _, rows in told.groupby("lever_arm", sort=False)]
     shortest_s, longest_s = min(differentiated_over_s), max(differentiated_over_s)

@@ -21,12 +21,12 @@ MOST: Final = 0.5
 
 
 def is_few(count: int, size: int) -> bool:
-    """Tell whether faults are single ones: one, or a small share of all."""
+    """Return whether faults are single ones: one, or a small share of all."""
     return count <= max(1.0, FEW * size)
 
 
 def same_rows(rows: Floats, others: Floats) -> Mask:
-    """Tell which rows are identical, where NaN is the same as NaN."""
+    """Find which rows are identical, where NaN is the same as NaN."""
     return np.asarray(((rows == others) | (np.isnan(rows) & np.isnan(others))).all(axis=1))
 
 
@@ -86,7 +86,7 @@ class Cleaner:
         return f'{self.role}.stamp = "field.path" names the time of the sensor itself, if the messages hold it'
 
     def kept(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Give the rows that stay, in the order of time.
+        """Return the rows that stay, in the order of time.
 
         Parameters
         ----------

@@ -108,7 +108,7 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
 
 
 def stamp_unit(values: NDArray[Any], log_time_ns: TimeNs) -> tuple[int, str]:
-    """Tell in which unit a stamp that is a mere number counts.
+    """Find in which unit a stamp that is a mere number counts.
 
     They tell it by how far they run while the recorder's clock runs on, which holds for the time since power-up too.
     Where the recorder's clock does not keep step with them, because the log was written later, their size has to do:

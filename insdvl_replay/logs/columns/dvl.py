@@ -28,7 +28,7 @@ _HINT: Final = "dvl.beam_tilt_deg and dvl.beam_azimuth_deg say what the instrume
 
 
 def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
-    """Give the unit vectors of the beams.
+    """Return the unit vectors of the beams.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def _geometry(settings: Dvl) -> Floats:
 
 
 def _doubt(vectors: Floats, table: Table, cleaner: Cleaner) -> str:
-    """Say what speaks against beam vectors: their length, or altitude over range, which is the part along z."""
+    """State what speaks against beam vectors: their length, or altitude over range, which is the part along z."""
     lengths = np.linalg.norm(vectors, axis=1)
     if not np.all(np.abs(lengths - 1.0) < _UNIT_LENGTH_TOLERANCE):
         return f"their lengths are {', '.join(f'{length:.3f}' for length in lengths)}"
@@ -171,7 +171,7 @@ def _reads_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> bool:
 
 
 def _has_beams(table: Table) -> Mask:
-    """Tell which pings have a beam that counts."""
+    """Find which pings have a beam that counts."""
     lost = np.isnan(_beam_velocity(table)).all(axis=1)
     if "beams_valid" in table:
         lost |= table.column("beams_valid") == 0.0
@@ -217,7 +217,7 @@ def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, l
 
 
 def _beam_velocity(table: Table) -> Floats:
-    """Give the velocities along the beams in the log's unit, NaN where a beam is marked as lost."""
+    """Return the velocities along the beams in the log's unit, NaN where a beam is marked as lost."""
     velocity = table.values("beam_velocity")
     if "beam_valid" not in table:
         return velocity

@@ -168,7 +168,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
 
 
 def _measured(table: Table, quantity: str) -> Floats:
-    """Give a vector, NaN where its message says by a negative variance that it is not measured."""
+    """Return a vector, NaN where its message says by a negative variance that it is not measured."""
     values = table.values(quantity, 3)
     if f"{quantity}_var" not in table:
         return values
@@ -187,7 +187,7 @@ def decode_truth(table: Table) -> tuple[TruthColumns, list[Note]]:
 
 
 def _is_possible(specific_force_b: Floats, angular_rate_b: Floats) -> Mask:
-    """Tell which samples an IMU on a vehicle can have felt: within limits, and not free of gravity and Earth rate."""
+    """Find which samples an IMU on a vehicle can have felt: within limits, and not free of gravity and Earth rate."""
     possible = _is_within(specific_force_b, LARGEST_FORCE_MPS2) & _is_within(angular_rate_b, LARGEST_RATE_RADPS)
     dead = np.flatnonzero(specific_force_b[:, 0] == 0.0)
     possible[dead] &= specific_force_b[dead].any(axis=1) | angular_rate_b[dead].any(axis=1)
@@ -195,7 +195,7 @@ def _is_possible(specific_force_b: Floats, angular_rate_b: Floats) -> Mask:
 
 
 def _is_within(vectors: Floats, limit: float) -> Mask:
-    """Tell which vectors have no component beyond a limit; the extremes mostly tell that none has."""
+    """Find which vectors have no component beyond a limit; the extremes mostly tell that none has."""
     if vectors.min() >= -limit and vectors.max() <= limit:
         return np.ones(len(vectors), np.bool_)
     return np.asarray((np.abs(vectors) <= limit).all(axis=1))

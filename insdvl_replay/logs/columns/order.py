@@ -85,7 +85,7 @@ def find_order(time_ns: TimeNs, log_time_ns: TimeNs) -> Order:
 
 
 def _contradictions(stamp_ns: TimeNs, log_time_ns: TimeNs) -> tuple[Mask, float]:
-    """Tell, for messages as they were recorded, which stamps are wrong, and how far their clock jumps for good."""
+    """Find, for messages as they were recorded, which stamps are wrong, and how far their clock jumps for good."""
     rising = _rising(stamp_ns)
     others, bad = np.flatnonzero(~rising), ~rising
     starts = np.flatnonzero(np.diff(others, prepend=-2) > 1)
@@ -101,7 +101,7 @@ def _contradictions(stamp_ns: TimeNs, log_time_ns: TimeNs) -> tuple[Mask, float]
 
 
 def _is_far(other_ns: TimeNs, rising_ns: TimeNs, places: Rows) -> Mask:
-    """Tell which stamps belong far from the places among the rising ones at which they were recorded."""
+    """Find which stamps belong far from the places among the rising ones at which they were recorded."""
     before_ns = rising_ns[np.maximum(places - 1, 0)]
     after_ns = rising_ns[np.minimum(places, rising_ns.size - 1)]
     off_s = np.maximum(seconds(before_ns, other_ns), seconds(other_ns, after_ns))
@@ -110,19 +110,19 @@ def _is_far(other_ns: TimeNs, rising_ns: TimeNs, places: Rows) -> Mask:
 
 
 def _leaps(stamp_ns: TimeNs, log_time_ns: TimeNs) -> Mask:
-    """Tell which messages but the first are stamped long after the one before, though recorded soon after it."""
+    """Find which messages but the first are stamped long after the one before, though recorded soon after it."""
     return np.asarray(np.diff(stamp_ns - log_time_ns) > nanoseconds(LEAP_S))
 
 
 def _is_there_a_leap(stamp_ns: TimeNs, log_time_ns: TimeNs) -> bool:
-    """Tell whether there is a leap; the extremes mostly tell that there is none."""
+    """Return whether there is a leap; the extremes mostly tell that there is none."""
     ahead_ns = stamp_ns - log_time_ns
     can = bool(ahead_ns.size) and int(ahead_ns.max()) - int(ahead_ns.min()) > nanoseconds(LEAP_S)
     return can and bool(_leaps(stamp_ns, log_time_ns).any())
 
 
 def _is_before_or_after_a_leap(stamp_ns: TimeNs, log_time_ns: TimeNs) -> Mask:
-    """Tell which messages are not of the longest part without a leap, such as those before a clock was set."""
+    """Find which messages are not of the longest part without a leap, such as those before a clock was set."""
     part = np.concatenate([[0], np.cumsum(_leaps(stamp_ns, log_time_ns))])
     return np.asarray(part != np.bincount(part).argmax())
 
@@ -181,7 +181,7 @@ def merge_channels(columns: Columns, runs: Sequence[tuple[int, int]]) -> tuple[C
 
 
 def _reached(log_time: TimeNs, channel_ids: NDArray[np.int64]) -> TimeNs:
-    """Give the latest log time of each channel so far: sorted by it, no message moves against others of its channel."""
+    """Return the latest log time of each channel yet: sorted by it, no message moves against others of its channel."""
     reached = np.empty_like(log_time)
     for channel_id in np.unique(channel_ids):
         rows = channel_ids == channel_id
@@ -190,7 +190,7 @@ def _reached(log_time: TimeNs, channel_ids: NDArray[np.int64]) -> TimeNs:
 
 
 def repeated_rows(columns: Columns, origin: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which messages are as the one before, which is of another origin.
+    """Find which messages are as the one before, which is of another origin.
 
     Parameters
     ----------
@@ -251,14 +251,14 @@ def raise_if_two_dives(table: Table, time_ns: TimeNs) -> None:
 
 
 def _alone(repeated: Mask) -> Mask:
-    """Tell which messages no other file has, where those are marked that are as the one before."""
+    """Find which messages no other file has, where those are marked that are as the one before."""
     alone = ~repeated
     alone[:-1] &= ~repeated[1:]
     return alone
 
 
 def _shared_span(time_ns: TimeNs, own: Mask) -> Mask:
-    """Tell which messages lie in the time of a file and in that of all others together."""
+    """Find which messages lie in the time of a file and in that of all others together."""
     first_ns = max(time_ns[own][0], time_ns[~own][0])
     last_ns = min(time_ns[own][-1], time_ns[~own][-1])
     return np.asarray((time_ns >= first_ns) & (time_ns <= last_ns))

@@ -66,7 +66,7 @@ def _in_usual_steps(steps_ns: Floats) -> Floats:
 
 
 def _are_losses(near: Mask, pauses: Mask) -> bool:
-    """Tell losses at random from jitter, from a rate that changes and from pauses that come in turn."""
+    """Distinguish losses at random from jitter, from a rate that changes and from pauses that come in turn."""
     count = int(np.count_nonzero(pauses))
     if count < _LEAST_PAUSES or near.mean() < _MOST_NEAR or near[pauses].mean() < _MOST_PAUSES_NEAR:
         return False

@@ -106,7 +106,7 @@ def _note_missing(cleaner: Cleaner, position: Floats | None, velocity_n: Floats 
 
 
 def _of_receiver(table: Table, quantity: str) -> Floats:
-    """Give one number for each message; of several sensors that of the satellite receiver, NaN where it is invalid."""
+    """Return one number a message; of several sensors that of the satellite receiver, NaN where it is invalid."""
     if "sensor_id" not in table:
         return table.column(quantity)
     of_receiver = (table.values("sensor_id") == BLUEYE_GNSS) & (table.values("sensor_valid") > 0.0)

@@ -174,7 +174,7 @@ class _Topics:
         return source
 
     def _lacks(self, required: TopicRequirement) -> LogError:
-        """Say that no topic plays a role, and which might have."""
+        """State that no topic plays a role, and which might have."""
         lack = f"has no {required.role.upper()}"
         if not self._channels:
             return LogError(f"{lack}: it has no messages at all", self._nothing_recorded())

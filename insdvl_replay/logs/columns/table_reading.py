@@ -95,7 +95,7 @@ class ColumnBuffer:
         self._count = 0
 
     def __len__(self) -> int:
-        """Give the number of rows so far."""
+        """Return the number of rows so far."""
         return self._count
 
     def add(self, values: NDArray[Any]) -> None:
@@ -114,7 +114,7 @@ class ColumnBuffer:
             self._append(values)
 
     def rows(self) -> NDArray[Any]:
-        """Give all rows, shape (k, n); where all are alike, as a view of one that cannot be written to."""
+        """Return all rows, shape (k, n); where all are alike, as a view of one that cannot be written to."""
         if self._is_one_row:
             return np.broadcast_to(self._rows, (self._count, self._rows.shape[1]))
         return self._rows[: self._count]
@@ -145,7 +145,7 @@ class ColumnBuffer:
 
 
 def _are_all(values: NDArray[Any], row: NDArray[Any]) -> bool:
-    """Tell whether all rows are this one, NaN as NaN, and of its kind of number."""
+    """Return whether all rows are this one, NaN as NaN, and of its kind of number."""
     if values.dtype != row.dtype or values.shape[1] != row.shape[1]:
         return False
     same = values == row
@@ -239,7 +239,7 @@ class _Builder:
         return _nanoseconds(values)
 
     def table(self) -> Table:
-        """Give what has been read."""
+        """Return what has been read."""
         unreadable, error = tuple(self.decoder.unreadable_ns), self.decoder.error
         if not all(self.buffers.values()):
             raise error or LogError("has no messages", "the counts in the log's summary are wrong", *self.where)

@@ -54,15 +54,15 @@ class Table:
     has_whole_times: bool = False
 
     def __len__(self) -> int:
-        """Give the number of messages."""
+        """Return the number of messages."""
         return len(next(iter(self.columns.values())))
 
     def __contains__(self, quantity: str) -> bool:
-        """Tell whether the topic holds a quantity."""
+        """Return whether the topic holds a quantity."""
         return quantity in self.source.fields
 
     def values(self, quantity: str, width: int | None = None) -> Floats:
-        """Give a quantity as numbers.
+        """Return a quantity as numbers.
 
         Parameters
         ----------
@@ -92,7 +92,7 @@ class Table:
         return values
 
     def column(self, quantity: str) -> Floats:
-        """Give a quantity that is one number in each message.
+        """Return a quantity that is one number in each message.
 
         Returns
         -------
@@ -107,7 +107,7 @@ class Table:
         return single
 
     def time_ns(self) -> TimeNs:
-        """Give the times of validity.
+        """Return the times of validity.
 
         Returns
         -------
@@ -148,7 +148,7 @@ class Table:
         return measure_clock(source.role, source.topic, source.stamp, self.time_ns(), self.columns["log_time"][:, 0])
 
     def damage_error(self) -> LogError:
-        """Give the error with which a log is refused of which messages cannot be read."""
+        """Return the error with which a log is refused of which messages cannot be read."""
         faults = [self.fault] * len(self.unreadable_ns) if self.fault else []
         return damaged_file_error(faults, [self.columns["log_time"][:, 0]], "messages")
 
@@ -173,12 +173,12 @@ class Table:
 
 
 def stamp_path(stamp: str) -> str:
-    """Give the field of a stamp; ``header`` is short for that of a ROS message."""
+    """Return the field of a stamp; ``header`` is short for that of a ROS message."""
     return "header.stamp" if stamp == "header" else stamp
 
 
 def schema_notes(sources: Iterable[Source]) -> list[Note]:
-    """Say for which topics the log has no schema, so that a definition that comes with the tool was used."""
+    """State for which topics the log has no schema, so that a definition that comes with the tool was used."""
     return [
         Note("builtin_definition", f"{source.topic}: the log has no schema; that of {source.type_name} was assumed")
         for source in sources
@@ -187,13 +187,13 @@ def schema_notes(sources: Iterable[Source]) -> list[Note]:
 
 
 def loss_notes(tables: Sequence[Table]) -> list[Note]:
-    """Say where messages are missing, do not fit their schema, or are in more than one channel or file."""
+    """State where messages are missing, do not fit their schema, or are in more than one channel or file."""
     left_out = (note for table in tables for note in (_unreadable_note(table), _duplicates_note(table)))
     return [note for note in (*map(_missing_note, tables), *left_out) if note]
 
 
 def stamp_notes(tables: Iterable[Table]) -> list[Note]:
-    """Say how stamps that are mere numbers were understood."""
+    """State how stamps that are mere numbers were understood."""
     notes = []
     for table in tables:
         source, numbers = table.source, table.stamp_numbers

@@ -111,7 +111,7 @@ class TopicRequirement:
     latency_s: float = 0.0
 
     def known(self, type_name: str) -> KnownType | None:
-        """Give what is known of a type."""
+        """Return what is known of a type."""
         groups = (*self.by_type, self.if_named)
         return next((types[type_name] for types in groups if type_name in types), None)
 
@@ -142,7 +142,7 @@ class TopicRequirement:
                 raise LogError(f"topic '{topic}' gives {' and '.join(alone)} without {' and '.join(lacking)}", missing)
 
     def how_to_name(self) -> str:
-        """Say which keys lead to a topic of an unknown type."""
+        """State which keys lead to a topic of an unknown type."""
         if not self.paths:
             return f"known are {', '.join(name for types in (*self.by_type, self.if_named) for name in types)}"
         section = self.role
@@ -152,13 +152,13 @@ class TopicRequirement:
 
 
 def imu_requirement(config: Config) -> TopicRequirement:
-    """Say what an IMU needs."""
+    """State what an IMU needs."""
     quantities = ("specific_force", "angular_rate")
     return _required(config.imu, "imu", quantities, by_type=[known_types.IMU], enough=[set(quantities)])
 
 
 def dvl_requirement(config: Config) -> TopicRequirement:
-    """Say what a DVL needs."""
+    """State what a DVL needs."""
     return _required(
         config.dvl,
         "dvl",
@@ -170,7 +170,7 @@ def dvl_requirement(config: Config) -> TopicRequirement:
 
 
 def solution_requirement(config: Config) -> TopicRequirement:
-    """Say what a reference solution needs."""
+    """State what a reference solution needs."""
     return _required(
         config.reference,
         "reference",
@@ -183,13 +183,13 @@ def solution_requirement(config: Config) -> TopicRequirement:
 
 
 def fix_requirement(config: Config) -> TopicRequirement:
-    """Say what a geographic position needs."""
+    """State what a geographic position needs."""
     enough = [{"latitude", "longitude"}]
     return _required(config.reference, "reference", (), "fix", by_type=[known_types.FIX], enough=enough)
 
 
 def _required(section: Any, role: str, quantities: Iterable[str], key: str = "topic", **needs: Any) -> TopicRequirement:
-    """Say what a role needs, with what its section of the configuration says of topic, fields and stamp."""
+    """State what a role needs, with what its section of the configuration says of topic, fields and stamp."""
     return TopicRequirement(
         role=role,
         key=f"{role}.{key}",

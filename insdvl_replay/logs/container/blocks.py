@@ -68,7 +68,7 @@ def described(channel: records.Channel, schema: records.Schema | None, messages:
 
 
 def by_topic(channels: Iterable[LogChannel]) -> dict[str, list[LogChannel]]:
-    """Give the channels of each topic."""
+    """Return the channels of each topic."""
     topics: dict[str, list[LogChannel]] = {}
     for channel in channels:
         topics.setdefault(channel.topic, []).append(channel)
@@ -109,7 +109,7 @@ class Block:
     lengths: NDArray[np.int64]
 
     def __len__(self) -> int:
-        """Give the number of messages."""
+        """Return the number of messages."""
         return int(self.starts.size)
 
     @cached_property
@@ -133,7 +133,7 @@ class Block:
         return message_field(self.buffer, self.starts, "publish_time")
 
     def part(self, rows: slice) -> "Block":
-        """Give some of the messages."""
+        """Return some of the messages."""
         return replace(self, starts=self.starts[rows], lengths=self.lengths[rows])
 
 

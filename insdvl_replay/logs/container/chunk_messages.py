@@ -84,11 +84,11 @@ class Content:
         return Counter({channel_id: len(block) for channel_id, block in self.blocks.items()})
 
     def of(self, channel_ids: Iterable[int]) -> list[Block]:
-        """Give the messages of some channels."""
+        """Return the messages of some channels."""
         return [self.blocks[channel_id] for channel_id in sorted(self.blocks.keys() & channel_ids)]
 
     def log_times(self, channel_ids: Iterable[int]) -> TimeNs:
-        """Give the log times of the messages of some channels, channel by channel; shape (k,), ns."""
+        """Return the log times of the messages of some channels, channel by channel; shape (k,), ns."""
         return np.concatenate([np.empty(0, np.int64), *(block.log_time for block in self.of(channel_ids))])
 
 
@@ -136,7 +136,7 @@ def _lost_span(
     records: Records,
     gaps: list[tuple[int, int]],
 ) -> Span | None:
-    """Give the log times between which messages are lost: those of the messages on both sides, else of the chunk."""
+    """Return the log times between which messages are lost: those of the messages on both sides, else of the chunk."""
     starts = records.starts[records.opcodes == Opcode.MESSAGE]
     log_time = message_field(buffer, starts, "log_time")
     before = np.searchsorted(starts, gaps[0][0])
@@ -170,7 +170,7 @@ def _index_damages(data: memoryview, chunk: Chunk, blocks: dict[int, Block]) -> 
 
 
 def _names_all(entries: NDArray[Any], block: Block | None) -> bool:
-    """Tell whether entries name all messages; some recorders name one more that they did not write any more."""
+    """Return whether entries name all messages; some recorders name one more that they did not write any more."""
     if block is None:
         return not entries.size
     if np.array_equal(entries["start"], block.starts) and np.array_equal(entries["log_time"], block.log_time):

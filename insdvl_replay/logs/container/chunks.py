@@ -26,7 +26,7 @@ _MOST_COMPRESSED: Final = 256
 
 
 def most_opened(compressed_size: int, usual: int = _USUAL_SIZE) -> int:
-    """Give the bytes to which compressed bytes may open: what is usual, or more where there are more of them."""
+    """Return the bytes to which compressed bytes may open: what is usual, or more where there are more of them."""
     return max(usual, _MOST_COMPRESSED * compressed_size)
 
 
@@ -96,7 +96,7 @@ def chunk_header(data: memoryview, offset: int, room: int) -> ChunkHeader:
 
 
 def opened_size(data: memoryview, chunk: Chunk) -> int:
-    """Give the bytes that an open chunk takes: none where it is not compressed, or says more than can be."""
+    """Return the bytes that an open chunk takes: none where it is not compressed, or says more than can be."""
     if chunk.kind == "unchunked":
         return 0
     header = chunk_header(data, chunk.offset, chunk.length)
@@ -156,12 +156,12 @@ def _decompressed_start(compressed: memoryview, header: ChunkHeader, offset: int
 
 
 def _room(compressed_size: int) -> int:
-    """Give the bytes to which those of one chunk may open."""
+    """Return the bytes to which those of one chunk may open."""
     return min(most_opened(compressed_size), LARGEST_CHUNK)
 
 
 def _size_of_truncated(header: ChunkHeader, most: int) -> int:
-    """Give the bytes to which a cut chunk opens at most; some recorders write last of all what it is."""
+    """Return the bytes to which a cut chunk opens at most; some recorders write last of all what it is."""
     return min(header.size, most) if header.size else most
 
 

@@ -69,7 +69,7 @@ class Loss:
 
 
 def plausible_span(first_ns: int, last_ns: int) -> Span | None:
-    """Give a span if it can be one."""
+    """Return a span if it can be one."""
     return (first_ns, last_ns) if first_ns > 0 and 0 <= last_ns - first_ns < _LONGEST_NS else None
 
 

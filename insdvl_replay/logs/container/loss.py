@@ -48,7 +48,7 @@ _SHORTEST_S: Final = 0.0005
 
 
 def damage_note(name: str, data: memoryview, mcap_index: McapIndex) -> Note:
-    """Say what was found and lost in a damaged log."""
+    """State what was found and lost in a damaged log."""
     # Checksums are checked beside the reading, and what is found first is a matter of chance.
     damages = sorted(mcap_index.damages, key=lambda damage: damage.offset)
     shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
@@ -65,7 +65,7 @@ def damage_note(name: str, data: memoryview, mcap_index: McapIndex) -> Note:
 
 
 def loss_text(found: Sequence[Loss], missing: int | None, *, is_cut: bool) -> str:
-    """Say how many messages were lost and in what time, and where that is not known, why."""
+    """State how many messages were lost and in what time, and where that is not known, why."""
     known = sum(loss.messages or 0 for loss in found)
     is_counted = missing is not None or all(loss.messages is not None for loss in found)
     count = known if missing is None else max(missing, 0)
@@ -88,7 +88,7 @@ def _reason(is_counted: bool, is_timed: bool, is_cut: bool) -> str:
 
 
 def _covered_s(spans: Sequence[Span]) -> float:
-    """Give the time that spans cover together."""
+    """Return the time that spans cover together."""
     covered_ns = reached_ns = 0
     for first_ns, last_ns in sorted(spans):
         covered_ns += max(last_ns - max(first_ns, reached_ns), 0)
@@ -116,11 +116,11 @@ class _Spans:
         self._whole = mcap_index.announced.span_ns
 
     def of(self, chunk: Chunk) -> Span | None:
-        """Give the span of a chunk."""
+        """Return the span of a chunk."""
         return chunk_span(self._data, chunk)
 
     def between(self, start: int, end: int | None) -> Span | None:
-        """Give the span from the messages before some bytes to those behind them; None where an end is unknown."""
+        """Return the span from the messages before some bytes to those behind them; None where an end is unknown."""
         before = self._chunks[: bisect_left(self._chunks, start, key=_offset)]
         behind = [] if end is None else self._chunks[bisect_left(self._chunks, end, key=_offset) :]
         first = next(filter(None, map(self.of, reversed(before))), None)
@@ -137,7 +137,7 @@ def _offset(chunk: Chunk) -> int:
 
 
 def chunk_span(data: memoryview, chunk: Chunk) -> Span | None:
-    """Give the log times between which the messages of a chunk are."""
+    """Return the log times between which the messages of a chunk are."""
     if chunk.kind == "intact":
         return _stated_span(data, chunk)
     try:
@@ -171,7 +171,7 @@ def _of_dropped_chunks(data: memoryview, mcap_index: McapIndex, spans: _Spans) -
 
 
 def _identity(data: memoryview, chunk: Chunk) -> tuple[int, int, int] | None:
-    """Give what no other chunk of the file has: its span and its compressed size."""
+    """Return what no other chunk of the file has: its span and its compressed size."""
     try:
         header = chunk_header(data, chunk.offset, chunk.length)
     except DamageError:

@@ -107,7 +107,7 @@ def _handler_type() -> Any:
 
 @cache
 def _library() -> Any:
-    """Give the C library, with the signatures of what is called."""
+    """Return the C library, with the signatures of what is called."""
     library = ctypes.CDLL(None)
     library.mmap.restype = ctypes.c_void_p
     library.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, *(ctypes.c_int,) * 3, ctypes.c_long)
@@ -190,7 +190,7 @@ class MappedFile:
             raise UnusableFileError("is empty (0 bytes)", hint, self.path)
 
     def reopened(self) -> FileIO:
-        """Give the same file for reading from its start to its end, once at a time, whatever bears its name by now."""
+        """Return the same file for reading from start to end, once at a time, whatever bears its name by now."""
         os.lseek(self._descriptor, 0, os.SEEK_SET)
         return FileIO(self._descriptor, closefd=False)
 
@@ -216,7 +216,7 @@ class MappedFile:
         self.require_unchanged()
 
     def _change(self) -> str:
-        """Say in a few words what has become of the file; nothing if all is as it was."""
+        """State in a few words what has become of the file; nothing if all is as it was."""
         before = self._before
         try:
             now, named = os.fstat(self._descriptor), self.path.stat()
@@ -251,7 +251,7 @@ def mapped(path: Path) -> MappedFile:
 
 
 def _goes_on_like_mcap(data: memoryview) -> bool:
-    """Tell whether a header stands behind the opening bytes, or the closing ones are there."""
+    """Return whether a header stands behind the opening bytes, or the closing ones are there."""
     opcode, length = struct.unpack("<BQ", bytes(data[len(MAGIC) : _HEADER_CONTENT]).ljust(RECORD_HEADER_SIZE, b"\0"))
     is_header = opcode == Opcode.HEADER and can_be_record(opcode, length) and length <= len(data) - _HEADER_CONTENT
     return is_header or bytes(data[-len(MAGIC) :]) == MAGIC

@@ -143,7 +143,7 @@ class Log:
         return tuple(notes)
 
     def _last_ns(self) -> int:
-        """Give the last log time as the statistics or else the chunks say, which count from 0 to 2^64."""
+        """Return the last log time as the statistics or else the chunks say, which count from 0 to 2^64."""
         if (stated := self._index.announced.statistics) is not None:
             return int(stated.message_end_time)
         return max((header.last_ns for header in self._chunk_headers()), default=0)
@@ -159,7 +159,7 @@ class Log:
         return [Digest(sha256, damages + attachment_damages(self._data, self._index.attachments))]
 
     def sha256(self, digests: Sequence[Digest] | None = None) -> str:
-        """Give the digest of the file's bytes, and note which checksums are wrong that only a whole pass can check."""
+        """Return the digest of the file's bytes, and note wrong checksums that only a whole pass can check."""
         (digest,) = digests or self.digests()
         for damage in digest.damages:
             self._index.add_damage(damage)
@@ -191,7 +191,7 @@ class Log:
         return chunk.kind == "intact" and chunk_header(self._data, chunk.offset, chunk.length).crc != 0
 
     def log_times(self) -> dict[int, TimeNs]:
-        """Give the log times of all messages from the indexes; only chunks without one are opened.
+        """Return the log times of all messages from the indexes; only chunks without one are opened.
 
         Returns
         -------
@@ -210,7 +210,7 @@ class Log:
         return {channel_id: np.concatenate(times) for channel_id, times in parts.items()}
 
     def faults(self) -> list[LogError]:
-        """Give an error for each damaged place found so far."""
+        """Return an error for each damaged place found so far."""
         return [LogError(f"is damaged at byte {one.offset}: {one.found}", "", self.path) for one in self._index.damages]
 
     def saved_times(self) -> Iterator[TimeNs]:
@@ -220,7 +220,7 @@ class Log:
             yield from (block.log_time for block in content.of(ids))
 
     def damage_error(self) -> LogError | None:
-        """Give the error with which the file would be refused, by the damage found so far."""
+        """Return the error with which the file would be refused, by the damage found so far."""
         faults = self.faults()
         return damaged_file_error(faults, self.saved_times()) if faults else None
 

@@ -152,7 +152,7 @@ def _agreed(mcap_index: McapIndex, found: dict[int, Any], repeated: dict[int, An
 
 
 def _is_verified(mcap_index: McapIndex, chunk: Chunk) -> bool:
-    """Tell whether it is known without opening a chunk what is in it."""
+    """Return whether it is known without opening a chunk what is in it."""
     named = chunk.offset - RECORD_HEADER_SIZE in mcap_index.summary.chunks
     return named and bool(chunk.indexes) and all(_is_defined(mcap_index, channel_id) for channel_id in chunk.counts)
 

@@ -92,7 +92,7 @@ class Parts:
             yield Note("files_overlap", text, len(overlaps))
 
     def log_times(self) -> dict[int, TimeNs]:
-        """Give the log times of all messages, as `Log.log_times`.
+        """Return the log times of all messages, as `Log.log_times`.
 
         Returns
         -------
@@ -113,7 +113,7 @@ class Parts:
         return of_parts + [Digest(_sha256(file), []) for file in self._unusable]
 
     def sha256(self, digests: Sequence[Digest] | None = None) -> str:
-        """Give the digest of all digests, and note wrong checksums, as `Log.sha256`."""
+        """Return the digest of all digests, and note wrong checksums, as `Log.sha256`."""
         digests = digests or self.digests()
         for part, digest in zip(self.parts, digests, strict=False):
             part.sha256([digest])
@@ -145,7 +145,7 @@ class Parts:
         self._raise_if_damaged()
 
     def damage_error(self) -> LogError | None:
-        """Give the error with which the files would be refused, by the damage found so far."""
+        """Return the error with which the files would be refused, by the damage found so far."""
         faults = [*(fault for part in self.parts for fault in part.faults()), *self._unusable.values()]
         saved = (times for part in self.parts for times in part.saved_times())
         return damaged_file_error(faults, saved) if faults else None

@@ -16,7 +16,7 @@ _LEAST_LENGTHS: Final = (0, 8, 20, 14, 16, 22, 40, 6, 64, 36, 64, 46, 8, 20, 17,
 
 
 def can_be_record(opcode: int, length: int) -> bool:
-    """Tell whether a record of a kind can have a length."""
+    """Return whether a record of a kind can have a length."""
     if opcode > LAST_KNOWN:
         return opcode >= _FIRST_PRIVATE
     return opcode > 0 and length >= _LEAST_LENGTHS[opcode]

@@ -15,7 +15,7 @@ inlined(can_be_record)  # which must not load the compiler where it stands
 
 @inlined
 def _fitting(data: NDArray[np.uint8], start: int, end: int) -> tuple[int, int]:
-    """Give kind and length of the record at a place, or kind 0 if no record can stand there."""
+    """Return kind and length of the record at a place, or kind 0 if no record can stand there."""
     room = end - start - RECORD_HEADER_SIZE
     if room < 0:
         return 0, 0

@@ -38,13 +38,13 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
 
 
 def _unpacked(part: Path) -> Path:
-    """Give the part that the user has unpacked, where the metadata lists it as it was packed."""
+    """Return the part that the user has unpacked, where the metadata lists it as it was packed."""
     plain = part.with_suffix("") if part.suffix == _PACKED else part
     return plain if _is_file(plain) else part
 
 
 def _is_file(path: Path) -> bool:
-    """Tell whether a file is there; a name that cannot be one is none."""
+    """Return whether a file is there; a name that cannot be one is none."""
     return os.path.isfile(path)  # noqa: PTH113  # a Path raises where the name is too long
 
 
@@ -66,12 +66,12 @@ def _require_all(metadata: Path, parts: tuple[Path, ...], found: list[Path]) -> 
 
 
 def _by_name(metadata: Path) -> str:
-    """Say how a bag is read without its list."""
+    """State how a bag is read without its list."""
     return f"{metadata.parent / '*.mcap'} --one-dive"
 
 
 def _is_plain(events: Iterable[Any]) -> bool:
-    """Tell whether a YAML text is about as large as what it stands for: aliases multiply it."""
+    """Return whether a YAML text is about as large as what it stands for: aliases multiply it."""
     from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
     depth = 0
@@ -136,7 +136,7 @@ def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) 
 
 
 def name_giver(paths: Sequence[Path]) -> Path:
-    """Tell after which of several paths what they hold together is named: the first by its name.
+    """Find after which of several paths what they hold together is named: the first by its name.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ class Records:
     lengths: NDArray[np.int64]
 
     def __len__(self) -> int:
-        """Give the number of records."""
+        """Return the number of records."""
         return int(self.opcodes.size)
 
     def rows(self) -> Iterator[tuple[int, int, int]]:
@@ -66,7 +66,7 @@ class Records:
         return zip(self.opcodes.tolist(), contents.tolist(), self.lengths.tolist(), strict=True)
 
     def where(self, chosen: Any) -> "Records":
-        """Give some of them, chosen as an array of shape (k,) is indexed."""
+        """Return some of them, chosen as an array of shape (k,) is indexed."""
         return Records(self.opcodes[chosen], self.starts[chosen], self.lengths[chosen])
 
 
@@ -120,7 +120,7 @@ def find_plainly(data: memoryview, start: int, end: int) -> tuple[Records, int]:
 
 
 def is_broken(batch: Records, stop: int, end: int) -> bool:
-    """Tell whether a walk stopped because the bytes are no record."""
+    """Return whether a walk stopped because the bytes are no record."""
     return stop < end and len(batch) < BATCH and not (len(batch) and batch.opcodes[-1] == _DATA_END)
 
 
@@ -139,7 +139,7 @@ def go_on(data: memoryview, batch: Records, stop: int, end: int) -> tuple[Record
 
 
 def what_stands(data: memoryview, start: int, end: int) -> str:
-    """Say why no record can stand at a place."""
+    """State why no record can stand at a place."""
     room = end - start - RECORD_HEADER_SIZE
     if room < 0:
         return f"{end - start} bytes are left where a record needs at least {RECORD_HEADER_SIZE}"

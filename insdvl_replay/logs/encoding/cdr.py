@@ -132,7 +132,7 @@ class CdrReader:
 
 
 def _chosen(rows: Rows, mask: NDArray[np.bool_]) -> Rows:
-    """Give some of the rows; mostly it is all of them, which spares a copy."""
+    """Return some of the rows; mostly it is all of them, which spares a copy."""
     return rows if mask.all() else rows[mask]
 
 

@@ -120,7 +120,7 @@ def _side_by_side(parts: Iterable[NDArray[Any]], count: int) -> NDArray[Any]:
 
 
 def _numbers(values: NDArray[Any]) -> NDArray[Any]:
-    """Give whole numbers for flags, of which any byte but zero is true."""
+    """Return whole numbers for flags, of which any byte but zero is true."""
     return np.asarray(values.view(np.uint8) != 0, np.int64) if values.dtype.kind == "b" else values
 
 

@@ -199,7 +199,7 @@ def _width(shape: Shape, steps: Sequence[tuple[str, slice]]) -> int:
 
 
 def _as_float(number: float) -> float:
-    """Give a whole number of any size as a float, NaN where it has none."""
+    """Return a whole number of any size as a float, NaN where it has none."""
     try:
         return float(number)
     except OverflowError:

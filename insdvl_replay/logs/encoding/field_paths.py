@@ -65,7 +65,7 @@ def split_paths(path: str) -> tuple[str, ...]:
 
 
 def find_path(path: str, known: Kinds) -> str | None:
-    """Give the type of what stands at a path, or None where the path is not known."""
+    """Return the type of what stands at a path, or None where the path is not known."""
     return known.get(re.sub(r"\[\d+\]", "[*]", path))
 
 

@@ -102,7 +102,7 @@ def _shape_by(schema: Any, level: int = 0) -> Shape:
 
 
 def _shape_of(value: Any, level: int = 0) -> Shape:
-    """Tell the shape by an example."""
+    """Find the shape by an example."""
     if level > _DEEPEST:
         return Shape(TEXT, may_be_absent=True)
     if isinstance(value, dict):

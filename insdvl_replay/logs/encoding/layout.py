@@ -129,7 +129,7 @@ class _FieldWalk:
         self.lengths: list[int] = []
 
     def layout(self) -> Layout:
-        """Give what the pass has found."""
+        """Return what the pass has found."""
         columns: Any = {"names": self.names, "formats": self.formats, "offsets": self.offsets, "itemsize": self.offset}
         return Layout(np.dtype(columns), self.offset, tuple(self.length_offsets), tuple(self.lengths))
 

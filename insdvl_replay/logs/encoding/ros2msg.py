@@ -120,7 +120,7 @@ def definition_text(type_name: str) -> str:
 
 
 def full_name(type_name: str) -> str:
-    """Give a type's name as ``package/msg/Type``."""
+    """Return a type's name as ``package/msg/Type``."""
     return type_name if type_name.count("/") != 1 else type_name.replace("/", "/msg/")
 
 

@@ -127,7 +127,7 @@ class LogFile:
         self._attachments.append(index)
 
     def registrations(self) -> bytes:
-        """Give the records of schemas and channels, which stand at the beginning of the first chunk."""
+        """Return the records of schemas and channels, which stand at the beginning of the first chunk."""
         return self._registered
 
     def add_chunk(self, chunk: IndexedChunk) -> None:

@@ -44,7 +44,7 @@ class InUnit:
     unit: float
 
     def __getitem__(self, rows: slice) -> Floats:
-        """Give some rows in the unit."""
+        """Return some rows in the unit."""
         return self.values[rows] / self.unit
 
 

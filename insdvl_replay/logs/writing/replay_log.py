@@ -185,7 +185,7 @@ def _dvl(quantity: str, time_ns: TimeNs, values_b: Floats) -> Batch:
 
 
 def _row(layout: TableLayout, row: Struct, end_ns: int) -> Batch:
-    """Give each row of a table as a batch of its own, since its texts are its own."""
+    """Return each row of a table as a batch of its own, since its texts are its own."""
     columns: dict[str, Column] = {}
     for name, kind in layout.kinds.items():
         value = getattr(row, name)

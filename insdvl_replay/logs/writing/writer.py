@@ -54,7 +54,7 @@ class MessageRecords:
         return self._dtype.itemsize
 
     def rows(self, rows: slice) -> list[bytes]:
-        """Give the records of some messages."""
+        """Return the records of some messages."""
         time_ns = self.batch.time_ns[rows]
         records = np.zeros(len(time_ns), dtype=self._dtype)
         records["opcode"], records["length"] = Opcode.MESSAGE, self.size - _FRAME_BYTES
@@ -95,7 +95,7 @@ def in_chunks(batches: Sequence[MessageRecords], head: bytes) -> Iterator[Indexe
 
 
 def _in_order(batches: Sequence[MessageRecords]) -> tuple[TimeNs, NDArray[np.int32]]:
-    """Give the times of all messages in their order, and the batch that each is of."""
+    """Return the times of all messages in their order, and the batch that each is of."""
     time_ns = np.concatenate([records.batch.time_ns for records in batches])
     batch_of = np.repeat(np.arange(len(batches), dtype=np.int32), [len(records.batch.time_ns) for records in batches])
     order = np.argsort(time_ns, kind="stable")
@@ -103,7 +103,7 @@ def _in_order(batches: Sequence[MessageRecords]) -> tuple[TimeNs, NDArray[np.int
 
 
 def _cuts(ends: NDArray[np.int64], head_bytes: int) -> Iterator[slice]:
-    """Give the messages of each chunk by where each message ends."""
+    """Return the messages of each chunk by where each message ends."""
     begin, before = 0, -head_bytes
     while begin < len(ends):
         end = min(int(np.searchsorted(ends, before + CHUNK_BYTES, side="right")) + 1, len(ends))
@@ -160,7 +160,7 @@ def _write(
 
 
 def _registered(log: LogFile, batches: Sequence[Batch]) -> list[MessageRecords]:
-    """Give each type a schema and each topic a channel."""
+    """Return each type a schema and each topic a channel."""
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
     for batch in batches:

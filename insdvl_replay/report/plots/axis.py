@@ -43,7 +43,7 @@ class Axis:
     whole: bool = False
 
     def place(self, values: Floats) -> Floats:
-        """Give the places of values; NaN where a logarithmic axis has none."""
+        """Return the places of values; NaN where a logarithmic axis has none."""
         low, high = self.low, self.high
         if self.scale == "log":
             values = np.log10(np.where(values > 0.0, values, np.nan))
@@ -52,7 +52,7 @@ class Axis:
         return places
 
     def ticks(self, count: int) -> list[tuple[float, str]]:
-        """Give the places of at most some ticks, and their labels."""
+        """Return the places of at most some ticks, and their labels."""
         if self.scale == "log":
             values = _decades(self.low, self.high, count)
             labels = [_power(value) for value in values]
@@ -65,7 +65,7 @@ class Axis:
 
 
 def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
-    """Give an axis some air around its values.
+    """Return an axis some air around its values.
 
     Parameters
     ----------

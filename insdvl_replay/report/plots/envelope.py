@@ -11,7 +11,7 @@ _FEW = 4
 
 
 def shared_columns(curves: int) -> int:
-    """Give the columns of each of the curves of a panel."""
+    """Return the columns of each of the curves of a panel."""
     return COLUMNS * _FEW // max(curves, _FEW)
 
 
@@ -83,6 +83,6 @@ def without_standstill(x: Floats, y: Floats, step: float) -> tuple[Floats, Float
 
 
 def _columns(x: Floats, columns: int) -> Floats:
-    """Give the column of each point, counted from 0."""
+    """Return the column of each point, counted from 0."""
     column: Floats = np.floor((x - x[0]) * (columns / (x[-1] - x[0])))
     return column.clip(max=columns - 1.0)

@@ -17,7 +17,7 @@ _FILTER_STYLES: Final = 6
 
 
 def filter_style(number: int) -> str:
-    """Give the style of a filter by its place in the configuration; the first is the baseline."""
+    """Return the style of a filter by its place in the configuration; the first is the baseline."""
     return f"filter{number % _FILTER_STYLES}"
 
 

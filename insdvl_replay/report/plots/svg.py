@@ -32,7 +32,7 @@ _FAR: Final = 1e4
 
 
 def panel_height(panel: Panel) -> float:
-    """Give the height of a panel that is `WIDTH` wide."""
+    """Return the height of a panel that is `WIDTH` wide."""
     return WIDTH if panel.equal else HEIGHT
 
 
