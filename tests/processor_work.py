@@ -13,13 +13,13 @@ import numpy as np
 from numpy._core._multiarray_umath import __cpu_features__
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.sim.motion import Course
+from insdvl_replay.sim.motion import Trajectory
 from insdvl_replay.sim.trajectories import SCENARIOS
 
 
 def motion_digest() -> str:
     """Digest of every bit of an exact motion, before anything is rounded."""
-    motion = Course(SCENARIOS["figure-eight"], 394.0).at(np.arange(0.0, 394.0, 0.01))
+    motion = Trajectory(SCENARIOS["figure-eight"], 394.0).at(np.arange(0.0, 394.0, 0.01))
     digest = hashlib.sha256()
     for array in vars(motion).values():
         digest.update(np.ascontiguousarray(array).tobytes())

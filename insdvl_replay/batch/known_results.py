@@ -14,7 +14,7 @@ import msgspec
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
 from insdvl_replay.core.runtime import each
-from insdvl_replay.results.folder import COMPLETE, damaged_files, refuse_existing_folder, trajectory_file
+from insdvl_replay.results.folder import COMPLETE, damaged_files, require_replaceable_folder, trajectory_file
 from insdvl_replay.results.json_report import Report, decode_report, package_versions
 from insdvl_replay.results.workspace import clear_leftovers
 
@@ -61,7 +61,7 @@ def known_reports(
             if not force:
                 raise ConfigError(report.text, "keep what was changed, or replace it with --force")
             report_note(report)
-        refuse_existing_folder(job.target, force=force)
+        require_replaceable_folder(job.target, force=force)
     return known
 
 

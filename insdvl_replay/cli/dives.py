@@ -17,7 +17,7 @@ from insdvl_replay.cli.screen import DivesBar, compiling, in_format, spinner
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.report.page import is_page
 from insdvl_replay.results.dive_document import dive_document, report_csv
-from insdvl_replay.results.folder import refuse_existing_file, result_file
+from insdvl_replay.results.folder import require_replaceable_file, result_file
 from insdvl_replay.results.json_report import Report, encode_report
 from insdvl_replay.results.overviews import Failure, index_page, is_summary, summary_csv
 
@@ -63,7 +63,7 @@ def replay_dives(names: Sequence[str], output: Path, options: ReplayOptions, run
     """Replay dives, one result folder each, and a summary if there are several."""
     dives = plan_jobs(find_dives(names), output, options, one_dive=run.one_dive)
     if len(dives) > 1:
-        _refuse_to_overwrite(dives, output, force=run.force)
+        _require_own_names(dives, output, force=run.force)
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
     together = run.format is Format.JSON and len(dives) > 1
@@ -123,10 +123,10 @@ def _report_result(outcome: Outcome, report: Report, run: RunOptions, *, quiet: 
         )
     log_notes(report.notes, verbose=run.verbosity > 0)
     log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {outcome.job.target}")
-    return _refuse_warnings(report, run.verbosity) if run.strict else 0
+    return _fail_on_warnings(report, run.verbosity) if run.strict else 0
 
 
-def _refuse_warnings(report: Report, verbosity: int) -> int:
+def _fail_on_warnings(report: Report, verbosity: int) -> int:
     warnings = [note.code for note in report.notes if note.severity == "warning"]
     if not warnings:
         return 0
@@ -139,7 +139,7 @@ def _refuse_warnings(report: Report, verbosity: int) -> int:
     )
 
 
-def _refuse_to_overwrite(dives: Sequence[ReplayJob], output: Path, *, force: bool) -> None:
+def _require_own_names(dives: Sequence[ReplayJob], output: Path, *, force: bool) -> None:
     """Leave alone what bears an overview's name and is none: overviews are made of the results beside them."""
     for overview, (_, is_own) in OVERVIEWS.items():
         path = output / overview
@@ -148,7 +148,7 @@ def _refuse_to_overwrite(dives: Sequence[ReplayJob], output: Path, *, force: boo
                 raise ConfigError(
                     f"{dive.name}: its results would bear the name of an overview", "rename it, or replay it alone"
                 )
-        refuse_existing_file(path, force=force or (path.is_file() and is_own(path.read_bytes())))
+        require_replaceable_file(path, force=force or (path.is_file() and is_own(path.read_bytes())))
 
 
 def _summarise(reports: Sequence[Report | Failure], codes: dict[str, int], output: Path) -> None:

@@ -22,7 +22,7 @@ from insdvl_replay.gates.checking import (
     judge_dives,
     write_baselines,
 )
-from insdvl_replay.gates.gate_file import Gates, load_gates, refuse_unknown_names
+from insdvl_replay.gates.gate_file import Gates, load_gates, require_known_names
 from insdvl_replay.gates.model import CheckResult
 from insdvl_replay.gates.output import (
     baseline_text,
@@ -98,9 +98,9 @@ def check_dives(
     if not chosen:
         raise ConfigError(f"{path}: names no dives", f'`insdvl-replay check {path} DIVE...`, or dives = ["*.mcap"]')
     paths = find_dives(chosen, beside, results=True)
-    _refuse_to_overwrite(output, [path, *paths])
+    _require_own_names(output, [path, *paths])
     options = ReplayOptions(_settings(gates, config, settings), allow_damaged=gates.content.allow_damaged)
-    refuse_unknown_names(gates, None if any(map(_is_result, paths)) else list(options.config.filters))
+    require_known_names(gates, None if any(map(_is_result, paths)) else list(options.config.filters))
     checked = list(_checked(paths, options, check))
     codes = [log_failure(result, output.verbosity) for _, result in checked if isinstance(result, Exception)]
     if check.update:
@@ -116,7 +116,7 @@ def check_dives(
     return max(codes, default=0)
 
 
-def _refuse_to_overwrite(output: OutputOptions, inputs: Sequence[Path]) -> None:
+def _require_own_names(output: OutputOptions, inputs: Sequence[Path]) -> None:
     """Refuse, before any work, to write where nothing can be written, or something is read."""
     for option, path in (("--output", output.file), ("--summary-file", output.summary)):
         if path is None:

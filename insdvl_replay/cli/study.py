@@ -73,7 +73,7 @@ def montecarlo(
     from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.cli.screen import compiling, progress
     from insdvl_replay.core.config_file import load_config
-    from insdvl_replay.results.folder import refuse_existing_folder, result_folder
+    from insdvl_replay.results.folder import require_replaceable_folder, result_folder
     from insdvl_replay.studies.montecarlo import repeat_run, save_montecarlo, study_montecarlo
 
     resolved, target = load_config(preset, config, settings), output / f"montecarlo-{scenario}"
@@ -81,7 +81,7 @@ def montecarlo(
     if run is not None:
         _print(repeat_run(scenario, resolved, run, seed=seed, duration_s=duration, imu=imu, outages=outages), format_)
         return
-    refuse_existing_folder(target, force=force)
+    require_replaceable_folder(target, force=force)
     with progress(f"simulating {scenario}", runs, note=compiling().lstrip("; ")) as after_run:
         report, ensembles = study_montecarlo(
             scenario,
@@ -130,11 +130,11 @@ def window(
     from insdvl_replay.cli.screen import spinner
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import LogError
-    from insdvl_replay.results.folder import refuse_existing_folder, result_folder
+    from insdvl_replay.results.folder import require_replaceable_folder, result_folder
     from insdvl_replay.studies.window import LEFT_OUT, save_window, study_window
 
     resolved, target = load_config(preset, config, settings), output / "window"
-    refuse_existing_folder(target, force=force)
+    require_replaceable_folder(target, force=force)
     with spinner("comparing accelerations"):
         report = study_window(logs, resolved, longest)
     with result_folder(target, force=force) as folder:
@@ -179,13 +179,13 @@ def observability(
     from insdvl_replay.cli.screen import compiling, spinner
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.dive_names import dive_name
-    from insdvl_replay.results.folder import refuse_existing_folder, result_folder
+    from insdvl_replay.results.folder import require_replaceable_folder, result_folder
     from insdvl_replay.studies.observability import save_observability, study_observability
 
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
     resolved = load_config(preset, config, [*settings, *spans])
     target = output / f"observability-{dive_name(Path(dive))}"
-    refuse_existing_folder(target, force=force)
+    require_replaceable_folder(target, force=force)
     with spinner(f"stacking the measurements{compiling()}"):
         report = study_observability(dive, resolved, earth_rate=not no_earth_rate)
     with result_folder(target, force=force) as folder:

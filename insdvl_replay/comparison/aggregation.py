@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 
 from insdvl_replay.core.changes import Aggregate, Change, Counts, Tally, Word
-from insdvl_replay.core.errors import ConfigError, Note, refuse_unknown
+from insdvl_replay.core.errors import ConfigError, Note, require_known
 from insdvl_replay.core.tables import LAYOUTS, StoredReport, StoredResult
 
 
@@ -39,7 +39,7 @@ def with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) ->
     """Return old results with the new names of their filters."""
     for old, new in pairs.items():
         names = list(dict.fromkeys(name for result in results for name in filter_names(result.report)))
-        refuse_unknown("filter", old, names)
+        require_known("filter", old, names)
         if new in names and new not in pairs:
             raise ConfigError(
                 f"--pair {old}={new}: the old results have a filter {new} too", f"add --pair {new}={new}_before"
@@ -52,7 +52,7 @@ def filter_names(report: StoredReport) -> list[str]:
     return [report.baseline, *report.filters]
 
 
-def refuse_strangers(pairs: Iterable[tuple[StoredResult, StoredResult]]) -> list[Note]:
+def require_no_strangers(pairs: Iterable[tuple[StoredResult, StoredResult]]) -> list[Note]:
     """Raise if no candidate is on both sides of any dive; note those that are on one side only."""
     sides: dict[str, Counter[str]] = {"old": Counter(), "new": Counter()}
     only: dict[str, Counter[str]] = {"old": Counter(), "new": Counter()}

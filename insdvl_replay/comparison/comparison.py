@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from insdvl_replay.comparison.aggregation import aggregates, refuse_strangers, tally, with_new_names
+from insdvl_replay.comparison.aggregation import aggregates, require_no_strangers, tally, with_new_names
 from insdvl_replay.core.changes import Change, Comparison, Difference, DiveComparison, MatchedBy
-from insdvl_replay.core.errors import ConfigError, Note, refuse_unknown
+from insdvl_replay.core.errors import ConfigError, Note, require_known
 from insdvl_replay.core.table_layout import TableLayout
 from insdvl_replay.core.tables import LAYOUTS, StoredReport, StoredResult
 from insdvl_replay.evaluation.row_changes import compare_tables, named_rows
@@ -115,7 +115,7 @@ def match_dives(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> Mat
             del left[id(theirs[value])]
     pairs = tuple((found[id(result)][0], result, found[id(result)][1]) for result in new if id(result) in found)
     unmatched = [result for result in new if id(result) not in found]
-    _refuse_ambiguous(list(left.values()), unmatched)
+    _require_unambiguous(list(left.values()), unmatched)
     if not pairs:
         raise ConfigError(
             f"no dive of {_names(old)} is among {_names(new)}, by hash or by name",
@@ -139,7 +139,7 @@ def _unique(results: Iterable[StoredResult], how: MatchedBy, key: _Key) -> dict[
     return {value: together[0] for value, together in by_key.items() if len(together) == 1}
 
 
-def _refuse_ambiguous(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> None:
+def _require_unambiguous(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> None:
     """Raise if a dive is left on both sides: it has several results, and nothing says which belong together."""
     shared = {result.name for result in old} & {result.name for result in new}
     hashes = {result.report.log.sha256 for result in old} & {result.report.log.sha256 for result in new} - {""}
@@ -202,8 +202,8 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
     as_stored = [(was, is_) for was, is_, _ in matching.pairs]
     renamed = with_new_names([was for was, _ in as_stored], selection.filter_pairs)
     pairs = [(was, is_) for was, (_, is_) in zip(renamed, as_stored, strict=True)]
-    notes = [*notes_before, *notes_after, *refuse_strangers(pairs), *_table_notes(pairs, layouts)]
-    _refuse_nothing(pairs, layouts, selection.columns)
+    notes = [*notes_before, *notes_after, *require_no_strangers(pairs), *_table_notes(pairs, layouts)]
+    _require_something(pairs, layouts, selection.columns)
     by_dive = [
         _chosen_columns(compare_tables(was, is_, layouts, selection.tolerance_pct), selection.columns)
         for was, is_ in pairs
@@ -225,7 +225,7 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
 
 def _chosen_layouts(names: Sequence[str]) -> list[TableLayout]:
     for name in names:
-        refuse_unknown("table", name, [layout.name for layout in LAYOUTS])
+        require_known("table", name, [layout.name for layout in LAYOUTS])
     return [layout for layout in LAYOUTS if not names or layout.name in names]
 
 
@@ -234,7 +234,7 @@ def _chosen_dives(matching: Matching, names: Sequence[str]) -> Matching:
     if not names:
         return matching
     for name in names:
-        refuse_unknown("dive", name, [new.name for _, new, _ in matching.pairs])
+        require_known("dive", name, [new.name for _, new, _ in matching.pairs])
     return Matching(tuple(pair for pair in matching.pairs if pair[1].name in names), (), ())
 
 
@@ -242,7 +242,7 @@ def _chosen_columns(changes: Sequence[Change], names: Sequence[str]) -> list[Cha
     return [change for change in changes if not names or change.column in names]
 
 
-def _refuse_nothing(pairs: _Pairs, layouts: Sequence[TableLayout], wanted: Sequence[str]) -> None:
+def _require_something(pairs: _Pairs, layouts: Sequence[TableLayout], wanted: Sequence[str]) -> None:
     """Raise if a column that was asked for is nowhere, or no table has rows: a comparison of nothing must not pass."""
     results = [result for pair in pairs for result in pair]
     rows = [row for result in results for layout in layouts for row in named_rows(result, layout).values()]
@@ -250,7 +250,7 @@ def _refuse_nothing(pairs: _Pairs, layouts: Sequence[TableLayout], wanted: Seque
         names = ", ".join(layout.name for layout in layouts)
         raise ConfigError(f"there is no row to compare in {names}", "leave out --table to see what there is")
     for name in wanted:
-        refuse_unknown("column", name, list(dict.fromkeys(column for row in rows for column in row)))
+        require_known("column", name, list(dict.fromkeys(column for row in rows for column in row)))
 
 
 def _table_notes(pairs: _Pairs, layouts: Sequence[TableLayout]) -> Iterator[Note]:

@@ -7,17 +7,17 @@ from typing import Final
 from insdvl_replay.comparison.rows import aggregate_tables, change_tables, described, growth, place
 from insdvl_replay.core.changes import (
     Aggregate,
-    Breach,
     Change,
     Comparison,
     Difference,
     DiveComparison,
     Limit,
     Tally,
+    Violation,
     Word,
 )
 from insdvl_replay.report.csv_tables import blocks_csv
-from insdvl_replay.report.document import MISSING, Lead, Only, Part, Sentences, ShownTable, Title, counted
+from insdvl_replay.report.document import MISSING, Callout, DisplayTable, Only, Part, Sentences, Title, counted
 
 WORDS: Final[tuple[Word, ...]] = ("better", "worse", "same", "changed", "new", "gone")
 _HASH_SHOWN: Final = 12
@@ -31,7 +31,7 @@ def comparison_document(comparison: Comparison) -> list[Part]:
     rest = "the values of one dive: --dive NAME; those of all: --format csv or --format json"
     return [
         Title(f"{what}: {comparison.new} against {comparison.old}"),
-        *map(Lead, opening_lines(comparison)),
+        *map(Callout, opening_lines(comparison)),
         *(replace(table, title_apart=True) for table in comparison_tables(comparison)),
         *([Only(("terminal", "markdown", "html"), (Sentences((rest,)),))] if len(matched) > 1 else []),
     ]
@@ -52,7 +52,7 @@ def opening_lines(comparison: Comparison) -> list[str]:
     return lines
 
 
-def comparison_tables(comparison: Comparison) -> list[ShownTable]:
+def comparison_tables(comparison: Comparison) -> list[DisplayTable]:
     """Turn a comparison into tables for people."""
     matched = len(_matched(comparison))
     tables = list(_differences(comparison.differences, matched))
@@ -86,7 +86,7 @@ def _dive_row(dive: DiveComparison) -> tuple[object, ...]:
     return dive.log, dive.old, dive.new, dive.matched_by, *counts
 
 
-def breach_sentence(breach: Breach) -> str:
+def breach_sentence(breach: Violation) -> str:
     """State how much is worse than allowed, and what most."""
     reasons = []
     if breach.worst is not None:
@@ -108,11 +108,11 @@ def _matched(comparison: Comparison) -> list[DiveComparison]:
     return [dive for dive in comparison.dives if dive.tally is not None]
 
 
-def _differences(differences: Sequence[Difference], dives: int) -> Iterator[ShownTable]:
+def _differences(differences: Sequence[Difference], dives: int) -> Iterator[DisplayTable]:
     if not differences:
         return
     of_all = all(len(difference.logs) == dives for difference in differences)
-    yield ShownTable(
+    yield DisplayTable(
         "What differs beside the tables" + (" (in all dives)" if of_all and dives > 1 else ""),
         ("what", "old", "new") if of_all else ("what", "old", "new", "dives"),
         "lll" if of_all else "llll",
@@ -141,7 +141,7 @@ def _where(logs: Sequence[str], dives: int) -> str:
     return ", ".join(logs) if len(logs) <= _NAMED_DIVES else f"{len(logs)} of {dives}"
 
 
-def _dives(dives: Sequence[DiveComparison]) -> ShownTable:
+def _dives(dives: Sequence[DiveComparison]) -> DisplayTable:
     """Show the dives in which something moved, and count the others."""
     moved = [dive for dive in dives if dive.tally is None or _has_moved(dive.tally)]
     table = _tallies("Dives", "dive", [(dive.log, dive.tally, "gone" if dive.new is None else "new") for dive in moved])
@@ -153,18 +153,18 @@ def _has_moved(tally: Tally) -> bool:
     return tally.counts["same"] < sum(tally.counts.values())
 
 
-def _by_table(tables: Mapping[str, Tally]) -> ShownTable:
+def _by_table(tables: Mapping[str, Tally]) -> DisplayTable:
     return _tallies("Tables", "table", [(name, tally, "") for name, tally in tables.items()])
 
 
-def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]]) -> ShownTable:
+def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]]) -> DisplayTable:
     """Show counts by word, those that occur, and the largest loss; of what has no tally, a word instead."""
     words = [word for word in WORDS if any(tally is not None and tally.counts[word] for _, tally, _ in named)]
     rows = []
     for name, tally, otherwise in named:
         counts = [MISSING if tally is None else str(tally.counts[word]) for word in words]
         rows.append((name, *counts, otherwise if tally is None else _worst(tally)))
-    return ShownTable(title, (key, *words, "worst"), f"l{'r' * len(words)}l", tuple(rows))
+    return DisplayTable(title, (key, *words, "worst"), f"l{'r' * len(words)}l", tuple(rows))
 
 
 def _worst(tally: Tally) -> str:

@@ -3,7 +3,7 @@
 import re
 
 from insdvl_replay.comparison.aggregation import loss_of, worst_of
-from insdvl_replay.core.changes import Breach, Change, Comparison, Limit
+from insdvl_replay.core.changes import Change, Comparison, Limit, Violation
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.evaluation.row_changes import ROUNDING, within
 
@@ -55,12 +55,12 @@ def parse_limit(text: str) -> Limit:
     )
 
 
-def breach(comparison: Comparison, limit: Limit) -> Breach | None:
+def breach(comparison: Comparison, limit: Limit) -> Violation | None:
     """Find what exceeds a limit.
 
     Returns
     -------
-    Breach or None
+    Violation or None
         None where nothing does.
     """
     changes = tuple(change for change in comparison.changes if _exceeds(change, limit))
@@ -68,7 +68,7 @@ def breach(comparison: Comparison, limit: Limit) -> Breach | None:
         dive.log for dive in comparison.dives if dive.new is None or (limit.word == "changed" and dive.old is None)
     )
     worst = worst_of(changes)
-    return Breach(limit, len(changes), worst, dives) if changes or dives else None
+    return Violation(limit, len(changes), worst, dives) if changes or dives else None
 
 
 def _exceeds(change: Change, limit: Limit) -> bool:

@@ -10,7 +10,7 @@ from insdvl_replay.comparison.aggregation import loss, loss_of
 from insdvl_replay.core.changes import Aggregate, Change, Comparison
 from insdvl_replay.core.table_layout import PERCENTAGE
 from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, Cell
-from insdvl_replay.report.document import MISSING, Column, ShownTable, number, row_label, table_of
+from insdvl_replay.report.document import MISSING, Column, DisplayTable, number, row_label, table_of
 
 Order = Literal["table", "name", "change", "worse"]
 """As in the reports; by row; largest change first; largest loss first."""
@@ -68,13 +68,13 @@ Item = TypeVar("Item", Change, Aggregate)
 Columns = list[Column[Item]]
 
 
-def change_tables(changes: Iterable[Change]) -> list[ShownTable]:
+def change_tables(changes: Iterable[Change]) -> list[DisplayTable]:
     """Show the cells of one dive, a table for each column; what is said of the candidates is one table."""
     groups = sorted(_grouped(changes), key=lambda group: all(change.word == "changed" for change in group))
     return [_table(group, _value_columns(group)) for group in groups]
 
 
-def aggregate_tables(aggregates: Iterable[Aggregate]) -> list[ShownTable]:
+def aggregate_tables(aggregates: Iterable[Aggregate]) -> list[DisplayTable]:
     """Show each cell over many dives, a table for each column; what is said of the candidates is one table."""
     return [_table(group, _share_columns(group)) for group in _grouped(aggregates)]
 
@@ -93,7 +93,7 @@ def _grouped(items: Iterable[Item]) -> Iterator[list[Item]]:
             yield from ([item for item in group if item.filter == name] for name in rows)
 
 
-def _table(items: Sequence[Item], value_columns: Columns[Item]) -> ShownTable:
+def _table(items: Sequence[Item], value_columns: Columns[Item]) -> DisplayTable:
     columns: Columns[Item] = _naming_columns(items) + value_columns
     return table_of(_title(items), items, columns)
 

@@ -190,7 +190,7 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Breach:
+class Violation:
     """What exceeds a limit.
 
     Attributes

@@ -133,7 +133,7 @@ def listed(names: Iterable[str], most: int = 8) -> str:
     return ", ".join(first[:most]) + more
 
 
-def refuse_unknown(kind: str, name: str, known: Collection[str], *, within: str = "") -> None:
+def require_known(kind: str, name: str, known: Collection[str], *, within: str = "") -> None:
     """Raise a ConfigError, with the nearest name that is known, if a name is not known.
 
     Parameters

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, NoReturn, TypeVar, get_args, get_origin,
 import msgspec
 from msgspec import Struct
 
-from insdvl_replay.core.errors import ConfigError, error_context, refuse_unknown
+from insdvl_replay.core.errors import ConfigError, error_context, require_known
 from insdvl_replay.core.plain_text import read_text
 
 KeyPath = tuple[str | int, ...]
@@ -90,21 +90,21 @@ class TomlSource:
         try:
             return msgspec.convert(table, kind)
         except msgspec.ValidationError as error:
-            self._refuse_unknown_keys(table, kind)
+            self._require_known_keys(table, kind)
             reason, _, place = str(error).partition(" - at `$.")
             keys = tuple(int(part) if part.isdigit() else part for part in re.findall(r"\w+", place))
             with error_context(self.where(*keys)):
-                self._refuse_value(reason, keys, _value_at(table, keys), _hint_at(kind, keys))
+                self._raise_for_value(reason, keys, _value_at(table, keys), _hint_at(kind, keys))
 
-    def _refuse_unknown_keys(self, table: object, kind: type[Struct]) -> None:
+    def _require_known_keys(self, table: object, kind: type[Struct]) -> None:
         for *above, key, known in _unknown_keys(table, kind):
             with error_context(self.where(*above, key)):
-                refuse_unknown("key", key, known, within=f"{self.key(*above)}.".removeprefix("."))
+                require_known("key", key, known, within=f"{self.key(*above)}.".removeprefix("."))
 
-    def _refuse_value(self, reason: str, keys: KeyPath, value: object, hint: object) -> NoReturn:
+    def _raise_for_value(self, reason: str, keys: KeyPath, value: object, hint: object) -> NoReturn:
         name = self.key(*keys)
         if isinstance(value, str) and (words := tuple(_words(hint))):
-            refuse_unknown(name, value, words)
+            require_known(name, value, words)
         if reason.startswith("Expected `object`") and name and not name.endswith("]"):
             raise ConfigError(f"{name} is a section, found {_shortened(value)}", f"write [{name}]")
         found = f", found {_shortened(value)}" if keys else ""

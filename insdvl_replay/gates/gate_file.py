@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from insdvl_replay.core.errors import ConfigError, error_context, refuse_unknown
+from insdvl_replay.core.errors import ConfigError, error_context, require_known
 from insdvl_replay.core.plain_text import is_writable
 from insdvl_replay.core.strict_toml import TomlSource, read_toml
 from insdvl_replay.core.table_layout import TableLayout
@@ -100,7 +100,7 @@ def _check_all(content: GateFile) -> None:
         raise ConfigError("no gate is active", f"add [[gate]] with {EXAMPLE}, or set a level to error")
 
 
-def refuse_unknown_names(gates: Gates, filters: Sequence[str] | None) -> None:
+def require_known_names(gates: Gates, filters: Sequence[str] | None) -> None:
     """Raise a ConfigError, with line and nearest name, if a gate names what no result can have.
 
     Parameters
@@ -111,19 +111,19 @@ def refuse_unknown_names(gates: Gates, filters: Sequence[str] | None) -> None:
     for gate in gates.content.gate:
         with error_context(gates.where(gate)):
             layouts = _layouts(gate)
-            _refuse_unknown_rows(gate, layouts, filters)
+            _require_known_rows(gate, layouts, filters)
             if filters is not None:
-                refuse_unknown("filter", gate.filter, [ANY, *filters])
-                _refuse_baseline(gate, layouts, filters)
+                require_known("filter", gate.filter, [ANY, *filters])
+                _require_baseline_rows(gate, layouts, filters)
             for layout in layouts:
-                _refuse_unjudged(gate, layout)
+                _require_fitting_condition(gate, layout)
 
 
 def _layouts(gate: Gate) -> list[TableLayout]:
     """Return the tables that a gate means: those of its name that have its column."""
-    refuse_unknown("table", gate.table, [ANY, *(layout.name for layout in LAYOUTS)])
+    require_known("table", gate.table, [ANY, *(layout.name for layout in LAYOUTS)])
     named = [layout for layout in LAYOUTS if gate.table in (ANY, layout.name)]
-    refuse_unknown("column", gate.column, _unique(column for layout in named for column in _columns(layout)))
+    require_known("column", gate.column, _unique(column for layout in named for column in _columns(layout)))
     return [layout for layout in named if gate.column in _columns(layout)]
 
 
@@ -131,16 +131,16 @@ def _unique(names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _refuse_unknown_rows(gate: Gate, layouts: Sequence[TableLayout], filters: Sequence[str] | None) -> None:
+def _require_known_rows(gate: Gate, layouts: Sequence[TableLayout], filters: Sequence[str] | None) -> None:
     """Refuse what is no row, as far as rows do not bear the names of filters that nobody knows yet."""
     if filters is None and CANDIDATES in layouts:
         return
     rows = [layout.rows or tuple((filters or ())[1:]) for layout in layouts]
     kind = " or ".join(_unique(layout.key for layout in layouts))
-    refuse_unknown(kind, gate.row, [ANY, *_unique(row for of_table in rows for row in of_table)])
+    require_known(kind, gate.row, [ANY, *_unique(row for of_table in rows for row in of_table)])
 
 
-def _refuse_baseline(gate: Gate, layouts: Sequence[TableLayout], filters: Sequence[str]) -> None:
+def _require_baseline_rows(gate: Gate, layouts: Sequence[TableLayout], filters: Sequence[str]) -> None:
     """Refuse the baseline where it has no rows, but stands beside each candidate."""
     baseline, *candidates = filters
     if gate.filter == baseline and not any(layout.baseline_too for layout in layouts):
@@ -155,7 +155,7 @@ def _columns(layout: TableLayout) -> list[str]:
     return [name for name in layout.columns if name not in ("log", "filter", layout.key)]
 
 
-def _refuse_unjudged(gate: Gate, layout: TableLayout) -> None:
+def _require_fitting_condition(gate: Gate, layout: TableLayout) -> None:
     """Refuse a condition that the column's kind can never meet."""
     words = layout.kinds[gate.column] == "text"
     if words and not (gate.min is None and gate.max is None):

@@ -10,7 +10,7 @@ from msgspec import Meta, Struct
 from insdvl_replay.core.plain_text import visible, visible_lines
 from insdvl_replay.core.tables import Cell
 from insdvl_replay.gates.model import CheckResult, Finding, Judgement, Status
-from insdvl_replay.report.document import MISSING, Part, ShownTable, Title, counted
+from insdvl_replay.report.document import MISSING, DisplayTable, Part, Title, counted
 from insdvl_replay.report.markdown import as_markdown
 from insdvl_replay.results.json_report import Tool, as_json, this_tool
 
@@ -114,8 +114,8 @@ def check_markdown(result: CheckResult) -> str:
     parts: list[Part] = [Title("Gates"), check_sentence(result)]
     if missed := _missed(result):
         rows = tuple((WORDS[item.status], item.dive, item.gate, "; ".join(item.reasons)) for item in missed)
-        parts.append(ShownTable("What did not pass", ("", "dive", "gate", "why"), "llll", rows))
-    parts.append(ShownTable("Gates", ("gate", "passed"), "ll", tuple(_passed(result))))
+        parts.append(DisplayTable("What did not pass", ("", "dive", "gate", "why"), "llll", rows))
+    parts.append(DisplayTable("Gates", ("gate", "passed"), "ll", tuple(_passed(result))))
     return as_markdown(parts)
 
 

@@ -86,7 +86,7 @@ def solve_beams(
     -------
     velocity_d : ndarray, shape (m, 3)
         NaN where the valid beams do not span three dimensions.
-    shape_d : ndarray, shape (m, 3, 3)
+    unit_cov_d : ndarray, shape (m, 3, 3)
         ``(H' W H)^-1``, the covariance for unit variance at weight 1.
     residual_mps : ndarray, shape (m,)
         Weighted root mean square residual over its degrees of freedom; NaN where no beam is redundant.
@@ -99,14 +99,14 @@ def solve_beams(
     solvable = np.linalg.cond(normal) < 1e8
     shape_of = np.full_like(normal, np.nan)
     shape_of[solvable] = np.linalg.inv(normal[solvable])
-    shape_d, weight, measured = shape_of[alike], weight_of[alike], np.where(valid, beam_velocity_mps, 0.0)
-    velocity_d = np.einsum("mjk,mi,ik,mi->mj", shape_d, weight, vectors_d, measured, optimize=True)
+    unit_cov_d, weight, measured = shape_of[alike], weight_of[alike], np.where(valid, beam_velocity_mps, 0.0)
+    velocity_d = np.einsum("mjk,mi,ik,mi->mj", unit_cov_d, weight, vectors_d, measured, optimize=True)
     residuals = measured - velocity_d @ vectors_d.T
     redundancy = valid.sum(axis=1) - 3
     squares = np.einsum("mi,mi->m", weight, residuals**2)
     return (
         velocity_d,
-        shape_d,
+        unit_cov_d,
         np.sqrt(np.divide(squares, redundancy, out=np.full(len(squares), np.nan), where=redundancy > 0)),
     )
 

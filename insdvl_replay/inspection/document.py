@@ -12,11 +12,11 @@ from insdvl_replay.report.document import (
     MISSING,
     CellText,
     Code,
+    DisplayTable,
     Only,
     Part,
     Remark,
     Sentences,
-    ShownTable,
     Title,
     number,
 )
@@ -63,14 +63,14 @@ def inventory_csv(inventory: Inventory) -> str:
     return blocks_csv("table", blocks)
 
 
-def inventory_tables(inventory: Inventory) -> list[ShownTable]:
+def inventory_tables(inventory: Inventory) -> list[DisplayTable]:
     """Lay out roles, conventions, topics and clocks."""
     tables = (_roles(inventory), _conventions(inventory), _topics(inventory), _clocks(inventory))
     return [table for table in tables if table.rows]
 
 
-def _roles(inventory: Inventory) -> ShownTable:
-    return ShownTable(
+def _roles(inventory: Inventory) -> DisplayTable:
+    return DisplayTable(
         "Roles",
         ("role", "topic", "why"),
         "lll",
@@ -78,8 +78,8 @@ def _roles(inventory: Inventory) -> ShownTable:
     )
 
 
-def _conventions(inventory: Inventory) -> ShownTable:
-    return ShownTable(
+def _conventions(inventory: Inventory) -> DisplayTable:
+    return DisplayTable(
         "Conventions: what the type of a topic says where the configuration does not",
         ("topic", "key and value"),
         "ll",
@@ -90,9 +90,9 @@ def _conventions(inventory: Inventory) -> ShownTable:
     )
 
 
-def _topics(inventory: Inventory) -> ShownTable:
+def _topics(inventory: Inventory) -> DisplayTable:
     empty = [topic for topic in inventory.topics if not topic.messages]
-    return ShownTable(
+    return DisplayTable(
         "Topics: rate, longest gap and span by the times of recording",
         ("topic\n  type, encoding", "role", "messages", "rate\n[Hz]", "gap\n[s]", "from\n[s]", "to\n[s]"),
         "llrrrrr",
@@ -113,9 +113,9 @@ def _topic(topic: TopicFacts) -> tuple[CellText, ...]:
     )
 
 
-def _clocks(inventory: Inventory) -> ShownTable:
+def _clocks(inventory: Inventory) -> DisplayTable:
     messages = {topic.topic: topic.messages for topic in inventory.topics}
-    return ShownTable(
+    return DisplayTable(
         "Clocks: log time minus stamp, by the first messages",
         ("topic", "stamp", "first", "median\n[s]", "spread\n[s]", "back\nsteps", "repeats", "rate\n[Hz]"),
         "llrrrrrr",

@@ -20,9 +20,9 @@ class DvlVelocities:
         Times of validity.
     velocity_b : ndarray, shape (m, 3)
         ``C_d^b v_d``, m/s.
-    shape_b : ndarray, shape (m, 3, 3)
+    unit_cov_b : ndarray, shape (m, 3, 3)
         Covariance for noise of unit variance: of one beam where ``from_beams``, else of each axis.
-    full_shape_b : ndarray, shape (3, 3)
+    full_unit_cov_b : ndarray, shape (3, 3)
         The same for a ping with all beams.
     from_beams : bool
         Whether the velocities were solved from beams.
@@ -38,8 +38,8 @@ class DvlVelocities:
 
     time_ns: TimeNs
     velocity_b: Floats
-    shape_b: Floats
-    full_shape_b: Floats
+    unit_cov_b: Floats
+    full_unit_cov_b: Floats
     from_beams: bool
     beams_used: NDArray[np.int64]
     residual_mps: Floats
@@ -53,7 +53,7 @@ class DvlVelocities:
             self,
             time_ns=self.time_ns[keep],
             velocity_b=self.velocity_b[keep],
-            shape_b=self.shape_b[keep],
+            unit_cov_b=self.unit_cov_b[keep],
             beams_used=self.beams_used[keep],
             residual_mps=self.residual_mps[keep],
         )
@@ -79,13 +79,13 @@ def dvl_velocities(
         Usable pings only, with the others counted.
     """
     if dvl.velocity_d is not None:
-        velocity_d, full_shape_d, from_beams = dvl.velocity_d, np.eye(3), False
-        shape_d = np.broadcast_to(np.eye(3), (len(velocity_d), 3, 3))
+        velocity_d, full_unit_cov_d, from_beams = dvl.velocity_d, np.eye(3), False
+        unit_cov_d = np.broadcast_to(np.eye(3), (len(velocity_d), 3, 3))
         residual_mps = np.full(len(velocity_d), np.nan)
         beams_used = np.zeros(len(velocity_d), dtype=np.int64)
     elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
-        velocity_d, shape_d, residual_mps = solve_beams(dvl.beam_velocity_mps, dvl.beam_vectors_d)
-        full_shape_d, from_beams = whole_ping_cov(dvl.beam_vectors_d), True
+        velocity_d, unit_cov_d, residual_mps = solve_beams(dvl.beam_velocity_mps, dvl.beam_vectors_d)
+        full_unit_cov_d, from_beams = whole_ping_cov(dvl.beam_vectors_d), True
         beams_used = np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
     else:
         raise ValueError("a DVL gives beams with their vectors, or velocities")
@@ -96,8 +96,8 @@ def dvl_velocities(
     return DvlVelocities(
         time_ns=dvl.time_ns[keep],
         velocity_b=mounting.velocity_b(velocity_d[keep]),
-        shape_b=mounting.mat_bd @ shape_d[keep] @ mounting.mat_bd.T,
-        full_shape_b=mounting.mat_bd @ full_shape_d @ mounting.mat_bd.T,
+        unit_cov_b=mounting.mat_bd @ unit_cov_d[keep] @ mounting.mat_bd.T,
+        full_unit_cov_b=mounting.mat_bd @ full_unit_cov_d @ mounting.mat_bd.T,
         from_beams=from_beams,
         beams_used=beams_used[keep],
         residual_mps=residual_mps[keep] / mounting.scale,

@@ -72,10 +72,10 @@ def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, of_one_beam: bool 
     ndarray, shape (m, 3, 3), m^2/s^2
     """
     if of_one_beam or not velocities.from_beams:
-        return sd_mps**2 * velocities.shape_b
-    values, vectors = np.linalg.eigh(velocities.full_shape_b)
+        return sd_mps**2 * velocities.unit_cov_b
+    values, vectors = np.linalg.eigh(velocities.full_unit_cov_b)
     whiten = vectors / np.sqrt(values) @ vectors.T
-    cov: Floats = sd_mps**2 * (whiten @ velocities.shape_b @ whiten)
+    cov: Floats = sd_mps**2 * (whiten @ velocities.unit_cov_b @ whiten)
     return cov
 
 

@@ -21,7 +21,7 @@ from insdvl_replay.nav.measurements import (
     velocity_measurement,
 )
 from insdvl_replay.nav.timeline import NO_GAPS, Gaps
-from insdvl_replay.preparation.long_gaps import swing_cov
+from insdvl_replay.preparation.long_gaps import lever_arm_velocity_cov
 
 
 class DvlNoise(NamedTuple):
@@ -91,7 +91,7 @@ class ResolvedFilter:
             The IMU's long gaps. In one the lever arm swings unseen, and no window of accelerations spans any part of
             one.
         """
-        cov_b = self._ping_cov(velocities) + swing_cov(gaps, velocities.time_ns, mounting.lever_arm_b)
+        cov_b = self._ping_cov(velocities) + lever_arm_velocity_cov(gaps, velocities.time_ns, mounting.lever_arm_b)
         return tuple(
             velocity_measurement(velocities, cov_b, self.gate, self.gate_reopen_after)
             if aiding == "velocity"

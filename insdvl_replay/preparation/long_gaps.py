@@ -42,7 +42,7 @@ def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
     return Gaps(start_ns, end_ns, density, imu.gap_rate_degps * DEG)
 
 
-def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats) -> Floats:
+def lever_arm_velocity_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats) -> Floats:
     """Return the covariance of ``w x l`` at pings inside a gap, where the turn rate is unknown; zero elsewhere.
 
     Parameters
@@ -61,7 +61,9 @@ def swing_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats) -> Floats:
     return inside[:, None, None] * gaps.rate_sd_radps**2 * (arm @ arm.T)
 
 
-def settle_gaps(gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int) -> tuple[int, int, tuple[Note, ...]]:
+def apply_gap_policy(
+    gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int
+) -> tuple[int, int, tuple[Note, ...]]:
     """Do with the long gaps of a span what the configuration wants, and say so."""
     inside = gaps.within(start_ns, end_ns)
     if not len(inside.start_ns):

@@ -14,7 +14,7 @@ from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.alignment import Alignment, align
 from insdvl_replay.preparation.filters import ResolvedFilter, dvl_mounting, resolve_filters
-from insdvl_replay.preparation.long_gaps import find_gaps, settle_gaps
+from insdvl_replay.preparation.long_gaps import apply_gap_policy, find_gaps
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     start_ns, end_ns = _span(dive, velocities, config)
     gaps = find_gaps(dive.imu.time_ns, config.imu)
     with error_context(dive.name):
-        start_ns, end_ns, gap_notes = settle_gaps(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
+        start_ns, end_ns, gap_notes = apply_gap_policy(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
         noise = filters[0].sensor_noise(velocities)
         alignment = align(
             dive.imu, velocities, noise, dive.reference, config.initial, mounting.lever_arm_b, start_ns, end_ns

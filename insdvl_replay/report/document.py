@@ -34,7 +34,7 @@ CellText = str | tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class ShownTable:
+class DisplayTable:
     """A table ready to be rendered.
 
     Attributes
@@ -64,9 +64,9 @@ Column = tuple[str, str, Callable[[Row], CellText]]
 """Name, alignment, and what stands there."""
 
 
-def table_of(title: str, rows: Sequence[Row], columns: Sequence[Column[Row]], footnote: str = "") -> ShownTable:
+def table_of(title: str, rows: Sequence[Row], columns: Sequence[Column[Row]], footnote: str = "") -> DisplayTable:
     """Lay out rows, a column for each thing that is said of them."""
-    return ShownTable(
+    return DisplayTable(
         title,
         tuple(name for name, _, _ in columns),
         "".join(letter for _, letter, _ in columns),
@@ -125,7 +125,7 @@ class Title:
 
 
 @dataclass(frozen=True)
-class Lead:
+class Callout:
     """The sentence that a reader takes away; the tone, ``good`` or ``bad``, colours the edge beside it on a page."""
 
     text: str
@@ -171,7 +171,7 @@ class Heading:
 class LinkedTable:
     """A table of a page whose rows lead somewhere: the first cell of each to its address, unless that is empty."""
 
-    table: ShownTable
+    table: DisplayTable
     links: tuple[str, ...]
 
 
@@ -205,11 +205,11 @@ class Only:
     parts: tuple["Part", ...]
 
 
-Text = str | Title | Lead | Remark
+Text = str | Title | Callout | Remark
 """Of one sentence; plain text becomes a paragraph."""
 OfPage = Heading | LinkedTable | Facts | Details | Figure | Html
 """What pages alone can show."""
-Part = Text | Sentences | Code | ShownTable | OfPage | Only
+Part = Text | Sentences | Code | DisplayTable | OfPage | Only
 Document = Sequence[Part]
 
 
@@ -223,12 +223,12 @@ def parts_for(format_: Format, document: Document) -> Iterator[Part]:
             yield part
 
 
-def losses(notes: Iterable[Note]) -> ShownTable | str:
+def losses(notes: Iterable[Note]) -> DisplayTable | str:
     """State with counts what was dropped, assumed or found odd."""
     rows = tuple((str(note.count), note.severity, f"{note.text} [{note.code}]", note.hint) for note in notes)
     if not rows:
         return "Nothing."
-    return ShownTable("Notes on reading, preparing and filtering", ("count", "", "what", "what helps"), "rlll", rows)
+    return DisplayTable("Notes on reading, preparing and filtering", ("count", "", "what", "what helps"), "rlll", rows)
 
 
 def settings_details(settings: str) -> Details:

@@ -9,13 +9,13 @@ from typing import Final
 
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.report.document import (
+    Callout,
     CellText,
+    DisplayTable,
     Document,
-    Lead,
     Part,
     Remark,
     Sentences,
-    ShownTable,
     Title,
     cell_lines,
     parts_for,
@@ -33,19 +33,19 @@ def as_latex(document: Document) -> str:
     """Render a document in LaTeX: all sentences first, then one ``table`` for each table."""
     parts = list(parts_for("latex", document))
     comments = "\n".join(f"% {visible(line)}" for part in parts for line in _sentences(part))
-    return "\n\n".join([comments, *(_table(part) for part in parts if isinstance(part, ShownTable))]) + "\n"
+    return "\n\n".join([comments, *(_table(part) for part in parts if isinstance(part, DisplayTable))]) + "\n"
 
 
 def _sentences(part: Part) -> Iterator[str]:
     match part:
-        case str(text) | Title(text) | Lead(text) | Remark(text=text):
+        case str(text) | Title(text) | Callout(text) | Remark(text=text):
             yield text
         case Sentences(lines):
             for line in lines:
                 yield from _sentences(line)
 
 
-def _table(table: ShownTable) -> str:
+def _table(table: DisplayTable) -> str:
     return "\n".join(
         [
             r"\begin{table}",

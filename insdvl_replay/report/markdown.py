@@ -9,14 +9,14 @@ from collections.abc import Iterator
 
 from insdvl_replay.core.plain_text import visible, visible_lines
 from insdvl_replay.report.document import (
+    Callout,
     CellText,
     Code,
+    DisplayTable,
     Document,
-    Lead,
     Part,
     Remark,
     Sentences,
-    ShownTable,
     Title,
     cell_lines,
     parts_for,
@@ -32,14 +32,14 @@ def _blocks(part: Part) -> Iterator[str]:
     match part:
         case Title(text):
             yield f"## {_text(text)}"
-        case str(text) | Lead(text) | Remark(text=text):
+        case str(text) | Callout(text) | Remark(text=text):
             yield _text(text)
         case Sentences(lines):
             for line in lines:
                 yield from _blocks(line)
         case Code(text, language):
             yield _fenced(text, language)
-        case ShownTable():
+        case DisplayTable():
             yield _table(part)
 
 
@@ -55,7 +55,7 @@ def _fenced(text: str, language: str) -> str:
     return f"{fence}{language}\n{visible_lines(text.rstrip())}\n{fence}"
 
 
-def _table(table: ShownTable) -> str:
+def _table(table: DisplayTable) -> str:
     rule = ["---:" if letter == "r" else "---" for letter in table.alignment]
     header = [" ".join(name.split()) for name in table.header]
     lines = [f"| {' | '.join(map(_cell, row))} |" for row in (header, rule, *table.rows)]

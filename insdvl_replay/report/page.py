@@ -9,18 +9,18 @@ from typing import Final
 
 from insdvl_replay.core.plain_text import visible_lines
 from insdvl_replay.report.document import (
+    Callout,
     Code,
     Details,
+    DisplayTable,
     Document,
     Facts,
     Heading,
     Html,
-    Lead,
     LinkedTable,
     Part,
     Remark,
     Sentences,
-    ShownTable,
     Title,
     cell_lines,
     parts_for,
@@ -73,7 +73,7 @@ def is_page(data: bytes) -> bool:
     return _SIGNATURE.encode() in data[:1000]
 
 
-def _table(table: ShownTable, links: Sequence[str] = ()) -> str:
+def _table(table: DisplayTable, links: Sequence[str] = ()) -> str:
     """Render a table; without links, its rows lead nowhere."""
     kinds = [' class="r"' if letter == "r" else "" for letter in table.alignment]
     header = "".join(f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, table.header, strict=True))
@@ -118,7 +118,7 @@ def _laid_out(parts: Sequence[Part]) -> list[str]:
     lines: list[str] = []
     in_tables = False
     for part in parts:
-        if isinstance(part, ShownTable) != in_tables:
+        if isinstance(part, DisplayTable) != in_tables:
             in_tables = not in_tables
             lines.append('<div class="tables">' if in_tables else "</div>")
         lines.append(_html(part))
@@ -129,7 +129,7 @@ def _html(part: Part) -> str:
     match part:
         case Heading(text):
             return f'<h2 id="{_anchor(text)}">{escape(text)}</h2>'
-        case Lead(text, tone):
+        case Callout(text, tone):
             return f'<p class="{f"lead {tone}".rstrip()}">{escape(text)}</p>'
         case str(text) | Remark(text=text):
             return f"<p>{escape(text)}</p>"
@@ -140,7 +140,7 @@ def _html(part: Part) -> str:
 
 def _block(part: Part) -> str:
     match part:
-        case ShownTable():
+        case DisplayTable():
             return _table(part)
         case LinkedTable(table, links):
             return _table(table, links)

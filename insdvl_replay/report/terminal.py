@@ -12,13 +12,13 @@ from rich.text import Text
 
 from insdvl_replay.core.plain_text import visible, visible_lines
 from insdvl_replay.report.document import (
+    Callout,
     Code,
+    DisplayTable,
     Document,
-    Lead,
     Part,
     Remark,
     Sentences,
-    ShownTable,
     Title,
     cell_lines,
     parts_for,
@@ -44,7 +44,7 @@ def _lines(part: Part) -> Iterator[RenderableType]:
     match part:
         case Title(text):
             yield spoken(text, "bold")
-        case str(text) | Lead(text) | Remark(text, ""):
+        case str(text) | Callout(text) | Remark(text, ""):
             yield spoken(text)
         case Remark(sentence, hint):
             yield from (spoken(sentence), Padding(spoken(f"hint: {hint}"), (0, 0, 0, 2)))
@@ -55,12 +55,12 @@ def _lines(part: Part) -> Iterator[RenderableType]:
         case Code(text):
             yield Text()
             yield from (Text(visible(line), no_wrap=True, overflow="ignore") for line in text.splitlines())
-        case ShownTable(title, title_apart=apart):
+        case DisplayTable(title, title_apart=apart):
             yield Text()
             yield from (spoken(title, "bold"), _table(replace(part, title=""))) if apart else (_table(part),)
 
 
-def _table(table: ShownTable) -> Table:
+def _table(table: DisplayTable) -> Table:
     grid = Table(
         title=spoken(table.title, "bold"),
         caption=spoken(table.footnote) if table.footnote else None,

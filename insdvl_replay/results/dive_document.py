@@ -12,15 +12,15 @@ from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import (
     PAGE,
     PRINTED,
+    Callout,
+    DisplayTable,
     Facts,
     Heading,
     Html,
-    Lead,
     LinkedTable,
     Only,
     Part,
     Sentences,
-    ShownTable,
     Title,
     losses,
     percent,
@@ -29,7 +29,7 @@ from insdvl_replay.report.document import (
 )
 from insdvl_replay.report.page import page
 from insdvl_replay.report.plots.panel import Figure
-from insdvl_replay.results.dive_tables import glance_table, shown_tables
+from insdvl_replay.results.dive_tables import display_tables, glance_table
 from insdvl_replay.results.json_report import Report
 
 _TONES: Final[dict[str, str]] = {
@@ -61,10 +61,10 @@ def dive_document(report: Report, behind: Sequence[Part] = ()) -> list[Part]:
     return [
         Only(PRINTED, (Title(heading(report)),)),
         Only(PAGE, (Title(_replayed(report)),)),
-        *(Lead(candidate.verdict, _TONES.get(candidate.improvement, "")) for candidate in report.filters.values()),
+        *(Callout(candidate.verdict, _TONES.get(candidate.improvement, "")) for candidate in report.filters.values()),
         *glance,
         Heading("Tables"),
-        *shown_tables(report),
+        *display_tables(report),
         Only(PRINTED, (Sentences(closing_lines(report)),)),
         *behind,
     ]
@@ -137,7 +137,7 @@ def _provenance(report: Report) -> Iterator[Part]:
             "with": ", ".join(f"{name} {version}" for name, version in report.versions.items()),
         }
     )
-    yield ShownTable(
+    yield DisplayTable(
         "Channels of the log",
         ("topic", "type", "encoding", "role", "messages"),
         "llllr",

@@ -16,7 +16,7 @@ from insdvl_replay.core.words import Gain, ReferenceStatus
 from insdvl_replay.report.document import (
     MISSING,
     Column,
-    ShownTable,
+    DisplayTable,
     decimal,
     number,
     percent,
@@ -40,14 +40,14 @@ class _OfFilter(Protocol):
 Row = TypeVar("Row", bound=_OfFilter)
 
 
-def shown_tables(report: Report) -> list[ShownTable]:
+def display_tables(report: Report) -> list[DisplayTable]:
     """Lay out three tables for each candidate and three on how far to trust each filter, those that have rows."""
     return list(_tables(report))
 
 
-def glance_table(report: Report) -> ShownTable:
+def glance_table(report: Report) -> DisplayTable:
     """Lay each candidate's verdicts and mean improvements beside each other."""
-    return ShownTable(
+    return DisplayTable(
         "At a glance",
         ("filter", "improvement", "believed", "actual", "sooner", "innovations", "errors"),
         "llrrrll",
@@ -76,7 +76,7 @@ def gain_cells(candidate: Candidate) -> tuple[str, str, str, str]:
     )
 
 
-def _tables(report: Report) -> Iterator[ShownTable]:
+def _tables(report: Report) -> Iterator[DisplayTable]:
     tables = report.tables
     for name in report.filters:
         yield from _improvement(report.baseline, name, _of(name, tables.improvement))
@@ -92,7 +92,7 @@ def _of(name: str, rows: Iterable[Row]) -> list[Row]:
     return [row for row in rows if row.filter == name]
 
 
-def _improvement(baseline: str, name: str, rows: Sequence[ImprovementRow]) -> Iterator[ShownTable]:
+def _improvement(baseline: str, name: str, rows: Sequence[ImprovementRow]) -> Iterator[DisplayTable]:
     if rows:
         columns: list[Column[ImprovementRow]] = [
             ("state", "l", lambda row: row_label(row.state)),
@@ -105,7 +105,7 @@ def _improvement(baseline: str, name: str, rows: Sequence[ImprovementRow]) -> It
         yield table_of(f"Improvement: standard deviations at the end, {name} against {baseline}", rows, columns)
 
 
-def _convergence(baseline: str, name: str, rows: Sequence[ConvergenceRow]) -> Iterator[ShownTable]:
+def _convergence(baseline: str, name: str, rows: Sequence[ConvergenceRow]) -> Iterator[DisplayTable]:
     if rows:
         columns: list[Column[ConvergenceRow]] = [
             ("state", "l", lambda row: row_label(row.state)),
@@ -119,7 +119,7 @@ def _convergence(baseline: str, name: str, rows: Sequence[ConvergenceRow]) -> It
         yield table_of(f"Convergence: when {name} is as sure as {baseline} is at the end", rows, columns)
 
 
-def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]) -> Iterator[ShownTable]:
+def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]) -> Iterator[DisplayTable]:
     if rows:
         columns: list[Column[ReferenceErrorRow]] = [
             ("quantity", "l", lambda row: row_label(row.quantity)),
@@ -145,7 +145,7 @@ def _not_compared(rows: Sequence[ReferenceErrorRow]) -> str:
     )
 
 
-def _consistency(rows: Sequence[ConsistencyRow]) -> Iterator[ShownTable]:
+def _consistency(rows: Sequence[ConsistencyRow]) -> Iterator[DisplayTable]:
     if rows:
         columns: list[Column[ConsistencyRow]] = [
             ("filter", "l", lambda row: row.filter),
@@ -160,7 +160,7 @@ def _consistency(rows: Sequence[ConsistencyRow]) -> Iterator[ShownTable]:
         yield table_of("Consistency: mean NIS and where 95 % of consistent filters would have it", rows, columns)
 
 
-def _innovations(rows: Sequence[ConsistencyRow]) -> Iterator[ShownTable]:
+def _innovations(rows: Sequence[ConsistencyRow]) -> Iterator[DisplayTable]:
     if rows:
         columns: list[Column[ConsistencyRow]] = [
             ("filter", "l", lambda row: row.filter),
@@ -174,7 +174,7 @@ def _innovations(rows: Sequence[ConsistencyRow]) -> Iterator[ShownTable]:
         yield table_of("Innovations by axis: size, and likeness of each to the one before", rows, columns)
 
 
-def _credibility(name: str, rows: Sequence[CredibilityRow]) -> Iterator[ShownTable]:
+def _credibility(name: str, rows: Sequence[CredibilityRow]) -> Iterator[DisplayTable]:
     compared = [row for row in rows if row.samples]
     if compared:
         columns: list[Column[CredibilityRow]] = [

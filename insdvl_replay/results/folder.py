@@ -123,11 +123,11 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
         The target exists and must not be replaced, or the disk refuses.
     """
     clear_leftovers(target.parent)  # an older result may lie in them
-    refuse_existing_folder(target, force=force)
+    require_replaceable_folder(target, force=force)
     with workspace_beside(target) as workspace:
         yield workspace / NEW
         list_files(workspace / NEW)
-        refuse_existing_folder(target, force=force)
+        require_replaceable_folder(target, force=force)
         if target.exists():
             target.rename(workspace / OLD)
         (workspace / NEW).rename(target)
@@ -156,7 +156,7 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
         The target exists and must not be replaced, is a folder, a disk or a link that leads nowhere, or the disk
         refuses.
     """
-    refuse_existing_file(target, force=force)
+    require_replaceable_file(target, force=force)
     file = replaceable_file(target)
     if file is None:
         with _copied_into(target) as path:
@@ -164,11 +164,11 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
         return
     with workspace_beside(file) as workspace:
         yield workspace / NEW / file.name
-        refuse_existing_file(target, force=force)
+        require_replaceable_file(target, force=force)
         (workspace / NEW / file.name).replace(file)
 
 
-def refuse_existing_folder(target: Path, *, force: bool = False) -> None:
+def require_replaceable_folder(target: Path, *, force: bool = False) -> None:
     """Raise a ConfigError if a result must not be written to a folder.
 
     With ``force`` an older result may be replaced, if the folder holds its files alone. Anything else that bears the
@@ -221,7 +221,7 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
     return DIVE_FILES if all((folder / name).is_file() for name in DIVE_FILES) else None
 
 
-def refuse_existing_file(target: Path, *, force: bool = False) -> None:
+def require_replaceable_file(target: Path, *, force: bool = False) -> None:
     """Raise a ConfigError if a file cannot be written, or exists and may not be replaced."""
     file = replaceable_file(target)
     if file is not None and file.exists() and not force:

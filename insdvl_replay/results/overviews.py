@@ -10,7 +10,7 @@ from urllib.parse import quote
 from insdvl_replay.core.tables import is_whole
 from insdvl_replay.core.words import Gain
 from insdvl_replay.report.csv_tables import rows_csv
-from insdvl_replay.report.document import MISSING, Lead, LinkedTable, ShownTable, Title, number
+from insdvl_replay.report.document import MISSING, Callout, DisplayTable, LinkedTable, Title, number
 from insdvl_replay.report.page import page
 from insdvl_replay.results.dive_tables import MEANS, gain_cells
 from insdvl_replay.results.folder import PAGE
@@ -109,7 +109,7 @@ def index_page(outcomes: Sequence[Report | Failure]) -> bytes:
     rows = [row for outcome in outcomes for row in _index_rows(outcome)]
     failed = sum(isinstance(outcome, Failure) for outcome in outcomes)
     columns = len(_HEADER) if failed else len(_HEADER) - 1
-    table = ShownTable(
+    table = DisplayTable(
         "Each candidate against its baseline",
         _HEADER[:columns],
         _ALIGNMENT[:columns],
@@ -121,13 +121,13 @@ def index_page(outcomes: Sequence[Report | Failure]) -> bytes:
     return page([Title(words), *_opening(outcomes), LinkedTable(table, tuple(link for _, link in rows))], script)
 
 
-def _opening(outcomes: Sequence[Report | Failure]) -> Iterator[Lead]:
+def _opening(outcomes: Sequence[Report | Failure]) -> Iterator[Callout]:
     """State of how many candidates the improvement is borne out."""
     reports = [outcome for outcome in outcomes if isinstance(outcome, Report)]
     counts = Counter(candidate.improvement for report in reports for candidate in report.filters.values())
     if counts:
         found = ", ".join(f"{count} {word}" for word, count in counts.most_common())
-        yield Lead(f"Improvements over the baseline: {found}.")
+        yield Callout(f"Improvements over the baseline: {found}.")
 
 
 def _index_rows(outcome: Report | Failure) -> Iterator[tuple[tuple[str, ...], str]]:

@@ -100,11 +100,11 @@ def _read_report(file: Path) -> StoredReport | None:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         hint = "name a result folder or its report.json; a broken one is replaced by replaying its log with --force"
         raise ResultError(f"{file}: is not JSON: {error}", hint) from error
-    _refuse_nameless_rows(file, report)
+    _require_named_rows(file, report)
     return report
 
 
-def _refuse_nameless_rows(file: Path, report: StoredReport) -> None:
+def _require_named_rows(file: Path, report: StoredReport) -> None:
     """Refuse a result with a row of which nobody knows what it is about."""
     for layout in TABLES:
         for number, row in enumerate(report.tables.get(layout.name, []), 1):

@@ -8,11 +8,11 @@ import numpy as np
 
 from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, TimeNs, TruthColumns, seconds
 from insdvl_replay.core.config import Vector
-from insdvl_replay.core.errors import ConfigError, refuse_unknown
+from insdvl_replay.core.errors import ConfigError, require_known
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.beams import AZIMUTH_DEG
 from insdvl_replay.geometry.rotation import mat_from_sines, turned
-from insdvl_replay.sim.motion import Course
+from insdvl_replay.sim.motion import Trajectory
 from insdvl_replay.sim.sensor_errors import (
     GRADES,
     DvlErrors,
@@ -142,15 +142,15 @@ def exact_dive(
     every_beam = range(len(AZIMUTH_DEG))
     spans = [*lost_beams, *(LostBeam(beam, *outage) for outage in outages for beam in every_beam)]
     _check_spans(spans)
-    course = Course(way, end_s)
+    trajectory = Trajectory(way, end_s)
     ping_ns = _grid_ns(FIRST_PING_S, dvl_rate_hz, end_s)
     own_ns = _grid_ns(0.0, reference_rate_hz, end_s)
-    reference = _reference(course, np.append(START_NS, ping_ns) if reference_at_pings else own_ns)
+    reference = _reference(trajectory, np.append(START_NS, ping_ns) if reference_at_pings else own_ns)
     unbiased = np.zeros_like(reference.velocity_n)
     return Dive(
         name=scenario,
-        imu=_imu(course, _grid_ns(0.0, imu_rate_hz, end_s)),
-        dvl=_dvl(course, ping_ns, lever_arm_m, mounting_rpy_deg, spans),
+        imu=_imu(trajectory, _grid_ns(0.0, imu_rate_hz, end_s)),
+        dvl=_dvl(trajectory, ping_ns, lever_arm_m, mounting_rpy_deg, spans),
         reference=reference,
         truth=TruthColumns(reference.time_ns, unbiased, unbiased),
     )
@@ -211,7 +211,7 @@ def named(kind: str, name: str, known: Mapping[str, T]) -> T:
     ConfigError
         The name is not known.
     """
-    refuse_unknown(kind, name, known)
+    require_known(kind, name, known)
     return known[name]
 
 
@@ -246,8 +246,8 @@ def _grid_ns(first_s: float, rate_hz: float, end_s: float) -> TimeNs:
     return START_NS + np.rint((first_s + np.arange(count) / rate_hz) * 1e9).astype(np.int64)
 
 
-def _imu(course: Course, time_ns: TimeNs) -> ImuColumns:
-    motions = [course.at(block) for block in np.array_split(seconds(time_ns, START_NS), 1 + len(time_ns) // BLOCK)]
+def _imu(trajectory: Trajectory, time_ns: TimeNs) -> ImuColumns:
+    motions = [trajectory.at(block) for block in np.array_split(seconds(time_ns, START_NS), 1 + len(time_ns) // BLOCK)]
     return ImuColumns(
         time_ns,
         np.concatenate([motion.specific_force_b for motion in motions]),
@@ -256,10 +256,10 @@ def _imu(course: Course, time_ns: TimeNs) -> ImuColumns:
 
 
 def _dvl(
-    course: Course, time_ns: TimeNs, lever_arm_m: Vector, mounting_rpy_deg: Vector, spans: Sequence[LostBeam]
+    trajectory: Trajectory, time_ns: TimeNs, lever_arm_m: Vector, mounting_rpy_deg: Vector, spans: Sequence[LostBeam]
 ) -> DvlColumns:
     time_s, vectors_d = seconds(time_ns, START_NS), beam_vectors_d()
-    motion = course.at(time_s)
+    motion = trajectory.at(time_s)
     mat_db = mat_from_sines(*sine_and_cosine(np.array(mounting_rpy_deg) * DEG)).T
     velocity_b = turned(np.swapaxes(motion.mat_nb, -1, -2), motion.velocity_n)
     velocity_d = turned(mat_db, velocity_b + np.cross(motion.turn_rate_b, lever_arm_m))
@@ -269,9 +269,9 @@ def _dvl(
     return DvlColumns(time_ns, beam_velocity_mps, vectors_d)
 
 
-def _reference(course: Course, time_ns: TimeNs) -> ReferenceColumns:
+def _reference(trajectory: Trajectory, time_ns: TimeNs) -> ReferenceColumns:
     """Write the motion down with as many digits as matter: below 0.1 mm, 1 um/s and 1 prad."""
-    motion = course.at(seconds(time_ns, START_NS))
+    motion = trajectory.at(seconds(time_ns, START_NS))
     return ReferenceColumns(
         time_ns,
         position=np.round(motion.position, 11),

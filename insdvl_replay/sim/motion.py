@@ -51,13 +51,13 @@ class Motion:
     turn_rate_b: Floats
 
 
-class Course:
+class Trajectory:
     """A scenario put on the Earth.
 
     Parameters
     ----------
     end_s : float
-        How far the course is needed, seconds from the start.
+        How far the trajectory is needed, seconds from the start.
     """
 
     def __init__(self, scenario: Scenario, end_s: float) -> None:
@@ -67,7 +67,7 @@ class Course:
         self._way = _Way.of_velocity(knots_s, turned(mat_nb, scenario.velocity_b(knots_s)))
 
     def at(self, time_s: Floats) -> Motion:
-        """Return the motion at any times up to the course's end.
+        """Return the motion at any times up to the trajectory's end.
 
         Implements ``f_b = C'(v' - g + (2 w_ie + w_en) x v)`` and ``w_b = w_nb + C'(w_ie + w_en)`` with
         ``v' = C (w_nb x v_b + v_b')``; see equations/mechanisation.md.

@@ -8,7 +8,7 @@ import pandas as pd
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.states import NINE, STATES, State
 from insdvl_replay.core.words import Consistency
-from insdvl_replay.report.document import ShownTable, number, percent, row_label
+from insdvl_replay.report.document import DisplayTable, number, percent, row_label
 from insdvl_replay.report.plots.panel import LIMIT, REFERENCE, Curve, Figure, Panel, filter_style
 
 BELIEVED: Final = f"{filter_style(0)} {filter_style(1)}"
@@ -52,7 +52,7 @@ def _change(improvement_pct: float) -> str:
     return f"{abs(improvement_pct):.1f} % {'smaller' if improvement_pct >= 0 else 'larger'}"
 
 
-def shown_montecarlo(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable, ...]:
+def shown_montecarlo(tables: Mapping[str, pd.DataFrame]) -> tuple[DisplayTable, ...]:
     """Turn the tables of a study into tables for people: one for each filter, and the verdicts."""
     baseline, *_ = tables["verdicts"]["filter"]
     states = [
@@ -63,12 +63,12 @@ def shown_montecarlo(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable, ..
     return (*states, _verdicts(tables["verdicts"]), *through)
 
 
-def _states(name: object, rows: pd.DataFrame, baseline: str) -> ShownTable:
+def _states(name: object, rows: pd.DataFrame, baseline: str) -> DisplayTable:
     header = ["state", "unit", "sigma\nfrom P", "ensemble\nsigma", "ensemble\nmean", "rms /\nsigma"]
     columns = ["final_sd", "ensemble_sd", "ensemble_mean", "ratio"]
     shares = ["believed_improvement_pct", "true_improvement_pct"] if baseline else []
     against = f"; improvement over {baseline} in belief and truth" if baseline else ""
-    return ShownTable(
+    return DisplayTable(
         f"Errors of {name} at the end, as believed and as they are{against}",
         (*header, *(["belief", "truth"] if baseline else [])),
         "llrrrr" + "rr" * bool(baseline),
@@ -84,8 +84,8 @@ def _states(name: object, rows: pd.DataFrame, baseline: str) -> ShownTable:
     )
 
 
-def _verdicts(table: pd.DataFrame) -> ShownTable:
-    return ShownTable(
+def _verdicts(table: pd.DataFrame) -> DisplayTable:
+    return DisplayTable(
         "NEES: mean over runs and pings, and where 95 % of consistent filters would have it",
         ("filter", "runs", "NEES", "low", "high", "inside", "at the end", "verdict"),
         "lrrrrrrl",
@@ -103,9 +103,9 @@ def _verdicts(table: pd.DataFrame) -> ShownTable:
     )
 
 
-def _outages(table: pd.DataFrame) -> ShownTable:
+def _outages(table: pd.DataFrame) -> DisplayTable:
     columns = ["nees_before", "nees_last", "nees_soon", "nees_later", "nees_final"]
-    return ShownTable(
+    return DisplayTable(
         f"NEES through outages of the DVL, mean over the runs; {len(STATES)} expected",
         ("filter", "from\n[s]", "to\n[s]", "before", "last in\nit", "after\n1.5 s", "after\n60 s", "at the\nend"),
         "lrrrrrrr",
@@ -125,10 +125,10 @@ def run_sentences(table: pd.DataFrame) -> tuple[str, ...]:
     )
 
 
-def shown_run(table: pd.DataFrame) -> tuple[ShownTable, ...]:
+def shown_run(table: pd.DataFrame) -> tuple[DisplayTable, ...]:
     """Turn one run into tables for people, one for each filter."""
     return tuple(
-        ShownTable(
+        DisplayTable(
             f"Errors of {name} at the end of the run",
             ("state", "unit", "error", "sigma from P", "error / sigma"),
             "llrrr",

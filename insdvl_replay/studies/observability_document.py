@@ -8,7 +8,7 @@ import pandas as pd
 
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import DirectionStatus
-from insdvl_replay.report.document import MISSING, ShownTable, number, percent, row_label
+from insdvl_replay.report.document import MISSING, DisplayTable, number, percent, row_label
 from insdvl_replay.report.plots.panel import LIMIT, Curve, Figure, Panel, filter_style
 
 _SHORT: Final = {
@@ -52,7 +52,7 @@ def _grown_sentence(aiding: object, states: pd.DataFrame) -> str:
     return f"{aiding}: with process noise, less certain after the last ping than at the start: {'; '.join(names)}."
 
 
-def shown_observability(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable, ...]:
+def shown_observability(tables: Mapping[str, pd.DataFrame]) -> tuple[DisplayTable, ...]:
     """Turn the tables of a study into tables for people."""
     return (
         _catalogue(tables["catalogue"]),
@@ -72,8 +72,8 @@ def shown_observability(tables: Mapping[str, pd.DataFrame]) -> tuple[ShownTable,
     )
 
 
-def _catalogue(catalogue: pd.DataFrame) -> ShownTable:
-    return ShownTable(
+def _catalogue(catalogue: pd.DataFrame) -> DisplayTable:
+    return DisplayTable(
         "Directions of error that have a name, at the start",
         ("direction", "what it is", "made of"),
         "lll",
@@ -87,7 +87,7 @@ def _components(row: Mapping[Any, Any]) -> Iterator[str]:
             yield f"{state.id} {number(row[state.id])} {state.unit}"
 
 
-def _directions(directions: pd.DataFrame) -> ShownTable:
+def _directions(directions: pd.DataFrame) -> DisplayTable:
     cells = {
         (row["direction"], row["aiding"]): MISSING
         if row["status"] == DirectionStatus.UNOBSERVABLE
@@ -104,7 +104,7 @@ def _directions(directions: pd.DataFrame) -> ShownTable:
     )
 
 
-def _singular_values(values: pd.DataFrame) -> ShownTable:
+def _singular_values(values: pd.DataFrame) -> DisplayTable:
     cells = {(row["number"], row["aiding"]): number(row["singular_value"]) for row in values.to_dict("records")}
     return _by_aiding(
         "Singular values: signal to noise of twelve directions at right angles",
@@ -115,7 +115,7 @@ def _singular_values(values: pd.DataFrame) -> ShownTable:
     )
 
 
-def _states(title: str, states: pd.DataFrame, column: str, footnote: str = "") -> ShownTable:
+def _states(title: str, states: pd.DataFrame, column: str, footnote: str = "") -> DisplayTable:
     cells = {(row["state"], row["aiding"]): percent(row[column]) for row in states.to_dict("records")}
     return _by_aiding(
         title,
@@ -134,8 +134,8 @@ def _by_aiding(
     aidings: list[str],
     cells: Mapping[tuple[Any, str], str],
     footnote: str = "",
-) -> ShownTable:
-    return ShownTable(
+) -> DisplayTable:
+    return DisplayTable(
         title,
         (header, *(_SHORT.get(aiding, aiding) for aiding in aidings)),
         "l" + "r" * len(aidings),

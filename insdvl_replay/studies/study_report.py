@@ -14,12 +14,12 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.report.csv_tables import blocks_csv, table_csv
 from insdvl_replay.report.document import (
     PAGE,
+    Callout,
+    DisplayTable,
     Facts,
     Heading,
-    Lead,
     Only,
     Part,
-    ShownTable,
     Title,
     losses,
     settings_details,
@@ -50,7 +50,7 @@ class StudyReport:
         What it found, in words.
     tables : mapping of str to DataFrame
         What it found, in numbers.
-    shown : tuple of ShownTable
+    shown : tuple of DisplayTable
         The same for people.
     config : Config
         Resolved settings.
@@ -65,7 +65,7 @@ class StudyReport:
     arguments: Mapping[str, Any]
     sentences: tuple[str, ...]
     tables: "Mapping[str, pd.DataFrame]"
-    shown: tuple[ShownTable, ...]
+    shown: tuple[DisplayTable, ...]
     config: Config
     notes: tuple[Note, ...] = ()
     series: "Mapping[str, pd.DataFrame]" = field(default_factory=dict)
@@ -112,7 +112,7 @@ def study_document(report: StudyReport, figures: Sequence[Figure] = ()) -> list[
     """Lay out a study."""
     return [
         Title(report.title),
-        *map(Lead, report.sentences),
+        *map(Callout, report.sentences),
         Heading("Pictures"),
         *figures,
         Heading("Tables"),

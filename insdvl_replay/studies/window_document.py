@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from insdvl_replay.report.document import ShownTable, number
+from insdvl_replay.report.document import DisplayTable, number
 from insdvl_replay.report.plots.axis import limits
 from insdvl_replay.report.plots.panel import Curve, Figure, Panel, filter_style
 
@@ -43,15 +43,15 @@ def _optimum(rows: Any) -> str:
     )
 
 
-def shown_windows(windows: pd.DataFrame, best: pd.DataFrame) -> tuple[ShownTable, ...]:
+def shown_windows(windows: pd.DataFrame, best: pd.DataFrame) -> tuple[DisplayTable, ...]:
     """Turn the tables of a study into tables for people: errors by number of velocities, and the optima of each log."""
     return (_by_size(windows[windows["log"] == windows["log"].iloc[0]]), _optima(best))
 
 
-def _by_size(rows: pd.DataFrame) -> ShownTable:
+def _by_size(rows: pd.DataFrame) -> DisplayTable:
     kinds = list(rows[["lever_arm", "at"]].drop_duplicates().itertuples(index=False, name=None))
     rmse = rows.set_index(["n", "lever_arm", "at"])["rmse_mps2"]
-    return ShownTable(
+    return DisplayTable(
         f"Acceleration from n velocities against the reference's, rms [m/s^2], {rows['samples'].iloc[0]} pings",
         ("n", *(f"{at},\n{_HEADERS[arm]}" for arm, at in kinds)),
         "r" * (1 + len(kinds)),
@@ -59,8 +59,8 @@ def _by_size(rows: pd.DataFrame) -> ShownTable:
     )
 
 
-def _optima(best: pd.DataFrame) -> ShownTable:
-    return ShownTable(
+def _optima(best: pd.DataFrame) -> DisplayTable:
+    return DisplayTable(
         "The number of velocities with the least error",
         ("log", "at", "lever arm", "n", "rms [m/s^2]", "pings"),
         "lllrrr",

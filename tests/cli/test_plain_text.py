@@ -20,7 +20,7 @@ from insdvl_replay.core.plain_text import visible, visible_lines, without_comman
 from insdvl_replay.gates.model import CheckResult, Judgement
 from insdvl_replay.gates.output import github_annotations
 from insdvl_replay.report.csv_tables import rows_csv
-from insdvl_replay.report.document import Code, Sentences, ShownTable, Title
+from insdvl_replay.report.document import Code, DisplayTable, Sentences, Title
 from insdvl_replay.report.latex import as_latex
 from insdvl_replay.report.markdown import as_markdown
 
@@ -111,7 +111,7 @@ def test_cells_that_a_spreadsheet_would_run_are_words_and_numbers_stay_numbers()
 
 
 def test_markup_is_not_left() -> None:
-    table = ShownTable(HOSTILE, ("a", "b"), "ll", ((DIVE, "[x](javascript:1)"), ("[1cm]", "<i>")), HOSTILE)
+    table = DisplayTable(HOSTILE, ("a", "b"), "ll", ((DIVE, "[x](javascript:1)"), ("[1cm]", "<i>")), HOSTILE)
     document = [Title(HOSTILE), HOSTILE, table, Sentences((HOSTILE,))]
     text = as_markdown(document)
     assert_plain(without_commands(text))

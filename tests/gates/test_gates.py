@@ -11,7 +11,7 @@ from small_results import content, nudged
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.tables import StoredReport
 from insdvl_replay.gates.findings import gate_findings
-from insdvl_replay.gates.gate_file import load_gates, refuse_unknown_names
+from insdvl_replay.gates.gate_file import load_gates, require_known_names
 from insdvl_replay.gates.model import Gate
 
 GATE = '[[gate]]\nname = "a"\ntable = "improvement"\ncolumn = "sd"\n'
@@ -127,7 +127,7 @@ def test_a_name_that_no_result_has_is_told_with_the_nearest(
     path = tmp_path / "gates.toml"
     path.write_text(GATE + "max = 1\n" + text)
     with pytest.raises(ConfigError) as raised:
-        refuse_unknown_names(load_gates(path), ["baseline", "aided"])
+        require_known_names(load_gates(path), ["baseline", "aided"])
     assert raised.value.message == f"{path}:6: gate 'b': {says}"
     assert raised.value.hint == hint
 
@@ -140,24 +140,24 @@ def test_a_value_of_the_wrong_kind_is_refused(table: str, column: str, wanted: s
     path = tmp_path / "gates.toml"
     path.write_text(f'[[gate]]\nname = "a"\ntable = "{table}"\ncolumn = "{column}"\nequals = {wanted}\n')
     with pytest.raises(ConfigError, match=f"equals: column '{column}' of {table} holds {kind}, found"):
-        refuse_unknown_names(load_gates(path), None)
+        require_known_names(load_gates(path), None)
 
 
 def test_rows_of_stored_results_are_known_but_for_their_filters(tmp_path: Path) -> None:
     path = tmp_path / "gates.toml"
     of_filters = '[[gate]]\nname = "a"\ntable = "filters"\nrow = "mine"\ncolumn = "mean_improvement_pct"\nmin = 1\n'
     path.write_text(of_filters)
-    refuse_unknown_names(load_gates(path), None)
+    require_known_names(load_gates(path), None)
     path.write_text(of_filters.replace("filters", "reference_error").replace("mean_i", "i"))
     with pytest.raises(ConfigError, match="quantity 'mine' is not known"):
-        refuse_unknown_names(load_gates(path), None)
+        require_known_names(load_gates(path), None)
 
 
 def test_a_baseline_needs_a_column_that_can_be_worse(tmp_path: Path) -> None:
     path = tmp_path / "gates.toml"
     path.write_text(GATE.replace("sd", "unit") + 'baseline = "b.json"\nmax_worse_pct = 1')
     with pytest.raises(ConfigError, match="column 'unit' of improvement is neither better nor worse"):
-        refuse_unknown_names(load_gates(path), None)
+        require_known_names(load_gates(path), None)
 
 
 # --- The cells.

@@ -152,8 +152,10 @@ def test_mounting_turns_velocity_and_covariance_to_the_body() -> None:
     beams[0, 3] = np.nan
     solved = dvl_velocities(pings(beams), DvlMounting(mat_bd=mounting.as_matrix()))
     np.testing.assert_allclose(solved.velocity_b, [velocity_b], atol=1e-12)
-    in_d = dvl_velocities(pings(beams)).shape_b[0]
-    np.testing.assert_allclose(solved.shape_b[0], mounting.as_matrix() @ in_d @ mounting.inv().as_matrix(), atol=1e-12)
+    in_d = dvl_velocities(pings(beams)).unit_cov_b[0]
+    np.testing.assert_allclose(
+        solved.unit_cov_b[0], mounting.as_matrix() @ in_d @ mounting.inv().as_matrix(), atol=1e-12
+    )
 
 
 def test_scale_is_divided_out() -> None:
@@ -171,7 +173,7 @@ def test_dvl_that_reports_velocities_is_taken_at_its_word() -> None:
     solved = dvl_velocities(DvlColumns(SECOND * np.arange(3), velocity_d=velocity_d), DvlMounting(mat_bd=turn))
     assert solved.time_ns.tolist() == [0, 2 * SECOND]
     np.testing.assert_allclose(solved.velocity_b, np.tile([0.3, 1.2, 0.1], (2, 1)), atol=1e-15)
-    np.testing.assert_allclose(solved.shape_b, np.tile(np.eye(3), (2, 1, 1)), atol=1e-15)
+    np.testing.assert_allclose(solved.unit_cov_b, np.tile(np.eye(3), (2, 1, 1)), atol=1e-15)
     assert not solved.from_beams
     assert solved.beams_used.tolist() == [0, 0]
     assert solved.pings_without_velocity == 1
@@ -191,7 +193,7 @@ def test_span_leaves_out_its_start_and_keeps_its_end() -> None:
     beams[4, :2] = np.nan
     inside = dvl_velocities(pings(beams)).within(SECOND, 3 * SECOND)
     assert inside.time_ns.tolist() == [2 * SECOND, 3 * SECOND]
-    assert len(inside.velocity_b) == len(inside.shape_b) == len(inside.residual_mps) == len(inside.beams_used) == 2
+    assert len(inside.velocity_b) == len(inside.unit_cov_b) == len(inside.residual_mps) == len(inside.beams_used) == 2
     assert inside.pings_without_velocity == 1
 
 

@@ -19,7 +19,7 @@ from insdvl_replay.preparation.alignment import Alignment, align, initial_sd
 from insdvl_replay.preparation.filters import resolve_filters
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import FIRST_PING_S, START_NS, exact_dive
-from insdvl_replay.sim.motion import Course
+from insdvl_replay.sim.motion import Trajectory
 from insdvl_replay.sim.trajectories import SCENARIOS
 
 SECOND = 1_000_000_000
@@ -118,7 +118,7 @@ def test_reference_without_heights_starts_at_the_configured_one(dive: Dive) -> N
 
 def test_reference_without_velocity_starts_with_the_nearest_ping() -> None:
     ping_s = FIRST_PING_S + 103.0
-    motion = Course(SCENARIOS["figure-eight"], 110.0).at(np.array([ping_s]))
+    motion = Trajectory(SCENARIOS["figure-eight"], 110.0).at(np.array([ping_s]))
     reference = ReferenceColumns(
         START_NS + np.rint(np.array([ping_s]) * 1e9).astype(np.int64),
         motion.position,
@@ -141,7 +141,7 @@ def test_reference_without_attitude_starts_level_at_the_first_sample(dive: Dive)
     assert found.start_ns == START_NS + 20_000_000
     assert codes(found) == ["start_levelled"]
     # Of the attitude at the start alone, though the vehicle swings by 1 deg in 17 and 31 s.
-    mat_nb = Course(SCENARIOS["figure-eight"], 110.0).at(np.array([0.02])).mat_nb[0]
+    mat_nb = Trajectory(SCENARIOS["figure-eight"], 110.0).at(np.array([0.02])).mat_nb[0]
     np.testing.assert_allclose(rpy_from_mat(found.start.mat_nb) / DEG, rpy_from_mat(mat_nb) / DEG, atol=0.01)
     np.testing.assert_allclose(found.start.velocity_n, reference.velocity_n[0], atol=1e-3)
 
@@ -266,7 +266,7 @@ def test_rows_that_are_not_finite_start_nothing(dive: Dive, quantity: str) -> No
     found = aligned(dive, gappy, Initial())
     # The attitude waits for a position near it; a velocity more than a second away is the DVL's matter.
     assert found.start_ns == reference.time_ns[{"position": 3, "velocity_n": 0, "mat_nb": 8}[quantity]]
-    truth = Course(SCENARIOS["figure-eight"], 110.0).at(np.array([(found.start_ns - START_NS) * 1e-9]))
+    truth = Trajectory(SCENARIOS["figure-eight"], 110.0).at(np.array([(found.start_ns - START_NS) * 1e-9]))
     np.testing.assert_allclose(found.start.velocity_n, truth.velocity_n[0], atol=0.02)
     np.testing.assert_array_equal(found.start.mat_nb, reference.mat_nb[reference.time_ns == found.start_ns][0])
     assert codes(found) == (["start_velocity_dvl"] if quantity == "velocity_n" else [])

@@ -77,7 +77,7 @@ def test_the_filter_is_given_what_was_resolved(
 ) -> None:
     config, filter_ = configured(common, own)
     (measurement,) = resolved(filter_, config).measurements(from_beams, DvlMounting())
-    shape = {BEAM: from_beams.full_shape_b, VELOCITY: np.eye(3)}
+    shape = {BEAM: from_beams.full_unit_cov_b, VELOCITY: np.eye(3)}
     key, sd_mps = with_beams
     np.testing.assert_allclose(measurement.cov_b[0], sd_mps**2 * shape[key], rtol=0.0, atol=1e-12)
     plain = dvl_velocities(reports_velocities(dive).dvl)

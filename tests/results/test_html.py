@@ -12,10 +12,10 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import STATES
 from insdvl_replay.replay import Replay, replay_dive, replay_log
-from insdvl_replay.report.document import Heading, Html, Lead, ShownTable, Title
+from insdvl_replay.report.document import Callout, DisplayTable, Heading, Html, Title
 from insdvl_replay.report.page import page
 from insdvl_replay.results.coverage import Source, covered_shares
-from insdvl_replay.results.dive_tables import glance_table, shown_tables
+from insdvl_replay.results.dive_tables import display_tables, glance_table
 from insdvl_replay.results.filter_figures import Clock
 from insdvl_replay.results.json_report import Report, decode_report
 from insdvl_replay.results.result_files import save_replay
@@ -47,7 +47,7 @@ def test_verdict_comes_first_and_every_cell_of_every_table_is_there(result: tupl
     document, report, _ = result
     assert document.texts["p"][0] == report.filters["aided"].verdict
     assert tuple(document.texts["td"][:7]) == glance_table(report).rows[0]
-    for table in shown_tables(report):
+    for table in display_tables(report):
         assert table.title in document.texts["h3"]
         for row in table.rows:
             assert set(row) <= {cell.strip() for cell in document.texts["td"]}
@@ -73,7 +73,7 @@ def test_every_plot_is_there_with_a_line_for_each_filter(result: tuple[Document,
 
 def test_believed_stands_beside_actual(result: tuple[Document, Report, bytes]) -> None:
     document, report, _ = result
-    bars = document.texts["table"][1 + len(shown_tables(report))]
+    bars = document.texts["table"][1 + len(display_tables(report))]
     aided = report.filters["aided"]
     assert f"{aided.mean_improvement_pct:.1f} %{aided.reference_improvement_pct:.1f} %" in bars
     assert document.count("rect", "believed") == 1 + 12
@@ -157,9 +157,9 @@ def test_coverage_of_a_silent_sensor_is_nothing(samples: int) -> None:
 
 
 def test_any_text_is_text() -> None:
-    table = ShownTable("<t>", ("a\nb", "&"), "lr", (("<script>", "1"), ('"', "2")), "<f>")
+    table = DisplayTable("<t>", ("a\nb", "&"), "lr", (("<script>", "1"), ('"', "2")), "<f>")
     document = Document(
-        page([Title("<h>"), "<p>", Lead("<l>"), Heading("Über & <all>"), table, Html("<em>x</em>")]).decode()
+        page([Title("<h>"), "<p>", Callout("<l>"), Heading("Über & <all>"), table, Html("<em>x</em>")]).decode()
     )
     assert document.texts["h1"] == ["<h>"]
     assert document.texts["td"] == ["<script>", "1", '"', "2"]

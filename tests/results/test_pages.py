@@ -9,7 +9,7 @@ from test_report import report
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.report.document import ShownTable
+from insdvl_replay.report.document import DisplayTable
 from insdvl_replay.results.overviews import Failure, index_page
 from insdvl_replay.studies.observability_document import singular_value_figure
 from insdvl_replay.studies.study_report import StudyReport, write_study
@@ -27,7 +27,7 @@ def study() -> StudyReport:
         arguments={"dive": "straight", "earth_rate": True},
         sentences=("rank 9 of 12", "rank 6 of 12"),
         tables={"singular_values": VALUES},
-        shown=(ShownTable("Ranks", ("aiding", "rank"), "lr", (("velocity", "9"),)),),
+        shown=(DisplayTable("Ranks", ("aiding", "rank"), "lr", (("velocity", "9"),)),),
         config=Config(),
         notes=(Note("imu_gaps", "the IMU pauses 3 times", 3, "warning"),),
     )

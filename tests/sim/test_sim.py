@@ -19,7 +19,7 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive, simulate_dive
-from insdvl_replay.sim.motion import START, Course
+from insdvl_replay.sim.motion import START, Trajectory
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors, LostBeam, beam_vectors_d, quantise
 from insdvl_replay.sim.trajectories import RAMP_S, SCENARIOS, Segment, Wave, sine_and_cosine, turn
 
@@ -65,7 +65,7 @@ def test_scenario_has_the_papers_figures(
 def test_figure_eight_is_two_loops_that_meet_at_the_crossing() -> None:
     scenario = SCENARIOS["figure-eight"]
     time_s = np.arange(0.0, 394.0, 0.1)
-    position = Course(scenario, 394.0).at(time_s).position - START
+    position = Trajectory(scenario, 394.0).at(time_s).position - START
     north_m = position[:, 0] * meridian_radius_m(START[0])
     east_m = position[:, 1] * transverse_radius_m(START[0]) * np.cos(START[0])
     turning = np.abs(scenario.rpy_rate(time_s)[:, 2]) > 1.0 * DEG
@@ -181,7 +181,7 @@ def test_mechanised_readings_give_the_motion_back() -> None:
 def test_pyins_feels_the_same() -> None:
     """Its IMU comes from splines in the inertial frame, which round the corners of the turns' jerk a little."""
     time_s = np.arange(0.0, 394.0, 0.02)
-    motion = Course(SCENARIOS["figure-eight"], 394.0).at(time_s)
+    motion = Trajectory(SCENARIOS["figure-eight"], 394.0).at(time_s)
     rpy_deg = Rotation.from_matrix(motion.mat_nb).as_euler("ZYX", degrees=True)[:, ::-1]
     start_lla = [START[0] / DEG, START[1] / DEG, START[2]]
     trajectory, imu = pyins.sim.generate_imu(time_s, start_lla, rpy_deg, motion.velocity_n)
@@ -241,7 +241,7 @@ def test_beams_see_the_velocity_of_the_dvls_own_place() -> None:
     """Compare with the place of the DVL in the Earth's frame, differenced between two instants."""
     lever_arm_m, mounting_rpy_deg, half_s = (1.2, -0.4, 0.3), (2.0, -3.0, 44.0), 0.005
     dive = exact_dive("figure-eight", lever_arm_m=lever_arm_m, mounting_rpy_deg=mounting_rpy_deg)
-    course = Course(SCENARIOS["figure-eight"], 395.0)
+    course = Trajectory(SCENARIOS["figure-eight"], 395.0)
     mat_bd = Rotation.from_euler("ZYX", mounting_rpy_deg[::-1], degrees=True).as_matrix()
     ping_s = seconds(dive.dvl.time_ns, START_NS)
 
