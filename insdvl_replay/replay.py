@@ -48,6 +48,8 @@ class Replay:
         The first is the baseline.
     errors : dict of str to ReferenceErrors
         By filter name; empty without a reference.
+    tables : Tables
+        Believed, against the reference, consistent, credible: a row a filter and state.
     verdicts : dict of str to Candidate
         What there is to say of each candidate, by name.
     notes : tuple of Note

@@ -1,4 +1,4 @@
-"""The 12 error states, once: every label, column, axis, unit and gate comes from this table."""
+"""The 12 error states, once, with names and units; also the units that logs may use, and what no vehicle exceeds."""
 
 from dataclasses import dataclass
 from typing import Final

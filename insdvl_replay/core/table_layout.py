@@ -80,7 +80,7 @@ class TableLayout:
     about: str
 
     def unit_of(self, column: str, row_unit: str) -> str:
-        """Return the unit of a column's numbers, where the row's holds for physical quantities; empty without one."""
+        """Return a column's unit: % and s by the end of its name, the row's if it can be better or worse, or none."""
         if column.endswith(PERCENTAGE):
             return "%"
         if column.endswith("_s"):

@@ -125,7 +125,9 @@ class ReferenceErrorRow(Struct, frozen=True):
     baseline_final: Annotated[Number, Column("At the last reference time, with its sign.", better="nearer zero")]
     final: Annotated[Number, Column(better="nearer zero")]
     samples: Annotated[int, Column("Reference times that were compared.")]
-    status: Annotated[str, Column("compared, no reference, not in reference, no distance or lost in gap.")]
+    status: Annotated[
+        str, Column("compared, partly covered, no reference, not in reference, no distance or lost in gap.")
+    ]
 
 
 class ConsistencyRow(Struct, frozen=True):

@@ -50,7 +50,7 @@ def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tup
 
 
 def verdict(mean: float, low: float, high: float, dof: int) -> Consistency:
-    """State what a mean NIS or NEES means for the filter's own uncertainty."""
+    """Judge a mean NIS or NEES: consistent in its interval or near ``dof``, over-confident above, or over-cautious."""
     if not np.isfinite(mean):
         return Consistency.NOT_FINITE
     if low <= mean <= high or abs(mean / dof - 1.0) <= SMALL_EXCESS:

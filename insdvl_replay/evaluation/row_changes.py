@@ -136,7 +136,7 @@ def judge_number(
     dofs: tuple[float, float] = (math.nan, math.nan),
     tolerance_pct: float | None = None,
 ) -> Moved:
-    """State what became of a number."""
+    """Judge what became of a number; without a tolerance the same is what prints alike. ``dofs``: old and new."""
     if old is None or new is None:
         return Moved(None, None, "same" if old is new else "worse" if new is None else "better")
     before, after = size(old, better, dofs[0]), size(new, better, dofs[1])

@@ -2,8 +2,8 @@
 
 An improvement is borne out when the error against the reference falls by at least half of what the filter believes. A
 filter is called over-confident or over-cautious when its innovations, or its errors against the reference, say so with
-significance and by a size that matters. Where the two disagree, the sentence names both. Of a filter that is dead, or
-is held against one that is, nothing is said of gain or loss.
+significance and by a size that matters, as `chi_square.verdict` decides. Where the two disagree, the sentence names
+both. Of a filter that is dead, or is held against one that is, nothing is said of gain or loss.
 """
 
 from collections.abc import Mapping, Sequence

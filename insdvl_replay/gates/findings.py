@@ -17,7 +17,7 @@ _Named = dict[tuple[str, str], Row]
 
 
 def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> tuple[Finding, ...]:
-    """Hold a result against a gate."""
+    """Return a finding for each cell that a gate means, passed or not and why; one not passed if it means none."""
     findings = tuple(_findings(gate, report, baseline))
     if findings:
         return findings

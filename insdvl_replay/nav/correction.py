@@ -85,7 +85,7 @@ def open_state(P: Floats, innovation: Vector, start_var: Floats, updates: Update
 
 @inlined
 def correct(state: NavState, P: Floats, KT: Floats, z: Vector, dx: Floats) -> NavState:
-    """Take ``dx = K z`` out of the navigation state; the error state returns to zero.
+    """Take ``dx = K z`` out of velocity and attitude, and add it to the biases; the error state returns to zero.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """What a measurement says of the errors at a ping: the innovation z and the Jacobian H.
 
-    z = predicted - measured = H dx + noise,    dx = estimated - true
+    z = predicted - measured = H dx + noise,    dx = estimated - true, of a bias what is left in the compensated
+                                                reading: true - estimated
 
 velocity      z = C' v + w_eb x l - v_dvl                    H = [ C' | C'[v x] | 0 | -[l x] ]
 published     z = f + C' g - a_dvl                           H = [ 0 | C'[g x] | I | 0 ]

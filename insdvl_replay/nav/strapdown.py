@@ -68,7 +68,7 @@ class Motion(NamedTuple):
 def propagate(
     state: NavState, specific_force_b: Vector, angular_rate_b: Vector, dt: float, place: Place, gravity: float
 ) -> tuple[NavState, Motion]:
-    """Advance position, velocity and attitude over one interval.
+    """Advance position, velocity and attitude over one interval, s, by raw readings: the biases are taken off here.
 
     The specific force is turned to n by the mean of the attitudes at both ends; the position moves with the mean of the
     velocities.

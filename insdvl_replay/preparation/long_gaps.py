@@ -64,7 +64,7 @@ def lever_arm_velocity_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats) -> 
 def apply_gap_policy(
     gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int
 ) -> tuple[int, int, tuple[Note, ...]]:
-    """Do with the long gaps of a span what the configuration wants, and say so."""
+    """Bridge or split at the long gaps of a span; return the span that is left, ns, with notes."""
     inside = gaps.within(start_ns, end_ns)
     if not len(inside.start_ns):
         return start_ns, end_ns, ()

@@ -32,7 +32,7 @@ Files = Annotated[
         "reports lack it"
     ),
 ]
-"""As `file_list` writes it when all files are there."""
+"""As `folder.list_files` writes it when all files are there."""
 
 
 class Log(Struct, frozen=True):

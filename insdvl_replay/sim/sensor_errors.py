@@ -108,7 +108,7 @@ def quantise(values: Floats, quantum: float) -> Floats:
 def add_imu_errors(
     exact: ImuColumns, errors: ImuErrors, accel_rng: np.random.Generator, gyro_rng: np.random.Generator
 ) -> tuple[ImuColumns, TruthColumns]:
-    """Spoil perfect readings."""
+    """Add bias, white noise and steps; return the readings and the biases that were drawn."""
     interval_s = float(exact.time_ns[-1] - exact.time_ns[0]) * 1e-9 / (len(exact.time_ns) - 1)
     root_s, shape = math.sqrt(interval_s), exact.specific_force_b.shape
     accel_bias = _bias(shape, errors.accel_bias_sd_mps2, errors.accel_bias_walk_mps2_rts * root_s, accel_rng)

@@ -1,4 +1,4 @@
-"""Damage: where a file is not what the format says, which messages are gone there, and the error that says so."""
+"""Damage: where a file is not what the format says, in what span messages may be gone, and the error that says so."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -76,7 +76,7 @@ def joined(batches: Sequence[Records]) -> Records:
 
 
 def find_records(data: memoryview, start: int, end: int) -> tuple[Records, int]:
-    """Go from record to record."""
+    """Return the records from a place on, `BATCH` at most, and where they end, as at bytes that are none."""
     if _Plain.left > 0 and not is_loaded():
         found, stop = find_plainly(data, start, end)
         _Plain.left -= len(found)
@@ -132,7 +132,7 @@ def next_record(data: memoryview, start: int, end: int) -> int:
 
 
 def go_on(data: memoryview, batch: Records, stop: int, end: int) -> tuple[Records, int]:
-    """Go on behind bytes that are no record."""
+    """Return a batch less a last message that may be false, and where records go on behind bytes that are none."""
     if len(batch) and batch.opcodes[-1] == _MESSAGE:
         return batch.where(slice(-1)), next_record(data, int(batch.starts[-1]) + 1, end)
     return batch, next_record(data, stop + 1, end)
