@@ -5,6 +5,7 @@ Source: the MCAP specification, https://mcap.dev/spec.
 
 import struct
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -17,6 +18,8 @@ from insdvl_replay.logs.container.damage import DamageError, Span, plausible_spa
 _CHUNK: Final = struct.Struct("<QQQII")
 COMPRESSED: Final = ("zstd", "lz4")
 """The ways of compression that the format knows."""
+_PIECE: Final = 16 << 20
+"""Bytes of a cut chunk that are decompressed at a time."""
 
 LARGEST_CHUNK: Final = 1 << 30
 """Bytes to which a chunk may open; recorders write some megabytes, and several chunks are open at a time."""
@@ -143,16 +146,33 @@ def _decompressed(compressed: memoryview, compression: str, size: int, offset: i
 
 
 def _decompressed_start(compressed: memoryview, header: ChunkHeader, offset: int) -> memoryview:
-    """Decompress as much as the bytes that are left give."""
+    """Decompress as much as the bytes that are left give; what opens to too much is counted first, and never held."""
     size = _size_of_truncated(header, _room(len(compressed)))
     try:
-        if header.compression == "lz4":
-            return _decompressed_lz4(compressed, size, offset)
-        content = zstandard.ZstdDecompressor().stream_reader(compressed).read(size + 1)
+        opened = 0
+        for piece in _pieces(compressed, header.compression):
+            opened += len(piece)
+            _require_end(opened <= size, size, offset)
+        content, filled = bytearray(opened), 0
+        for piece in _pieces(compressed, header.compression):
+            content[filled : filled + len(piece)] = piece
+            filled += len(piece)
     except (zstandard.ZstdError, RuntimeError) as error:
         raise DamageError(offset, f"a {header.compression} chunk cannot be decompressed ({error})") from error
-    _require_end(len(content) <= size, size, offset)
-    return memoryview(content)
+    return memoryview(content).toreadonly()
+
+
+def _pieces(compressed: memoryview, compression: str) -> Iterator[bytes]:
+    """Decompress a frame, or the start of one that is cut, a piece at a time."""
+    if compression == "zstd":
+        reader = zstandard.ZstdDecompressor().stream_reader(compressed)
+        while piece := reader.read(_PIECE):
+            yield piece
+        return
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    yield decompressor.decompress(compressed, max_length=_PIECE)
+    while not (decompressor.eof or decompressor.needs_input):
+        yield decompressor.decompress(b"", max_length=_PIECE)
 
 
 def _room(compressed_size: int) -> int:
