@@ -27,6 +27,7 @@ from insdvl_replay.core.runtime import collect_rarely
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+_ENDINGS: Final = (signal.SIGINT, signal.SIGTERM)
 _THREADS_OF_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """How numpy is told, before it is imported, on how many cores to multiply matrices."""
 _GRACE_S: Final = 3
@@ -157,7 +158,28 @@ class _Processes(ProcessPoolExecutor):
     """Processes each of which ends as a whole when the parent wants it to, and not the item alone."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        return super().submit(_do, fn, *args, **kwargs)
+        with _signals_held():
+            return super().submit(_do, fn, *args, **kwargs)
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Obey a signal only when the processes that are being started know what to do, and all of them are known here.
+
+    One that has not read yet what it is for would complain, with a traceback, that nobody tells it any more.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[int] = []
+    before = {number: signal.signal(number, lambda got, _frame: held.append(got)) for number in _ENDINGS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler or signal.SIG_DFL)  # none, where Python did not set it
+    for got in held:
+        signal.raise_signal(got)
 
 
 @contextmanager

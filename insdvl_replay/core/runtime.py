@@ -60,8 +60,10 @@ def is_nearly_used_up() -> bool:
 
     Then any failure may be one of memory: not all libraries say so.
     """
-    import resource
-
+    try:
+        import resource
+    except ImportError:  # for want of the little that it takes itself, where the system has it at all
+        return sys.platform != "win32"
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     return limit != resource.RLIM_INFINITY and limit - _most_mapped() < _LARGEST_LIBRARY
 

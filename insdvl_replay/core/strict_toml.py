@@ -4,7 +4,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
@@ -20,6 +20,10 @@ Table = TypeVar("Table", bound=Struct)
 
 _SHOWN: Final = 80
 """Letters of a wrong value that a message repeats."""
+_CLOSING: Final = re.compile(r"""]|}|\"{3}|'{3}""")
+"""With one of these ends a statement of several lines."""
+_GOES_ON: Final = re.compile(r"^[^#]*,\s*$")
+"""A line of an array that goes on."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +55,8 @@ class TomlSource:
         """Return the same for one of its tables."""
         return replace(self, at=at, label=label)
 
-    @cached_property
-    def lines(self) -> dict[KeyPath, int]:
+    @property
+    def lines(self) -> Mapping[KeyPath, int]:
         """Lines, from 1, on which tables and keys begin."""
         return _key_lines(self.text)
 
@@ -149,7 +153,8 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise tomllib.TOMLDecodeError("A number has too many digits") from error
 
 
-def _key_lines(text: str) -> dict[KeyPath, int]:
+@lru_cache(maxsize=4)
+def _key_lines(text: str) -> Mapping[KeyPath, int]:
     """Find where tables and keys begin, by parsing statement after statement of a text that is valid."""
     lines: dict[KeyPath, int] = {}
     table: KeyPath = ()
@@ -158,7 +163,7 @@ def _key_lines(text: str) -> dict[KeyPath, int]:
     for number, line in enumerate(text.split("\n"), 1):
         if not statement:
             begin = number
-        elif line.rstrip().endswith(","):  # of an array that goes on
+        elif not _CLOSING.search(line) or _GOES_ON.search(line):
             statement += f"{line}\n"
             continue
         statement += f"{line}\n"

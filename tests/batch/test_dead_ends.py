@@ -1,6 +1,7 @@
 """Work whose parent, cluster or scheduler is gone comes to an end."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -12,7 +13,7 @@ import psutil
 import pytest
 
 from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_jobs
-from insdvl_replay.batch.workers import Pool, Workers, _InThisProcess
+from insdvl_replay.batch.workers import Pool, Workers, _InThisProcess, _signals_held
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import write_dive
@@ -81,6 +82,18 @@ def scheduler() -> Iterator[tuple[str, psutil.Process]]:
 def started(log: Path, address: str, patience_s: float) -> subprocess.Popen[str]:
     command = [*TOOL, "run", str(log), "-o", "out", "--scheduler", address, "--scheduler-patience", f"{patience_s:g}"]
     return subprocess.Popen(command, cwd=log.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_a_signal_waits_until_processes_are_started() -> None:
+    obeyed = []
+    before = signal.signal(signal.SIGTERM, lambda *_: obeyed.append("SIGTERM"))
+    try:
+        with _signals_held():
+            signal.raise_signal(signal.SIGTERM)
+            assert obeyed == []
+        assert obeyed == ["SIGTERM"]
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Compiled code is made once, ahead if wanted, by any number of processes at once, and is found where it was left."""
 
+import ast
 import math
 import os
 import re
@@ -165,3 +166,24 @@ def test_a_folder_in_which_others_can_write_is_not_used(
     assert compiled._cache_folder() == folder
     monkeypatch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
     assert (compiled._cache_folder() is None) == (folder.stat().st_uid != 0)
+
+
+def test_machine_code_is_known_by_all_that_it_is_made_of() -> None:
+    """What compiled functions use of other modules has to be among the sources that name their folder."""
+    package = Path(compiled.__file__).parents[1]
+    covered = {path for pattern in compiled._SOURCES for path in package.glob(pattern)}
+    for path in package.rglob("*.py"):
+        tree = ast.parse(path.read_text("utf-8"))
+        functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and _is_compiled(node)]
+        if not functions:
+            continue
+        assert path in covered, path
+        used = {name.id for function in functions for name in ast.walk(function) if isinstance(name, ast.Name)}
+        for node in tree.body:
+            if isinstance(node, ast.ImportFrom) and used & {alias.name for alias in node.names}:
+                module = package.joinpath(*str(node.module).split(".")[1:]).with_suffix(".py")
+                assert not module.is_file() or module in covered | {package / "core" / "columns.py"}, (path, module)
+
+
+def _is_compiled(function: ast.FunctionDef) -> bool:
+    return any(isinstance(one, ast.Name) and one.id in ("compiled", "inlined") for one in function.decorator_list)

@@ -153,6 +153,26 @@ def test_rows_of_stored_results_are_known_but_for_their_filters(tmp_path: Path) 
         require_known_names(load_gates(path), None)
 
 
+def test_many_gates_are_read_in_one_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from insdvl_replay.core import strict_toml
+
+    parsed: list[str] = []
+    parse = strict_toml.parse_toml
+    monkeypatch.setattr(strict_toml, "parse_toml", lambda text: (parsed.append(text), parse(text))[1])
+    gate = '[[gate]]\nname = "g{}"\ntable = "improvement"\ncolumn = "sd"\nmax = 1.0\n'
+    path = tmp_path / "many.toml"
+    path.write_text("".join(map(gate.format, range(300))))
+    assert load_gates(path).lines[299] == 299 * 5 + 1
+    assert len(parsed) == 1 + 300 * 5 + 1
+
+
+def test_lines_are_found_behind_comments_that_end_in_a_comma(tmp_path: Path) -> None:
+    path = tmp_path / "comma.toml"
+    gate = "[[gate]]\nname = 'a'\ntable = 'improvement'\ncolumn = 'sd'\nmax = 1.0\n"
+    path.write_text(f"dives = [\n  'a.mcap',\n]  # one, two,\n{gate}")
+    assert load_gates(path).lines[0] == 4
+
+
 def test_a_baseline_needs_a_column_that_can_be_worse(tmp_path: Path) -> None:
     path = tmp_path / "gates.toml"
     path.write_text(GATE.replace("sd", "unit") + 'baseline = "b.json"\nmax_worse_pct = 1')

@@ -268,6 +268,8 @@ def test_a_field_that_no_message_has_is_looked_for_in_a_limited_number_of_them(m
         with pytest.raises(LogError, match="a JSON message has no field 'absent'"):
             reader.learn([{f"key{i}": 1.5 for i in range(60)}] * 3)
     assert reader._looks == 3 * 60
+    reader.learn([{"absent": 1.5}])
+    assert "absent" in reader.known
 
 
 def test_topics_beyond_what_is_looked_at_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ _STRUCTURE: Final = "object"
 _EXAMPLES: Final = 100
 """Messages from which the fields are learnt that no schema names."""
 _MOST_LOOKS: Final = 1 << 20
-"""Fields at which is looked for those that no schema names, before all messages are taken to be without them."""
+"""Fields at which is looked for those that no schema names; then one message is taken for all that come with it."""
 _DEEPEST: Final = 32
 """Levels of structures within structures that are looked at."""
 _FIRST: Final = ("sec", "nsec", "nanosec", "x", "y", "z", "w")
@@ -51,9 +51,11 @@ class JsonReader(DecodedFields):
 
         Where they lack a field, a reader of damaged logs asks again for fewer and fewer of them, each time in vain.
         """
-        if self._missing is not None and self._looks > _MOST_LOOKS:
-            raise LogError(self._missing.what, self._missing.hint)
         examples = messages[:_EXAMPLES]
+        if self._missing is not None and self._looks > _MOST_LOOKS:
+            examples = messages[:1]
+            if not set(self._paths) <= {path for path, _ in known_paths(_shape_of(examples[0]))}:
+                raise LogError(self._missing.what, self._missing.hint)
         try:
             self.find(reduce(_merged, map(_shape_of, examples), self._shape))
         except LogError as error:
