@@ -91,7 +91,7 @@ def test_reading_takes_little_memory_beyond_the_columns(tmp_path: Path) -> None:
 
 
 def test_the_readings_are_gone_when_the_tables_are_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, readings, make_tables = tmp_path / "dive.mcap", list[Callable[[], Any]](), replay._tables
+    path, readings, make_tables = tmp_path / "dive.mcap", list[Callable[[], Any]](), replay.compared_filters
     write_dive(path, dive_of(SHORT_S))
 
     def watched(*arguments: Any, **options: Any) -> Dive:
@@ -99,12 +99,12 @@ def test_the_readings_are_gone_when_the_tables_are_made(tmp_path: Path, monkeypa
         readings.extend(weakref.ref(column) for column in (dive.imu.specific_force_b, dive.imu.angular_rate_b))
         return dive
 
-    def tables_of(*arguments: Any) -> Any:
+    def tables_of(*arguments: Any, **options: Any) -> Any:
         assert [alive() for alive in readings] == [None, None]
-        return make_tables(*arguments)
+        return make_tables(*arguments, **options)
 
     monkeypatch.setattr(replay, "read_checked_dive", watched)
-    monkeypatch.setattr(replay, "_tables", tables_of)
+    monkeypatch.setattr(replay, "compared_filters", tables_of)
     replay.replay_log(path, Config())
 
 
