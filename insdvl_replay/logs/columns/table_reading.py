@@ -138,7 +138,8 @@ class ColumnBuffer:
         if (shape, dtype) == (self._rows.shape, self._rows.dtype):
             return
         filled = self.rows()
-        self._rows = np.empty(shape, dtype)
+        # Component by component, as messages are read and as numpy goes through rows of three the fastest.
+        self._rows = np.empty(shape, dtype, order="F")
         self._rows[: self._count, : filled.shape[1]] = filled
         if filled.shape[1] < shape[1]:
             self._rows[: self._count, filled.shape[1] :] = np.nan

@@ -1,16 +1,14 @@
-"""The numbers of CDR messages that field paths mean: where they stand in a layout, and what they are.
+"""The numbers of CDR messages that field paths mean: where they stand in a layout, and what their bits say."""
 
-Numbers that stand near each other are copied out of all messages of a block in one step.
-"""
-
+import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from operator import itemgetter
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.core.compiled import is_loaded
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.container.blocks import gather
 from insdvl_replay.logs.encoding.field_paths import Columns
@@ -24,20 +22,12 @@ MOST_NUMBERS: Final = 1 << 16
 """Numbers that are read of one message; a sensor gives some hundreds."""
 
 _LENGTH: Final = np.dtype("<u4")
-_NEAR: Final = 16
-"""Bytes between numbers that are copied along; to go to each message once more takes longer."""
 
+Bits = NDArray[np.int64]
+"""Of n numbers in k messages, shape (n, k)."""
 
-class _Leaf(NamedTuple):
-    """Numbers of one kind, side by side in each message."""
-
-    start: int
-    dtype: np.dtype[Any]
-
-    @property
-    def end(self) -> int:
-        """Where the bytes behind them begin."""
-        return self.start + self.dtype.itemsize
+_Run = tuple[slice, np.dtype[Any]]
+"""Numbers of one kind that stand side by side among the bits."""
 
 
 class Numbers:
@@ -50,78 +40,79 @@ class Numbers:
     """
 
     def __init__(self, layout: Layout, paths: Sequence[str]) -> None:
-        self._words = [LITTLE_ENDIAN, *layout.lengths]
-        leaves = [_Leaf(0, WORD), *(_Leaf(offset, _LENGTH) for offset in layout.length_offsets)]
-        self._rows: dict[str, range] = {}
-        numbers = len(leaves)
-        for path in paths:
-            first = len(leaves)
-            for dtype, start in _leaves(layout.dtype, path):
-                leaves.append(_Leaf(start, dtype))
-                numbers += dtype.itemsize // dtype.base.itemsize
-                if numbers > MOST_NUMBERS:
+        self._words = np.array([LITTLE_ENDIAN, *layout.lengths])[:, None]
+        places = [*_places(WORD, 0)]
+        for offset in layout.length_offsets:
+            places += _places(_LENGTH, offset)
+        self._runs: dict[str, list[_Run]] = {path: [] for path in paths}
+        for path, runs in self._runs.items():
+            for dtype, offset in _leaves(layout.dtype, path):
+                if len(places) + math.prod(dtype.shape) > MOST_NUMBERS:
                     raise LogError(f"'{path}' means more than {MOST_NUMBERS} numbers of a message", "name fewer")
-            self._rows[path] = range(first, len(leaves))
-        self._leaves = leaves
-        self._neighbours = list(_neighbours(leaves))
+                goes_on = bool(runs) and runs[-1][1] == dtype.base
+                first = runs.pop()[0].start if goes_on else len(places)
+                places += _places(dtype, offset)
+                runs.append((slice(first, len(places)), dtype.base))
+        self._places = np.array(places, np.int64).T.copy()
 
     def read(self, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> tuple[NDArray[np.bool_], Columns]:
         """Read messages that have the size of the layout: which of them have it, and the numbers of these by path."""
-        found: dict[str, NDArray[Any]] = {}
-        for start, dtype in self._neighbours:
-            copied = gather(data, starts + start, dtype)
-            found |= {name: copied[name] for name in dtype.names or ()}
-        fits = np.ones(starts.size, np.bool_)
-        for row, word in enumerate(self._words):
-            fits &= found[str(row)] == word
-        if not fits.all():
-            found = {name: values[fits] for name, values in found.items()}
-        count = int(np.count_nonzero(fits))
-        return fits, {
-            path: _side_by_side([found[str(row)] for row in rows], count) for path, rows in self._rows.items()
-        }
+        bits = read_bits(data, starts, self._places)
+        fits = np.asarray((bits[: len(self._words)] == self._words).all(axis=0))
+        bits = bits if fits.all() else bits[:, fits]
+        return fits, {path: _meant(bits, runs) for path, runs in self._runs.items()}
 
 
-def _neighbours(leaves: Sequence[_Leaf]) -> Iterator[tuple[int, np.dtype[np.void]]]:
-    """Part numbers where many bytes stand between them: where each part starts, and what stands in it, by row."""
-    part: dict[int, _Leaf] = {}
-    end = 0
-    for row, leaf in sorted(enumerate(leaves), key=itemgetter(1)):
-        if part and leaf.start - end > _NEAR:
-            yield _structure(part, end)
-            part = {}
-        part[row] = leaf
-        end = max(end, leaf.end)
-    yield _structure(part, end)
+def _places(dtype: np.dtype[Any], offset: int) -> Iterator[tuple[int, int, bool]]:
+    """Return offset, size and whether it is signed, of each number of a field."""
+    size = dtype.base.itemsize
+    return ((offset + size * number, size, dtype.base.kind == "i") for number in range(math.prod(dtype.shape)))
 
 
-def _structure(part: dict[int, _Leaf], end: int) -> tuple[int, np.dtype[np.void]]:
-    start = min(leaf.start for leaf in part.values())
-    columns: Any = {
-        "names": list(map(str, part)),
-        "formats": [leaf.dtype for leaf in part.values()],
-        "offsets": [leaf.start - start for leaf in part.values()],
-        "itemsize": end - start,
-    }
-    return start, np.dtype(columns)
+def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: NDArray[np.int64]) -> Bits:
+    """Read little-endian numbers of messages.
+
+    Parameters
+    ----------
+    starts : ndarray, shape (k,)
+        Where in the data each message starts.
+    places : ndarray, shape (3, n)
+        Of each number in a message: the bytes in front of it; its own, 1, 2, 4 or 8; whether it is a signed whole one.
+        All of them lie in the data.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        Their bits; those of a signed number are filled up so that it stays the same.
+    """
+    if is_loaded():
+        from insdvl_replay.logs.encoding import number_loops
+
+        return number_loops.read_bits(data, starts, places)
+    return read_bits_plainly(data, starts, places)
 
 
-def _side_by_side(parts: Iterable[NDArray[Any]], count: int) -> NDArray[Any]:
-    """Set numbers side by side, shape (k, n), as integers if all are whole."""
-    columns = [_numbers(part if part.ndim > 1 else part[:, None]) for part in parts]
-    if not columns:
-        return np.empty((count, 0), np.int64)
-    dtype = np.dtype(np.int64 if all(column.dtype.kind in "iu" for column in columns) else np.float64)
-    return (
-        columns[0].astype(dtype)
-        if len(columns) == 1
-        else np.concatenate(columns, axis=1, dtype=dtype, casting="unsafe")
-    )
+def read_bits_plainly(data: NDArray[np.uint8], starts: NDArray[np.int64], places: NDArray[np.int64]) -> Bits:
+    """Do what `read_bits` does without the compiler, whose loading would take longer than to read a few messages."""
+    bits = np.empty((places.shape[1], starts.size), np.int64)
+    for number, (offset, size, signed) in enumerate(places.T.tolist()):
+        bits[number] = gather(data, starts + offset, np.dtype(f"<{'i' if signed else 'u'}{size}"))
+    return bits
 
 
-def _numbers(values: NDArray[Any]) -> NDArray[Any]:
-    """Return whole numbers for flags, of which any byte but zero is true."""
-    return np.asarray(values.view(np.uint8) != 0, np.int64) if values.dtype.kind == "b" else values
+def _meant(bits: Bits, runs: Sequence[_Run]) -> NDArray[Any]:
+    """Return the numbers that bits mean, shape (k, n), whole ones as integers if all are whole."""
+    parts = [_numbers(bits[numbers], dtype) for numbers, dtype in runs]
+    return (parts[0] if len(parts) == 1 else np.concatenate([bits[:0], *parts])).T
+
+
+def _numbers(bits: Bits, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return int64 or float64 for the bits of numbers of one kind."""
+    if dtype.kind in "iu":
+        return bits
+    if dtype.kind == "b":
+        return np.asarray(bits != 0, np.int64)
+    return np.asarray(bits.view(np.float64) if dtype.itemsize == 8 else bits.astype(np.uint32).view(np.float32), float)
 
 
 def _leaves(dtype: np.dtype[np.void], path: str) -> Iterator[tuple[np.dtype[Any], int]]:
