@@ -9,11 +9,12 @@ import signal
 import sys
 import threading
 import warnings
+from contextlib import suppress
 from types import FrameType
 from typing import NoReturn
 
 from insdvl_replay.cli.messages import open_outlets, report_lost_output
-from insdvl_replay.core.runtime import collect_rarely, use_small_pages
+from insdvl_replay.core.runtime import Interruption, collect_rarely, use_small_pages
 
 INTERRUPTED = 130
 LONGEST_FAREWELL_S = 5.0
@@ -42,7 +43,8 @@ def main() -> NoReturn:
         # sent its result.
         impatience = threading.Timer(LONGEST_FAREWELL_S, os._exit, (code,))
         impatience.daemon = True
-        impatience.start()
+        with suppress(RuntimeError):  # there may be no room for one more thread
+            impatience.start()
     sys.exit(max(code, report_lost_output(out, err)))
 
 
@@ -56,8 +58,6 @@ def run_command_line(arguments: list[str]) -> int:
         try:
             return int(app(arguments, prog_name="insdvl-replay", standalone_mode=False) or 0)
         except Exception as error:
-            if _Interruption.came:
-                return INTERRUPTED
             return log_failure(error, typed_verbosity(arguments))
     except SystemExit as leaving:
         # The completion of the shell leaves in this way.
@@ -66,19 +66,9 @@ def run_command_line(arguments: list[str]) -> int:
         return INTERRUPTED
     except Exception:
         # What is interrupted as it is imported, or in a library that catches all, fails in ways of its own.
-        if _Interruption.came:
+        if Interruption.came:
             return INTERRUPTED
         raise
-
-
-class _Interruption(KeyboardInterrupt):
-    """The user, or the system, wants the work to end.
-
-    A type of its own: where Python's passes through ``exec`` or ``eval``, as in the making of a dataclass, the
-    interpreter remembers it, and ends by SIGINT although it was caught.
-    """
-
-    came = False
 
 
 def _listen() -> None:
@@ -96,8 +86,8 @@ def _listen_no_more() -> None:
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> NoReturn:
-    _Interruption.came = True
-    raise _Interruption
+    Interruption.came = True
+    raise Interruption
 
 
 def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:

@@ -11,7 +11,7 @@ import typer
 
 from insdvl_replay.core.errors import LogError, Note, UserError
 from insdvl_replay.core.plain_text import visible, visible_lines, without_commands
-from insdvl_replay.core.runtime import is_nearly_used_up
+from insdvl_replay.core.runtime import Interruption, is_nearly_used_up
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -120,7 +120,15 @@ def log_notes(notes: Iterable[Note], *, verbose: bool) -> None:
 
 
 def log_failure(error: Exception, verbosity: int) -> int:
-    """Report what went wrong, in one sentence and a hint, and with ``-vv`` where in the code it arose."""
+    """Report what went wrong, in one sentence and a hint, and with ``-vv`` where in the code it arose.
+
+    Raises
+    ------
+    Interruption
+        There is one: what is interrupted as it is imported, or in a library that catches all, fails in ways of its own.
+    """
+    if Interruption.came:
+        raise Interruption from error
     if verbosity >= 2:
         trace = "".join(traceback.format_exception(error))
         print(without_commands(visible_lines(trace)), end="", file=sys.stderr)

@@ -24,6 +24,16 @@ EVERYTHING: Final = ("**/*",)
 _listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
 
 
+class Interruption(KeyboardInterrupt):
+    """The user, or the system, wants the work to end.
+
+    A type of its own: where Python's passes through ``exec`` or ``eval``, as in the making of a dataclass, the
+    interpreter remembers it, and ends by SIGINT although it was caught.
+    """
+
+    came = False
+
+
 def collect_rarely() -> None:
     """Let Python look for objects that hold each other only after many new ones.
 

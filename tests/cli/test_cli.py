@@ -296,28 +296,28 @@ from insdvl_replay.cli import main
 
 class Finder:
     def find_spec(self, name, path, target=None):
-        if name == "insdvl_replay.cli.SOMETHING":
+        if name == "insdvl_replay.SOMETHING":
             try:
                 exec("signal.raise_signal(signal.SIGNAL)")
             except KeyboardInterrupt:
                 RAISED
 
 sys.meta_path.insert(0, Finder())
-sys.argv = ["insdvl-replay", "run", "absent.mcap"]
+sys.argv = ["insdvl-replay", "run", "LOG"]
 main()
 """
 
 
 @pytest.mark.parametrize("signal_", ["SIGINT", "SIGTERM"])
-@pytest.mark.parametrize("module", ["app", "dives"])
+@pytest.mark.parametrize("module", ["cli.app", "cli.dives", "nav.filter"])
 @pytest.mark.parametrize("raised", ['raise SyntaxError("from inside the compiler")', "raise"])
 def test_an_import_that_fails_since_it_is_interrupted_is_an_interruption(
-    module: str, signal_: str, raised: str
+    module: str, signal_: str, raised: str, dive: Path, tmp_path: Path
 ) -> None:
-    script = (
-        INTERRUPTED_AS_IT_IS_IMPORTED.replace("SOMETHING", module).replace("SIGNAL", signal_).replace("RAISED", raised)
-    )
-    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20.0, check=False)
+    script = INTERRUPTED_AS_IT_IS_IMPORTED.replace("SOMETHING", module).replace("LOG", str(dive))
+    script = script.replace("SIGNAL", signal_).replace("RAISED", raised)
+    command = [sys.executable, "-c", script]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=20.0, check=False, cwd=tmp_path)
     assert (result.returncode, result.stderr) == (130, "error: interrupted\n")
 
 
