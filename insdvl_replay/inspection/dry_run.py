@@ -24,8 +24,8 @@ from insdvl_replay.logs.columns.roles import Finding, RoleColumns
 from insdvl_replay.logs.columns.table_reading import read_sample, read_tables
 from insdvl_replay.logs.columns.tables import Table, loss_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.blocks import LogChannel
 from insdvl_replay.logs.container.recording import Recording
+from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.message_encodings import channel_paths, check_encoding
 
 _ENOUGH: Final = 1000

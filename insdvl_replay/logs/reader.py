@@ -14,8 +14,8 @@ from insdvl_replay.logs.columns.roles import RoleColumns, find_roles
 from insdvl_replay.logs.columns.table_reading import read_tables
 from insdvl_replay.logs.columns.tables import loss_notes, schema_notes, stamp_notes
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.blocks import LogChannel, by_topic
 from insdvl_replay.logs.container.recording import open_recording
+from insdvl_replay.logs.container.records import LogChannel, by_topic
 
 
 def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:

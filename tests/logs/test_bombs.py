@@ -28,12 +28,11 @@ from insdvl_replay.core.errors import LogError, Note, most_like
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container import mcap_file
-from insdvl_replay.logs.container.blocks import LogChannel
 from insdvl_replay.logs.container.chunks import LARGEST_CHUNK, Chunk, most_opened, open_chunk
 from insdvl_replay.logs.container.damage import Damage
 from insdvl_replay.logs.container.mcap_file import Log
-from insdvl_replay.logs.container.scanner import McapIndex
-from insdvl_replay.logs.container.summary import Summary
+from insdvl_replay.logs.container.mcap_index import McapIndex, Summary
+from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.layout import dynamic_lengths
 from insdvl_replay.logs.encoding.message_encodings import channel_paths
 from insdvl_replay.logs.encoding.ros2msg import definition_text, parse_definitions
@@ -108,8 +107,8 @@ def test_a_chunk_without_a_record_is_opened_once(tmp_path: Path, monkeypatch: py
         opened.append(one.offset)
         return open_chunk(data, one)
 
-    monkeypatch.setattr("insdvl_replay.logs.container.chunk_messages.open_chunk", counted)
-    monkeypatch.setattr("insdvl_replay.logs.container.chunks.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.blocks.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", counted)
     seen = Log(write(tmp_path / "zeros.mcap", log(chunk(zstd_zeros(4 * MB), 4 * MB, "zstd"))), allow_damaged=True)
     assert not list(seen.blocks({1}))
     assert not list(seen.saved_times())
@@ -147,7 +146,7 @@ def test_a_chunk_with_many_channels_is_opened_a_few_times(tmp_path: Path, monkey
         opened.append(one.offset)
         return open_chunk(data, one)
 
-    monkeypatch.setattr("insdvl_replay.logs.container.chunks.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", counted)
     inventory = inspect_log(path, Config())
     assert len(inventory.clocks) >= 50
     assert len(opened) <= 2

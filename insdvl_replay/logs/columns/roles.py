@@ -24,7 +24,7 @@ from insdvl_replay.logs.columns.topic_requirements import (
     imu_requirement,
     solution_requirement,
 )
-from insdvl_replay.logs.container.blocks import LogChannel, by_topic
+from insdvl_replay.logs.container.records import LogChannel, by_topic
 
 
 def _no_pings() -> DvlColumns:

@@ -15,9 +15,9 @@ from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.logs.columns.order import merge_channels
 from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table, stamp_path
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.blocks import Block, LogChannel
-from insdvl_replay.logs.container.parts import CHANNELS_OF_A_PART
-from insdvl_replay.logs.container.recording import Recording
+from insdvl_replay.logs.container.blocks import Block
+from insdvl_replay.logs.container.recording import CHANNELS_OF_A_PART, Recording
+from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.field_paths import Columns, FieldReader, split_paths
 from insdvl_replay.logs.encoding.message_encodings import open_reader
 

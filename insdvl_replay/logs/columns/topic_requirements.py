@@ -10,7 +10,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.logs.columns import known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
-from insdvl_replay.logs.container.blocks import LogChannel
+from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.field_paths import Kinds, find_path, split_paths
 from insdvl_replay.logs.encoding.message_encodings import channel_paths, check_encoding
 

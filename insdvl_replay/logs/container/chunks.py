@@ -55,6 +55,11 @@ class Chunk:
     indexes: list[tuple[int, int]] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
 
+    @property
+    def end(self) -> int:
+        """Where its content ends."""
+        return self.offset + self.length
+
 
 @dataclass(frozen=True)
 class ChunkHeader:
@@ -103,7 +108,7 @@ def opened_size(data: memoryview, chunk: Chunk) -> int:
     if chunk.kind == "unchunked":
         return 0
     header = chunk_header(data, chunk.offset, chunk.length)
-    most = _room(chunk.offset + chunk.length - header.compressed_start)
+    most = _room(chunk.end - header.compressed_start)
     if chunk.kind == "truncated":
         return _size_of_truncated(header, most)
     return header.size if header.compression and header.size <= most else 0
@@ -112,9 +117,9 @@ def opened_size(data: memoryview, chunk: Chunk) -> int:
 def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
     """Decompress a chunk, and check its length and checksum."""
     if chunk.kind == "unchunked":
-        return data[chunk.offset : chunk.offset + chunk.length]
+        return data[chunk.offset : chunk.end]
     header = chunk_header(data, chunk.offset, chunk.length)
-    compressed = data[header.compressed_start : chunk.offset + chunk.length]
+    compressed = data[header.compressed_start : chunk.end]
     if chunk.kind == "truncated":
         return _decompressed_start(compressed, header, chunk.offset)
     if len(compressed) != header.compressed_size:

@@ -19,37 +19,20 @@ _LONGEST_NS: Final = 10**15
 """No recording covers more."""
 
 
-class DamageError(Exception):
-    """Bytes that are not what the format says.
-
-    Parameters
-    ----------
-    offset : int
-        Where in the file.
-    found : str
-        What stands there.
-    """
-
-    def __init__(self, offset: int, found: str) -> None:
-        super().__init__(offset, found)
-        self.offset = offset
-        self.found = found
-
-
 @dataclass(frozen=True)
 class Damage:
-    """A damaged place.
-
-    Attributes
-    ----------
-    offset : int
-        Where in the file.
-    found : str
-        What stands there.
-    """
+    """A damaged place: its offset in the file, and what stands there."""
 
     offset: int
     found: str
+
+
+class DamageError(Exception):
+    """Bytes that are not what the format says, at an offset in the file; ``found`` is what stands there."""
+
+    def __init__(self, offset: int, found: str) -> None:
+        super().__init__(offset, found)
+        self.damage = Damage(offset, found)
 
 
 @dataclass(frozen=True)

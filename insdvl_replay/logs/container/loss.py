@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.errors import Note
-from insdvl_replay.logs.container.blocks import MESSAGE, gather
-from insdvl_replay.logs.container.chunk_messages import read_chunk
+from insdvl_replay.logs.container.blocks import MESSAGE, gather, read_chunk
 from insdvl_replay.logs.container.chunks import Chunk, chunk_header
 from insdvl_replay.logs.container.damage import COPY_AGAIN, DamageError, Loss, Span, plausible_span
-from insdvl_replay.logs.container.record_form import RECORD_HEADER_SIZE
-from insdvl_replay.logs.container.scanner import McapIndex
+from insdvl_replay.logs.container.mcap_index import McapIndex
+from insdvl_replay.logs.container.records import RECORD_HEADER_SIZE
 
 
 def duplicate_messages(data: memoryview, mcap_index: McapIndex) -> int:
@@ -158,7 +157,7 @@ def _stated_span(data: memoryview, chunk: Chunk) -> Span | None:
 def _of_dropped_chunks(data: memoryview, mcap_index: McapIndex, spans: _Spans) -> Iterator[Loss]:
     """Go through the chunks that cannot be opened, and those of the chunk index that are not found at all."""
     for chunk in mcap_index.lost:
-        span = _stated_span(data, chunk) or spans.between(chunk.offset, chunk.offset + chunk.length)
+        span = _stated_span(data, chunk) or spans.between(chunk.offset, chunk.end)
         yield Loss(chunk.counts.total() or None, span)
     met = [chunk for chunk in (*mcap_index.chunks.values(), *mcap_index.lost) if chunk.kind != "unchunked"]
     # Where bytes were put in or taken out, chunks are not where the index says, and are known by what they say.

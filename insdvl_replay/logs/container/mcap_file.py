@@ -5,7 +5,9 @@ as far as its bytes can be believed.
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
+from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -15,22 +17,87 @@ from mcap import records
 
 from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.logs.container.attachments import (
-    Attachment,
-    Digest,
-    attachment_at,
-    attachment_damages,
-    checked_digest,
-)
-from insdvl_replay.logs.container.blocks import Block, described
-from insdvl_replay.logs.container.chunk_messages import index_entries
-from insdvl_replay.logs.container.chunk_reader import ChunkReader
-from insdvl_replay.logs.container.chunks import Chunk, ChunkHeader, chunk_header
-from insdvl_replay.logs.container.damage import COPY_AGAIN, Span, damaged_file_error
+from insdvl_replay.logs.container.blocks import Block, Content, content_of, index_entries
+from insdvl_replay.logs.container.chunks import Chunk, ChunkHeader, chunk_header, open_chunk, opened_size
+from insdvl_replay.logs.container.damage import COPY_AGAIN, DamageError, Span, damaged_file_error
 from insdvl_replay.logs.container.loss import chunk_span, damage_note
-from insdvl_replay.logs.container.mapped_file import mapped
-from insdvl_replay.logs.container.mcap_index import build_index
-from insdvl_replay.logs.container.records import parsed
+from insdvl_replay.logs.container.mapped_file import Digest, MappedFile, mapped
+from insdvl_replay.logs.container.mcap_index import McapIndex
+from insdvl_replay.logs.container.records import Attachment, attachment_at, attachment_damages, described, parsed
+from insdvl_replay.logs.container.scanner import build_index
+
+_AHEAD: Final = 3
+"""Chunks that are opened while the one before is read."""
+_MOST_OPEN: Final = 256 << 20
+"""Bytes that they open to together, if they are more than one."""
+_KEPT: Final = 16 << 20
+"""Bytes of chunks that stay open, since samples of many topics are read from the same ones."""
+_SAMPLED: Final = 2
+"""Chunks with which a sample begins; were more kept, a long reading would not use the same memory again and again."""
+
+
+class _ChunkReader:
+    """Reads the chunks of a file.
+
+    Parameters
+    ----------
+    index : McapIndex
+        Told which chunks cannot be opened, and what is wrong inside others.
+
+    Attributes
+    ----------
+    opened : set of int
+        Places of the chunks that were opened so far.
+    """
+
+    def __init__(self, file: MappedFile, index: McapIndex) -> None:
+        self._file = file
+        self._index = index
+        self._kept: dict[int, Content] = {}
+        self.opened: set[int] = set()
+
+    def contents(self, chunks: Sequence[Chunk]) -> Iterator[Content]:
+        """Go through chunks; those that cannot be opened are dropped."""
+        first = {chunk.offset for chunk in chunks[:_SAMPLED]}
+        ahead: deque[tuple[Chunk, Future[memoryview] | Content]] = deque()
+        sizes: deque[int] = deque()
+        with ThreadPoolExecutor(1) as opener:
+            for chunk in chunks:
+                sizes.append(opened_size(self._file.data, chunk))
+                while ahead and (len(ahead) > _AHEAD or sum(sizes) > _MOST_OPEN):
+                    yield from self._content(*ahead.popleft(), first)
+                    sizes.popleft()
+                kept = self._kept.get(chunk.offset)
+                ahead.append((chunk, kept or opener.submit(open_chunk, self._file.data, chunk)))
+            while ahead:
+                yield from self._content(*ahead.popleft(), first)
+
+    def _content(
+        self, chunk: Chunk, opened: Future[memoryview] | Content, sampled: Collection[int]
+    ) -> Iterator[Content]:
+        self.opened.add(chunk.offset)
+        if isinstance(opened, Content):
+            yield opened
+            return
+        try:
+            content = content_of(self._file.data, chunk, opened.result())
+        except DamageError as error:
+            self._index.drop_chunk(chunk, error.damage)
+            return
+        if content.damages:
+            self._index.trust(chunk, content)
+        if chunk.offset in sampled:
+            self._keep(chunk, content)
+        yield content
+        end = max(start + length for start, length in [(chunk.offset, chunk.length), *chunk.indexes])
+        self._file.release(chunk.offset, end)
+
+    def _keep(self, chunk: Chunk, content: Content) -> None:
+        """Keep a chunk open, and close those that were kept before it for want of room."""
+        self._kept[chunk.offset] = content
+        while sum(len(one.buffer) for one in self._kept.values()) > _KEPT:
+            del self._kept[next(iter(self._kept))]
+
 
 _END_OF_TIME_NS: Final = 2**63
 """Times are signed in numpy as in ROS, and unsigned in the format."""
@@ -58,7 +125,7 @@ class Log:
         with self._file.watched():
             self._index = build_index(self._data, self._file.release)
         self._file.release(0, len(self._data))
-        self._reader = ChunkReader(self._file, self._index)
+        self._reader = _ChunkReader(self._file, self._index)
         self._raise_if_damaged()
         self.channels = tuple(
             described(channel, self._index.schemas.get(channel.schema_id), self._index.counts[channel.id])
@@ -155,7 +222,7 @@ class Log:
     def digests(self) -> list[Digest]:
         """Go over all bytes of the file. It changes nothing here, so that another thread can do it meanwhile."""
         section_end, section_crc = self._index.data_end or (0, 0)
-        sha256, damages = checked_digest(self._file.reopened(), section_end, section_crc)
+        sha256, damages = self._file.digest(section_end, section_crc)
         return [Digest(sha256, damages + attachment_damages(self._data, self._index.attachments))]
 
     def sha256(self, digests: Sequence[Digest] | None = None) -> str:

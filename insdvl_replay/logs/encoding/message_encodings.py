@@ -5,7 +5,7 @@ from functools import cache
 from typing import Final
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.container.blocks import LogChannel
+from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.cdr import CdrReader, cdr_paths
 from insdvl_replay.logs.encoding.decoded_fields import known_paths
 from insdvl_replay.logs.encoding.field_paths import FieldReader, Kinds
