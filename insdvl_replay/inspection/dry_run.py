@@ -22,11 +22,12 @@ from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFac
 from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.roles import Finding, RoleColumns
 from insdvl_replay.logs.columns.table_reading import read_sample, read_tables
-from insdvl_replay.logs.columns.tables import Table, loss_notes, schema_notes, stamp_notes
+from insdvl_replay.logs.columns.tables import Table
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.recording import Recording
 from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.message_encodings import channel_paths, check_encoding
+from insdvl_replay.logs.encoding.fields import channel_paths, check_encoding
+from insdvl_replay.logs.reader import loss_notes, schema_notes, stamp_notes
 
 _ENOUGH: Final = 1000
 """Messages of a topic that show its clock and its units."""

@@ -29,8 +29,8 @@ from insdvl_replay.inspection.proposed_settings import (
     with_settings,
 )
 from insdvl_replay.inspection.topic_probe import ProbedTopic, probe_topics
-from insdvl_replay.logs.columns.clocks import clock_notes
 from insdvl_replay.logs.columns.roles import Finding, find_roles
+from insdvl_replay.logs.columns.tables import clock_notes
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.recording import Recording
 

@@ -15,8 +15,7 @@ from insdvl_replay.core.states import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.recording import Recording
 from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.field_paths import NUMBER, Kinds, split_paths
-from insdvl_replay.logs.encoding.message_encodings import check_encoding, open_reader
+from insdvl_replay.logs.encoding.fields import NUMBER, Kinds, check_encoding, open_reader, split_paths
 from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES
 
 _FAMILIES: Final = (

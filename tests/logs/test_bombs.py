@@ -33,8 +33,8 @@ from insdvl_replay.logs.container.damage import Damage
 from insdvl_replay.logs.container.mcap_file import Log
 from insdvl_replay.logs.container.mcap_index import McapIndex, Summary
 from insdvl_replay.logs.container.records import LogChannel
+from insdvl_replay.logs.encoding.fields import channel_paths
 from insdvl_replay.logs.encoding.layout import dynamic_lengths
-from insdvl_replay.logs.encoding.message_encodings import channel_paths
 from insdvl_replay.logs.encoding.ros2msg import definition_text, parse_definitions
 from insdvl_replay.sim.dive import exact_dive
 

@@ -14,8 +14,7 @@ from mcap_ros2.decoder import DecoderFactory as RosDecoders
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.mcap_file import Log
 from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.field_paths import NUMBER, Columns
-from insdvl_replay.logs.encoding.message_encodings import channel_paths, open_reader
+from insdvl_replay.logs.encoding.fields import NUMBER, Columns, channel_paths, open_reader
 from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"

@@ -13,10 +13,9 @@ from insdvl_replay.core.config import Dvl
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
 from insdvl_replay.geometry import beams
-from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, same_rows
+from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.order import Mask
-from insdvl_replay.logs.columns.pauses import note_bursts, note_lost_samples
 from insdvl_replay.logs.columns.tables import Table
 
 _UNIT_LENGTH_TOLERANCE: Final = 0.01

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import TimeNs, find_runs, nanoseconds, seconds
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.columns.clocks import SAME_CLOCK_S
-from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table
-from insdvl_replay.logs.encoding.field_paths import Columns
+from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, SAME_CLOCK_S, Table
+from insdvl_replay.logs.encoding.fields import Columns
 
 FEW_PLACES: Final = 5
 """Messages do not overtake more others than this."""

@@ -10,11 +10,10 @@ from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns, TruthColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, Note, error_context, listed, nearest
-from insdvl_replay.logs.columns.clocks import clock_notes
 from insdvl_replay.logs.columns.dvl import decode_dvl
 from insdvl_replay.logs.columns.imu import decode_imu, decode_truth
 from insdvl_replay.logs.columns.reference import decode_reference
-from insdvl_replay.logs.columns.tables import Table
+from insdvl_replay.logs.columns.tables import Table, clock_notes
 from insdvl_replay.logs.columns.topic_requirements import (
     TRUTH_REQUIREMENT,
     Source,
@@ -68,7 +67,7 @@ class RoleColumns:
         return notes
 
     def clock_notes(self, clocks: Sequence[Clock]) -> tuple[Note, ...]:
-        """Compare the clocks of the roles, that of the IMU first, as `clocks.clock_notes`."""
+        """Compare the clocks of the roles, that of the IMU first, as `tables.clock_notes`."""
         return clock_notes(self.place, clocks, self.config.clocks.max_disagreement_s)
 
 

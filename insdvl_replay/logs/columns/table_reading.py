@@ -18,8 +18,7 @@ from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.recording import CHANNELS_OF_A_PART, Recording
 from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.field_paths import Columns, FieldReader, split_paths
-from insdvl_replay.logs.encoding.message_encodings import open_reader
+from insdvl_replay.logs.encoding.fields import Columns, FieldReader, open_reader, split_paths
 
 _HOPELESS: Final = 1000
 """Where so many messages cannot be read, and fewer can, the schema is wrong and not the messages."""

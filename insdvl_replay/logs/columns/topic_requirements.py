@@ -11,8 +11,7 @@ from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.logs.columns import known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
 from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.field_paths import Kinds, find_path, split_paths
-from insdvl_replay.logs.encoding.message_encodings import channel_paths, check_encoding
+from insdvl_replay.logs.encoding.fields import Kinds, channel_paths, check_encoding, find_path, split_paths
 
 BOW_DOWN: Final = "_bow_down"
 """Ends the name of a pitch with the opposite sign."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.encoding.field_paths import NUMBER, TEXT, Columns, Kinds, check_path
+from insdvl_replay.logs.encoding.fields import NUMBER, TEXT, Columns, Kinds, check_path
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class DecodedFields:
     Parameters
     ----------
     paths : sequence of str
-        The fields, as `field_paths` says.
+        The fields, as `fields` says.
     decode : callable
         Makes a structure of the bytes of a message.
     access : Access
@@ -88,7 +88,7 @@ class DecodedFields:
         """Look at the first messages, where only they tell what is in them."""
 
     def columns(self, block: Block) -> Columns:
-        """Read the fields of all messages of a block, as `field_paths.FieldReader.columns`."""
+        """Read the fields of all messages of a block, as `fields.FieldReader.columns`."""
         places = zip(block.offsets.tolist(), block.sizes.tolist(), strict=True)
         messages = [self._decode(block.buffer[offset : offset + size]) for offset, size in places]
         if not self._numbers:

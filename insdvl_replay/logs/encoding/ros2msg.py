@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.encoding.field_paths import MOST_LEVELS, MOST_PATHS, too_large
+from insdvl_replay.logs.encoding.fields import MOST_LEVELS, MOST_PATHS, too_large
 
 PRIMITIVES: Final[dict[str, str]] = {
     "bool": "?",
