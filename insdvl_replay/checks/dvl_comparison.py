@@ -52,16 +52,8 @@ class Fit:
 class TrackFit:
     """How the track of gyros and DVL follows the positions.
 
-    Attributes
-    ----------
-    gyro_scale : float or None
-        Measured over true; None where the vehicle turned too little to tell.
-    dvl_scale : float
-        Measured over true.
-    heading : float
-        At the start of the replay, rad.
-    coherence : float
-        As of `Fit`.
+    Scales are measured over true, that of the gyros None where the vehicle turned too little to tell; the heading is
+    that at the start of the replay, rad.
     """
 
     gyro_scale: float | None
@@ -71,12 +63,7 @@ class TrackFit:
 
 
 def fit(measured: Complex, true: Complex) -> Fit:
-    """Fit ``measured = scale exp(i turn) true`` by least squares.
-
-    Parameters
-    ----------
-    measured, true : ndarray of complex, shape (k,)
-    """
+    """Fit ``measured = scale exp(i turn) true`` by least squares, both of shape (k,)."""
     product = complex(np.vdot(true, measured))
     power, other_power = float(np.vdot(true, true).real), float(np.vdot(measured, measured).real)
     if not power or not other_power:
@@ -104,17 +91,9 @@ def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config
 
 
 def axes_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Floats:
-    """Correlate the DVL's velocity with the reference's along each axis of the body.
+    """Correlate the DVL's velocity with the reference's along each axis of the body, shape (3,).
 
-    Parameters
-    ----------
-    dvl, reference, config
-        As of `dvl_by_velocity`.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        NaN along axes on which the velocity changes too little to tell.
+    It is NaN along axes on which the velocity changes too little to tell.
     """
     measured_b, true_b = _velocity_pairs(dvl, reference, config)
     found = np.full(3, np.nan)

@@ -47,10 +47,7 @@ class AttitudeFit:
 def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFit | None:
     """Compare what the gyros add up to between two attitudes of the reference with the turn that it shows.
 
-    Returns
-    -------
-    AttitudeFit or None
-        None where the vehicle turned too little to tell.
+    None where the vehicle turned too little to tell.
     """
     rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)) & lies_within(reference.time_ns, imu.time_ns))
     time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
@@ -104,19 +101,9 @@ def gyro_by_gravity(imu: ImuColumns) -> float | None:
 
 
 def turned_by(imu: ImuColumns, at_s: Floats, longest_s: float = np.inf) -> Floats:
-    """Add up the angular rate from the first sample on.
+    """Add up the angular rate about each axis from the first sample to times, shape (k,), in s since it; shape (k, 3).
 
-    Parameters
-    ----------
-    at_s : ndarray, shape (k,)
-        Times in seconds from the first sample.
-    longest_s : float
-        In longer pauses nothing is added, since nobody saw what turned in them.
-
-    Returns
-    -------
-    ndarray, shape (k, 3), rad
-        Along each axis of the body.
+    The turns are in rad. In longer pauses nothing is added, since nobody saw what turned in them.
     """
     sample_s = seconds(imu.time_ns, imu.time_ns[0])
     step_s = np.diff(sample_s)
@@ -133,16 +120,5 @@ def turned_by(imu: ImuColumns, at_s: Floats, longest_s: float = np.inf) -> Float
 
 
 def lies_within(time_ns: TimeNs, others_ns: TimeNs) -> NDArray[np.bool_]:
-    """Find which times lie between the first and the last of others.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-    others_ns : ndarray, shape (m,)
-        In order.
-
-    Returns
-    -------
-    ndarray of bool, shape (k,)
-    """
+    """Find which times, shape (k,), lie between the first and the last of others, which are in order."""
     return np.asarray((time_ns >= others_ns[0]) & (time_ns <= others_ns[-1]))

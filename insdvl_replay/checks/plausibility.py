@@ -36,17 +36,7 @@ HEADING_DOUBT: Final = 30.0 * DEG
 
 @dataclass(frozen=True)
 class GyroScale:
-    """How the gyros compare with what others show.
-
-    Attributes
-    ----------
-    scale : float
-        Angular rate measured over true.
-    by : str
-        Who says so.
-    tolerance : float
-        Factor up to which it is in order.
-    """
+    """How the gyros compare with what others show: measured over true, and the factor up to which it is in order."""
 
     scale: float
     by: str
@@ -61,17 +51,9 @@ class GyroScale:
 def plausibility_checks(
     place: str, imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
 ) -> tuple[Check, ...]:
-    """List what has to be looked at in the columns of a dive.
+    """List what has to be looked at in the columns of a dive, whose file is the place in messages to the user.
 
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-
-    Returns
-    -------
-    tuple of Check
-        They find what cannot be: each note says how often, since when, and which key helps.
+    What is found, a note each, says how often, since when, and which key helps.
     """
     by_attitude, track = _comparisons(imu, dvl, reference, config)
     return (
@@ -105,18 +87,7 @@ def plausibility_notes(
 def gyro_scale(
     imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
 ) -> GyroScale | None:
-    """Compare the gyros with whoever knows their scale best.
-
-    Parameters
-    ----------
-    imu, dvl, reference, config
-        As of `plausibility_checks`.
-
-    Returns
-    -------
-    GyroScale or None
-        None where the vehicle moved too little to tell.
-    """
+    """Compare the gyros with whoever knows their scale best; None where the vehicle moved too little to tell."""
     return _best_scale(imu, *_comparisons(imu, dvl, reference, config))
 
 

@@ -16,17 +16,7 @@ from insdvl_replay.core.errors import Note
 
 
 def find_runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Find where a mask is true.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (k,)
-
-    Returns
-    -------
-    starts, ends : ndarray, shape (runs,)
-        First row of each run, and the row behind its last.
-    """
+    """Find where a mask, shape (k,), is true: the first row of each run, and the row behind its last."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return edges[::2], edges[1::2]
 
@@ -58,14 +48,6 @@ def distinct(time_ns: TimeNs) -> TimeNs:
     """Return each time once, in order.
 
     `numpy.unique` does the same with a table of hashes, which takes thirty times as long.
-
-    Parameters
-    ----------
-    time_ns : ndarray of int64, shape (k,)
-
-    Returns
-    -------
-    ndarray of int64, shape (at most k,)
     """
     ordered = np.sort(time_ns)
     return ordered[is_new(ordered)]

@@ -23,13 +23,7 @@ def dive_name(path: Path) -> str:
 
 
 def is_dive_name(name: str) -> bool:
-    """Return whether a name can be that of a dive, and so of a folder or a file below one that is given.
-
-    Parameters
-    ----------
-    name : str
-        From a stored result, which anybody may have written.
-    """
+    """Return whether a name, which anybody may have written, can be that of a dive, and so of a file below a folder."""
     separators = {"/", os.sep, os.altsep or os.sep, "\0"}
     return bool(name.strip(".")) and not separators & set(name) and len(os.fsencode(name)) <= LONGEST_NAME
 
@@ -37,20 +31,8 @@ def is_dive_name(name: str) -> bool:
 def unique_names(paths: Sequence[Path]) -> list[str]:
     """Name each dive after its file, and those that would share a name after as many folders as tell them apart.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Such as ``monday/dive.mcap``, ``tuesday/dive.mcap`` and ``tuesday/test.mcap``.
-
-    Returns
-    -------
-    list of str
-        Such as ``monday_dive``, ``tuesday_dive`` and ``test``.
-
-    Raises
-    ------
-    ConfigError
-        Folders do not tell two dives apart either.
+    Of ``monday/dive.mcap``, ``tuesday/dive.mcap`` and ``tuesday/test.mcap`` these are ``monday_dive``, ``tuesday_dive``
+    and ``test``. A ConfigError names two dives that folders do not tell apart either.
     """
     whole = [(*_whole(path).parts[1:-1], dive_name(path)) for path in paths]
     lengths = [1] * len(paths)

@@ -54,17 +54,8 @@ def errors_to(on_error: OnError) -> Iterator[None]:
 class DryRun:
     """Looks at the messages, role by role, and keeps what it finds.
 
-    Parameters
-    ----------
-    deep : bool
-        Read the messages whole, not only the first of each topic.
-
-    Attributes
-    ----------
-    clocks : list of Clock
-        Of the topics that play a role, then of the others.
-    columns : RoleColumns
-        What was read of the roles.
+    Deep reads the messages whole, not only the first of each topic. The clocks are those of the topics that play a
+    role, then of the others.
     """
 
     log: Recording

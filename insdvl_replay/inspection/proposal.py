@@ -148,19 +148,7 @@ _ROLES: Final = (
 
 @dataclass(frozen=True)
 class Proposal:
-    """Settings that nobody has made yet.
-
-    Attributes
-    ----------
-    configuration : str
-        TOML; empty where there is nothing to propose.
-    decisions : tuple of str
-        Keys in it about which a person must decide.
-    obstacles : tuple of Obstacle
-        What stops a replay with these settings too.
-    notes : tuple of Note
-        What was not looked at.
-    """
+    """Settings that nobody has made yet, as TOML; the keys to decide in it, and what stops a replay with it too."""
 
     configuration: str = ""
     decisions: tuple[str, ...] = ()

@@ -126,19 +126,7 @@ _GRAVITY_PART: Final = 0.1
 
 @dataclass(frozen=True)
 class Candidate:
-    """A vector or beams, seen in the first messages of a topic.
-
-    Attributes
-    ----------
-    path : str
-        As the configuration takes it.
-    median : ndarray, shape (n,)
-        Of each number.
-    size : float
-        Median length of the vector.
-    largest : float
-        The longest.
-    """
+    """A vector or beams, seen in the first messages: the median of each number, the median length and the longest."""
 
     path: str
     median: Floats
@@ -166,15 +154,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class ProbedTopic:
-    """What the first messages of a topic show.
-
-    Attributes
-    ----------
-    known : mapping of str to str
-        Every path that the messages have, with the type of what is there.
-    scalars : dict of str to float
-        Median by the path of each single number.
-    """
+    """What the first messages of a topic show: every path with its type, and the median of each single number."""
 
     channel: LogChannel
     known: Kinds

@@ -28,17 +28,7 @@ HEADING_DOUBT = 10.0 * DEG
 
 @dataclass(frozen=True)
 class Alignment:
-    """The start of a replay.
-
-    Attributes
-    ----------
-    start_ns : int
-        When the filters start.
-    start : Start
-        State and uncertainty.
-    notes : tuple of Note
-        What was taken from elsewhere than the reference.
-    """
+    """The start of a replay: when, with which state and uncertainty, and what the reference did not give."""
 
     start_ns: int
     start: Start
@@ -58,20 +48,8 @@ def align(
     """Find the start: the reference's first attitude inside the span, or the first sample when levelling.
 
     What the reference lacks is taken from gravity (roll, pitch), from the DVL (velocity) and from the configuration
-    (heading, position), each with a note. Started level, the reference gives the position and height alone.
-
-    Parameters
-    ----------
-    velocities : DvlVelocities
-        Pings.
-    noise : SensorNoise
-        Of the pings and the accelerometers.
-    initial : Initial
-        Configuration.
-    lever_arm_b : ndarray, shape (3,)
-        IMU to DVL, m.
-    start_ns, end_ns : int
-        Span that IMU and configuration allow.
+    (heading, position), each with a note. Started level, the reference gives the position and height alone. The lever
+    arm, shape (3,), goes from IMU to DVL, m.
     """
     notes: list[Note] = []
     check_start(
@@ -105,12 +83,7 @@ def align(
 
 
 def check_start(initial: Initial, *, has_reference: bool, has_position: bool, has_attitude: bool) -> None:
-    """Refuse settings that leave open where or how a filter starts.
-
-    Parameters
-    ----------
-    has_reference, has_position, has_attitude : bool
-        Whether there is a reference, and what it gives.
+    """Refuse settings that leave open where or how a filter starts, by what a reference gives, if there is one.
 
     Raises
     ------

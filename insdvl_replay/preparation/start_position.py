@@ -19,15 +19,7 @@ CONTRADICTION_DEG: Final = 0.1
 def start_position(reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
     """Find the position at the start: the reference's where it has any, else the configured one.
 
-    Parameters
-    ----------
-    notes : list of Note
-        Receives what was taken from elsewhere, or is far.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        Latitude rad, longitude rad, height m.
+    Latitude rad, longitude rad and height m, shape (3,); notes say what was taken from elsewhere, or is far.
     """
     if reference is not None and reference.has_position:
         return _reference_position(reference, initial, start_ns, notes)
@@ -83,18 +75,9 @@ def configured_latitude_deg(initial: Initial) -> float:
 
 
 def apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
-    """Return the seconds from each time to the nearest finite row of values.
+    """Return the seconds from each time, shape (k,), to the nearest finite row of values, shape (r, n).
 
-    Parameters
-    ----------
-    time_ns : ndarray, shape (r,)
-    values : ndarray, shape (r, n)
-    at_ns : ndarray, shape (k,)
-
-    Returns
-    -------
-    ndarray, shape (k,), s
-        Infinite where there is no finite row.
+    They are infinite where there is no finite row.
     """
     finite_ns = time_ns[np.isfinite(values).all(axis=1)]
     if not len(finite_ns):
@@ -105,17 +88,7 @@ def apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
 
 
 def at_time(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:
-    """Interpolate the finite rows of values; outside them the nearest row stands.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (r,)
-    values : ndarray, shape (r, n)
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
+    """Interpolate the finite rows of values, shape (r, n), at a time; outside them the nearest row stands."""
     finite = np.isfinite(values).all(axis=1)
     offset_s = seconds(time_ns[finite], at_ns)
     return np.array([np.interp(0.0, offset_s, column) for column in values[finite].T])

@@ -33,15 +33,7 @@ SLANT: Final = 0.05
 
 
 def drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Floats) -> None:
-    """Drop samples that jump beyond what a vehicle can do and back; the pause that is left is bridged like any other.
-
-    Parameters
-    ----------
-    cleaner : Cleaner
-        Its rows have times of their own.
-    specific_force_b, angular_rate_b : ndarray, shape (k, 3)
-        For each row of the file, m/s^2 and rad/s.
-    """
+    """Drop samples that jump beyond what a vehicle can do and back; the pause is bridged like any other."""
     spikes = np.zeros(len(cleaner.rows), np.bool_)
     for readings, jump in ((specific_force_b, FORCE_JUMP_MPS2), (angular_rate_b, RATE_JUMP_RADPS)):
         kept = cleaner.kept(readings)
@@ -56,20 +48,7 @@ def drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Floa
 
 
 def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:
-    """Find single samples that are far from both of their neighbours, which are near each other.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-        Increasing.
-    readings : ndarray, shape (k, 3)
-    jump : float
-        In the unit of the readings.
-
-    Returns
-    -------
-    ndarray of bool, shape (k,)
-    """
+    """Find single samples, shape (k, 3), that are far from both of their neighbours, while these are near."""
     spikes = np.zeros(len(readings), np.bool_)
     if len(readings) < 3:
         return spikes

@@ -32,13 +32,7 @@ def _no_pings() -> DvlColumns:
 
 @dataclass
 class RoleColumns:
-    """The columns of the roles as far as they are read.
-
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-    """
+    """The columns of the roles as far as they are read; the place is the file, for messages to the user."""
 
     place: str
     config: Config
@@ -48,14 +42,7 @@ class RoleColumns:
     truth: TruthColumns | None = None
 
     def decode(self, role: str, tables: list[Table]) -> list[Note]:
-        """Make the columns of a role; the raw ones are let go, since those of a long dive are large.
-
-        Parameters
-        ----------
-        role : {'imu', 'dvl', 'reference', 'truth'}
-        tables : list of Table
-            At least one; of a reference up to two.
-        """
+        """Make the columns of a role; the raw ones are let go, since those of a long dive are large."""
         if role == "reference":
             self.reference, notes = decode_reference(tables, self.config.reference)
         elif role == "imu":
@@ -96,19 +83,11 @@ class Finding:
 
 
 def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tuple[Finding, ...]:
-    """Find the topic for each role.
+    """Find the topic for each role: IMU, DVL, reference, and truth where the log has it.
 
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-
-    Returns
-    -------
-    tuple of Finding
-        IMU, DVL, reference, and truth where the log has it. One has an error where no topic is an IMU or a DVL, several
-        are and the configuration names none, a named topic is not there, its type is not known and the configuration
-        does not say where its fields are, or its messages cannot be read.
+    A finding has an error where no topic is an IMU or a DVL, several are and the configuration names none, a named
+    topic is not there, its type is not known and the configuration does not say where its fields are, or its messages
+    cannot be read.
     """
     topics = _Topics(place, channels)
     imu = _explained(topics, imu_requirement(config), lambda: (topics.need(imu_requirement(config)),))

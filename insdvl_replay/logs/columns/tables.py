@@ -67,19 +67,8 @@ def _percentile(values: TimeNs, percent: float) -> float:
 def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) -> tuple[Note, ...]:
     """Refuse to mix clocks that have nothing to do with each other, and say which of them are not the recorder's.
 
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-    clocks : sequence of Clock
-        Of all roles, that of the IMU first.
-    max_disagreement_s : float
-        How far log time minus stamp may differ between the IMU and another role, beyond the spread of both.
-
-    Raises
-    ------
-    LogError
-        Two roles are stamped by different clocks.
+    The clock of the IMU is the first. Log time minus stamp may differ by so much between it and another role's, beyond
+    the spread of both.
     """
     imu, *others = clocks
     notes = [_offset_note(clock) for clock in clocks if abs(clock.log_minus_stamp_s) > SAME_CLOCK_S + clock.spread_s]
@@ -102,22 +91,11 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
 
 
 def stamp_unit(values: NDArray[Any], log_time_ns: TimeNs) -> tuple[int, str]:
-    """Find in which unit a stamp that is a mere number counts.
+    """Find in which unit a stamp that is a mere number counts: its nanoseconds, and its name.
 
-    They tell it by how far they run while the recorder's clock runs on, which holds for the time since power-up too.
-    Where the recorder's clock does not keep step with them, because the log was written later, their size has to do:
-    it is taken for the time since 1970.
-
-    Parameters
-    ----------
-    values : ndarray, shape (k,)
-        Finite numbers.
-    log_time_ns : ndarray, shape (k,)
-
-    Returns
-    -------
-    factor : int
-        Nanoseconds of one unit.
+    They tell it by how far they run, shape (k,), while the recorder's clock runs on, which holds for the time since
+    power-up too. Where the recorder's clock does not keep step with them, because the log was written later, their size
+    has to do: it is taken for the time since 1970.
     """
     ran, recorded_s = float(values[-1]) - float(values[0]), float(log_time_ns[-1] - log_time_ns[0]) * _NS
     for unit in _UNITS:

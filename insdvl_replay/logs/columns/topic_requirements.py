@@ -61,13 +61,7 @@ class Source:
     conventions: Mapping[str, Any] = field(default_factory=dict)
 
     def completed(self, section: Section) -> Section:
-        """Fill in by the type what a section of the configuration leaves out.
-
-        Parameters
-        ----------
-        section : Struct
-            Of this role.
-        """
+        """Fill in by the type what this role's section of the configuration leaves out."""
         left_out = {key: value for key, value in self.conventions.items() if getattr(section, key) is None}
         return msgspec.structs.replace(section, **left_out)
 

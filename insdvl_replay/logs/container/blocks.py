@@ -50,14 +50,8 @@ _PLACES: Final = {name: (field[0], field[1]) for name, field in (MESSAGE.fields 
 class Block:
     """The messages of one channel in one chunk, in the order of the file.
 
-    Attributes
-    ----------
-    channel_id : int
-        Their channel.
-    buffer : memoryview
-        Bytes of the open chunk.
-    starts, lengths : ndarray, shape (k,)
-        Where in the buffer their records start, and how long the contents of these are.
+    Where in the buffer, the bytes of the open chunk, their records start, shape (k,), and how long the contents of
+    these are.
     """
 
     channel_id: int
@@ -106,17 +100,7 @@ def by_channel(buffer: memoryview, records: Records) -> dict[int, Block]:
 
 
 def gather(buffer: memoryview | NDArray[np.uint8], offsets: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Copy a structure from many places of a buffer.
-
-    Parameters
-    ----------
-    offsets : ndarray, shape (k,)
-        Where each structure starts; each must end within the buffer.
-
-    Returns
-    -------
-    ndarray, shape (k,), of `dtype`
-    """
+    """Copy a structure of a dtype from many places of a buffer, shape (k,); each must end within the buffer."""
     if not offsets.size:
         return np.empty(0, dtype)
     places = len(buffer) - dtype.itemsize + 1
@@ -127,19 +111,7 @@ def gather(buffer: memoryview | NDArray[np.uint8], offsets: NDArray[np.int64], d
 
 
 def message_field(buffer: memoryview, starts: NDArray[np.int64], name: str) -> NDArray[Any]:
-    """Read what stands in front of the payloads of messages.
-
-    Parameters
-    ----------
-    starts : ndarray, shape (k,)
-        Where the message records start.
-    name : str
-        A field of `MESSAGE`.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-    """
+    """Read a field of `MESSAGE` of the message records that start at some places, shape (k,)."""
     dtype, place = _PLACES[name]
     return gather(buffer, starts + place, dtype)
 
@@ -157,14 +129,7 @@ def index_count(data: memoryview, offset: int, length: int) -> tuple[int, int]:
 
 
 def index_entries(data: memoryview, offset: int, length: int) -> tuple[int, NDArray[Any]]:
-    """Read an index record.
-
-    Parameters
-    ----------
-    data : memoryview
-        The file.
-    offset, length : int
-        Where its content stands.
+    """Read an index record, whose content stands somewhere in the file.
 
     Returns
     -------
@@ -179,20 +144,9 @@ def index_entries(data: memoryview, offset: int, length: int) -> tuple[int, NDAr
 
 @dataclass(frozen=True)
 class Content:
-    """The records of an open chunk.
+    """The records of an open chunk: messages by channel, definitions of schemas and channels, and damages of it.
 
-    Attributes
-    ----------
-    buffer : memoryview
-        Bytes of the open chunk.
-    blocks : dict of int to Block
-        The messages by channel.
-    definitions : Records
-        Of schemas and channels.
-    damages : list of Damage
-        What is wrong although the chunk can be read.
-    lost_span_ns : (int, int) or None
-        Log times between which messages are lost, where bytes of the chunk are no record.
+    Where bytes of it are no record, messages are lost between two log times.
     """
 
     buffer: memoryview

@@ -63,16 +63,9 @@ class Chunk:
 
 @dataclass(frozen=True)
 class ChunkHeader:
-    """What a chunk says of itself.
+    """What a chunk says of itself: the span of its log times, bytes and checksum of what is in it, and how to open it.
 
-    Attributes
-    ----------
-    first_ns, last_ns : int
-        Span of the log times.
-    size, crc : int
-        Bytes and checksum of the content once it is open; 0 where the recorder computed none.
-    compressed_start, compressed_size : int
-        Where in the file the compressed bytes stand.
+    The checksum is 0 where the recorder computed none.
     """
 
     first_ns: int

@@ -37,15 +37,7 @@ class DamageError(Exception):
 
 @dataclass(frozen=True)
 class Loss:
-    """Messages that cannot be read.
-
-    Attributes
-    ----------
-    messages : int or None
-        How many; None where nothing tells.
-    span_ns : (int, int) or None
-        Log times between which they were; None where nothing tells.
-    """
+    """Messages that cannot be read: how many, and the log times between which they were; None where nothing tells."""
 
     messages: int | None
     span_ns: Span | None
@@ -59,14 +51,8 @@ def plausible_span(first_ns: int, last_ns: int) -> Span | None:
 def damaged_file_error(faults: Sequence[LogError], saved: Iterable[TimeNs], places: str = "damaged places") -> LogError:
     """Make the error with which a damaged log is refused: where it is damaged, and what could be saved.
 
-    Parameters
-    ----------
-    faults : sequence of LogError
-        At least one; the first is told, the others are counted.
-    saved : iterable of ndarray, shape (k,)
-        Log times of all messages that can be read, ns.
-    places : str
-        What has the faults.
+    Of the faults, at least one, the first is told and the others are counted; the log times of all messages that can be
+    read are given in parts, ns.
     """
     first, *others = faults
     what = f"{first.what} ({len(others)} more {places})" if others else first.what

@@ -37,17 +37,7 @@ _MOST_IN_VAIN: Final = 1000
 
 @dataclass
 class Mapping:
-    """Where a file stands in memory.
-
-    Attributes
-    ----------
-    address : int
-        Of its first byte.
-    size : int
-        Bytes that are mapped and still the file's.
-    is_cut : bool
-        Whether some of them are zeros by now.
-    """
+    """Where a file stands in memory: how many bytes are still the file's, and whether some are zeros by now."""
 
     address: int
     size: int

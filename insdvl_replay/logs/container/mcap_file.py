@@ -37,18 +37,7 @@ _SAMPLED: Final = 2
 
 
 class _ChunkReader:
-    """Reads the chunks of a file.
-
-    Parameters
-    ----------
-    index : McapIndex
-        Told which chunks cannot be opened, and what is wrong inside others.
-
-    Attributes
-    ----------
-    opened : set of int
-        Places of the chunks that were opened so far.
-    """
+    """Reads the chunks of a file, and tells its index which cannot be opened, and what is wrong inside others."""
 
     def __init__(self, file: MappedFile, index: McapIndex) -> None:
         self._file = file
@@ -258,13 +247,7 @@ class Log:
         return chunk.kind == "intact" and chunk_header(self._data, chunk.offset, chunk.length).crc != 0
 
     def log_times(self) -> dict[int, TimeNs]:
-        """Return the log times of all messages from the indexes; only chunks without one are opened.
-
-        Returns
-        -------
-        dict of int to ndarray, shape (k,)
-            By channel, in the order of the file; ns.
-        """
+        """Return the log times of all messages by channel, ns; only chunks without an index are opened."""
         parts: dict[int, list[TimeNs]] = {channel.id: [np.empty(0, np.int64)] for channel in self.channels}
         for chunk in self._index.chunks.values():
             for place in chunk.indexes:

@@ -32,18 +32,8 @@ _KINDS: Final[dict[int, Any]] = {
 class Summary:
     """What the end of a file tells.
 
-    Attributes
-    ----------
-    start : int or None
-        Where the summary starts, if there is one.
-    end : int
-        Where the records of the file end.
-    checked : bool
-        Whether a checksum vouches for it.
-    schemas, channels : dict of int
-        By id.
-    chunks : dict of int to ChunkIndex
-        By the place of the chunk's record.
+    Where the summary starts, if there is one, and where the records of the file end; whether a checksum vouches for it;
+    and chunks by the place of their record.
     """
 
     start: int | None = None
@@ -148,12 +138,8 @@ class McapIndex:
 
     Attributes
     ----------
-    header : Header or None
-        Profile and library of the recorder.
     chunks : dict of int to Chunk
         By their places; also the messages that stand in none.
-    schemas, channels : dict of int
-        By id.
     attachments, metadata : list of (int, int)
         Start and size of these records.
     data_end : (int, int) or None

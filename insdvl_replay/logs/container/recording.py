@@ -25,14 +25,8 @@ CHANNELS_OF_A_PART: Final = 1 << 16
 class Parts:
     """Several files, open for reading as one log.
 
-    Parameters
-    ----------
-    path : Path
-        What stands for the whole: the folder, or one of the files.
-    files : iterable of Path
-        In any order; what was recorded first is read first.
-    allow_damaged : bool
-        Read what can be believed of damaged files, and do without those that are empty or not MCAP at all.
+    A path stands for the whole: the folder, or one of the files. Damaged files may be allowed, and those that are empty
+    or not MCAP at all then done without.
 
     Attributes
     ----------
@@ -40,11 +34,6 @@ class Parts:
         In the order of their first log times.
     channels : tuple of LogChannel
         Of all parts; their ids count on from part to part, so that none occurs twice.
-
-    Raises
-    ------
-    LogError
-        A file cannot be read, or none has anything in it.
     """
 
     def __init__(self, path: Path, files: Iterable[Path], *, allow_damaged: bool = False) -> None:
@@ -94,13 +83,7 @@ class Parts:
             yield Note("files_overlap", text, len(overlaps))
 
     def log_times(self) -> dict[int, TimeNs]:
-        """Return the log times of all messages, as `Log.log_times`.
-
-        Returns
-        -------
-        dict of int to ndarray, shape (k,)
-            By channel; ns.
-        """
+        """Return the log times of all messages by channel, as `Log.log_times`."""
         times = {
             channel_id + number * CHANNELS_OF_A_PART: times
             for number, part in enumerate(self.parts)
@@ -293,13 +276,7 @@ def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) 
 
 
 def name_giver(paths: Sequence[Path]) -> Path:
-    """Find after which of several paths what they hold together is named: the first by its name.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        At least one, in any order.
-    """
+    """Find after which of several paths what they hold together is named: the first by its name."""
     return min(paths, key=natural_sort_key)
 
 

@@ -53,16 +53,9 @@ _DATA_END: Final = int(Opcode.DATA_END)
 
 @dataclass(frozen=True)
 class Records:
-    """Records in the order in which they stand.
+    """Records in the order in which they stand, shape (k,): their kinds, and where their headers start.
 
-    Attributes
-    ----------
-    opcodes : ndarray of uint8, shape (k,)
-        Their kinds.
-    starts : ndarray, shape (k,)
-        Where their headers start.
-    lengths : ndarray, shape (k,)
-        Bytes of their contents, which stand behind the headers.
+    The length is that of the content, which stands behind the header.
     """
 
     opcodes: NDArray[np.uint8]
@@ -233,12 +226,8 @@ _TIMES: Final = struct.Struct("<QQ")
 class Attachment:
     """A file inside a log.
 
-    Attributes
-    ----------
-    data : memoryview
-        Its bytes, which are read from the disk when they are looked at.
-    size, crc : int
-        Bytes of the record in front of its checksum, and the checksum, 0 if there is none.
+    Its bytes are read from the disk when they are looked at. The size is that of the record in front of its checksum,
+    and this 0 if there is none.
     """
 
     name: str

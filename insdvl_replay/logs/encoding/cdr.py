@@ -34,13 +34,7 @@ _Run = tuple[slice, np.dtype[Any]]
 
 
 class Numbers:
-    """The numbers in the messages of one layout that some paths mean.
-
-    Raises
-    ------
-    LogError
-        They mean more than `MOST_NUMBERS`.
-    """
+    """The numbers in the messages of one layout that some paths mean, `MOST_NUMBERS` at most."""
 
     def __init__(self, layout: Layout, paths: Sequence[str]) -> None:
         self._words = np.array([LITTLE_ENDIAN, *layout.lengths])[:, None]
@@ -161,22 +155,7 @@ Rows = NDArray[np.int64]
 
 
 class CdrReader:
-    """Reads some fields of all messages of one type.
-
-    Parameters
-    ----------
-    definitions : mapping of str to Definition
-        The type and all types in it.
-    type_name : str
-        Type of the messages.
-    paths : sequence of str
-        The fields, as `fields` says.
-
-    Raises
-    ------
-    LogError
-        The type has no such field.
-    """
+    """Reads some fields of all messages of one type, which stands among its definitions with all types in it."""
 
     def __init__(self, definitions: Mapping[str, Definition], type_name: str, paths: Sequence[str]) -> None:
         self._definitions = definitions
@@ -190,13 +169,7 @@ class CdrReader:
             check_path(path, self.known, self._type_name)
 
     def columns(self, block: Block) -> Columns:
-        """Read the fields of all messages of a block.
-
-        Returns
-        -------
-        dict of str to ndarray, shape (k, n)
-            By path. Messages whose sequences are shorter than others' are filled up with NaN.
-        """
+        """Read the fields of all messages of a block, shape (k, n); shorter sequences are filled up with NaN."""
         data = np.frombuffer(block.buffer, np.uint8)
         parts: list[tuple[Rows, Columns]] = []
         left = np.arange(len(block))

@@ -52,13 +52,7 @@ class FieldReader(Protocol):
 
 
 def split_paths(path: str) -> tuple[str, ...]:
-    """Part paths that stand side by side.
-
-    Parameters
-    ----------
-    path : str
-        Such as ``gyro_x, gyro_y, gyro_z``.
-    """
+    """Part paths that stand side by side, such as ``gyro_x, gyro_y, gyro_z``."""
     return tuple(part.strip() for part in path.split(","))
 
 
@@ -103,12 +97,7 @@ ENCODINGS: Final = {"cdr": ("ros2msg", ""), "protobuf": ("protobuf",), "json": (
 
 
 def check_encoding(channel: LogChannel) -> None:
-    """Refuse a channel whose messages cannot be read.
-
-    Raises
-    ------
-    LogError
-    """
+    """Raise a LogError for a channel whose messages cannot be read."""
     if channel.schema_encoding not in ENCODINGS.get(channel.encoding, ()):
         known = ", ".join(f"{name} with {schemas[0]}" for name, schemas in ENCODINGS.items())
         raise LogError(
@@ -119,22 +108,12 @@ def check_encoding(channel: LogChannel) -> None:
 
 
 def channel_paths(channel: LogChannel) -> Kinds:
-    """List every field path that the schema of a channel knows.
-
-    Parameters
-    ----------
-    channel : LogChannel
-        One that `check_encoding` lets pass.
+    """List every field path that the schema of a channel knows, once `check_encoding` has let it pass.
 
     Returns
     -------
     mapping of str to str
         By path the type of what is there; empty where only the messages tell, as in JSON without schema.
-
-    Raises
-    ------
-    LogError
-        The schema cannot be read.
     """
     if channel.encoding == "protobuf":
         from insdvl_replay.logs.encoding.protobuf_fields import protobuf_paths
@@ -151,14 +130,7 @@ def channel_paths(channel: LogChannel) -> Kinds:
 
 
 def open_reader(channel: LogChannel, paths: Sequence[str]) -> FieldReader:
-    """Make the reader of some fields of a channel.
-
-    Parameters
-    ----------
-    channel : LogChannel
-        One that `check_encoding` lets pass.
-    paths : sequence of str
-        The fields, as `fields` says.
+    """Make the reader of some fields of a channel, once `check_encoding` has let it pass.
 
     Raises
     ------

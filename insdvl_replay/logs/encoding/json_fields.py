@@ -22,22 +22,7 @@ _FIRST: Final = ("sec", "nsec", "nanosec", "x", "y", "z", "w")
 
 
 class JsonReader(DecodedFields):
-    """Reads some fields of all messages of one channel.
-
-    Parameters
-    ----------
-    type_name : str
-        Name of the schema; may be empty.
-    schema_data : bytes
-        A JSON schema; may be empty, then the first messages tell which fields there are.
-    paths : sequence of str
-        The fields, as `fields` says.
-
-    Raises
-    ------
-    LogError
-        The schema is no JSON.
-    """
+    """Reads some fields of all messages of one channel; where there is no schema, the first of them tell the fields."""
 
     def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str]) -> None:
         super().__init__(type_name or "a JSON message", paths, _decoded, _access)

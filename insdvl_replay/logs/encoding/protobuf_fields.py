@@ -18,22 +18,7 @@ from insdvl_replay.logs.encoding.fields import MOST_LEVELS, MOST_PATHS, NUMBER, 
 
 
 class ProtobufReader(DecodedFields):
-    """Reads some fields of all messages of one type.
-
-    Parameters
-    ----------
-    type_name : str
-        Full name of the type.
-    schema_data : bytes
-        A serialised ``FileDescriptorSet`` with the type and all that it uses.
-    paths : sequence of str
-        The fields, as `fields` says.
-
-    Raises
-    ------
-    LogError
-        The schema cannot be read, or the type has no such field.
-    """
+    """Reads some fields of all messages of one type, by the serialised ``FileDescriptorSet`` with all that it uses."""
 
     def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str]) -> None:
         parse = _message_class(type_name, schema_data).FromString

@@ -40,12 +40,7 @@ FRAMES: Final = {
 class InUnit:
     """A column in another unit, which is converted as it is written: a copy would take as much memory as the history.
 
-    Attributes
-    ----------
-    values : ndarray, shape (k,) or (k, n)
-        SI units.
-    unit : float
-        One unit in SI.
+    The values, shape (k,) or (k, n), are SI; the unit is one of the other in SI.
     """
 
     values: Floats
@@ -62,16 +57,9 @@ Column = NDArray[Any] | InUnit | str | float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class Batch:
-    """Messages of one topic whose strings are the same, as columns.
+    """Messages of one topic whose strings are the same, as columns by the path of the field; others stay zero.
 
-    Attributes
-    ----------
-    topic, type_name : str
-        Where they go, and of which type they are.
-    time_ns : ndarray, shape (k,)
-        Times of validity, not decreasing.
-    columns : mapping of str to Column
-        By the path of the field, such as ``header.stamp.sec``. Fields that are not named stay zero.
+    Times of validity, shape (k,), do not decrease.
     """
 
     topic: str
@@ -104,12 +92,7 @@ def missing_xyz(path: str) -> dict[str, Column]:
 def solution(position: Floats, velocity_n: Floats, rpy: Floats) -> dict[str, Column]:
     """Fill the fields that insdvl_msgs/NavSolution and FilterState share.
 
-    Parameters
-    ----------
-    position : ndarray, shape (k, 3)
-        Latitude rad, longitude rad, height m.
-    velocity_n : ndarray, shape (k, 3)
-    rpy : ndarray, shape (k, 3), rad
+    Positions, shape (k, 3), are latitude rad, longitude rad, height m; roll, pitch and heading rad.
     """
     latitude_deg, longitude_deg = np.rad2deg(position[:, :2]).T
     return {
