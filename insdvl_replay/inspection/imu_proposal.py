@@ -6,8 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.checks.gyro_comparison import gyro_by_attitude
-from insdvl_replay.checks.imu import SPIN_RADPS
+from insdvl_replay.checks.imu import SPIN_RADPS, gyro_by_attitude
 from insdvl_replay.checks.plausibility import TRACK_DOUBT, UNIT_WRONG, GyroScale
 from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.config import Imu

@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import msgspec
 
-from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
+from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic, time_paths

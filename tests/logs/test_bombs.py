@@ -19,7 +19,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from insdvl_replay.checks.gyro_comparison import turned_by
+from insdvl_replay.checks.imu import turned_by
 from insdvl_replay.checks.reference import _legs, _Ways
 from insdvl_replay.cli.messages import log_failure
 from insdvl_replay.core.columns import ImuColumns
