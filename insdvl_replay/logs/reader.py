@@ -16,7 +16,7 @@ from insdvl_replay.logs.columns.roles import RoleColumns, find_roles
 from insdvl_replay.logs.columns.table_reading import read_tables
 from insdvl_replay.logs.columns.tables import Table, stamp_unit
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.damage import COPY_AGAIN
+from insdvl_replay.logs.container.loss import COPY_AGAIN
 from insdvl_replay.logs.container.recording import open_recording
 from insdvl_replay.logs.container.records import LogChannel, by_topic
 

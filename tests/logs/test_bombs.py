@@ -29,10 +29,9 @@ from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container import mcap_file
 from insdvl_replay.logs.container.chunks import LARGEST_CHUNK, Chunk, most_opened, open_chunk
-from insdvl_replay.logs.container.damage import Damage
 from insdvl_replay.logs.container.mcap_file import Log
 from insdvl_replay.logs.container.mcap_index import McapIndex, Summary
-from insdvl_replay.logs.container.records import LogChannel
+from insdvl_replay.logs.container.records import Damage, LogChannel
 from insdvl_replay.logs.encoding.fields import channel_paths
 from insdvl_replay.logs.encoding.layout import dynamic_lengths
 from insdvl_replay.logs.encoding.ros2msg import definition_text, parse_definitions

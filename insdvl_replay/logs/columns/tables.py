@@ -15,7 +15,7 @@ from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, distinct, nanos
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.damage import damaged_file_error
+from insdvl_replay.logs.container.loss import damaged_file_error
 from insdvl_replay.logs.encoding.fields import Columns, Kinds, fields_hint, split_paths
 
 SAME_CLOCK_S: Final = 1.0

@@ -21,14 +21,17 @@ from numpy.typing import NDArray
 from insdvl_replay.core.columns import TimeNs, is_new
 from insdvl_replay.core.errors import listed
 from insdvl_replay.logs.container.chunks import Chunk, chunk_header, open_chunk
-from insdvl_replay.logs.container.damage import Damage, DamageError, Span, plausible_span
 from insdvl_replay.logs.container.records import (
     MESSAGE_FIELDS_SIZE,
+    Damage,
+    DamageError,
     Records,
+    Span,
     find_records,
     go_on,
     is_broken,
     joined,
+    plausible_span,
     what_stands,
 )
 

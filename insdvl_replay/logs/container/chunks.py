@@ -13,7 +13,7 @@ import lz4.frame
 import zstandard
 from zlib_ng import zlib_ng
 
-from insdvl_replay.logs.container.damage import DamageError, Span, plausible_span
+from insdvl_replay.logs.container.records import DamageError, Span, plausible_span
 
 _CHUNK: Final = struct.Struct("<QQQII")
 COMPRESSED: Final = ("zstd", "lz4")

@@ -26,8 +26,7 @@ from mcap.opcode import Opcode
 from zlib_ng import zlib_ng
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.container.damage import Damage
-from insdvl_replay.logs.container.records import MAGIC, RECORD_HEADER_SIZE, can_be_record
+from insdvl_replay.logs.container.records import MAGIC, RECORD_HEADER_SIZE, Damage, can_be_record
 
 _FIXED: Final = 0x10
 """MAP_FIXED, which Python does not name: on Linux, macOS and the BSDs alike."""

@@ -19,11 +19,18 @@ from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs.container.blocks import Block, Content, content_of, index_entries
 from insdvl_replay.logs.container.chunks import Chunk, ChunkHeader, chunk_header, open_chunk, opened_size
-from insdvl_replay.logs.container.damage import COPY_AGAIN, DamageError, Span, damaged_file_error
-from insdvl_replay.logs.container.loss import chunk_span, damage_note
+from insdvl_replay.logs.container.loss import COPY_AGAIN, chunk_span, damage_note, damaged_file_error
 from insdvl_replay.logs.container.mapped_file import Digest, MappedFile, mapped
 from insdvl_replay.logs.container.mcap_index import McapIndex
-from insdvl_replay.logs.container.records import Attachment, attachment_at, attachment_damages, described, parsed
+from insdvl_replay.logs.container.records import (
+    Attachment,
+    DamageError,
+    Span,
+    attachment_at,
+    attachment_damages,
+    described,
+    parsed,
+)
 from insdvl_replay.logs.container.scanner import build_index
 
 _AHEAD: Final = 3

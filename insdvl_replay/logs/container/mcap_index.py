@@ -10,14 +10,26 @@ from zlib_ng import zlib_ng
 
 from insdvl_replay.logs.container.blocks import Content
 from insdvl_replay.logs.container.chunks import Chunk
-from insdvl_replay.logs.container.damage import Damage, DamageError, Loss, Span, plausible_span
 from insdvl_replay.logs.container.records import (
     MAGIC,
     RECORD_HEADER_SIZE,
+    Damage,
+    DamageError,
+    Span,
     find_records,
     parsed,
+    plausible_span,
     what_stands,
 )
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Messages that cannot be read: how many, and the log times between which they were; None where nothing tells."""
+
+    messages: int | None
+    span_ns: Span | None
+
 
 _FOOTER_SIZE: Final = RECORD_HEADER_SIZE + 20
 _KINDS: Final[dict[int, Any]] = {

@@ -14,7 +14,7 @@ from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.plain_text import read_text
 from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.container.damage import COPY_AGAIN, damaged_file_error
+from insdvl_replay.logs.container.loss import COPY_AGAIN, damaged_file_error
 from insdvl_replay.logs.container.mapped_file import Digest, UnusableFileError
 from insdvl_replay.logs.container.mcap_file import Log
 

@@ -21,7 +21,33 @@ from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
 from insdvl_replay.core.compiled import is_loaded
-from insdvl_replay.logs.container.damage import Damage, DamageError
+
+Span = tuple[int, int]
+"""First and last log time, ns."""
+_LONGEST_NS: Final = 10**15
+"""No recording covers more."""
+
+
+def plausible_span(first_ns: int, last_ns: int) -> Span | None:
+    """Return a span if it can be one."""
+    return (first_ns, last_ns) if first_ns > 0 and 0 <= last_ns - first_ns < _LONGEST_NS else None
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A damaged place: its offset in the file, and what stands there."""
+
+    offset: int
+    found: str
+
+
+class DamageError(Exception):
+    """Bytes that are not what the format says, at an offset in the file; ``found`` is what stands there."""
+
+    def __init__(self, offset: int, found: str) -> None:
+        super().__init__(offset, found)
+        self.damage = Damage(offset, found)
+
 
 RECORD_HEADER_SIZE: Final = 9
 """Bytes in front of each record's content: its kind and its length."""

@@ -16,12 +16,13 @@ from mcap.opcode import Opcode
 
 from insdvl_replay.logs.container.blocks import index_count, message_field, read_chunk
 from insdvl_replay.logs.container.chunks import COMPRESSED, LARGEST_CHUNK, Chunk, chunk_header, most_opened, opened_size
-from insdvl_replay.logs.container.damage import Damage, DamageError
 from insdvl_replay.logs.container.mcap_index import McapIndex, read_summary, summary_behind
 from insdvl_replay.logs.container.records import (
     DATA_END_SIZE,
     MAGIC,
     RECORD_HEADER_SIZE,
+    Damage,
+    DamageError,
     Records,
     attachment_at,
     find_records,
