@@ -1,7 +1,6 @@
 """An MCAP file: which channels it has, and their messages as blocks of bytes, never a Python object for each of them.
 
-A file that is not what the format says is refused with the place and what could be saved, or, if that is allowed, read
-as far as its bytes can be believed.
+A file that is not what the format says is read as far as its bytes can be believed, with the places of its damage.
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
@@ -19,7 +18,7 @@ from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs.container.blocks import Block, Content, content_of, index_entries
 from insdvl_replay.logs.container.chunks import Chunk, ChunkHeader, chunk_header, open_chunk, opened_size
-from insdvl_replay.logs.container.loss import COPY_AGAIN, chunk_span, damage_note, damaged_file_error
+from insdvl_replay.logs.container.loss import COPY_AGAIN, chunk_span, damage_note
 from insdvl_replay.logs.container.mapped_file import Digest, MappedFile, mapped
 from insdvl_replay.logs.container.mcap_index import McapIndex
 from insdvl_replay.logs.container.records import (
@@ -99,30 +98,23 @@ _END_OF_TIME_NS: Final = 2**63
 """Times are signed in numpy as in ROS, and unsigned in the format."""
 
 
-class Log:
-    """An MCAP file, open for reading.
-
-    Parameters
-    ----------
-    allow_damaged : bool
-        Read what can be believed of a damaged file.
+class McapFile:
+    """An MCAP file, open for reading. Damage is collected; whether it is allowed is for the recording to say.
 
     Raises
     ------
     LogError
-        The file cannot be opened, is no MCAP file, or is damaged.
+        The file cannot be opened, or is no MCAP file.
     """
 
-    def __init__(self, path: Path, *, allow_damaged: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self.allow_damaged = allow_damaged
         self._file = mapped(path)
         self._data = self._file.data
         with self._file.watched():
             self._index = build_index(self._data, self._file.release)
         self._file.release(0, len(self._data))
         self._reader = _ChunkReader(self._file, self._index)
-        self._raise_if_damaged()
         self.channels = tuple(
             described(channel, self._index.schemas.get(channel.schema_id), self._index.counts[channel.id])
             for channel in self._index.channels.values()
@@ -152,11 +144,6 @@ class Log:
     def compression(self) -> tuple[str, ...]:
         """The ways in which chunks are compressed, ``none`` for those that are not."""
         return tuple(sorted({header.compression or "none" for header in self._chunk_headers()}))
-
-    @property
-    def parts(self) -> tuple["Log", ...]:
-        """The files of which the log consists: itself."""
-        return (self,)
 
     @property
     def span_ns(self) -> Span | None:
@@ -215,23 +202,24 @@ class Log:
         chunks = (chunk for chunk in self._index.chunks.values() if chunk.kind != "unchunked")
         return [chunk_header(self._data, chunk.offset, chunk.length) for chunk in chunks]
 
-    def digests(self) -> list[Digest]:
+    def digest(self) -> Digest:
         """Go over all bytes of the file. It changes nothing here, so that another thread can do it meanwhile."""
         section_end, section_crc = self._index.data_end or (0, 0)
         sha256, damages = self._file.digest(section_end, section_crc)
-        return [Digest(sha256, damages + attachment_damages(self._data, self._index.attachments))]
+        return Digest(sha256, damages + attachment_damages(self._data, self._index.attachments))
 
-    def sha256(self, digests: Sequence[Digest] | None = None) -> str:
-        """Return the digest of the file's bytes, and note wrong checksums that only a whole pass can check."""
-        (digest,) = digests or self.digests()
+    def add_damages(self, digest: Digest) -> None:
+        """Note wrong checksums that only a whole pass can check."""
         for damage in digest.damages:
             self._index.add_damage(damage)
-        self._raise_if_damaged()
-        return digest.sha256
+
+    def require_unchanged(self) -> None:
+        """Refuse the file if it is no longer what it was when it was opened."""
+        self._file.require_unchanged()
 
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """Refuse the log if it has changed by the end since it was opened, above all if that made something fail."""
+        """Refuse the file if it has changed by the end since it was opened, above all if that made something fail."""
         with self._file.watched():
             yield
 
@@ -239,16 +227,13 @@ class Log:
         """Go through the messages of some channels, a chunk at a time; chunks without them stay closed."""
         wanted = [chunk for chunk in self._index.chunks.values() if not chunk.counts.keys().isdisjoint(channel_ids)]
         for content in self._reader.contents(wanted):
-            self._raise_if_damaged()
             yield from content.of(channel_ids)
-        self._raise_if_damaged()
 
-    def check_unopened(self) -> None:
-        """Open the chunks that nobody has opened so far, for their checksums alone."""
+    def check_unopened(self) -> Iterator[None]:
+        """Open the chunks that nobody has opened so far, one by one, for their checksums alone."""
         unopened = [chunk for chunk in self._index.chunks.values() if chunk.offset not in self._reader.opened]
         for _ in self._reader.contents([chunk for chunk in unopened if self._has_checksum(chunk)]):
-            self._raise_if_damaged()
-        self._raise_if_damaged()
+            yield
 
     def _has_checksum(self, chunk: Chunk) -> bool:
         return chunk.kind == "intact" and chunk_header(self._data, chunk.offset, chunk.length).crc != 0
@@ -263,7 +248,6 @@ class Log:
         for content in self._reader.contents([chunk for chunk in self._index.chunks.values() if not chunk.indexes]):
             for block in content.of(parts):
                 parts[block.channel_id].append(block.log_time)
-        self._raise_if_damaged()
         return {channel_id: np.concatenate(times) for channel_id, times in parts.items()}
 
     def faults(self) -> list[LogError]:
@@ -275,13 +259,3 @@ class Log:
         ids = self._index.channels.keys()
         for content in self._reader.contents(list(self._index.chunks.values())):
             yield from (block.log_time for block in content.of(ids))
-
-    def damage_error(self) -> LogError | None:
-        """Return the error with which the file would be refused, by the damage found so far."""
-        faults = self.faults()
-        return damaged_file_error(faults, self.saved_times()) if faults else None
-
-    def _raise_if_damaged(self) -> None:
-        if not self.allow_damaged and (error := self.damage_error()) is not None:
-            self._file.require_unchanged()
-            raise error
