@@ -2,6 +2,7 @@
 
 import hashlib
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from small_logs import CONTAINERS, IMU_MESSAGES, MESSAGES, messages, small_log, 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.container.chunks import Chunk, open_chunk
 from insdvl_replay.logs.container.record_loops import walk
 from insdvl_replay.logs.container.recording import open_recording
 from insdvl_replay.logs.container.records import Records, find_plainly
@@ -75,6 +77,24 @@ def test_chunks_without_wanted_messages_stay_closed(path: Path) -> None:
     log = open_recording(path)
     assert list(log.blocks(set())) == []
     assert list(log.blocks({999})) == []
+
+
+def test_who_leaves_does_not_wait_for_a_chunk_that_is_opened(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path.write_bytes(small_log("zstd"))
+    log, is_left, opened = open_recording(path), Event(), []
+
+    def slowly_opened(data: memoryview, one: Chunk) -> memoryview:
+        if opened:
+            is_left.wait(10.0)
+        opened.append(one.offset)
+        return open_chunk(data, one)
+
+    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", slowly_opened)
+    blocks = log.blocks({channel.id for channel in log.channels})
+    next(blocks)
+    blocks.close()
+    assert len(opened) == 1
+    is_left.set()
 
 
 def test_records_of_other_kinds_are_passed_over_and_said(path: Path) -> None:

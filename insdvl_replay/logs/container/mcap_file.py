@@ -56,7 +56,8 @@ class _ChunkReader:
         first = {chunk.offset for chunk in chunks[:_SAMPLED]}
         ahead: deque[tuple[Chunk, Future[memoryview] | Content]] = deque()
         sizes: deque[int] = deque()
-        with ThreadPoolExecutor(1) as opener:
+        opener = ThreadPoolExecutor(1)
+        try:
             for chunk in chunks:
                 sizes.append(opened_size(self._file.data, chunk))
                 while ahead and (len(ahead) > _AHEAD or sum(sizes) > _MOST_OPEN):
@@ -66,6 +67,9 @@ class _ChunkReader:
                 ahead.append((chunk, kept or opener.submit(open_chunk, self._file.data, chunk)))
             while ahead:
                 yield from self._content(*ahead.popleft(), first)
+        finally:
+            # Who leaves may be the garbage collector, in the midst of the start of a thread: it must not wait for one.
+            opener.shutdown(wait=False, cancel_futures=True)
 
     def _content(
         self, chunk: Chunk, opened: Future[memoryview] | Content, sampled: Collection[int]
