@@ -26,7 +26,7 @@ from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.runtime import collect_rarely, use_small_pages
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.logs.container.mcap_file import Log
+from insdvl_replay.logs.container.recording import open_recording
 
 PER_IMU = 1.01
 """Messages for each one of the IMU."""
@@ -60,7 +60,7 @@ def dive(messages: int) -> Dive:
 
 def rewrite(source: Path, target: Path, images: int = 0, **options: Any) -> None:
     """Write a log again in another container, with camera images spread over it."""
-    log = Log(source)
+    log = open_recording(source)
     with target.open("wb") as stream:
         writer = Writer(stream, **options)
         writer.start(profile="ros2")
@@ -94,7 +94,7 @@ def describe_bag(path: Path) -> Path:
             },
             "message_count": channel.messages,
         }
-        for channel in Log(path).channels
+        for channel in open_recording(path).channels
     ]
     bag = {
         "version": 5,

@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.logs import write_dive
-from insdvl_replay.logs.container.mcap_file import Log
+from insdvl_replay.logs.container.recording import Recording
 
 START_NS = 1_700_000_000_000_000_000
 IMU_MESSAGES, DVL_MESSAGES = 500, 25
@@ -83,7 +83,7 @@ def small_log(kind: str, extras: bool = False) -> bytes:
     return stream.getvalue()
 
 
-def messages(log: Log) -> list[Message]:
+def messages(log: Recording) -> list[Message]:
     """Read all messages."""
     topics = {channel.id: channel.topic for channel in log.channels}
     return [

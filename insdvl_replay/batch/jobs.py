@@ -16,7 +16,7 @@ import msgspec
 from insdvl_replay import __version__
 from insdvl_replay.batch.workers import WorkerLostError, Workers, do_each
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_names import unique_names
+from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.runtime import each, sources_digest
 from insdvl_replay.results.folder import COMPLETE, result_folder

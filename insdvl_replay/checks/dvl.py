@@ -1,21 +1,127 @@
 """Whether a DVL can be what its log says: in its unit, alive, and moving as the reference does.
 
 What would make the tables wrong ends the work with the key that puts it right; what may make them wrong is a warning.
+Horizontal vectors are complex numbers: forward or north, plus i times starboard or east.
 """
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from insdvl_replay.checks.dvl_comparison import Fit, axes_by_velocity, dvl_by_velocity
-from insdvl_replay.checks.gyro_comparison import ENOUGH
-from insdvl_replay.checks.imu import AXES, Check
-from insdvl_replay.core.columns import DvlColumns, ReferenceColumns, seconds
+from insdvl_replay.checks.imu import AXES, ENOUGH, LONGEST_STEP_S, Check, lies_within
+from insdvl_replay.core.columns import DvlColumns, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, FASTEST_MPS
+from insdvl_replay.geometry.beams import DvlMounting, solve_beams
 from insdvl_replay.geometry.rotation import wrap_angle
+
+_LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and a lever arm's swing
+_LEAST_SWING_MPS: Final = 0.015  # below it a DVL shows its noise
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How one series of horizontal vectors follows another.
+
+    Attributes
+    ----------
+    scale : float
+        Length of the first over the second.
+    turn : float
+        Angle by which the first is turned from the second, towards starboard, rad.
+    coherence : float
+        1 where the first is the second turned and scaled, 0 where they have nothing to do with each other.
+    """
+
+    scale: float
+    turn: float
+    coherence: float
+
+
+def fit(measured: Complex, true: Complex) -> Fit:
+    """Fit ``measured = scale exp(i turn) true`` by least squares, both of shape (k,)."""
+    product = complex(np.vdot(true, measured))
+    power, other_power = float(np.vdot(true, true).real), float(np.vdot(measured, measured).real)
+    if not power or not other_power:
+        return Fit(0.0, 0.0, 0.0)
+    return Fit(abs(product) / power, float(np.angle(product)), abs(product) / float(np.sqrt(power * other_power)))
+
+
+def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Fit | None:
+    """Compare the DVL's horizontal velocity in body axes with the reference's.
+
+    Parameters
+    ----------
+    config : Config
+        Mounting rotation and scale of the DVL.
+
+    Returns
+    -------
+    Fit or None
+        None where too few rows move, or lack velocity or attitude.
+    """
+    measured_b, true_b = _velocity_pairs(dvl, reference, config)
+    measured, true = horizontal(measured_b), horizontal(true_b)
+    moving = np.abs(true) > _LEAST_SPEED_MPS
+    return fit(measured[moving], true[moving]) if np.count_nonzero(moving) >= ENOUGH else None
+
+
+def axes_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Floats:
+    """Correlate the DVL's velocity with the reference's along each axis of the body, shape (3,).
+
+    It is NaN along axes on which the velocity changes too little to tell.
+    """
+    measured_b, true_b = _velocity_pairs(dvl, reference, config)
+    found = np.full(3, np.nan)
+    if len(true_b) < ENOUGH:
+        return found
+    for axis in np.flatnonzero((true_b.std(axis=0) > _LEAST_SWING_MPS) & (measured_b.std(axis=0) > 0.0)):
+        found[axis] = np.corrcoef(measured_b[:, axis], true_b[:, axis])[0, 1]
+    return found
+
+
+def _velocity_pairs(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> tuple[Floats, Floats]:
+    """Return the velocities of DVL and reference in body axes, at times of the reference that have both."""
+    ping_ns, measured_b = velocities_b(dvl, config)
+    complete = np.isfinite(reference.velocity_n).all(axis=1) & np.isfinite(reference.mat_nb).all(axis=(1, 2))
+    if len(ping_ns) < ENOUGH:
+        return np.empty((0, 3)), np.empty((0, 3))
+    rows = np.flatnonzero(complete & lies_within(reference.time_ns, ping_ns))
+    rows = rows[_pause_s(ping_ns, reference.time_ns[rows]) <= LONGEST_STEP_S]
+    true_b = np.einsum("kji,kj->ki", reference.mat_nb[rows], reference.velocity_n[rows])
+    at_s, ping_s = seconds(reference.time_ns[rows], ping_ns[0]), seconds(ping_ns, ping_ns[0])
+    return np.stack([np.interp(at_s, ping_s, column) for column in measured_b.T], axis=1), true_b
+
+
+def horizontal(vectors: Floats) -> Complex:
+    """Make complex numbers of the first two parts of vectors, shape (k, 3)."""
+    return np.asarray(vectors[:, 0] + 1j * vectors[:, 1])
+
+
+def velocities_b(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:
+    """Return the velocities in body axes of the pings that have a velocity or all beams."""
+    if dvl.velocity_d is not None:
+        velocity_d = dvl.velocity_d
+    elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
+        velocity_d = solve_beams(dvl.beam_velocity_mps, dvl.beam_vectors_d)[0]
+        velocity_d[~np.isfinite(dvl.beam_velocity_mps).all(axis=1)] = np.nan
+    else:
+        raise ValueError("a DVL gives beams with their vectors, or velocities")
+    good = np.isfinite(velocity_d).all(axis=1)
+    mounting = DvlMounting.of(config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale)
+    return dvl.time_ns[good], mounting.velocity_b(velocity_d[good])
+
+
+def _pause_s(time_ns: TimeNs, at_ns: TimeNs) -> Floats:
+    """Return the length of the step of ``time_ns`` in which each time lies."""
+    after = np.clip(np.searchsorted(time_ns, at_ns), 1, len(time_ns) - 1)
+    return seconds(time_ns[after], time_ns[after - 1])
+
 
 SCALE_DOUBT: Final = 0.1
 """Share of a speed or a rate beyond what temperature, sound speed and lever arm explain."""

@@ -1,19 +1,32 @@
-"""Whether an IMU can be what its log says: fast enough, alive, and feeling gravity.
+"""Whether an IMU can be what its log says: fast enough, alive, feeling gravity, and turning as others see it.
 
 What would make the tables wrong ends the work with the key that puts it right; what may make them wrong is a warning.
+The gyros are compared with who else knows how the vehicle turned: the reference's attitude, or the swing of gravity.
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import NS_PER_S, Floats, ImuColumns, ReferenceColumns, find_runs, nanoseconds, seconds
+from insdvl_replay.core.columns import (
+    NS_PER_S,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    TimeNs,
+    find_runs,
+    nanoseconds,
+    seconds,
+)
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, MG
 from insdvl_replay.geometry import earth
+from insdvl_replay.geometry.rotation import vector_from_mat
 
 SLOW_HZ: Final = 40.0
 """A vehicle rolls and surges at 1 to 2 Hz; slower samples miss part of it."""
@@ -31,7 +44,6 @@ GRAVITY_DOUBT: Final = 0.05
 """Share of gravity that no bias of a working accelerometer reaches: 50 mg."""
 GRAVITY_WRONG: Final = 1.5
 """Factor of gravity at which it is another unit or scale, and every table is wrong."""
-
 _ENOUGH_STEPS: Final = 20
 _FEW: Final = 1000
 _BLOCKS: Final = 1000
@@ -46,8 +58,6 @@ _UNIT_BY_RATIO: Final = (
 )
 """Ratio of what was read to gravity where the readings are in this unit and were taken for another."""
 AXES: Final = ("forward", "starboard", "down")
-
-
 Check = Callable[[], Iterable[Note]]
 """Looks at one thing, and raises `LogError` where the tables would be wrong."""
 
@@ -200,3 +210,106 @@ def _span_s(imu: ImuColumns) -> float:
 
 def _since_s(imu: ImuColumns, rows: Floats) -> float:
     return float(seconds(imu.time_ns[rows[:1]], imu.time_ns[0])[0])
+
+
+ENOUGH: Final = 20
+"""Fewer pairs than this may agree by chance."""
+LONGEST_STEP_S: Final = 2.5
+"""What lies further apart is not compared, since nobody saw what was between."""
+_LEAST_TURN_RADPS: Final = 0.3 * DEG  # above the noise that differences of attitudes have
+_TILT_BLOCK_S: Final = 0.25
+_TILT_CORRELATION: Final = 0.7
+
+
+@dataclass(frozen=True)
+class AttitudeFit:
+    """How the gyros follow the change of the reference's attitude: measured over true, and how they correlate.
+
+    How far the attitude goes to and fro about each axis, its swing, rad, tells whether there is more than noise to
+    compare. By axis, shape (3,).
+    """
+
+    scale: float
+    correlation: float
+    swing: Floats
+    by_axis: Floats
+
+
+def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFit | None:
+    """Compare what the gyros add up to between two attitudes of the reference with the turn that it shows.
+
+    None where the vehicle turned too little to tell.
+    """
+    rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)) & lies_within(reference.time_ns, imu.time_ns))
+    time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
+    if len(rows) < ENOUGH:
+        return None
+    turned = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:])
+    step_s = np.diff(time_s)
+    summed = np.diff(turned_by(imu, time_s), axis=0)
+    turning = np.linalg.norm(turned, axis=1) > _LEAST_TURN_RADPS * step_s
+    good = turning & (step_s <= LONGEST_STEP_S) & (np.linalg.norm(turned, axis=1) < 1.0)
+    if np.count_nonzero(good) < ENOUGH:
+        return None
+    product, power, summed_power = (
+        np.sum(one[good] * other[good], axis=0) for one, other in ((summed, turned), (turned, turned), (summed, summed))
+    )
+    return AttitudeFit(
+        scale=float(product.sum() / power.sum()),
+        correlation=float(_correlation(product.sum(), power.sum() * summed_power.sum())),
+        swing=np.ptp(np.cumsum(turned, axis=0), axis=0),
+        by_axis=_correlation(product, power * summed_power),
+    )
+
+
+def _correlation(product: Floats, powers: Floats) -> Floats:
+    """Divide by the root of both powers; 0 where one is 0."""
+    return np.divide(product, np.sqrt(powers), out=np.zeros_like(product), where=powers > 0.0)
+
+
+def gyro_by_gravity(imu: ImuColumns) -> float | None:
+    """Compare the gyros with the change of gravity's direction in body axes, ``du/dt = -w x u``."""
+    length = samples_in(imu, _TILT_BLOCK_S)
+    blocks = len(imu.time_ns) // length
+    if blocks <= 2 * ENOUGH:
+        return None
+    starts = np.arange(0, blocks * length, length)
+    force_b, rate_b = (
+        np.add.reduceat(readings[: blocks * length], starts, axis=0) / length
+        for readings in (imu.specific_force_b, imu.angular_rate_b)
+    )
+    size = np.linalg.norm(force_b, axis=1, keepdims=True)
+    direction = np.divide(force_b, size, out=np.zeros_like(force_b), where=size > 0.0)
+    step_s = seconds(imu.time_ns[length : blocks * length : length], imu.time_ns[: (blocks - 1) * length : length])
+    turned = -np.cross(rate_b[1:] + rate_b[:-1], direction[1:] + direction[:-1]) / 4.0 * step_s[:, None]
+    seen = np.diff(direction, axis=0)
+    good = step_s < 2.0 * _TILT_BLOCK_S
+    product = float(np.sum(turned[good] * seen[good]))
+    power = float(np.sum(turned[good] ** 2))
+    if product**2 <= _TILT_CORRELATION**2 * power * float(np.sum(seen[good] ** 2)):
+        return None
+    return power / product
+
+
+def turned_by(imu: ImuColumns, at_s: Floats, longest_s: float = np.inf) -> Floats:
+    """Add up the angular rate about each axis from the first sample to times, shape (k,), in s since it; shape (k, 3).
+
+    The turns are in rad. In longer pauses nothing is added, since nobody saw what turned in them.
+    """
+    sample_s = seconds(imu.time_ns, imu.time_ns[0])
+    step_s = np.diff(sample_s)
+    step_s[step_s > longest_s] = 0.0
+    columns = []
+    for rate in imu.angular_rate_b.T:
+        total = np.zeros(len(rate))
+        turned = np.add(rate[1:], rate[:-1], out=total[1:])
+        turned *= 0.5
+        turned *= step_s
+        np.cumsum(turned, out=turned)
+        columns.append(np.interp(at_s, sample_s, total))
+    return np.stack(columns, axis=1)
+
+
+def lies_within(time_ns: TimeNs, others_ns: TimeNs) -> NDArray[np.bool_]:
+    """Find which times, shape (k,), lie between the first and the last of others, which are in order."""
+    return np.asarray((time_ns >= others_ns[0]) & (time_ns <= others_ns[-1]))

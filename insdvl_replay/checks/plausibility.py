@@ -1,6 +1,7 @@
 """Whether the columns of a dive can be what the log says: each sensor by itself, and all of them together.
 
 What would make the tables wrong ends the work with the key that puts it right; what may make them wrong is a warning.
+Where a reference has positions alone, they are compared with the track that gyros and DVL make together.
 """
 
 from dataclasses import dataclass
@@ -8,17 +9,117 @@ from functools import partial
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from insdvl_replay.checks.dvl import COHERENT, INCOHERENT, SCALE_DOUBT, dvl_checks, scale_notes
-from insdvl_replay.checks.dvl_comparison import TrackFit, track_by_positions
-from insdvl_replay.checks.gyro_comparison import AttitudeFit, gyro_by_attitude, gyro_by_gravity
-from insdvl_replay.checks.imu import AXES, Check, imu_checks
+from insdvl_replay.checks.dvl import (
+    COHERENT,
+    INCOHERENT,
+    SCALE_DOUBT,
+    Complex,
+    Fit,
+    dvl_checks,
+    fit,
+    horizontal,
+    scale_notes,
+    velocities_b,
+)
+from insdvl_replay.checks.imu import (
+    AXES,
+    ENOUGH,
+    LONGEST_STEP_S,
+    AttitudeFit,
+    Check,
+    gyro_by_attitude,
+    gyro_by_gravity,
+    imu_checks,
+    lies_within,
+    turned_by,
+)
 from insdvl_replay.checks.reference import reference_checks
-from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns
+from insdvl_replay.core.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, nanoseconds, seconds
 from insdvl_replay.core.config import Config, Imu, Initial
 from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.states import DEG
+from insdvl_replay.core.states import DEG, DEG_PER_HOUR
+from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import wrap_angle
+
+_TRACK_WINDOW_S: Final = 10.0
+_LEAST_WINDOW_M: Final = 3.0  # above the noise of a satellite fix
+_LEAST_TRACK_TURN: Final = np.pi / 2.0
+_CLEARLY: Final = 2.0  # another scale of the gyros has to halve what a scale of 1 leaves unexplained
+_SCALES: Final = np.concatenate([[DEG], np.geomspace(0.3, 3.0, 93), [1.0 / DEG]])
+
+
+@dataclass(frozen=True)
+class TrackFit:
+    """How the track of gyros and DVL follows the positions.
+
+    Scales are measured over true, that of the gyros None where the vehicle turned too little to tell; the heading is
+    that at the start of the replay, rad.
+    """
+
+    gyro_scale: float | None
+    dvl_scale: float
+    heading: float
+    coherence: float
+
+
+def track_by_positions(
+    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns, config: Config
+) -> TrackFit | None:
+    """Fit the track of gyros and DVL to positions, by the scale of the gyros at which it follows them best."""
+    ping_ns, measured_b = velocities_b(dvl, config)
+    measured = horizontal(measured_b)
+    fixes = np.flatnonzero(np.isfinite(reference.position[:, :2]).all(axis=1))
+    if len(ping_ns) < ENOUGH or len(fixes) < ENOUGH:
+        return None
+    fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
+    fix_ns, fixes_m = reference.time_ns[fixes], _track_m(reference.position[fixes])
+    first, last = _windows(fix_ns, ping_ns)
+    true = fixes_m[last] - fixes_m[first]
+    if len(first) < ENOUGH or np.sqrt(np.mean(np.abs(true) ** 2)) < _LEAST_WINDOW_M:
+        return None
+    start_s = config.span.start_s or 0.0
+    at_s = np.concatenate([[start_s], seconds(ping_ns, imu.time_ns[0])])
+    start_yaw, *yaw = turned_by(imu, at_s)[:, 2] - config.initial.gyro_bias_degph[2] * DEG_PER_HOUR * at_s
+    turned = np.array(yaw)
+
+    def fitted(gyro_scale: float) -> Fit:
+        track = _travelled_m(ping_ns, measured * np.exp(1j * turned / gyro_scale), fix_ns)
+        return fit(track[last] - track[first], true)
+
+    turns = float(np.ptp(turned)) > _LEAST_TRACK_TURN
+    gyro_scale, best = 1.0, fitted(1.0)
+    if turns:
+        other = max(_SCALES.tolist(), key=lambda scale: fitted(scale).coherence)
+        if 1.0 - fitted(other).coherence < (1.0 - best.coherence) / _CLEARLY:
+            gyro_scale, best = other, fitted(other)
+    heading = float(wrap_angle(np.asarray(start_yaw / gyro_scale - best.turn)))
+    return TrackFit(gyro_scale if turns else None, best.scale, heading, best.coherence)
+
+
+def _track_m(position: Floats) -> Complex:
+    """Measure along the plane that touches the Earth at the first position."""
+    north_m, east_m = north_east_m(position, position[0], position[0])
+    return np.asarray(north_m + 1j * east_m)
+
+
+def _windows(fix_ns: TimeNs, ping_ns: TimeNs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pair fixes that lie a window apart, without a long pause of the pings between them."""
+    last = np.searchsorted(fix_ns, fix_ns + nanoseconds(_TRACK_WINDOW_S))
+    first = np.flatnonzero(last < len(fix_ns))
+    last = last[first]
+    pauses_ns = ping_ns[1:][np.diff(ping_ns) > nanoseconds(LONGEST_STEP_S)]
+    heard = np.searchsorted(pauses_ns, fix_ns[first]) == np.searchsorted(pauses_ns, fix_ns[last])
+    close = fix_ns[last] - fix_ns[first] < nanoseconds(2.0 * _TRACK_WINDOW_S)
+    return first[heard & close], last[heard & close]
+
+
+def _travelled_m(ping_ns: TimeNs, velocity: Complex, at_ns: TimeNs) -> Complex:
+    ping_s = seconds(ping_ns, ping_ns[0])
+    way_m = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(ping_s))])
+    return np.asarray(np.interp(seconds(at_ns, ping_ns[0]), ping_s, way_m))
+
 
 UNIT_WRONG: Final = 5.0
 """Factor of the angular rate at which it is another unit: deg/s are 57 times rad/s."""
@@ -36,17 +137,7 @@ HEADING_DOUBT: Final = 30.0 * DEG
 
 @dataclass(frozen=True)
 class GyroScale:
-    """How the gyros compare with what others show.
-
-    Attributes
-    ----------
-    scale : float
-        Angular rate measured over true.
-    by : str
-        Who says so.
-    tolerance : float
-        Factor up to which it is in order.
-    """
+    """How the gyros compare with what others show: measured over true, and the factor up to which it is in order."""
 
     scale: float
     by: str
@@ -61,17 +152,9 @@ class GyroScale:
 def plausibility_checks(
     place: str, imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
 ) -> tuple[Check, ...]:
-    """List what has to be looked at in the columns of a dive.
+    """List what has to be looked at in the columns of a dive, whose file is the place in messages to the user.
 
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-
-    Returns
-    -------
-    tuple of Check
-        They find what cannot be: each note says how often, since when, and which key helps.
+    What is found, a note each, says how often, since when, and which key helps.
     """
     by_attitude, track = _comparisons(imu, dvl, reference, config)
     return (
@@ -105,18 +188,7 @@ def plausibility_notes(
 def gyro_scale(
     imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
 ) -> GyroScale | None:
-    """Compare the gyros with whoever knows their scale best.
-
-    Parameters
-    ----------
-    imu, dvl, reference, config
-        As of `plausibility_checks`.
-
-    Returns
-    -------
-    GyroScale or None
-        None where the vehicle moved too little to tell.
-    """
+    """Compare the gyros with whoever knows their scale best; None where the vehicle moved too little to tell."""
     return _best_scale(imu, *_comparisons(imu, dvl, reference, config))
 
 

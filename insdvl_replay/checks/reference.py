@@ -7,10 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.checks.dvl import median_speed_mps
-from insdvl_replay.checks.dvl_comparison import Complex, horizontal
-from insdvl_replay.checks.gyro_comparison import LONGEST_STEP_S, lies_within, turned_by
-from insdvl_replay.checks.imu import Check
+from insdvl_replay.checks.dvl import Complex, horizontal, median_speed_mps
+from insdvl_replay.checks.imu import LONGEST_STEP_S, Check, lies_within, turned_by
 from insdvl_replay.core.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DEG

@@ -49,15 +49,7 @@ WRITTEN = {
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """How the result is written.
-
-    Attributes
-    ----------
-    file : Path, optional
-        File that it goes to, with text to stdout.
-    summary : Path, optional
-        File that Markdown is added to.
-    """
+    """How the result is written: to a file, with text to stdout, and, as Markdown, at the end of a summary."""
 
     format: CheckFormat
     file: Path | None
@@ -67,15 +59,7 @@ class OutputOptions:
 
 @dataclass(frozen=True)
 class CheckOptions:
-    """How dives are replayed before they are judged.
-
-    Attributes
-    ----------
-    results : Path
-        The folder above the result folders.
-    update : bool
-        Make the results the baselines.
-    """
+    """How dives are replayed, into folders below that of the results, before they are judged or become baselines."""
 
     results: Path
     jobs: int

@@ -65,13 +65,7 @@ def compiling() -> str:
 
 
 class DivesBar:
-    """How far many dives are, on a terminal only.
-
-    Parameters
-    ----------
-    total : int
-        How many dives there are.
-    """
+    """How far many dives are, on a terminal only."""
 
     def __init__(self, total: int) -> None:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

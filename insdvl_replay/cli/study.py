@@ -178,7 +178,7 @@ def observability(
     from insdvl_replay.cli.messages import log_notes, log_to_stderr
     from insdvl_replay.cli.screen import compiling, spinner
     from insdvl_replay.core.config_file import load_config
-    from insdvl_replay.core.dive_names import dive_name
+    from insdvl_replay.core.dive_record import dive_name
     from insdvl_replay.results.folder import require_replaceable_folder, result_folder
     from insdvl_replay.studies.observability import save_observability, study_observability
 

@@ -11,22 +11,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.channel import Channel
+from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import Note
 
 
 def find_runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Find where a mask is true.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (k,)
-
-    Returns
-    -------
-    starts, ends : ndarray, shape (runs,)
-        First row of each run, and the row behind its last.
-    """
+    """Find where a mask, shape (k,), is true: the first row of each run, and the row behind its last."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return edges[::2], edges[1::2]
 
@@ -58,14 +48,6 @@ def distinct(time_ns: TimeNs) -> TimeNs:
     """Return each time once, in order.
 
     `numpy.unique` does the same with a table of hashes, which takes thirty times as long.
-
-    Parameters
-    ----------
-    time_ns : ndarray of int64, shape (k,)
-
-    Returns
-    -------
-    ndarray of int64, shape (at most k,)
     """
     ordered = np.sort(time_ns)
     return ordered[is_new(ordered)]
@@ -224,3 +206,23 @@ class Dive:
     sha256: str = ""
     channels: tuple[Channel, ...] = ()
     notes: tuple[Note, ...] = field(default=())
+
+
+def apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
+    """Return the seconds from each time, shape (k,), to the nearest finite row of values, shape (r, n).
+
+    They are infinite where there is no finite row.
+    """
+    finite_ns = time_ns[np.isfinite(values).all(axis=1)]
+    if not len(finite_ns):
+        return np.full(len(at_ns), np.inf)
+    after = np.searchsorted(finite_ns, at_ns).clip(1, max(1, len(finite_ns) - 1))
+    neighbours = finite_ns[np.stack([after - 1, np.minimum(after, len(finite_ns) - 1)])]
+    return np.asarray(np.abs(seconds(neighbours, at_ns)).min(axis=0))
+
+
+def at_time(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:
+    """Interpolate the finite rows of values, shape (r, n), at a time; outside them the nearest row stands."""
+    finite = np.isfinite(values).all(axis=1)
+    offset_s = seconds(time_ns[finite], at_ns)
+    return np.array([np.interp(0.0, offset_s, column) for column in values[finite].T])

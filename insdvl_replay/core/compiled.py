@@ -33,7 +33,7 @@ _T = TypeVar("_T")
 _SOURCES: Final = (
     "nav/*.py",
     "geometry/*.py",
-    "logs/container/record_form.py",
+    "logs/container/records.py",
     "logs/**/*_loops.py",
     "core/compiled.py",
     "core/kept_code.py",

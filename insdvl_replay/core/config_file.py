@@ -175,13 +175,7 @@ def _check_filter(filter_: Filter, key: str, where: str) -> None:
 
 
 def render_toml(config: Config) -> str:
-    """Write the settings as commented TOML; reading it back gives the same settings.
-
-    Returns
-    -------
-    str
-        Keys that are left out stand as comments.
-    """
+    """Write the settings as commented TOML; reading it back gives the same. Keys that are left out are comments."""
     return "\n".join(_toml_lines(config, "")).strip() + "\n"
 
 

@@ -103,19 +103,9 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
 
 
 def most_like(name: str, known: Iterable[str], most: int, least: float = 0.0) -> list[str]:
-    """Return the known names that are most like another.
+    """Return the known names that are most like another, the most like first.
 
-    Parameters
-    ----------
-    most : int
-        How many.
-    least : float
-        Share of letters that they must have in common with it.
-
-    Returns
-    -------
-    list of str
-        The most like first.
+    They have at least so large a share of letters in common with it.
     """
     starts = {other[:_LONGEST]: other for other in known}
     compared: Collection[str] = starts
@@ -136,12 +126,7 @@ def listed(names: Iterable[str], most: int = 8) -> str:
 def require_known(kind: str, name: str, known: Collection[str], *, within: str = "") -> None:
     """Raise a ConfigError, with the nearest name that is known, if a name is not known.
 
-    Parameters
-    ----------
-    kind : str
-        What it names.
-    within : str
-        What stands before all of these names, such as ``dvl.``.
+    What stands before all of these names, such as ``dvl.``, is told with them.
     """
     if name not in known:
         meant = nearest(name, known)

@@ -23,17 +23,7 @@ _MOST_BYTES: Final = 1 << 24
 def read_text(path: Path) -> str:
     """Read a text in UTF-8, with or without the mark that some editors put in front.
 
-    Parameters
-    ----------
-    path : Path
-        Settings, gates or a list.
-
-    Raises
-    ------
-    OSError
-        It cannot be read, or has more than 16 MiB.
-    UnicodeDecodeError
-        It is not UTF-8.
+    An OSError where it cannot be read, or has more than 16 MiB; a UnicodeDecodeError where it is not UTF-8.
     """
     with path.open("rb") as file:
         data = file.read(_MOST_BYTES + 1)
@@ -67,20 +57,8 @@ def visible_lines(text: str) -> str:
 
 
 def without_commands(text: str) -> str:
-    """Let no line begin as commands to a job runner do.
+    """Let no line of a text begin as commands to a job runner do: the first of two colons becomes an escape.
 
-    Parameters
-    ----------
-    text : str
-        Of any number of lines.
-
-    Returns
-    -------
-    str
-        The same with an escape for the first of two colons that begin a line.
-
-    Notes
-    -----
     GitHub takes a line for a command that begins with ``::``, on stdout and on stderr, after blanks too.
     """
     return _COMMAND.sub(r"\1\\u003a", text)

@@ -92,14 +92,7 @@ def each(work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None
 
     The compiled filter and numpy's long loops leave the interpreter to other threads while they run: nothing is copied
     to another process, and the filter is compiled once. An exception, an interruption included, ends it: what runs is
-    finished, and nothing more is begun.
-
-    Parameters
-    ----------
-    work : callable
-        Takes an item. Changes nothing that others read.
-    jobs : int, optional
-        How many at the same time; left out, as many as there are cores.
+    finished, and nothing more is begun. At the same time run as many as there are cores, unless told otherwise.
     """
     from concurrent.futures import ThreadPoolExecutor  # which brings logging
 
@@ -130,16 +123,8 @@ def progress_listener(listener: Callable[[str], None]) -> Iterator[None]:
 def sources_digest(patterns: tuple[str, ...] = EVERYTHING) -> str:
     """Digest files of the package, by name and content: a development installation changes without its version.
 
-    Parameters
-    ----------
-    patterns : tuple of str
-        Which, seen from the package's folder; all of them unless said otherwise. What Python compiles of them does not
-        count.
-
-    Returns
-    -------
-    str
-        SHA-256, of which 16 hexadecimal digits.
+    The patterns are seen from the package's folder; what Python compiles does not count. Of SHA-256 16 digits are
+    returned.
     """
     import hashlib
 

@@ -77,14 +77,7 @@ class TomlSource:
         return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
 
     def converted(self, table: object, kind: type[Table]) -> Table:
-        """Convert a table to its structure.
-
-        Parameters
-        ----------
-        table : object
-            As it was parsed, and where sources lie upon each other with what the others say.
-        kind : type of Struct
-            It forbids unknown fields.
+        """Convert a table to its structure, which forbids unknown fields.
 
         Raises
         ------
@@ -116,14 +109,7 @@ class TomlSource:
 
 
 def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> TomlSource:
-    """Read a file of the user's.
-
-    Parameters
-    ----------
-    hint : str
-        What to do about wrong values in it.
-    if_unreadable, if_invalid : str
-        What to do about a file that cannot be read, or is no TOML.
+    """Read a file of the user's, with a hint what to do about wrong values in it.
 
     Raises
     ------

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import msgspec
 
-from insdvl_replay.core.dive_names import LONGEST_NAME, is_dive_name
+from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ConfigError, ResultError, UserError, looked_for
 from insdvl_replay.core.tables import StoredReport, StoredResult
 from insdvl_replay.gates.findings import gate_findings

@@ -14,19 +14,20 @@ import numpy as np
 
 from insdvl_replay.checks.imu import Check
 from insdvl_replay.checks.plausibility import plausibility_checks
-from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import ConfigError, Note, UserError
 from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.roles import Finding, RoleColumns
 from insdvl_replay.logs.columns.table_reading import read_sample, read_tables
-from insdvl_replay.logs.columns.tables import Table, loss_notes, schema_notes, stamp_notes
+from insdvl_replay.logs.columns.tables import Table
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.blocks import LogChannel
 from insdvl_replay.logs.container.recording import Recording
-from insdvl_replay.logs.encoding.message_encodings import channel_paths, check_encoding
+from insdvl_replay.logs.container.records import LogChannel
+from insdvl_replay.logs.encoding.fields import channel_paths, check_encoding
+from insdvl_replay.logs.reader import loss_notes, schema_notes, stamp_notes
 
 _ENOUGH: Final = 1000
 """Messages of a topic that show its clock and its units."""
@@ -53,17 +54,8 @@ def errors_to(on_error: OnError) -> Iterator[None]:
 class DryRun:
     """Looks at the messages, role by role, and keeps what it finds.
 
-    Parameters
-    ----------
-    deep : bool
-        Read the messages whole, not only the first of each topic.
-
-    Attributes
-    ----------
-    clocks : list of Clock
-        Of the topics that play a role, then of the others.
-    columns : RoleColumns
-        What was read of the roles.
+    Deep reads the messages whole, not only the first of each topic. The clocks are those of the topics that play a
+    role, then of the others.
     """
 
     log: Recording

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
-from insdvl_replay.checks.dvl_comparison import Fit, dvl_by_velocity
+from insdvl_replay.checks.dvl import Fit, dvl_by_velocity
 from insdvl_replay.core.columns import DvlColumns, ReferenceColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import VELOCITY_UNITS

@@ -6,8 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.checks.gyro_comparison import gyro_by_attitude
-from insdvl_replay.checks.imu import SPIN_RADPS
+from insdvl_replay.checks.imu import SPIN_RADPS, gyro_by_attitude
 from insdvl_replay.checks.plausibility import TRACK_DOUBT, UNIT_WRONG, GyroScale
 from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.config import Imu
@@ -77,17 +76,9 @@ def measured_scale(settings: Imu, found: GyroScale | None) -> list[Setting]:
 
 
 def level_axes(force: Floats) -> list[str]:
-    """List the right-handed axes in which gravity is felt upwards, as a level vehicle feels it.
+    """List the right-handed axes in which gravity is felt upwards, as a level vehicle feels it, the likeliest first.
 
-    Parameters
-    ----------
-    force : ndarray, shape (3,)
-        What is read on average.
-
-    Returns
-    -------
-    list of str
-        As the configuration takes them, the likeliest first.
+    The force, shape (3,), is what is read on average.
     """
     strongest = int(np.argmax(np.abs(force)))
     down = np.zeros(3)

@@ -6,7 +6,7 @@ Times count from the log's first message, on the recorder's clock.
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from insdvl_replay.core.channel import Clock
+from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import Note
 
 Reading = Literal["sample", "whole"]

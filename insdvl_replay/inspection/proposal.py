@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from insdvl_replay.checks.plausibility import gyro_scale
-from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import ImuColumns
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import toml_value
+from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, measured_dvl
@@ -29,8 +29,8 @@ from insdvl_replay.inspection.proposed_settings import (
     with_settings,
 )
 from insdvl_replay.inspection.topic_probe import ProbedTopic, probe_topics
-from insdvl_replay.logs.columns.clocks import clock_notes
 from insdvl_replay.logs.columns.roles import Finding, find_roles
+from insdvl_replay.logs.columns.tables import clock_notes
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.recording import Recording
 
@@ -148,19 +148,7 @@ _ROLES: Final = (
 
 @dataclass(frozen=True)
 class Proposal:
-    """Settings that nobody has made yet.
-
-    Attributes
-    ----------
-    configuration : str
-        TOML; empty where there is nothing to propose.
-    decisions : tuple of str
-        Keys in it about which a person must decide.
-    obstacles : tuple of Obstacle
-        What stops a replay with these settings too.
-    notes : tuple of Note
-        What was not looked at.
-    """
+    """Settings that nobody has made yet, as TOML; the keys to decide in it, and what stops a replay with it too."""
 
     configuration: str = ""
     decisions: tuple[str, ...] = ()

@@ -14,15 +14,14 @@ from typing import Any, Final
 
 import msgspec
 
-from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
+from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic, time_paths
-from insdvl_replay.logs.columns.clocks import LARGEST_JITTER_S, stamp_unit
 from insdvl_replay.logs.columns.table_reading import read_sample
-from insdvl_replay.logs.columns.tables import Table, stamp_path
+from insdvl_replay.logs.columns.tables import LARGEST_JITTER_S, Table, stamp_path, stamp_unit
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.recording import Recording
 

@@ -18,8 +18,8 @@ from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
 from insdvl_replay.inspection.proposal import propose
 from insdvl_replay.logs.columns.roles import Finding, find_roles
-from insdvl_replay.logs.container.blocks import LogChannel, by_topic
 from insdvl_replay.logs.container.recording import Recording, open_recording
+from insdvl_replay.logs.container.records import LogChannel, by_topic
 from insdvl_replay.preparation.alignment import check_start
 
 

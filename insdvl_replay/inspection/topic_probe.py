@@ -12,10 +12,10 @@ import numpy as np
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.states import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
-from insdvl_replay.logs.container.blocks import Block, LogChannel
+from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.recording import Recording
-from insdvl_replay.logs.encoding.field_paths import NUMBER, Kinds, split_paths
-from insdvl_replay.logs.encoding.message_encodings import check_encoding, open_reader
+from insdvl_replay.logs.container.records import LogChannel
+from insdvl_replay.logs.encoding.fields import NUMBER, Kinds, check_encoding, open_reader, split_paths
 from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES
 
 _FAMILIES: Final = (
@@ -126,19 +126,7 @@ _GRAVITY_PART: Final = 0.1
 
 @dataclass(frozen=True)
 class Candidate:
-    """A vector or beams, seen in the first messages of a topic.
-
-    Attributes
-    ----------
-    path : str
-        As the configuration takes it.
-    median : ndarray, shape (n,)
-        Of each number.
-    size : float
-        Median length of the vector.
-    largest : float
-        The longest.
-    """
+    """A vector or beams, seen in the first messages: the median of each number, the median length and the longest."""
 
     path: str
     median: Floats
@@ -166,15 +154,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class ProbedTopic:
-    """What the first messages of a topic show.
-
-    Attributes
-    ----------
-    known : mapping of str to str
-        Every path that the messages have, with the type of what is there.
-    scalars : dict of str to float
-        Median by the path of each single number.
-    """
+    """What the first messages of a topic show: every path with its type, and the median of each single number."""
 
     channel: LogChannel
     known: Kinds

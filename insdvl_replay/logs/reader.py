@@ -1,21 +1,24 @@
 """A log becomes a dive."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import cast
 
-from insdvl_replay.core.channel import Channel
+import numpy as np
+
 from insdvl_replay.core.columns import Dive, ImuColumns
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_names import dive_name
+from insdvl_replay.core.dive_record import Channel, dive_name
+from insdvl_replay.core.errors import Note
 from insdvl_replay.core.runtime import begin
 from insdvl_replay.logs.columns.roles import RoleColumns, find_roles
 from insdvl_replay.logs.columns.table_reading import read_tables
-from insdvl_replay.logs.columns.tables import loss_notes, schema_notes, stamp_notes
+from insdvl_replay.logs.columns.tables import Table, stamp_unit
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.blocks import LogChannel, by_topic
+from insdvl_replay.logs.container.loss import COPY_AGAIN
 from insdvl_replay.logs.container.recording import open_recording
+from insdvl_replay.logs.container.records import LogChannel, by_topic
 
 
 def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:
@@ -88,3 +91,56 @@ def _channels(channels: Sequence[LogChannel], sources: Sequence[Source]) -> tupl
         )
         for topic, same in sorted(by_topic(channels).items())
     )
+
+
+def schema_notes(sources: Iterable[Source]) -> list[Note]:
+    """State for which topics the log has no schema, so that a definition that comes with the tool was used."""
+    return [
+        Note("builtin_definition", f"{source.topic}: the log has no schema; that of {source.type_name} was assumed")
+        for source in sources
+        if source.channels[0].encoding == "cdr" and not all(channel.schema_text.strip() for channel in source.channels)
+    ]
+
+
+def loss_notes(tables: Sequence[Table]) -> list[Note]:
+    """State where messages are missing, do not fit their schema, or are in more than one channel or file."""
+    left_out = (note for table in tables for note in (_unreadable_note(table), _duplicates_note(table)))
+    return [note for note in (*map(_missing_note, tables), *left_out) if note]
+
+
+def stamp_notes(tables: Iterable[Table]) -> list[Note]:
+    """State how stamps that are mere numbers were understood."""
+    notes = []
+    for table in tables:
+        source, numbers = table.source, table.stamp_numbers
+        if numbers is not None:
+            unit = stamp_unit(numbers, table.columns["log_time"][:, 0])[1]
+            text = f"{source.topic}: stamp '{source.stamp}' was read as {unit}"
+            notes.append(Note(f"{source.role}_stamp_unit", text))
+    return notes
+
+
+def _missing_note(table: Table) -> Note | None:
+    announced = sum(channel.messages for channel in table.source.channels)
+    found = len(table) + table.duplicates + len(table.unreadable_ns)
+    if announced == found:
+        return None
+    text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
+    return Note("messages_missing", text, abs(announced - found), "warning", COPY_AGAIN)
+
+
+def _unreadable_note(table: Table) -> Note | None:
+    count = len(table.unreadable_ns)
+    if not count or table.fault is None:
+        return None
+    behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9
+    text = (
+        f"{table.source.topic}: {count} messages cannot be read and are left out, the first {behind_s.min():.3f} s and "
+        f"the last {behind_s.max():.3f} s behind the first that can: {table.fault.message}"
+    )
+    return Note("messages_unreadable", text, count, "warning", COPY_AGAIN)
+
+
+def _duplicates_note(table: Table) -> Note | None:
+    text = f"{table.source.topic}: {table.duplicates} messages are in two channels or files; each is used once"
+    return Note("messages_repeated", text, table.duplicates) if table.duplicates else None

@@ -1,10 +1,11 @@
 """Where and how a filter starts: from the reference, or level from gravity (configuration section ``[initial]``)."""
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns, seconds
+from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns, TimeNs, apart_s, at_time, seconds
 from insdvl_replay.core.config import Initial
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
@@ -20,7 +21,6 @@ from insdvl_replay.nav.levelling import (
     find_level,
     levelling_samples,
 )
-from insdvl_replay.preparation.start_position import FAR_S, apart_s, at_time, configured_latitude_deg, start_position
 
 HEADING_DOUBT = 10.0 * DEG
 """No compass of a vehicle errs by more, even where nobody has taken the declination off."""
@@ -28,17 +28,7 @@ HEADING_DOUBT = 10.0 * DEG
 
 @dataclass(frozen=True)
 class Alignment:
-    """The start of a replay.
-
-    Attributes
-    ----------
-    start_ns : int
-        When the filters start.
-    start : Start
-        State and uncertainty.
-    notes : tuple of Note
-        What was taken from elsewhere than the reference.
-    """
+    """The start of a replay: when, with which state and uncertainty, and what the reference did not give."""
 
     start_ns: int
     start: Start
@@ -58,20 +48,8 @@ def align(
     """Find the start: the reference's first attitude inside the span, or the first sample when levelling.
 
     What the reference lacks is taken from gravity (roll, pitch), from the DVL (velocity) and from the configuration
-    (heading, position), each with a note. Started level, the reference gives the position and height alone.
-
-    Parameters
-    ----------
-    velocities : DvlVelocities
-        Pings.
-    noise : SensorNoise
-        Of the pings and the accelerometers.
-    initial : Initial
-        Configuration.
-    lever_arm_b : ndarray, shape (3,)
-        IMU to DVL, m.
-    start_ns, end_ns : int
-        Span that IMU and configuration allow.
+    (heading, position), each with a note. Started level, the reference gives the position and height alone. The lever
+    arm, shape (3,), goes from IMU to DVL, m.
     """
     notes: list[Note] = []
     check_start(
@@ -105,12 +83,7 @@ def align(
 
 
 def check_start(initial: Initial, *, has_reference: bool, has_position: bool, has_attitude: bool) -> None:
-    """Refuse settings that leave open where or how a filter starts.
-
-    Parameters
-    ----------
-    has_reference, has_position, has_attitude : bool
-        Whether there is a reference, and what it gives.
+    """Refuse settings that leave open where or how a filter starts, by what a reference gives, if there is one.
 
     Raises
     ------
@@ -271,3 +244,67 @@ def _accel_bias_b(initial: Initial) -> Floats:
 
 def _gyro_bias_b(initial: Initial) -> Floats:
     return np.array(initial.gyro_bias_degph) * DEG_PER_HOUR
+
+
+FAR_S: Final = 1.0
+"""A reference row further than this from the start says little about it: a vehicle moves on."""
+CONTRADICTION_DEG: Final = 0.1
+"""A latitude that a user gives in round numbers is as near as this."""
+
+
+def start_position(reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
+    """Find the position at the start: the reference's where it has any, else the configured one.
+
+    Latitude rad, longitude rad and height m, shape (3,); notes say what was taken from elsewhere, or is far.
+    """
+    if reference is not None and reference.has_position:
+        return _reference_position(reference, initial, start_ns, notes)
+    latitude_deg = configured_latitude_deg(initial)
+    notes.append(Note("start_position_configured", f"started at the configured latitude {latitude_deg:g} deg"))
+    return np.array([latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
+
+
+def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
+    horizontal, height_m = reference.position[:, :2].copy(), reference.position[:, 2:]
+    first_longitude = horizontal[np.argmax(np.isfinite(horizontal).all(axis=1)), 1]
+    horizontal[:, 1] = wrap_angle(horizontal[:, 1] - first_longitude)  # so that 180 deg lies between no two rows
+    latitude, longitude = at_time(reference.time_ns, horizontal, start_ns)
+    far = _far_notes("position", reference.time_ns, horizontal, start_ns)
+    if np.isfinite(height_m).any():
+        start_height_m = at_time(reference.time_ns, height_m, start_ns)[0]
+        far = far or _far_notes("height", reference.time_ns, height_m, start_ns)
+    else:
+        start_height_m = initial.height_m
+        notes.append(Note("start_height_configured", f"started at the configured height {initial.height_m:g} m"))
+    notes += far + _latitude_notes(initial, float(latitude) / DEG)
+    return np.array([latitude, float(wrap_angle(longitude + first_longitude)), start_height_m])
+
+
+def _far_notes(quantity: str, time_ns: TimeNs, values: Floats, start_ns: int) -> list[Note]:
+    far_s = float(apart_s(time_ns, values, np.array([start_ns]))[0])
+    if far_s <= FAR_S:
+        return []
+    text = f"the {quantity} at the start is the reference's {far_s:.1f} s away from it, and is off by as much"
+    return [Note(f"start_{quantity}_far", text, severity="warning", hint=f"--start near the reference's {quantity}s")]
+
+
+def _latitude_notes(initial: Initial, latitude_deg: float) -> list[Note]:
+    """State that a latitude is configured in vain, where it is another than the reference's."""
+    if initial.latitude_deg is None or abs(initial.latitude_deg - latitude_deg) <= CONTRADICTION_DEG:
+        return []
+    text = (
+        f"initial.latitude_deg is {initial.latitude_deg:g}, but the reference starts at {latitude_deg:.4g} deg, "
+        "which counts"
+    )
+    hint = "leave initial.latitude_deg out, or name another reference.topic or reference.fix"
+    return [Note("start_latitude_contradiction", text, severity="warning", hint=hint)]
+
+
+def configured_latitude_deg(initial: Initial) -> float:
+    """Return the configured latitude, deg."""
+    if initial.latitude_deg is None:
+        raise ConfigError(
+            "the latitude is needed for gravity and Earth rate, and no reference gives it",
+            "--set initial.latitude_deg=...",
+        )
+    return initial.latitude_deg

@@ -25,13 +25,7 @@ from insdvl_replay.preparation.long_gaps import lever_arm_velocity_cov
 
 
 class DvlNoise(NamedTuple):
-    """The DVL's noise as one filter takes it.
-
-    Attributes
-    ----------
-    key : {'beam_sd_mps', 'velocity_sd_mps'}
-        Whether it is that of one beam, or of each axis of a velocity from all beams.
-    """
+    """The DVL's noise as one filter takes it: of one beam, or of each axis of a velocity from all beams."""
 
     key: Literal["beam_sd_mps", "velocity_sd_mps"]
     sd_mps: float
@@ -83,13 +77,7 @@ class ResolvedFilter:
     ) -> tuple[Measurement, ...]:
         """Prepare what the filter is aided by, in its order.
 
-        Parameters
-        ----------
-        velocities : DvlVelocities
-            m pings.
-        gaps : Gaps
-            The IMU's long gaps. In one the lever arm swings unseen, and no window of accelerations spans any part of
-            one.
+        In the IMU's long gaps the lever arm swings unseen, and no window of accelerations spans any part of one.
         """
         cov_b = self._ping_cov(velocities) + lever_arm_velocity_cov(gaps, velocities.time_ns, mounting.lever_arm_b)
         return tuple(
@@ -121,13 +109,8 @@ def resolve_filter(name: str, filter_: Filter, config: Config, *, from_beams: bo
     """Resolve what a filter takes from the sections that all filters share.
 
     Of the DVL's noise, what the filter names itself, under either key, goes before ``[dvl]``. Where one of the two
-    names both, the beams' goes first. Velocities that do not come from beams have no noise of beams, so that there
+    names both, the beams' goes first. Velocities that are not solved from beams have no noise of beams, so that there
     ``beam_sd_mps`` says nothing.
-
-    Parameters
-    ----------
-    from_beams : bool
-        Whether the velocities are solved from beams.
     """
     own = {key: getattr(filter_, key) for key in Noise.__struct_fields__}
     return ResolvedFilter(

@@ -23,15 +23,7 @@ WIDEST_ATTITUDE_RAD: Final = np.pi / 2.0
 
 
 def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
-    """Find the pauses between samples that are too long to be bridged as if nothing happened in them.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-        Times of the IMU's samples.
-    imu : Imu
-        Settings: how long is long, and what a vehicle may do unseen.
-    """
+    """Find the pauses between samples, at times of shape (k,), that are too long to be bridged like others."""
     rows = np.flatnonzero(np.diff(time_ns) > nanoseconds(imu.max_gap_s))
     start_ns, end_ns = time_ns[rows], time_ns[rows + 1]
     length_s = seconds(end_ns, start_ns)[:, None]
@@ -48,7 +40,6 @@ def lever_arm_velocity_cov(gaps: Gaps, time_ns: TimeNs, lever_arm_b: Floats) -> 
     Parameters
     ----------
     time_ns : ndarray, shape (m,)
-        Times of the pings.
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
 
@@ -122,17 +113,7 @@ _HINT: Final = "--start and --end leave it out"
 def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> tuple[Note, ...]:
     """State of long outages that gravity is held in them, and beyond which length standard deviations do not hold.
 
-    Parameters
-    ----------
-    ping_ns : ndarray, shape (m,)
-        Times of the velocities.
-    start_ns, end_ns : int
-        Span of the replay.
-
-    Returns
-    -------
-    tuple of Note
-        One that counts the outages beyond `local_earth.HOLD_AFTER_S`, or none.
+    The times of the velocities have shape (m,); one note counts the outages beyond `local_earth.HOLD_AFTER_S`.
     """
     ends_ns = np.concatenate([[start_ns], ping_ns, [end_ns]])
     length_ns = np.diff(ends_ns)

@@ -10,8 +10,8 @@ import msgspec
 from msgspec import Meta, Struct
 
 from insdvl_replay import __version__
-from insdvl_replay.core.channel import Channel
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.runtime import sources_digest
 from insdvl_replay.core.tables import Candidate, Tables

@@ -28,7 +28,7 @@ from insdvl_replay.batch.known_results import known_reports
 from insdvl_replay.batch.workers import Pool, WorkerLostError, Workers, do_each, local_workers
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_names import unique_names
+from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.runtime import sources_digest
 from insdvl_replay.logs import read_dive, write_dive

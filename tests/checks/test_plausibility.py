@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from insdvl_replay.checks.dvl_comparison import dvl_by_velocity, track_by_positions
-from insdvl_replay.checks.gyro_comparison import gyro_by_attitude, gyro_by_gravity
-from insdvl_replay.checks.plausibility import plausibility_notes
+from insdvl_replay.checks.dvl import dvl_by_velocity
+from insdvl_replay.checks.imu import gyro_by_attitude, gyro_by_gravity
+from insdvl_replay.checks.plausibility import plausibility_notes, track_by_positions
 from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.core.config import Config, Dvl, Imu, Initial
 from insdvl_replay.core.config_file import load_config

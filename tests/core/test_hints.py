@@ -9,8 +9,8 @@ from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError, error_context, listed, nearest
 from insdvl_replay.logs.columns.roles import find_roles
-from insdvl_replay.logs.container.blocks import LogChannel
-from insdvl_replay.logs.encoding.field_paths import check_path
+from insdvl_replay.logs.container.records import LogChannel
+from insdvl_replay.logs.encoding.fields import check_path
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELDS = {"header": "H", "header.frame_id": "string", "angular_velocity": "V", "angular_velocity.x": "float64"}

@@ -19,7 +19,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from insdvl_replay.checks.gyro_comparison import turned_by
+from insdvl_replay.checks.imu import turned_by
 from insdvl_replay.checks.reference import _legs, _Ways
 from insdvl_replay.cli.messages import log_failure
 from insdvl_replay.core.columns import ImuColumns
@@ -27,15 +27,12 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, Note, most_like
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.logs.container import mcap_file
-from insdvl_replay.logs.container.blocks import LogChannel
 from insdvl_replay.logs.container.chunks import LARGEST_CHUNK, Chunk, most_opened, open_chunk
-from insdvl_replay.logs.container.damage import Damage
-from insdvl_replay.logs.container.mcap_file import Log
-from insdvl_replay.logs.container.scanner import McapIndex
-from insdvl_replay.logs.container.summary import Summary
+from insdvl_replay.logs.container.mcap_index import McapIndex, Summary
+from insdvl_replay.logs.container.recording import open_recording
+from insdvl_replay.logs.container.records import Damage, LogChannel
+from insdvl_replay.logs.encoding.fields import channel_paths
 from insdvl_replay.logs.encoding.layout import dynamic_lengths
-from insdvl_replay.logs.encoding.message_encodings import channel_paths
 from insdvl_replay.logs.encoding.ros2msg import definition_text, parse_definitions
 from insdvl_replay.sim.dive import exact_dive
 
@@ -69,8 +66,8 @@ def test_a_chunk_that_opens_to_more_than_it_says_is_refused(
 
     def refuse() -> None:
         with pytest.raises(LogError, match="is damaged at byte"):
-            Log(path)
-        assert not list(Log(path, allow_damaged=True).blocks({1}))
+            open_recording(path)
+        assert not list(open_recording(path, allow_damaged=True).blocks({1}))
 
     limit_mb = most_opened(len(bomb)) / MB if kind == "cut" and announced != MB else 1
     # The lz4 package copies what it has unpacked; the rest is the compiler.
@@ -88,8 +85,8 @@ def test_private_records_take_no_memory_of_their_own(tmp_path: Path) -> None:
     content = record(bombs.PRIVATE, b"") * 3_000_000 + message(1, b"payload")
     packed = zstandard.ZstdCompressor().compress(content)
     path = write(tmp_path / "private.mcap", log(chunk(packed, len(content), "zstd")))
-    mcap_file.Log(path, allow_damaged=True)  # so that what is compiled is loaded
-    assert peak_mb(lambda: mcap_file.Log(path, allow_damaged=True)) < len(content) / MB + 30
+    open_recording(path, allow_damaged=True)  # so that what is compiled is loaded
+    assert peak_mb(lambda: open_recording(path, allow_damaged=True)) < len(content) / MB + 30
 
 
 def test_a_file_opens_to_no_more_than_its_size_allows(tmp_path: Path) -> None:
@@ -98,7 +95,7 @@ def test_a_file_opens_to_no_more_than_its_size_allows(tmp_path: Path) -> None:
     with pytest.raises(
         LogError, match=r"the chunks up to here open to 1140850688 bytes, where a file of \d+ may hold 1073741824"
     ):
-        Log(path)
+        open_recording(path)
 
 
 def test_a_chunk_without_a_record_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,11 +105,13 @@ def test_a_chunk_without_a_record_is_opened_once(tmp_path: Path, monkeypatch: py
         opened.append(one.offset)
         return open_chunk(data, one)
 
-    monkeypatch.setattr("insdvl_replay.logs.container.chunk_messages.open_chunk", counted)
-    monkeypatch.setattr("insdvl_replay.logs.container.chunks.open_chunk", counted)
-    seen = Log(write(tmp_path / "zeros.mcap", log(chunk(zstd_zeros(4 * MB), 4 * MB, "zstd"))), allow_damaged=True)
+    monkeypatch.setattr("insdvl_replay.logs.container.blocks.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", counted)
+    seen = open_recording(
+        write(tmp_path / "zeros.mcap", log(chunk(zstd_zeros(4 * MB), 4 * MB, "zstd"))), allow_damaged=True
+    )
     assert not list(seen.blocks({1}))
-    assert not list(seen.saved_times())
+    assert not list(seen.parts[0].saved_times())
     assert len(opened) == 1
 
 
@@ -128,8 +127,8 @@ def test_many_copies_of_a_chunk_are_compared_no_more_often_than_they_are(
 
     monkeypatch.setattr(Damage, "__eq__", counted)
     monkeypatch.setattr(Chunk, "__eq__", counted)
-    seen = Log(write(tmp_path / "copies.mcap", log(chunk(b"", 0, "") * 2000)), allow_damaged=True)
-    assert seen.chunk_count == 1
+    seen = open_recording(write(tmp_path / "copies.mcap", log(chunk(b"", 0, "") * 2000)), allow_damaged=True)
+    assert seen.parts[0].chunk_count == 1
     assert compared < 2 * 2000
 
 
@@ -147,7 +146,7 @@ def test_a_chunk_with_many_channels_is_opened_a_few_times(tmp_path: Path, monkey
         opened.append(one.offset)
         return open_chunk(data, one)
 
-    monkeypatch.setattr("insdvl_replay.logs.container.chunks.open_chunk", counted)
+    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", counted)
     inventory = inspect_log(path, Config())
     assert len(inventory.clocks) >= 50
     assert len(opened) <= 2
@@ -289,7 +288,7 @@ def test_topics_beyond_what_is_looked_at_are_named(tmp_path: Path, monkeypatch: 
 @pytest.mark.parametrize("kind", ["zstd", "no chunks", "no message index"])
 def test_late_log_times_are_told_and_no_damage(kind: str, tmp_path: Path) -> None:
     late_ns = 2**63 - small_logs.START_NS
-    seen = Log(write(tmp_path / "late.mcap", _with_later_log_times(kind, late_ns)))
+    seen = open_recording(write(tmp_path / "late.mcap", _with_later_log_times(kind, late_ns)))
     assert [note.code for note in seen.notes] == ["log_times_late"]
     inventory = inspect_log(seen.path, Config())
     assert inventory.log.start_utc is None

@@ -11,8 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.encoding import number_loops
-from insdvl_replay.logs.encoding.cdr import CdrReader
-from insdvl_replay.logs.encoding.cdr_numbers import read_bits_plainly
+from insdvl_replay.logs.encoding.cdr import CdrReader, read_bits_plainly
 from insdvl_replay.logs.encoding.ros2msg import parse_definitions
 
 TYPE = "test_msgs/msg/Ping"

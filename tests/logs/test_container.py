@@ -2,6 +2,7 @@
 
 import hashlib
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -12,8 +13,9 @@ from small_logs import CONTAINERS, IMU_MESSAGES, MESSAGES, messages, small_log, 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.container.mcap_file import Log
+from insdvl_replay.logs.container.chunks import Chunk, open_chunk
 from insdvl_replay.logs.container.record_loops import walk
+from insdvl_replay.logs.container.recording import open_recording
 from insdvl_replay.logs.container.records import Records, find_plainly
 
 
@@ -25,7 +27,7 @@ def path(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("kind", CONTAINERS)
 def test_every_kind_of_container_gives_the_same_messages(kind: str, path: Path) -> None:
     path.write_bytes(small_log(kind, extras=True))
-    log = Log(path)
+    log = open_recording(path)
     found = messages(log)
     assert len(found) == MESSAGES
     assert set(found) == true_messages()
@@ -52,14 +54,14 @@ def test_every_kind_of_container_gives_the_same_columns(kind: str, path: Path) -
 @pytest.mark.parametrize("kind", CONTAINERS)
 def test_log_times_need_no_messages(kind: str, path: Path) -> None:
     path.write_bytes(small_log(kind))
-    found = np.sort(np.concatenate(list(Log(path).log_times().values())))
+    found = np.sort(np.concatenate(list(open_recording(path).log_times().values())))
     assert found.tolist() == sorted(time_ns for _, time_ns, _ in true_messages())
 
 
 @pytest.mark.parametrize("kind", ["zstd", "no summary", "no chunks"])
 def test_attachments_metadata_and_header_are_read(kind: str, path: Path) -> None:
     path.write_bytes(small_log(kind, extras=True))
-    log = Log(path)
+    (log,) = open_recording(path).parts
     [attachment], [metadata] = log.attachments, log.metadata
     assert (attachment.name, attachment.media_type, bytes(attachment.data)) == ("notes.txt", "text/plain", b"calm sea")
     assert (metadata.name, metadata.metadata) == ("vehicle", {"name": "unknown"})
@@ -72,9 +74,27 @@ def test_attachments_metadata_and_header_are_read(kind: str, path: Path) -> None
 def test_chunks_without_wanted_messages_stay_closed(path: Path) -> None:
     data = bytearray(small_log("zstd"))
     path.write_bytes(data)
-    log = Log(path)
+    log = open_recording(path)
     assert list(log.blocks(set())) == []
     assert list(log.blocks({999})) == []
+
+
+def test_who_leaves_does_not_wait_for_a_chunk_that_is_opened(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path.write_bytes(small_log("zstd"))
+    log, is_left, opened = open_recording(path), Event(), []
+
+    def slowly_opened(data: memoryview, one: Chunk) -> memoryview:
+        if opened:
+            is_left.wait(10.0)
+        opened.append(one.offset)
+        return open_chunk(data, one)
+
+    monkeypatch.setattr("insdvl_replay.logs.container.mcap_file.open_chunk", slowly_opened)
+    blocks = log.blocks({channel.id for channel in log.channels})
+    next(blocks)
+    blocks.close()
+    assert len(opened) == 1
+    is_left.set()
 
 
 def test_records_of_other_kinds_are_passed_over_and_said(path: Path) -> None:
@@ -82,7 +102,7 @@ def test_records_of_other_kinds_are_passed_over_and_said(path: Path) -> None:
     foreign = b"\xf0" + (4).to_bytes(8, "little") + b"mine"
     header_end = 8 + 9 + int.from_bytes(data[9:17], "little")
     path.write_bytes(_without_summary(data[:header_end] + foreign + data[header_end:]))
-    log = Log(path)
+    log = open_recording(path)
     assert set(messages(log)) == true_messages()
     assert [note.code for note in log.notes] == ["unknown_records"]
 
@@ -98,11 +118,11 @@ def test_what_is_no_log_is_refused_by_name(path: Path, tmp_path: Path) -> None:
     for content, sentence in cases.items():
         path.write_bytes(content)
         with pytest.raises(LogError, match=sentence) as raised:
-            Log(path, allow_damaged=True)
+            open_recording(path, allow_damaged=True)
         assert raised.value.exit_code == 3
         assert raised.value.hint
     with pytest.raises(LogError, match="cannot be read: No such file"):
-        Log(tmp_path / "absent.mcap")
+        open_recording(tmp_path / "absent.mcap")
 
 
 @given(

@@ -18,7 +18,7 @@ from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.container.mcap_file import Log
+from insdvl_replay.logs.container.recording import Recording, open_recording
 
 HEADER, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX, ATTACHMENT = 1, 4, 5, 6, 7, 8, 9
 STATISTICS, METADATA, DATA_END, FOOTER = 11, 12, 15, 2
@@ -274,8 +274,8 @@ def assert_loss_is_told(text: str, lost_ns: list[int]) -> None:
     assert is_known == (told["why"] is None)
 
 
-def everything(path: Path, *, allow_damaged: bool) -> tuple[Log, list[tuple[str, int, bytes]]]:
-    log = Log(path, allow_damaged=allow_damaged)
+def everything(path: Path, *, allow_damaged: bool) -> tuple[Recording, list[tuple[str, int, bytes]]]:
+    log = open_recording(path, allow_damaged=allow_damaged)
     found = messages(log)
     log.sha256()
     return log, found

@@ -8,7 +8,6 @@ from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.gates.gate_file import load_gates
-from insdvl_replay.logs.container.mcap_file import Log
 from insdvl_replay.logs.container.recording import bag_parts, open_recording
 
 needs_devices = pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs /dev/zero (not Windows)")
@@ -41,7 +40,7 @@ def test_a_log_that_links_to_itself_is_told_as_one_that_cannot_be_read(tmp_path:
     (tmp_path / "dive.mcap").symlink_to("dive.mcap")
     (found,) = find_dives([str(tmp_path / "dive.mcap")])
     with pytest.raises(LogError, match="cannot be read: Too many levels of symbolic links"):
-        Log(found)
+        open_recording(found)
     with pytest.raises(LogError, match="cannot be read: Too many levels of symbolic links"):
         open_recording([found, found.with_name("later.mcap")])
 

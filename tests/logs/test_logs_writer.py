@@ -28,9 +28,8 @@ from insdvl_replay.core.tables import ConsistencyRow, ImprovementRow, Tables
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.encoding.ros2msg import definition_text
 from insdvl_replay.logs.writing.dive_log import ANGLE_DIGITS, VELOCITY_DIGITS, write_dive
-from insdvl_replay.logs.writing.messages import Batch, stamp
 from insdvl_replay.logs.writing.replay_log import write_replay
-from insdvl_replay.logs.writing.writer import write_log
+from insdvl_replay.logs.writing.writer import Batch, stamp, write_log
 
 START_NS = 1_654_675_200_123_456_789
 S = 1_000_000_000

@@ -11,10 +11,10 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as RosDecoders
 
-from insdvl_replay.logs.container.blocks import Block, LogChannel
-from insdvl_replay.logs.container.mcap_file import Log
-from insdvl_replay.logs.encoding.field_paths import NUMBER, Columns
-from insdvl_replay.logs.encoding.message_encodings import channel_paths, open_reader
+from insdvl_replay.logs.container.blocks import Block
+from insdvl_replay.logs.container.recording import open_recording
+from insdvl_replay.logs.container.records import LogChannel
+from insdvl_replay.logs.encoding.fields import NUMBER, Columns, channel_paths, open_reader
 from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -68,7 +68,7 @@ def compare(block: Block, columns: Columns, decode: Callable[[bytes], Any], ever
 @pytest.mark.parametrize("every", [pytest.param(5, marks=pytest.mark.slow, id="many"), pytest.param(97, id="few")])
 @pytest.mark.parametrize("path", LOGS, ids=lambda path: path.stem)
 def test_fields_equal_those_of_the_official_decoders(path: Path, every: int) -> None:
-    log = Log(path)
+    log = open_recording(path)
     compared = 0
     for channel in (channel for channel in log.channels if channel.messages):
         if "_Event" in channel.type_name:

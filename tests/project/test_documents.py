@@ -145,7 +145,6 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
     without = {
         "preparation.filters",
         "preparation.reading",
-        "preparation.start_position",
         "nav.gaps",
         "nav.state_log",
     }

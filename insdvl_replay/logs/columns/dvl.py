@@ -13,10 +13,9 @@ from insdvl_replay.core.config import Dvl
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
 from insdvl_replay.geometry import beams
-from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, same_rows
+from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.order import Mask
-from insdvl_replay.logs.columns.pauses import note_bursts, note_lost_samples
 from insdvl_replay.logs.columns.tables import Table
 
 _UNIT_LENGTH_TOLERANCE: Final = 0.01
@@ -28,20 +27,7 @@ _HINT: Final = "dvl.beam_tilt_deg and dvl.beam_azimuth_deg say what the instrume
 
 
 def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
-    """Return the unit vectors of the beams.
-
-    Parameters
-    ----------
-    settings : Dvl
-        Completed by the conventions of the type.
-    cleaner : Cleaner
-        Takes a note where the messages tell what cannot be true.
-
-    Returns
-    -------
-    ndarray, shape (beams, 3)
-        In d.
-    """
+    """Return the unit vectors of the beams in d, shape (beams, 3); note what the messages tell and cannot be true."""
     configured = settings.beam_tilt_deg is not None or settings.beam_azimuth_deg is not None
     if configured or "beam_vectors" not in table:
         return _geometry(settings)
@@ -61,15 +47,7 @@ def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
 
 
 def note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: Floats, velocity_d: Floats) -> None:
-    """Note beams that do not add up to the velocity that the instrument itself computed from them.
-
-    Parameters
-    ----------
-    beam_velocity_mps : ndarray, shape (kept, beams)
-    vectors_d : ndarray, shape (beams, 3)
-    velocity_d : ndarray, shape (kept, 3)
-        The instrument's.
-    """
+    """Note beams, shape (kept, beams), that do not add up to the velocity that the instrument makes of them."""
     moving = np.isfinite(beam_velocity_mps).all(axis=1) & (np.linalg.norm(velocity_d, axis=1) > _MOVING_MPS)
     if not moving.any() or np.linalg.matrix_rank(vectors_d) < vectors_d.shape[1]:
         return

@@ -9,13 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, ImuColumns, TimeNs, TruthColumns, nanoseconds
+from insdvl_replay.core.columns import NS_PER_S, Floats, ImuColumns, TimeNs, TruthColumns, nanoseconds
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import ANGULAR_RATE_UNITS, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS, SPECIFIC_FORCE_UNITS
-from insdvl_replay.logs.columns.cleaning import Cleaner, is_few
+from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_bursts, note_lost_samples
 from insdvl_replay.logs.columns.order import Mask
-from insdvl_replay.logs.columns.pauses import note_bursts, note_clock_set, note_gaps, note_lost_samples
 from insdvl_replay.logs.columns.tables import Table
 
 FORCE_JUMP_MPS2: Final = 20.0
@@ -34,15 +33,7 @@ SLANT: Final = 0.05
 
 
 def drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Floats) -> None:
-    """Drop samples that jump beyond what a vehicle can do and back; the pause that is left is bridged like any other.
-
-    Parameters
-    ----------
-    cleaner : Cleaner
-        Its rows have times of their own.
-    specific_force_b, angular_rate_b : ndarray, shape (k, 3)
-        For each row of the file, m/s^2 and rad/s.
-    """
+    """Drop samples that jump beyond what a vehicle can do and back; the pause is bridged like any other."""
     spikes = np.zeros(len(cleaner.rows), np.bool_)
     for readings, jump in ((specific_force_b, FORCE_JUMP_MPS2), (angular_rate_b, RATE_JUMP_RADPS)):
         kept = cleaner.kept(readings)
@@ -57,20 +48,7 @@ def drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Floa
 
 
 def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:
-    """Find single samples that are far from both of their neighbours, which are near each other.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-        Increasing.
-    readings : ndarray, shape (k, 3)
-    jump : float
-        In the unit of the readings.
-
-    Returns
-    -------
-    ndarray of bool, shape (k,)
-    """
+    """Find single samples, shape (k, 3), that are far from both of their neighbours, while these are near."""
     spikes = np.zeros(len(readings), np.bool_)
     if len(readings) < 3:
         return spikes
@@ -90,7 +68,6 @@ def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:
 
 FRD: Final = "frd"
 """The project's axes, which are assumed where nothing tells them."""
-
 _LOST_HINT: Final = "imu.specific_force and imu.angular_rate name other fields; imu.max_gap_s says what is bridged"
 _NAMED_AXES: Final = {"frd": "+x+y+z", "flu": "+x-y-z"}
 
@@ -199,3 +176,41 @@ def _is_within(vectors: Floats, limit: float) -> Mask:
     if vectors.min() >= -limit and vectors.max() <= limit:
         return np.ones(len(vectors), np.bool_)
     return np.asarray((np.abs(vectors) <= limit).all(axis=1))
+
+
+GAP_STEPS: Final = 5.0
+"""A pause of this many steps is more than the jitter of stamps that come in bursts."""
+LONGEST_PAUSE_NS: Final = 86_400 * NS_PER_S
+"""No recorder waits for a day in the middle of a dive."""
+
+
+def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
+    """Note pauses between rows in which several are missing."""
+    max_gap_ns = nanoseconds(max_gap_s)
+    is_short = pauses_ns <= max_gap_ns
+    short_ns = pauses_ns if is_short.all() else pauses_ns[is_short]
+    least_ns = min(GAP_STEPS * float(short_ns.mean()), max_gap_ns) if short_ns.size else max_gap_ns
+    gaps = np.flatnonzero(pauses_ns > least_ns)
+    if not gaps.size:
+        return
+    long = int(np.count_nonzero(pauses_ns > max_gap_ns))
+    text = (
+        f"gaps are longer than {least_ns / NS_PER_S:.3g} s, the longest of {pauses_ns.max() / NS_PER_S:.3f} s, "
+        f"{pauses_ns[gaps].sum() / NS_PER_S:.3f} s in all; {long} longer than {max_gap_s:g} s"
+    )
+    hint = f"{cleaner.role}.max_gap_s says which are harmless" if long else ""
+    cleaner.note("gaps", text, gaps.size, "warning" if long else "info", hint, first=cleaner.rows[gaps])
+
+
+def note_clock_set(cleaner: Cleaner, steps_ns: TimeNs) -> None:
+    """Note steps that are no pause of a dive: a recorder without a clock of its own begins in 1970 until it is told."""
+    if not steps_ns.size or steps_ns.max() <= LONGEST_PAUSE_NS:
+        return
+    steps = np.flatnonzero(steps_ns > LONGEST_PAUSE_NS)
+    before, after = (np.datetime64(int(cleaner.times[steps[0] + i]), "ns").astype("M8[s]") for i in (0, 1))
+    text = (
+        f"steps are longer than a day, the first from {before} to {after} UTC: the clock was set while the log was "
+        "recorded, or two dives are in it"
+    )
+    hint = "--start and --end choose what is before or behind"
+    cleaner.note("clock_set", text, steps.size, "warning", hint, first=cleaner.rows[steps])

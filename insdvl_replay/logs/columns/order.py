@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import TimeNs, find_runs, nanoseconds, seconds
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.columns.clocks import SAME_CLOCK_S
-from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table
-from insdvl_replay.logs.encoding.field_paths import Columns
+from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, SAME_CLOCK_S, Table
+from insdvl_replay.logs.encoding.fields import Columns
 
 FEW_PLACES: Final = 5
 """Messages do not overtake more others than this."""
@@ -59,13 +58,7 @@ def find_order(time_ns: TimeNs, log_time_ns: TimeNs) -> Order:
 
     The largest number of messages whose stamps rise with the log time are right. A run of others is put among them if
     it is off by `FEW_PLACES` and `SAME_CLOCK_S` at most, and is wrong else. Where the stamps leap ahead by `LEAP_S`,
-    only the longest part without a leap is right.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-        Times of validity in the order of the file.
-    log_time_ns : ndarray, shape (k,)
+    only the longest part without a leap is right. Both times have shape (k,), in the order of the file.
     """
     if np.all(time_ns[1:] >= time_ns[:-1]) and not _is_there_a_leap(time_ns, log_time_ns):
         nothing = np.empty(0, np.int64)
@@ -190,19 +183,7 @@ def _reached(log_time: TimeNs, channel_ids: NDArray[np.int64]) -> TimeNs:
 
 
 def repeated_rows(columns: Columns, origin: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Find which messages are as the one before, which is of another origin.
-
-    Parameters
-    ----------
-    columns : dict of str to ndarray, shape (k, n)
-        With ``log_time``, ns; NaN is as NaN.
-    origin : ndarray, shape (k,)
-        The channel or file of each message.
-
-    Returns
-    -------
-    ndarray of bool, shape (k,)
-    """
+    """Find which messages are as the one before, which is of another origin: another channel or file; shape (k,)."""
     repeated = np.zeros(origin.size, np.bool_)
     log_time = columns["log_time"][:, 0]
     rows = 1 + np.flatnonzero((log_time[1:] == log_time[:-1]) & (origin[1:] != origin[:-1]))
@@ -225,11 +206,6 @@ def raise_if_two_dives(table: Table, time_ns: TimeNs) -> None:
     """Refuse a topic of which two files hold different messages of the same time.
 
     Files may follow one another, fill each other's gaps, or hold the same messages, of which each recorder lost some.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-        Times of validity in the order of the table.
     """
     files = table.files
     if files is None:

@@ -11,9 +11,8 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, wrap_angle
-from insdvl_replay.logs.columns.cleaning import Cleaner, is_few
+from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_lost_samples
 from insdvl_replay.logs.columns.known_types import BLUEYE_GNSS
-from insdvl_replay.logs.columns.pauses import note_lost_samples
 from insdvl_replay.logs.columns.tables import Table
 from insdvl_replay.logs.columns.topic_requirements import BOW_DOWN
 

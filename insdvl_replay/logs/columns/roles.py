@@ -6,15 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns, TruthColumns
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, error_context, listed, nearest
-from insdvl_replay.logs.columns.clocks import clock_notes
 from insdvl_replay.logs.columns.dvl import decode_dvl
 from insdvl_replay.logs.columns.imu import decode_imu, decode_truth
 from insdvl_replay.logs.columns.reference import decode_reference
-from insdvl_replay.logs.columns.tables import Table
+from insdvl_replay.logs.columns.tables import Table, clock_notes
 from insdvl_replay.logs.columns.topic_requirements import (
     TRUTH_REQUIREMENT,
     Source,
@@ -24,7 +23,7 @@ from insdvl_replay.logs.columns.topic_requirements import (
     imu_requirement,
     solution_requirement,
 )
-from insdvl_replay.logs.container.blocks import LogChannel, by_topic
+from insdvl_replay.logs.container.records import LogChannel, by_topic
 
 
 def _no_pings() -> DvlColumns:
@@ -33,13 +32,7 @@ def _no_pings() -> DvlColumns:
 
 @dataclass
 class RoleColumns:
-    """The columns of the roles as far as they are read.
-
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-    """
+    """The columns of the roles as far as they are read; the place is the file, for messages to the user."""
 
     place: str
     config: Config
@@ -49,14 +42,7 @@ class RoleColumns:
     truth: TruthColumns | None = None
 
     def decode(self, role: str, tables: list[Table]) -> list[Note]:
-        """Make the columns of a role; the raw ones are let go, since those of a long dive are large.
-
-        Parameters
-        ----------
-        role : {'imu', 'dvl', 'reference', 'truth'}
-        tables : list of Table
-            At least one; of a reference up to two.
-        """
+        """Make the columns of a role; the raw ones are let go, since those of a long dive are large."""
         if role == "reference":
             self.reference, notes = decode_reference(tables, self.config.reference)
         elif role == "imu":
@@ -68,7 +54,7 @@ class RoleColumns:
         return notes
 
     def clock_notes(self, clocks: Sequence[Clock]) -> tuple[Note, ...]:
-        """Compare the clocks of the roles, that of the IMU first, as `clocks.clock_notes`."""
+        """Compare the clocks of the roles, that of the IMU first, as `tables.clock_notes`."""
         return clock_notes(self.place, clocks, self.config.clocks.max_disagreement_s)
 
 
@@ -97,19 +83,11 @@ class Finding:
 
 
 def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tuple[Finding, ...]:
-    """Find the topic for each role.
+    """Find the topic for each role: IMU, DVL, reference, and truth where the log has it.
 
-    Parameters
-    ----------
-    place : str
-        The file, for messages to the user.
-
-    Returns
-    -------
-    tuple of Finding
-        IMU, DVL, reference, and truth where the log has it. One has an error where no topic is an IMU or a DVL, several
-        are and the configuration names none, a named topic is not there, its type is not known and the configuration
-        does not say where its fields are, or its messages cannot be read.
+    A finding has an error where no topic is an IMU or a DVL, several are and the configuration names none, a named
+    topic is not there, its type is not known and the configuration does not say where its fields are, or its messages
+    cannot be read.
     """
     topics = _Topics(place, channels)
     imu = _explained(topics, imu_requirement(config), lambda: (topics.need(imu_requirement(config)),))

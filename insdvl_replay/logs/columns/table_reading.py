@@ -15,11 +15,10 @@ from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.logs.columns.order import merge_channels
 from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table, stamp_path
 from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.blocks import Block, LogChannel
-from insdvl_replay.logs.container.parts import CHANNELS_OF_A_PART
-from insdvl_replay.logs.container.recording import Recording
-from insdvl_replay.logs.encoding.field_paths import Columns, FieldReader, split_paths
-from insdvl_replay.logs.encoding.message_encodings import open_reader
+from insdvl_replay.logs.container.blocks import Block
+from insdvl_replay.logs.container.recording import CHANNELS_OF_A_PART, Recording
+from insdvl_replay.logs.container.records import LogChannel
+from insdvl_replay.logs.encoding.fields import Columns, FieldReader, open_reader, split_paths
 
 _HOPELESS: Final = 1000
 """Where so many messages cannot be read, and fewer can, the schema is wrong and not the messages."""
@@ -27,22 +26,7 @@ _HOPELESS: Final = 1000
 
 @dataclass
 class PartialDecoder:
-    """Reads what can be read of a topic, and remembers the rest.
-
-    Parameters
-    ----------
-    where : (str, str)
-        File and topic, for messages to the user.
-
-    Attributes
-    ----------
-    readable : int
-        Messages that were read.
-    unreadable_ns : list of int
-        Log times of those that cannot be, in the order of the file.
-    error : LogError or None
-        What is wrong with the first of them.
-    """
+    """Reads what can be read of a topic, and remembers the rest: their log times, and the first error."""
 
     where: tuple[str, str]
     readable: int = 0
@@ -50,15 +34,7 @@ class PartialDecoder:
     error: LogError | None = None
 
     def read(self, reader: FieldReader, block: Block) -> Iterator[tuple[Block, Columns]]:
-        """Read a block, in halves and halves of halves where some of it cannot be read.
-
-        Yields
-        ------
-        Block
-            A part of it.
-        dict of str to ndarray, shape (k, n)
-            Its fields by path.
-        """
+        """Read a block, in halves and halves of halves where some of it cannot be read, part by part."""
         try:
             with error_context(*self.where):
                 columns = reader.columns(block)
@@ -83,10 +59,7 @@ class PartialDecoder:
 class ColumnBuffer:
     """A column that is not complete yet. As long as all rows are alike, it holds one of them.
 
-    Parameters
-    ----------
-    announced : int
-        How many rows are expected; more find room too.
+    More rows than announced find room too.
     """
 
     def __init__(self, announced: int) -> None:
@@ -99,13 +72,7 @@ class ColumnBuffer:
         return self._count
 
     def add(self, values: NDArray[Any]) -> None:
-        """Put rows below the others.
-
-        Parameters
-        ----------
-        values : ndarray, shape (k, n)
-            Where rows are shorter than others, they are filled up with NaN.
-        """
+        """Put rows, shape (k, n), below the others; shorter ones are filled up with NaN."""
         if not self._count:
             self._rows = values[:1].copy()
         if self._is_one_row and _are_all(values, self._rows):
@@ -154,18 +121,7 @@ def _are_all(values: NDArray[Any], row: NDArray[Any]) -> bool:
 
 
 def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
-    """Read the columns of several topics.
-
-    Returns
-    -------
-    list of Table
-        In the order of the sources.
-
-    Raises
-    ------
-    LogError
-        A field is not there, or a message cannot be read.
-    """
+    """Read the columns of several topics, in the order of the sources."""
     builders = [_Builder(log, source) for source in sources]
     for block in log.blocks({channel.id for source in sources for channel in source.channels}):
         for builder in builders:
@@ -174,18 +130,7 @@ def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
 
 
 def read_sample(log: Recording, source: Source, enough: int) -> Table:
-    """Read the columns of a topic's first messages.
-
-    Parameters
-    ----------
-    enough : int
-        Stop after the block with which there are that many.
-
-    Raises
-    ------
-    LogError
-        A field is not there, or a message cannot be read.
-    """
+    """Read the columns of a topic's first messages, up to the block with which there are enough."""
     builder, messages = _Builder(log, source), 0
     for block in log.blocks({channel.id for channel in source.channels}):
         builder.add(block)

@@ -10,9 +10,8 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.logs.columns import known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
-from insdvl_replay.logs.container.blocks import LogChannel
-from insdvl_replay.logs.encoding.field_paths import Kinds, find_path, split_paths
-from insdvl_replay.logs.encoding.message_encodings import channel_paths, check_encoding
+from insdvl_replay.logs.container.records import LogChannel
+from insdvl_replay.logs.encoding.fields import Kinds, channel_paths, check_encoding, find_path, split_paths
 
 BOW_DOWN: Final = "_bow_down"
 """Ends the name of a pitch with the opposite sign."""
@@ -62,13 +61,7 @@ class Source:
     conventions: Mapping[str, Any] = field(default_factory=dict)
 
     def completed(self, section: Section) -> Section:
-        """Fill in by the type what a section of the configuration leaves out.
-
-        Parameters
-        ----------
-        section : Struct
-            Of this role.
-        """
+        """Fill in by the type what this role's section of the configuration leaves out."""
         left_out = {key: value for key, value in self.conventions.items() if getattr(section, key) is None}
         return msgspec.structs.replace(section, **left_out)
 

@@ -13,7 +13,7 @@ import lz4.frame
 import zstandard
 from zlib_ng import zlib_ng
 
-from insdvl_replay.logs.container.damage import DamageError, Span, plausible_span
+from insdvl_replay.logs.container.records import DamageError, Span, plausible_span
 
 _CHUNK: Final = struct.Struct("<QQQII")
 COMPRESSED: Final = ("zstd", "lz4")
@@ -55,19 +55,17 @@ class Chunk:
     indexes: list[tuple[int, int]] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
 
+    @property
+    def end(self) -> int:
+        """Where its content ends."""
+        return self.offset + self.length
+
 
 @dataclass(frozen=True)
 class ChunkHeader:
-    """What a chunk says of itself.
+    """What a chunk says of itself: the span of its log times, bytes and checksum of what is in it, and how to open it.
 
-    Attributes
-    ----------
-    first_ns, last_ns : int
-        Span of the log times.
-    size, crc : int
-        Bytes and checksum of the content once it is open; 0 where the recorder computed none.
-    compressed_start, compressed_size : int
-        Where in the file the compressed bytes stand.
+    The checksum is 0 where the recorder computed none.
     """
 
     first_ns: int
@@ -103,7 +101,7 @@ def opened_size(data: memoryview, chunk: Chunk) -> int:
     if chunk.kind == "unchunked":
         return 0
     header = chunk_header(data, chunk.offset, chunk.length)
-    most = _room(chunk.offset + chunk.length - header.compressed_start)
+    most = _room(chunk.end - header.compressed_start)
     if chunk.kind == "truncated":
         return _size_of_truncated(header, most)
     return header.size if header.compression and header.size <= most else 0
@@ -112,9 +110,9 @@ def opened_size(data: memoryview, chunk: Chunk) -> int:
 def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
     """Decompress a chunk, and check its length and checksum."""
     if chunk.kind == "unchunked":
-        return data[chunk.offset : chunk.offset + chunk.length]
+        return data[chunk.offset : chunk.end]
     header = chunk_header(data, chunk.offset, chunk.length)
-    compressed = data[header.compressed_start : chunk.offset + chunk.length]
+    compressed = data[header.compressed_start : chunk.end]
     if chunk.kind == "truncated":
         return _decompressed_start(compressed, header, chunk.offset)
     if len(compressed) != header.compressed_size:

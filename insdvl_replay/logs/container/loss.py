@@ -1,11 +1,12 @@
 """What damage took from a file: how many messages, and the time in which they were, as far as the rest tells.
 
 The summary's statistics tell how many messages there were, its chunk index when; where they are gone too, the message
-indexes and the log times of the messages on both sides tell what they can.
+indexes and the log times of the messages on both sides tell what they can. A note says so, or the error with which a
+damaged log is refused.
 """
 
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final
@@ -13,13 +14,31 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.errors import Note
-from insdvl_replay.logs.container.blocks import MESSAGE, gather
-from insdvl_replay.logs.container.chunk_messages import read_chunk
+from insdvl_replay.core.columns import TimeNs, seconds
+from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.logs.container.blocks import MESSAGE, gather, read_chunk
 from insdvl_replay.logs.container.chunks import Chunk, chunk_header
-from insdvl_replay.logs.container.damage import COPY_AGAIN, DamageError, Loss, Span, plausible_span
-from insdvl_replay.logs.container.record_form import RECORD_HEADER_SIZE
-from insdvl_replay.logs.container.scanner import McapIndex
+from insdvl_replay.logs.container.mcap_index import Loss, McapIndex
+from insdvl_replay.logs.container.records import RECORD_HEADER_SIZE, DamageError, Span, plausible_span
+
+COPY_AGAIN: Final = "copy the log again from the recorder if it still has it"
+"""What helps where messages are lost."""
+
+
+def damaged_file_error(faults: Sequence[LogError], saved: Iterable[TimeNs], places: str = "damaged places") -> LogError:
+    """Make the error with which a damaged log is refused: where it is damaged, and what could be saved.
+
+    Of the faults, at least one, the first is told and the others are counted; the log times of all messages that can be
+    read are given in parts, ns.
+    """
+    first, *others = faults
+    what = f"{first.what} ({len(others)} more {places})" if others else first.what
+    times = np.concatenate([np.empty(0, np.int64), *saved])
+    hint = "no message in it can be read; copy it again from the recorder"
+    if times.size:
+        span_s = float(seconds(times.max(), int(times.min())))
+        hint = f"--allow-damaged uses the {span_s:.1f} s and {times.size} messages that can be read"
+    return LogError(what, hint, *first.where)
 
 
 def duplicate_messages(data: memoryview, mcap_index: McapIndex) -> int:
@@ -158,7 +177,7 @@ def _stated_span(data: memoryview, chunk: Chunk) -> Span | None:
 def _of_dropped_chunks(data: memoryview, mcap_index: McapIndex, spans: _Spans) -> Iterator[Loss]:
     """Go through the chunks that cannot be opened, and those of the chunk index that are not found at all."""
     for chunk in mcap_index.lost:
-        span = _stated_span(data, chunk) or spans.between(chunk.offset, chunk.offset + chunk.length)
+        span = _stated_span(data, chunk) or spans.between(chunk.offset, chunk.end)
         yield Loss(chunk.counts.total() or None, span)
     met = [chunk for chunk in (*mcap_index.chunks.values(), *mcap_index.lost) if chunk.kind != "unchunked"]
     # Where bytes were put in or taken out, chunks are not where the index says, and are known by what they say.

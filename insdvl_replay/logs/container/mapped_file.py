@@ -6,6 +6,7 @@ file that ever was, so that the log is refused; so is a file that is no MCAP fil
 
 import ctypes
 import errno
+import hashlib
 import mmap
 import os
 import signal
@@ -18,14 +19,14 @@ from dataclasses import dataclass, field
 from functools import cache
 from io import FileIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
+from zlib_ng import zlib_ng
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.container.record_form import RECORD_HEADER_SIZE, can_be_record
-from insdvl_replay.logs.container.records import MAGIC
+from insdvl_replay.logs.container.records import MAGIC, RECORD_HEADER_SIZE, Damage, can_be_record
 
 _FIXED: Final = 0x10
 """MAP_FIXED, which Python does not name: on Linux, macOS and the BSDs alike."""
@@ -35,17 +36,7 @@ _MOST_IN_VAIN: Final = 1000
 
 @dataclass
 class Mapping:
-    """Where a file stands in memory.
-
-    Attributes
-    ----------
-    address : int
-        Of its first byte.
-    size : int
-        Bytes that are mapped and still the file's.
-    is_cut : bool
-        Whether some of them are zeros by now.
-    """
+    """Where a file stands in memory: how many bytes are still the file's, and whether some are zeros by now."""
 
     address: int
     size: int
@@ -134,6 +125,14 @@ def forget(mapping: Mapping) -> None:
 _HINT: Final = "read it when nothing writes there any more, or read a copy of it"
 _NOT_WAITING: Final = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 """A pipe that nobody writes to would be waited for without end."""
+_PIECE: Final = 1 << 20
+
+
+class Digest(NamedTuple):
+    """What a pass over all bytes of a file gives: SHA-256 in hexadecimal, and checksums that are not of their bytes."""
+
+    sha256: str
+    damages: list[Damage]
 
 
 class UnusableFileError(LogError):
@@ -189,10 +188,22 @@ class MappedFile:
             hint = "the recording never began, or the copy failed"
             raise UnusableFileError("is empty (0 bytes)", hint, self.path)
 
-    def reopened(self) -> FileIO:
-        """Return the same file for reading from start to end, once at a time, whatever bears its name by now."""
+    def digest(self, section_end: int, section_crc: int) -> Digest:
+        """Digest all bytes from start to end, whatever bears the file's name by now, and check those of the messages.
+
+        The file is read once in pieces, which takes no memory and leaves other threads alone.
+        """
         os.lseek(self._descriptor, 0, os.SEEK_SET)
-        return FileIO(self._descriptor, closefd=False)
+        file, digest, piece = FileIO(self._descriptor, closefd=False), hashlib.sha256(), bytearray(_PIECE)
+        crc, left = 0, section_end if section_crc else 0
+        while count := file.readinto(piece):
+            part = memoryview(piece)[:count]
+            digest.update(part)
+            if left > 0:
+                crc = zlib_ng.crc32(part[:left], crc)
+                left -= count
+        text = "the checksum of all messages is not that of their bytes; some may be wrong"
+        return Digest(digest.hexdigest(), [] if crc == section_crc else [Damage(section_end, text)])
 
     def release(self, start: int, end: int) -> None:
         """Keep what was read from counting as memory of this process; the system reads it again if need be."""

@@ -1,11 +1,12 @@
 """An MCAP file: which channels it has, and their messages as blocks of bytes, never a Python object for each of them.
 
-A file that is not what the format says is refused with the place and what could be saved, or, if that is allowed, read
-as far as its bytes can be believed.
+A file that is not what the format says is read as far as its bytes can be believed, with the places of its damage.
 Source: the MCAP specification, https://mcap.dev/spec.
 """
 
+from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -15,51 +16,109 @@ from mcap import records
 
 from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.logs.container.attachments import (
+from insdvl_replay.logs.container.blocks import Block, Content, content_of, index_entries
+from insdvl_replay.logs.container.chunks import Chunk, ChunkHeader, chunk_header, open_chunk, opened_size
+from insdvl_replay.logs.container.loss import COPY_AGAIN, chunk_span, damage_note
+from insdvl_replay.logs.container.mapped_file import Digest, MappedFile, mapped
+from insdvl_replay.logs.container.mcap_index import McapIndex
+from insdvl_replay.logs.container.records import (
     Attachment,
-    Digest,
+    DamageError,
+    Span,
     attachment_at,
     attachment_damages,
-    checked_digest,
+    described,
+    parsed,
 )
-from insdvl_replay.logs.container.blocks import Block, described
-from insdvl_replay.logs.container.chunk_messages import index_entries
-from insdvl_replay.logs.container.chunk_reader import ChunkReader
-from insdvl_replay.logs.container.chunks import Chunk, ChunkHeader, chunk_header
-from insdvl_replay.logs.container.damage import COPY_AGAIN, Span, damaged_file_error
-from insdvl_replay.logs.container.loss import chunk_span, damage_note
-from insdvl_replay.logs.container.mapped_file import mapped
-from insdvl_replay.logs.container.mcap_index import build_index
-from insdvl_replay.logs.container.records import parsed
+from insdvl_replay.logs.container.scanner import build_index
+
+_AHEAD: Final = 3
+"""Chunks that are opened while the one before is read."""
+_MOST_OPEN: Final = 256 << 20
+"""Bytes that they open to together, if they are more than one."""
+_KEPT: Final = 16 << 20
+"""Bytes of chunks that stay open, since samples of many topics are read from the same ones."""
+_SAMPLED: Final = 2
+"""Chunks with which a sample begins; were more kept, a long reading would not use the same memory again and again."""
+
+
+class _ChunkReader:
+    """Reads the chunks of a file, and tells its index which cannot be opened, and what is wrong inside others."""
+
+    def __init__(self, file: MappedFile, index: McapIndex) -> None:
+        self._file = file
+        self._index = index
+        self._kept: dict[int, Content] = {}
+        self.opened: set[int] = set()
+
+    def contents(self, chunks: Sequence[Chunk]) -> Iterator[Content]:
+        """Go through chunks; those that cannot be opened are dropped."""
+        first = {chunk.offset for chunk in chunks[:_SAMPLED]}
+        ahead: deque[tuple[Chunk, Future[memoryview] | Content]] = deque()
+        sizes: deque[int] = deque()
+        opener = ThreadPoolExecutor(1)
+        try:
+            for chunk in chunks:
+                sizes.append(opened_size(self._file.data, chunk))
+                while ahead and (len(ahead) > _AHEAD or sum(sizes) > _MOST_OPEN):
+                    yield from self._content(*ahead.popleft(), first)
+                    sizes.popleft()
+                kept = self._kept.get(chunk.offset)
+                ahead.append((chunk, kept or opener.submit(open_chunk, self._file.data, chunk)))
+            while ahead:
+                yield from self._content(*ahead.popleft(), first)
+        finally:
+            # Who leaves may be the garbage collector, in the midst of the start of a thread: it must not wait for one.
+            opener.shutdown(wait=False, cancel_futures=True)
+
+    def _content(
+        self, chunk: Chunk, opened: Future[memoryview] | Content, sampled: Collection[int]
+    ) -> Iterator[Content]:
+        self.opened.add(chunk.offset)
+        if isinstance(opened, Content):
+            yield opened
+            return
+        try:
+            content = content_of(self._file.data, chunk, opened.result())
+        except DamageError as error:
+            self._index.drop_chunk(chunk, error.damage)
+            return
+        if content.damages:
+            self._index.trust(chunk, content)
+        if chunk.offset in sampled:
+            self._keep(chunk, content)
+        yield content
+        end = max(start + length for start, length in [(chunk.offset, chunk.length), *chunk.indexes])
+        self._file.release(chunk.offset, end)
+
+    def _keep(self, chunk: Chunk, content: Content) -> None:
+        """Keep a chunk open, and close those that were kept before it for want of room."""
+        self._kept[chunk.offset] = content
+        while sum(len(one.buffer) for one in self._kept.values()) > _KEPT:
+            del self._kept[next(iter(self._kept))]
+
 
 _END_OF_TIME_NS: Final = 2**63
 """Times are signed in numpy as in ROS, and unsigned in the format."""
 
 
-class Log:
-    """An MCAP file, open for reading.
-
-    Parameters
-    ----------
-    allow_damaged : bool
-        Read what can be believed of a damaged file.
+class McapFile:
+    """An MCAP file, open for reading. Damage is collected; whether it is allowed is for the recording to say.
 
     Raises
     ------
     LogError
-        The file cannot be opened, is no MCAP file, or is damaged.
+        The file cannot be opened, or is no MCAP file.
     """
 
-    def __init__(self, path: Path, *, allow_damaged: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self.allow_damaged = allow_damaged
         self._file = mapped(path)
         self._data = self._file.data
         with self._file.watched():
             self._index = build_index(self._data, self._file.release)
         self._file.release(0, len(self._data))
-        self._reader = ChunkReader(self._file, self._index)
-        self._raise_if_damaged()
+        self._reader = _ChunkReader(self._file, self._index)
         self.channels = tuple(
             described(channel, self._index.schemas.get(channel.schema_id), self._index.counts[channel.id])
             for channel in self._index.channels.values()
@@ -89,11 +148,6 @@ class Log:
     def compression(self) -> tuple[str, ...]:
         """The ways in which chunks are compressed, ``none`` for those that are not."""
         return tuple(sorted({header.compression or "none" for header in self._chunk_headers()}))
-
-    @property
-    def parts(self) -> tuple["Log", ...]:
-        """The files of which the log consists: itself."""
-        return (self,)
 
     @property
     def span_ns(self) -> Span | None:
@@ -152,23 +206,24 @@ class Log:
         chunks = (chunk for chunk in self._index.chunks.values() if chunk.kind != "unchunked")
         return [chunk_header(self._data, chunk.offset, chunk.length) for chunk in chunks]
 
-    def digests(self) -> list[Digest]:
+    def digest(self) -> Digest:
         """Go over all bytes of the file. It changes nothing here, so that another thread can do it meanwhile."""
         section_end, section_crc = self._index.data_end or (0, 0)
-        sha256, damages = checked_digest(self._file.reopened(), section_end, section_crc)
-        return [Digest(sha256, damages + attachment_damages(self._data, self._index.attachments))]
+        sha256, damages = self._file.digest(section_end, section_crc)
+        return Digest(sha256, damages + attachment_damages(self._data, self._index.attachments))
 
-    def sha256(self, digests: Sequence[Digest] | None = None) -> str:
-        """Return the digest of the file's bytes, and note wrong checksums that only a whole pass can check."""
-        (digest,) = digests or self.digests()
+    def add_damages(self, digest: Digest) -> None:
+        """Note wrong checksums that only a whole pass can check."""
         for damage in digest.damages:
             self._index.add_damage(damage)
-        self._raise_if_damaged()
-        return digest.sha256
+
+    def require_unchanged(self) -> None:
+        """Refuse the file if it is no longer what it was when it was opened."""
+        self._file.require_unchanged()
 
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """Refuse the log if it has changed by the end since it was opened, above all if that made something fail."""
+        """Refuse the file if it has changed by the end since it was opened, above all if that made something fail."""
         with self._file.watched():
             yield
 
@@ -176,28 +231,19 @@ class Log:
         """Go through the messages of some channels, a chunk at a time; chunks without them stay closed."""
         wanted = [chunk for chunk in self._index.chunks.values() if not chunk.counts.keys().isdisjoint(channel_ids)]
         for content in self._reader.contents(wanted):
-            self._raise_if_damaged()
             yield from content.of(channel_ids)
-        self._raise_if_damaged()
 
-    def check_unopened(self) -> None:
-        """Open the chunks that nobody has opened so far, for their checksums alone."""
+    def check_unopened(self) -> Iterator[None]:
+        """Open the chunks that nobody has opened so far, one by one, for their checksums alone."""
         unopened = [chunk for chunk in self._index.chunks.values() if chunk.offset not in self._reader.opened]
         for _ in self._reader.contents([chunk for chunk in unopened if self._has_checksum(chunk)]):
-            self._raise_if_damaged()
-        self._raise_if_damaged()
+            yield
 
     def _has_checksum(self, chunk: Chunk) -> bool:
         return chunk.kind == "intact" and chunk_header(self._data, chunk.offset, chunk.length).crc != 0
 
     def log_times(self) -> dict[int, TimeNs]:
-        """Return the log times of all messages from the indexes; only chunks without one are opened.
-
-        Returns
-        -------
-        dict of int to ndarray, shape (k,)
-            By channel, in the order of the file; ns.
-        """
+        """Return the log times of all messages by channel, ns; only chunks without an index are opened."""
         parts: dict[int, list[TimeNs]] = {channel.id: [np.empty(0, np.int64)] for channel in self.channels}
         for chunk in self._index.chunks.values():
             for place in chunk.indexes:
@@ -206,7 +252,6 @@ class Log:
         for content in self._reader.contents([chunk for chunk in self._index.chunks.values() if not chunk.indexes]):
             for block in content.of(parts):
                 parts[block.channel_id].append(block.log_time)
-        self._raise_if_damaged()
         return {channel_id: np.concatenate(times) for channel_id, times in parts.items()}
 
     def faults(self) -> list[LogError]:
@@ -218,13 +263,3 @@ class Log:
         ids = self._index.channels.keys()
         for content in self._reader.contents(list(self._index.chunks.values())):
             yield from (block.log_time for block in content.of(ids))
-
-    def damage_error(self) -> LogError | None:
-        """Return the error with which the file would be refused, by the damage found so far."""
-        faults = self.faults()
-        return damaged_file_error(faults, self.saved_times()) if faults else None
-
-    def _raise_if_damaged(self) -> None:
-        if not self.allow_damaged and (error := self.damage_error()) is not None:
-            self._file.require_unchanged()
-            raise error

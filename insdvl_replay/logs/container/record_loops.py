@@ -7,7 +7,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from insdvl_replay.core.compiled import compiled, inlined
-from insdvl_replay.logs.container.record_form import LAST_KNOWN, RECORD_HEADER_SIZE, can_be_record
+from insdvl_replay.logs.container.records import LAST_KNOWN, RECORD_HEADER_SIZE, can_be_record
 
 _DATA_END: Final = int(Opcode.DATA_END)
 inlined(can_be_record)  # which must not load the compiler where it stands

@@ -1,21 +1,143 @@
-"""Columns of chosen fields, from the bytes of a block of messages.
+"""Columns of chosen fields from CDR messages: where their numbers stand in a layout, and what the bits say.
 
 Messages whose strings and sequences have the same lengths share one `layout`, and are read together. In most logs all
 messages of a channel do.
 """
 
+import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.core.compiled import is_loaded
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.container.blocks import Block, gather
-from insdvl_replay.logs.encoding.cdr_numbers import LITTLE_ENDIAN, WORD, Numbers
-from insdvl_replay.logs.encoding.field_paths import Columns, check_path
+from insdvl_replay.logs.encoding.fields import Columns, check_path
 from insdvl_replay.logs.encoding.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
-from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES, Definition, full_name
+from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES, Definition, definition_text, full_name, parse_definitions
+
+LITTLE_ENDIAN: Final = int.from_bytes(ENCAPSULATION[:2], "little")
+"""The first word of messages that can be read."""
+WORD: Final = np.dtype("<u2")
+"""How it stands there."""
+MOST_NUMBERS: Final = 1 << 16
+"""Numbers that are read of one message; a sensor gives some hundreds."""
+_LENGTH: Final = np.dtype("<u4")
+Bits = NDArray[np.int64]
+"""Of n numbers in k messages, shape (n, k)."""
+_Run = tuple[slice, np.dtype[Any]]
+"""Numbers of one kind that stand side by side among the bits."""
+
+
+class Numbers:
+    """The numbers in the messages of one layout that some paths mean, `MOST_NUMBERS` at most."""
+
+    def __init__(self, layout: Layout, paths: Sequence[str]) -> None:
+        self._words = np.array([LITTLE_ENDIAN, *layout.lengths])[:, None]
+        places = [*_places(WORD, 0)]
+        for offset in layout.length_offsets:
+            places += _places(_LENGTH, offset)
+        self._runs: dict[str, list[_Run]] = {path: [] for path in paths}
+        for path, runs in self._runs.items():
+            for dtype, offset in _leaves(layout.dtype, path):
+                if len(places) + math.prod(dtype.shape) > MOST_NUMBERS:
+                    raise LogError(f"'{path}' means more than {MOST_NUMBERS} numbers of a message", "name fewer")
+                goes_on = bool(runs) and runs[-1][1] == dtype.base
+                first = runs.pop()[0].start if goes_on else len(places)
+                places += _places(dtype, offset)
+                runs.append((slice(first, len(places)), dtype.base))
+        self._places = np.array(places, np.int64).T.copy()
+
+    def read(self, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> tuple[NDArray[np.bool_], Columns]:
+        """Read messages that have the size of the layout: which of them have it, and the numbers of these by path."""
+        bits = read_bits(data, starts, self._places)
+        fits = np.asarray((bits[: len(self._words)] == self._words).all(axis=0))
+        bits = bits if fits.all() else bits[:, fits]
+        return fits, {path: _meant(bits, runs) for path, runs in self._runs.items()}
+
+
+def _places(dtype: np.dtype[Any], offset: int) -> Iterator[tuple[int, int, bool]]:
+    """Return offset, size and whether it is signed, of each number of a field."""
+    size = dtype.base.itemsize
+    return ((offset + size * number, size, dtype.base.kind == "i") for number in range(math.prod(dtype.shape)))
+
+
+def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: NDArray[np.int64]) -> Bits:
+    """Read little-endian numbers of messages.
+
+    Parameters
+    ----------
+    starts : ndarray, shape (k,)
+        Where in the data each message starts.
+    places : ndarray, shape (3, n)
+        Of each number in a message: the bytes in front of it; its own, 1, 2, 4 or 8; whether it is a signed whole one.
+        All of them lie in the data.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        Their bits; those of a signed number are filled up so that it stays the same.
+    """
+    if is_loaded():
+        from insdvl_replay.logs.encoding import number_loops
+
+        return number_loops.read_bits(data, starts, places)
+    return read_bits_plainly(data, starts, places)
+
+
+def read_bits_plainly(data: NDArray[np.uint8], starts: NDArray[np.int64], places: NDArray[np.int64]) -> Bits:
+    """Do what `read_bits` does without the compiler, whose loading would take longer than to read a few messages."""
+    bits = np.empty((places.shape[1], starts.size), np.int64)
+    for number, (offset, size, signed) in enumerate(places.T.tolist()):
+        bits[number] = gather(data, starts + offset, np.dtype(f"<{'i' if signed else 'u'}{size}"))
+    return bits
+
+
+def _meant(bits: Bits, runs: Sequence[_Run]) -> NDArray[Any]:
+    """Return the numbers that bits mean, shape (k, n), whole ones as integers if all are whole."""
+    parts = [_numbers(bits[numbers], dtype) for numbers, dtype in runs]
+    return (parts[0] if len(parts) == 1 else np.concatenate([bits[:0], *parts])).T
+
+
+def _numbers(bits: Bits, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return int64 or float64 for the bits of numbers of one kind."""
+    if dtype.kind in "iu":
+        return bits
+    if dtype.kind == "b":
+        return np.asarray(bits != 0, np.int64)
+    return np.asarray(bits.view(np.float64) if dtype.itemsize == 8 else bits.astype(np.uint32).view(np.float32), float)
+
+
+def _leaves(dtype: np.dtype[np.void], path: str) -> Iterator[tuple[np.dtype[Any], int]]:
+    """Find the fields of a layout that a path means, or the elements of them, and where they stand in it."""
+    base, index = _last_index(path)
+    whole, element, places = _pattern(path), _pattern(base), dict(dtype.fields or {})
+    for name in dtype.names or ():
+        field, place = dtype[name], places[name][1]
+        if field.base.kind not in "biuf":
+            continue
+        if whole.match(name):
+            yield field, place
+        elif index is not None and field.shape and element.fullmatch(name):
+            if index == "*":
+                yield field, place
+            elif int(index) < field.shape[0]:
+                yield field.base, place + int(index) * field.base.itemsize
+
+
+def _last_index(path: str) -> tuple[str, str | None]:
+    match = re.fullmatch(r"(.*)\[(\d+|\*)\]", path)
+    return (match[1], match[2]) if match else (path, None)
+
+
+def _pattern(path: str) -> re.Pattern[str]:
+    """Match the field that a path names, and every field below it."""
+    return re.compile(re.escape(path).replace(r"\[\*\]", r"\[\d+\]") + r"(?![^.\[])")
+
 
 _ENCAPSULATIONS: Final = {
     0x00: "big-endian CDR",
@@ -29,27 +151,11 @@ _ENCAPSULATIONS: Final = {
     0x0B: "an XCDR2 parameter list",
 }
 _LONGEST_PADDING: Final = 3
-
 Rows = NDArray[np.int64]
 
 
 class CdrReader:
-    """Reads some fields of all messages of one type.
-
-    Parameters
-    ----------
-    definitions : mapping of str to Definition
-        The type and all types in it.
-    type_name : str
-        Type of the messages.
-    paths : sequence of str
-        The fields, as `field_paths` says.
-
-    Raises
-    ------
-    LogError
-        The type has no such field.
-    """
+    """Reads some fields of all messages of one type, which stands among its definitions with all types in it."""
 
     def __init__(self, definitions: Mapping[str, Definition], type_name: str, paths: Sequence[str]) -> None:
         self._definitions = definitions
@@ -63,13 +169,7 @@ class CdrReader:
             check_path(path, self.known, self._type_name)
 
     def columns(self, block: Block) -> Columns:
-        """Read the fields of all messages of a block.
-
-        Returns
-        -------
-        dict of str to ndarray, shape (k, n)
-            By path. Messages whose sequences are shorter than others' are filled up with NaN.
-        """
+        """Read the fields of all messages of a block, shape (k, n); shorter sequences are filled up with NaN."""
         data = np.frombuffer(block.buffer, np.uint8)
         parts: list[tuple[Rows, Columns]] = []
         left = np.arange(len(block))
@@ -134,6 +234,12 @@ class CdrReader:
 def _chosen(rows: Rows, mask: NDArray[np.bool_]) -> Rows:
     """Return some of the rows; mostly it is all of them, which spares a copy."""
     return rows if mask.all() else rows[mask]
+
+
+@cache
+def definitions_by(type_name: str, schema_text: str) -> dict[str, Definition]:
+    """Parse a schema; one that is empty is that of a known type."""
+    return parse_definitions(type_name, schema_text if schema_text.strip() else definition_text(type_name))
 
 
 def cdr_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:

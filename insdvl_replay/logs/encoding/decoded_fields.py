@@ -11,23 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.logs.container.blocks import Block
-from insdvl_replay.logs.encoding.field_paths import NUMBER, TEXT, Columns, Kinds, check_path
+from insdvl_replay.logs.encoding.fields import NUMBER, TEXT, Columns, Kinds, check_path
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What stands at a place of a message.
+    """What stands at a place of a message: a `NUMBER`, a `TEXT`, or a structure of some name, with its fields in order.
 
-    Attributes
-    ----------
-    kind : str
-        `NUMBER`, `TEXT`, or the name of a structure.
-    fields : mapping of str to Shape
-        What is in a structure, in order.
-    is_list : bool
-        Whether any number of them stand there.
-    may_be_absent : bool
-        Whether a message tells that nothing stands there, apart from zero.
+    Any number of them stand in a list. What may be absent is told apart from zero by the message.
     """
 
     kind: str
@@ -55,17 +46,7 @@ Access = Callable[[Any, str, Shape], Any]
 
 
 class DecodedFields:
-    """Reads some fields of messages that are structures.
-
-    Parameters
-    ----------
-    paths : sequence of str
-        The fields, as `field_paths` says.
-    decode : callable
-        Makes a structure of the bytes of a message.
-    access : Access
-        Of the encoding.
-    """
+    """Reads some fields of messages of which a structure is made, one by one."""
 
     def __init__(
         self, type_name: str, paths: Sequence[str], decode: Callable[[memoryview], Any], access: Access
@@ -88,7 +69,7 @@ class DecodedFields:
         """Look at the first messages, where only they tell what is in them."""
 
     def columns(self, block: Block) -> Columns:
-        """Read the fields of all messages of a block, as `field_paths.FieldReader.columns`."""
+        """Read the fields of all messages of a block, as `fields.FieldReader.columns`."""
         places = zip(block.offsets.tolist(), block.sizes.tolist(), strict=True)
         messages = [self._decode(block.buffer[offset : offset + size]) for offset, size in places]
         if not self._numbers:
@@ -99,14 +80,7 @@ class DecodedFields:
 
 
 def known_paths(shape: Shape, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """List every path of a structure.
-
-    Parameters
-    ----------
-    shape : Shape
-    prefix : str
-        Path of the structure, with a dot behind it.
-    """
+    """List every path of a structure, behind a prefix that ends in a dot."""
     for name, inner in shape.fields.items():
         path = f"{prefix}{name}"
         yield path, inner.kind
@@ -117,28 +91,12 @@ def known_paths(shape: Shape, prefix: str = "") -> Iterator[tuple[str, str]]:
 
 
 def numbers_at(path: str, shape: Shape, access: Access) -> Numbers:
-    """Make the reader of one path.
-
-    Parameters
-    ----------
-    path : str
-        One that the shape knows.
-    shape : Shape
-        Of the whole message.
-    access : Access
-        Of the encoding.
-    """
+    """Make the reader of one path that the shape of the whole message knows."""
     return _inside(shape, [_step(part) for part in path.split(".")], access)
 
 
 def rows_as_columns(rows: Sequence[Sequence[float]]) -> NDArray[Any]:
-    """Make an array of the rows; shorter ones are filled up with NaN.
-
-    Returns
-    -------
-    ndarray, shape (k, n)
-        int64 where all numbers are whole, else float64.
-    """
+    """Make an array of rows, shape (k, n), int64 where all numbers are whole; shorter rows are filled up with NaN."""
     widths = {len(row) for row in rows}
     if len(widths) > 1:
         filled = np.full((len(rows), max(widths)), np.nan)

@@ -8,7 +8,7 @@ import msgspec
 
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.encoding.decoded_fields import DecodedFields, Shape, known_paths
-from insdvl_replay.logs.encoding.field_paths import NUMBER, TEXT
+from insdvl_replay.logs.encoding.fields import NUMBER, TEXT, Kinds
 
 _STRUCTURE: Final = "object"
 _EXAMPLES: Final = 100
@@ -22,27 +22,12 @@ _FIRST: Final = ("sec", "nsec", "nanosec", "x", "y", "z", "w")
 
 
 class JsonReader(DecodedFields):
-    """Reads some fields of all messages of one channel.
-
-    Parameters
-    ----------
-    type_name : str
-        Name of the schema; may be empty.
-    schema_data : bytes
-        A JSON schema; may be empty, then the first messages tell which fields there are.
-    paths : sequence of str
-        The fields, as `field_paths` says.
-
-    Raises
-    ------
-    LogError
-        The schema is no JSON.
-    """
+    """Reads some fields of all messages of one channel; where there is no schema, the first of them tell the fields."""
 
     def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str]) -> None:
         super().__init__(type_name or "a JSON message", paths, _decoded, _access)
         self._shape = json_shape(schema_data)
-        self.known = dict(known_paths(self._shape))
+        self.known = json_paths(schema_data)
         self._looks = 0
         self._missing: LogError | None = None
 
@@ -75,6 +60,11 @@ def _decoded(message: memoryview) -> Any:
             f"a message of {len(message)} bytes is no JSON: {error}",
             "JSON knows no NaN and no infinity; a recorder must write null",
         ) from error
+
+
+def json_paths(schema_data: bytes) -> Kinds:
+    """List every path that a JSON schema knows."""
+    return dict(known_paths(json_shape(schema_data)))
 
 
 def json_shape(schema_data: bytes) -> Shape:

@@ -50,12 +50,7 @@ class Layout:
     lengths: tuple[int, ...]
 
     def new_messages(self, count: int) -> NDArray[np.void]:
-        """Make messages whose header and length words are set and whose fields are zero.
-
-        Returns
-        -------
-        ndarray, shape (count,), of `dtype`
-        """
+        """Make messages, shape (count,), whose header and length words are set and whose fields are zero."""
         template = np.zeros(self.size, np.uint8)
         template[:4] = np.frombuffer(ENCAPSULATION, np.uint8)
         for offset, length in zip(self.length_offsets, self.lengths, strict=True):

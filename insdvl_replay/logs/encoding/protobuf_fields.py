@@ -13,33 +13,12 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.encoding.decoded_fields import DecodedFields, Shape
-from insdvl_replay.logs.encoding.field_paths import (
-    MOST_LEVELS,
-    MOST_PATHS,
-    NUMBER,
-    TEXT,
-    too_large,
-)
+from insdvl_replay.logs.encoding.decoded_fields import DecodedFields, Shape, known_paths
+from insdvl_replay.logs.encoding.fields import MOST_LEVELS, MOST_PATHS, NUMBER, TEXT, Kinds, too_large
 
 
 class ProtobufReader(DecodedFields):
-    """Reads some fields of all messages of one type.
-
-    Parameters
-    ----------
-    type_name : str
-        Full name of the type.
-    schema_data : bytes
-        A serialised ``FileDescriptorSet`` with the type and all that it uses.
-    paths : sequence of str
-        The fields, as `field_paths` says.
-
-    Raises
-    ------
-    LogError
-        The schema cannot be read, or the type has no such field.
-    """
+    """Reads some fields of all messages of one type, by the serialised ``FileDescriptorSet`` with all that it uses."""
 
     def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str]) -> None:
         parse = _message_class(type_name, schema_data).FromString
@@ -55,6 +34,11 @@ class ProtobufReader(DecodedFields):
 
         super().__init__(type_name, paths, decode, _access)
         self.find(protobuf_shape(type_name, schema_data))
+
+
+def protobuf_paths(type_name: str, schema_data: bytes) -> Kinds:
+    """List every path that a type knows."""
+    return dict(known_paths(protobuf_shape(type_name, schema_data)))
 
 
 def protobuf_shape(type_name: str, schema_data: bytes) -> Shape:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.encoding.field_paths import MOST_LEVELS, MOST_PATHS, too_large
+from insdvl_replay.logs.encoding.fields import MOST_LEVELS, MOST_PATHS, too_large
 
 PRIMITIVES: Final[dict[str, str]] = {
     "bool": "?",
@@ -74,15 +74,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Definition:
-    """The fields of one message type, in order.
-
-    Attributes
-    ----------
-    type_name : str
-        As ``package/msg/Type``.
-    fields : tuple of Field
-        Constants are no fields. An empty message has the one byte that IDL demands.
-    """
+    """The fields of one message type, in order: constants are none, and IDL demands one byte at least."""
 
     type_name: str
     fields: tuple[Field, ...]
@@ -101,18 +93,7 @@ def parse_definitions(type_name: str, text: str) -> dict[str, Definition]:
 
 
 def definition_text(type_name: str) -> str:
-    """Assemble the full text of a known type: its own definition, then that of every type in it.
-
-    Parameters
-    ----------
-    type_name : str
-        As ``package/msg/Type``.
-
-    Raises
-    ------
-    LogError
-        The type is not one of those that come with the tool.
-    """
+    """Assemble the full text of a type that comes with the tool: its own definition, then that of every type in it."""
     texts = {name: _known_text(name) for name in _with_dependencies(full_name(type_name))}
     first, *others = texts.items()
     sections = [f"{_SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in others]

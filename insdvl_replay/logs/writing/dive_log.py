@@ -15,8 +15,18 @@ import numpy as np
 from insdvl_replay import __version__
 from insdvl_replay.core.columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TruthColumns
 from insdvl_replay.geometry.rotation import rpy_from_mat, turned
-from insdvl_replay.logs.writing.messages import DVL, IMU, NED, Batch, Column, missing_xyz, solution, stamped, xyz
-from insdvl_replay.logs.writing.writer import write_log
+from insdvl_replay.logs.writing.writer import (
+    DVL,
+    IMU,
+    NED,
+    Batch,
+    Column,
+    missing_xyz,
+    solution,
+    stamped,
+    write_log,
+    xyz,
+)
 
 ALTITUDE_M: Final = 20.0
 """Height above a flat seabed from which the ranges of the beams follow; no filter uses it."""

@@ -41,19 +41,7 @@ _INDEX_ENTRY: Final = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 @dataclass(frozen=True)
 class IndexedChunk:
-    """Message records, as they stand in a chunk, and where each of them begins.
-
-    Attributes
-    ----------
-    data : bytes
-        Records one after the other.
-    channel : ndarray of int64, shape (k,)
-        Of each message.
-    time_ns : ndarray, shape (k,)
-        Of each message, not decreasing.
-    offset : ndarray of int64, shape (k,)
-        Where its record begins in ``data``.
-    """
+    """Message records, as they stand in a chunk; channel, time and place in the data of each of them, shape (k,)."""
 
     data: bytes
     channel: NDArray[np.int64]
@@ -65,11 +53,6 @@ class LogFile:
     """Writes a log from its head to its footer.
 
     Schemas and channels come before the first chunk, and are written at its beginning.
-
-    Parameters
-    ----------
-    profile, library : str
-        Stand in the header.
     """
 
     def __init__(self, stream: BinaryIO, profile: str, library: str) -> None:

@@ -15,7 +15,7 @@ from insdvl_replay.core.table_layout import TableLayout
 from insdvl_replay.core.tables import Tables, each_table
 from insdvl_replay.geometry.frames import MAT_FRD_FLU, east_north_up_m, quat_enu_flu
 from insdvl_replay.geometry.rotation import rpy_from_mat
-from insdvl_replay.logs.writing.messages import (
+from insdvl_replay.logs.writing.writer import (
     BASE_LINK,
     IMU,
     NED,
@@ -28,9 +28,9 @@ from insdvl_replay.logs.writing.messages import (
     solution,
     stamp,
     stamped,
+    write_log,
     xyz,
 )
-from insdvl_replay.logs.writing.writer import write_log
 
 Sampled = tuple[TimeNs, Floats]
 """Times of validity, shape (m,), and vectors in body axes, shape (m, 3)."""

@@ -1,10 +1,12 @@
-"""Batches become a log: MCAP with the profile ``ros2``, indexed, compressed, checked, and the same bytes every time.
+"""Columns become messages, and these a log: MCAP with the profile ``ros2``, indexed, compressed, always the same bytes.
 
-Messages of all topics stand in the order of their times of validity. Source: https://mcap.dev/spec.
+`dive_log` and `replay_log` say what goes where: a `Batch` names for each column the field that it fills. Messages of
+all topics stand in the order of their times of validity. Source: https://mcap.dev/spec.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -13,12 +15,100 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import TimeNs
+from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.encoding.layout import layout_for_texts
 from insdvl_replay.logs.encoding.ros2msg import Definition, definition_text, parse_definitions
 from insdvl_replay.logs.writing.log_file import IndexedChunk, LogFile
-from insdvl_replay.logs.writing.messages import FRAMES, Batch, InUnit
+
+NED: Final = "ned"
+IMU: Final = "imu"
+DVL: Final = "dvl"
+ODOM: Final = "odom"
+BASE_LINK: Final = "base_link"
+FRAMES: Final = {
+    NED: "north-east-down at the vehicle",
+    IMU: "the body: forward-starboard-down at the IMU",
+    DVL: "the DVL: forward-starboard-down of the instrument",
+    ODOM: "east-north-up at the first position",
+    BASE_LINK: "the body with the axes forward-port-up",
+}
+"""What the names in ``frame_id`` mean."""
+
+
+@dataclass(frozen=True)
+class InUnit:
+    """A column in another unit, which is converted as it is written: a copy would take as much memory as the history.
+
+    The values, shape (k,) or (k, n), are SI; the unit is one of the other in SI.
+    """
+
+    values: Floats
+    unit: float
+
+    def __getitem__(self, rows: slice) -> Floats:
+        """Return some rows in the unit."""
+        return self.values[rows] / self.unit
+
+
+Column = NDArray[Any] | InUnit | str | float | tuple[float, ...]
+"""Values of one field: an array with one row per message, or what all messages share."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Messages of one topic whose strings are the same, as columns by the path of the field; others stay zero.
+
+    Times of validity, shape (k,), do not decrease.
+    """
+
+    topic: str
+    type_name: str
+    time_ns: TimeNs
+    columns: Mapping[str, Column]
+
+
+def stamped(topic: str, type_name: str, time_ns: TimeNs, frame: str, columns: Mapping[str, Column]) -> Batch:
+    """Make a batch of messages that begin with a header, whose frame is one of `FRAMES`."""
+    return Batch(topic, type_name, time_ns, {**stamp("header.stamp", time_ns), "header.frame_id": frame, **columns})
+
+
+def stamp(path: str, time_ns: TimeNs) -> dict[str, Column]:
+    """Fill the builtin_interfaces/Time at a path."""
+    seconds, nanoseconds = np.divmod(time_ns, NS_PER_S)
+    return {f"{path}.sec": seconds.astype(np.int32), f"{path}.nanosec": nanoseconds.astype(np.uint32)}
+
+
+def xyz(path: str, vectors: Floats) -> dict[str, Column]:
+    """Fill the geometry_msgs/Vector3 or Point at a path with vectors, shape (k, 3)."""
+    return {f"{path}.{axis}": vectors[:, i] for i, axis in enumerate("xyz")}
+
+
+def missing_xyz(path: str) -> dict[str, Column]:
+    """Fill a geometry_msgs/Vector3 with NaN, for what is not known."""
+    return {f"{path}.{axis}": np.nan for axis in "xyz"}
+
+
+def solution(position: Floats, velocity_n: Floats, rpy: Floats) -> dict[str, Column]:
+    """Fill the fields that insdvl_msgs/NavSolution and FilterState share.
+
+    Positions, shape (k, 3), are latitude rad, longitude rad, height m; roll, pitch and heading rad.
+    """
+    latitude_deg, longitude_deg = np.rad2deg(position[:, :2]).T
+    return {
+        "latitude_deg": latitude_deg,
+        "longitude_deg": longitude_deg,
+        "height_m": position[:, 2],
+        "velocity_ned_mps": velocity_n,
+        **angles(rpy),
+    }
+
+
+def angles(rpy: Floats) -> dict[str, Column]:
+    """Fill roll, pitch and heading, shape (k, 3), rad."""
+    roll_deg, pitch_deg, heading_deg = np.rad2deg(rpy).T
+    return {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "heading_deg": heading_deg}
+
 
 CHUNK_BYTES: Final = 1024 * 1024
 """A chunk is full with the message that exceeds this, before compression."""
@@ -28,18 +118,7 @@ _FRAME_BYTES: Final = np.dtype(_FRAME).itemsize
 
 
 class MessageRecords:
-    """The messages of a batch as records.
-
-    Parameters
-    ----------
-    channel : int
-        Number of its channel.
-
-    Raises
-    ------
-    ValueError
-        The batch names a field that its type does not have.
-    """
+    """The messages of a batch as records of a channel; it names no field that its type does not have."""
 
     def __init__(self, batch: Batch, channel: int) -> None:
         self.batch = batch
@@ -118,6 +197,7 @@ def _definitions(type_name: str) -> dict[str, Definition]:
 
 LIBRARY: Final = "insdvl-replay"
 _STAMP_POLICY: Final = "log_time = publish_time = header.stamp = time of validity"
+
 # No profile at all is the one value that every release of rosbag2 reads.
 _QOS: Final = {"offered_qos_profiles": ""}
 _MAX_TIME_NS: Final = (2**31 - 1) * 1_000_000_000

@@ -1,12 +1,70 @@
-"""What dives are called: every result, table and baseline bears its dive's name, so that no two may share one."""
+"""A dive for the record: what it is called, and what its log holds on each topic.
+
+Every result, table and baseline bears its dive's name, so that no two may share one. Whoever reads a stored report must
+not wait for numpy, which is not needed here.
+"""
 
 import os
 from collections import Counter
 from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from insdvl_replay.core.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The stamps of a topic against the times at which it was recorded.
+
+    Attributes
+    ----------
+    stamp : str
+        Where the stamps come from, as the configuration names it.
+    messages : int
+        How many were read to know it.
+    log_minus_stamp_s : float
+        Median.
+    spread_s : float
+        From the 5th to the 95th percentile of log time minus stamp.
+    back_steps, repeats : int
+        Stamps that lie before, or at, the one before in the file.
+    rate_hz : float or None
+        By the stamps: those that differ, over the time between the first and the last; None where all repeat.
+    """
+
+    role: str
+    topic: str
+    stamp: str
+    messages: int
+    log_minus_stamp_s: float
+    spread_s: float
+    back_steps: int
+    repeats: int
+    rate_hz: float | None
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What a log holds on one topic, for the record.
+
+    Attributes
+    ----------
+    topic, type_name, encoding : str
+        As the log names them.
+    role : str
+        ``imu``, ``dvl``, ``reference``, ``truth``, or empty where the replay has no use for it.
+    messages : int
+        How many messages the log holds.
+    """
+
+    topic: str
+    type_name: str
+    encoding: str
+    role: str
+    messages: int
+
 
 NAMELESS: Final = "dive"
 """What a dive is called whose file has no name but dots."""
@@ -23,13 +81,7 @@ def dive_name(path: Path) -> str:
 
 
 def is_dive_name(name: str) -> bool:
-    """Return whether a name can be that of a dive, and so of a folder or a file below one that is given.
-
-    Parameters
-    ----------
-    name : str
-        From a stored result, which anybody may have written.
-    """
+    """Return whether a name, which anybody may have written, can be that of a dive, and so of a file below a folder."""
     separators = {"/", os.sep, os.altsep or os.sep, "\0"}
     return bool(name.strip(".")) and not separators & set(name) and len(os.fsencode(name)) <= LONGEST_NAME
 
@@ -37,20 +89,8 @@ def is_dive_name(name: str) -> bool:
 def unique_names(paths: Sequence[Path]) -> list[str]:
     """Name each dive after its file, and those that would share a name after as many folders as tell them apart.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Such as ``monday/dive.mcap``, ``tuesday/dive.mcap`` and ``tuesday/test.mcap``.
-
-    Returns
-    -------
-    list of str
-        Such as ``monday_dive``, ``tuesday_dive`` and ``test``.
-
-    Raises
-    ------
-    ConfigError
-        Folders do not tell two dives apart either.
+    Of ``monday/dive.mcap``, ``tuesday/dive.mcap`` and ``tuesday/test.mcap`` these are ``monday_dive``, ``tuesday_dive``
+    and ``test``. A ConfigError names two dives that folders do not tell apart either.
     """
     whole = [(*_whole(path).parts[1:-1], dive_name(path)) for path in paths]
     lengths = [1] * len(paths)

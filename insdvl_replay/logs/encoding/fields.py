@@ -1,37 +1,35 @@
-"""Field paths: one language for the fields of a message, whatever its encoding.
+"""The fields of messages: one language of paths, whatever the encoding, and the reader for that of a channel.
 
 ``imu.gyroscope`` walks down, ``beams[2]`` takes one element of a list and ``beams[*]`` all of them. A path that ends
 at a structure means all numbers in it, in their order; paths joined by commas stand side by side.
+
+What reads an encoding is not loaded before a log has it: protobuf's takes longer than to read a short log.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, Protocol
 
 from numpy.typing import NDArray
 
 from insdvl_replay.core.errors import LogError, most_like, nearest
 from insdvl_replay.logs.container.blocks import Block
+from insdvl_replay.logs.container.records import LogChannel
 
 Columns = dict[str, NDArray[Any]]
 """By field path, one row per message and one column per number; int64 where all numbers are whole, else float64."""
-
 Kinds = Mapping[str, str]
 """Every path that a type knows, with the type of what is there."""
-
 NUMBER: Final = "number"
 """Kind of a `Shape` that is one number."""
 TEXT: Final = "text"
 """Kind of a `Shape` that holds no numbers."""
-
 MOST_PATHS: Final = 1 << 16
 """Paths that a type may have: those of real types are hundreds, and a short schema can mean billions."""
 MOST_LEVELS: Final = 64
 """Structures within structures that a type may have; those of real types are less than ten."""
-
 _LISTED: Final = 24
 """Fields that an error lists at most."""
-
 TEXTS: Final = (TEXT, "string", "wstring")
 """Kinds of what holds no numbers."""
 
@@ -54,13 +52,7 @@ class FieldReader(Protocol):
 
 
 def split_paths(path: str) -> tuple[str, ...]:
-    """Part paths that stand side by side.
-
-    Parameters
-    ----------
-    path : str
-        Such as ``gyro_x, gyro_y, gyro_z``.
-    """
+    """Part paths that stand side by side, such as ``gyro_x, gyro_y, gyro_z``."""
     return tuple(part.strip() for part in path.split(","))
 
 
@@ -98,3 +90,61 @@ def fields_hint(known: Kinds, path: str) -> str:
     listed = ", ".join(f"{name} ({numbers[name]})" for name in shortest_first)
     more = f" and {len(numbers) - len(near)} more" if len(numbers) > len(near) else ""
     return f'its fields are {listed}{more}; "p, q, r" sets fields side by side'
+
+
+ENCODINGS: Final = {"cdr": ("ros2msg", ""), "protobuf": ("protobuf",), "json": ("jsonschema", "")}
+"""Of each encoding of messages that can be read, the encodings of its schemas."""
+
+
+def check_encoding(channel: LogChannel) -> None:
+    """Raise a LogError for a channel whose messages cannot be read."""
+    if channel.schema_encoding not in ENCODINGS.get(channel.encoding, ()):
+        known = ", ".join(f"{name} with {schemas[0]}" for name, schemas in ENCODINGS.items())
+        raise LogError(
+            f"messages on '{channel.topic}' are encoded as {channel.encoding or 'nothing'} with "
+            f"{channel.schema_encoding or 'no'} schema; only {known} can be read",
+            "name another topic, or record the messages in one of these",
+        )
+
+
+def channel_paths(channel: LogChannel) -> Kinds:
+    """List every field path that the schema of a channel knows, once `check_encoding` has let it pass.
+
+    Returns
+    -------
+    mapping of str to str
+        By path the type of what is there; empty where only the messages tell, as in JSON without schema.
+    """
+    if channel.encoding == "protobuf":
+        from insdvl_replay.logs.encoding.protobuf_fields import protobuf_paths
+
+        return protobuf_paths(channel.type_name, channel.schema_data)
+    if channel.encoding == "json":
+        from insdvl_replay.logs.encoding.json_fields import json_paths
+
+        return json_paths(channel.schema_data)
+    from insdvl_replay.logs.encoding.cdr import cdr_paths, definitions_by
+    from insdvl_replay.logs.encoding.ros2msg import full_name
+
+    return dict(cdr_paths(definitions_by(channel.type_name, channel.schema_text), full_name(channel.type_name)))
+
+
+def open_reader(channel: LogChannel, paths: Sequence[str]) -> FieldReader:
+    """Make the reader of some fields of a channel, once `check_encoding` has let it pass.
+
+    Raises
+    ------
+    LogError
+        The schema cannot be read, or knows no such field.
+    """
+    if channel.encoding == "protobuf":
+        from insdvl_replay.logs.encoding.protobuf_fields import ProtobufReader
+
+        return ProtobufReader(channel.type_name, channel.schema_data, paths)
+    if channel.encoding == "json":
+        from insdvl_replay.logs.encoding.json_fields import JsonReader
+
+        return JsonReader(channel.type_name, channel.schema_data, paths)
+    from insdvl_replay.logs.encoding.cdr import CdrReader, definitions_by
+
+    return CdrReader(definitions_by(channel.type_name, channel.schema_text), channel.type_name, paths)
