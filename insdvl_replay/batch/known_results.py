@@ -14,6 +14,7 @@ import msgspec
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
 from insdvl_replay.core.runtime import each
+from insdvl_replay.core.words import Severity
 from insdvl_replay.results.folder import COMPLETE, damaged_files, require_replaceable_folder, trajectory_file
 from insdvl_replay.results.json_report import Report, decode_report, package_versions
 from insdvl_replay.results.workspace import clear_leftovers
@@ -86,7 +87,7 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
         return None
     if damaged:
         text = f"{job.target}: not as its replay wrote it: {listed(damaged)}"
-        return Note(DAMAGED_RESULT, text, len(damaged), "warning")
+        return Note(DAMAGED_RESULT, text, len(damaged), Severity.WARNING)
     return report if same else None
 
 

@@ -16,6 +16,7 @@ from insdvl_replay.core.columns import Dive, Floats, ImuColumns
 from insdvl_replay.core.config import Config, Filter
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.runtime import begin
+from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
@@ -94,7 +95,7 @@ def _beyond_their_sensors(values: Mapping[str, float], imu: ImuColumns) -> Itera
     judged = {key: beyond_the_sensor(key, value, scatter.get(key, 0.0)) for key, value in values.items()}
     if found := [f"{key} = {values[key]:.4g} is {reason}" for key, reason in judged.items() if reason]:
         text = f"the control has fitted noise that cannot be the sensors': {'; '.join(found)}"
-        yield Note("control_out_of_class", text, len(found), "warning", GEOMETRY_FIRST)
+        yield Note("control_out_of_class", text, len(found), Severity.WARNING, GEOMETRY_FIRST)
 
 
 def _noise(baseline: ResolvedFilter) -> dict[str, float]:

@@ -15,6 +15,7 @@ from insdvl_replay.core.columns import DvlColumns, ReferenceColumns, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, FASTEST_MPS
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import wrap_angle
 
 SCALE_DOUBT: Final = 0.1
@@ -58,7 +59,7 @@ def scale_notes(place: str, scale: float, dvl: DvlColumns, config: Config) -> li
     if not 1.0 / FACTOR_OF_UNITS < scale < FACTOR_OF_UNITS:
         raise LogError(text, UNIT_HINT, place)
     hint = f"dvl.scale = {scale * config.dvl.scale:.3f}, or dvl.beam_tilt_deg"
-    return [Note("dvl_scale", text, len(dvl.time_ns), "warning", hint)]
+    return [Note("dvl_scale", text, len(dvl.time_ns), Severity.WARNING, hint)]
 
 
 def _speed_notes(place: str, dvl: DvlColumns) -> list[Note]:
@@ -82,7 +83,8 @@ def _zero_notes(dvl: DvlColumns) -> list[Note]:
         f"{zero.size} of {len(values)} pings are exactly zero, the first {first_s:.1f} s after the first ping: "
         "the instrument may have had no lock"
     )
-    return [Note("dvl_zero", text, int(zero.size), "warning", 'dvl.valid = "field.path" names what marks good pings')]
+    hint = 'dvl.valid = "field.path" names what marks good pings'
+    return [Note("dvl_zero", text, int(zero.size), Severity.WARNING, hint)]
 
 
 def _constant_notes(dvl: DvlColumns) -> list[Note]:
@@ -101,7 +103,7 @@ def _constant_notes(dvl: DvlColumns) -> list[Note]:
                 f"the velocity {name} is {always_mps:g} m/s in all {len(given)} pings that have it, from the first on"
             )
             hint = "dvl.velocity or dvl.beam_velocity names other fields"
-            notes.append(Note("dvl_constant", text, len(given), "warning", hint))
+            notes.append(Note("dvl_constant", text, len(given), Severity.WARNING, hint))
     return notes
 
 
@@ -124,7 +126,7 @@ def _direction_note(found: Fit, dvl: DvlColumns, config: Config) -> Note:
     right = float(wrap_angle(np.asarray(heading * DEG - found.turn))) / DEG
     text = f"the DVL's velocity is turned by {found.turn / DEG:.0f} deg from the reference's, from the first ping on"
     hint = f"dvl.mounting_rpy_deg = [{roll:g}, {pitch:g}, {right:.0f}], or another reference.axes"
-    return Note("dvl_direction", text, len(dvl.time_ns), "warning", hint)
+    return Note("dvl_direction", text, len(dvl.time_ns), Severity.WARNING, hint)
 
 
 def _axes_note(axes: list[str], dvl: DvlColumns) -> Note:
@@ -133,7 +135,7 @@ def _axes_note(axes: list[str], dvl: DvlColumns) -> Note:
         "from the first ping on"
     )
     hint = 'dvl.axes = "flu" where it is "frd" now, or the reverse; for beams, dvl.beam_azimuth_deg'
-    return Note("dvl_axes", text, len(dvl.time_ns), "warning", hint)
+    return Note("dvl_axes", text, len(dvl.time_ns), Severity.WARNING, hint)
 
 
 def _contradiction_note(found: Fit, dvl: DvlColumns) -> Note:
@@ -141,4 +143,4 @@ def _contradiction_note(found: Fit, dvl: DvlColumns) -> Note:
         f"the DVL's velocity does not follow the reference's, from the first ping on (coherence {found.coherence:.2f})"
     )
     hint = "dvl.beam_azimuth_deg, dvl.axes, reference.axes, or dvl.stamp and reference.stamp"
-    return Note("dvl_contradiction", text, len(dvl.time_ns), "warning", hint)
+    return Note("dvl_contradiction", text, len(dvl.time_ns), Severity.WARNING, hint)

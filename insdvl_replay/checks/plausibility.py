@@ -18,6 +18,7 @@ from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns
 from insdvl_replay.core.config import Config, Imu, Initial
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import wrap_angle
 
 UNIT_WRONG: Final = 5.0
@@ -146,13 +147,13 @@ def _gyro_notes(place: str, imu: ImuColumns, found: GyroScale | None, settings: 
     text = f"the angular rate is {found.scale:.3g} times what {found.by} shows, from 0 s on"
     if found.scale < 0.0:
         hint = 'imu.axes = "flu" turns y and z, and imu.specific_force_axes names those of the force where they differ'
-        return [Note("imu_gyro_sign", text, len(imu.time_ns), "warning", hint)]
+        return [Note("imu_gyro_sign", text, len(imu.time_ns), Severity.WARNING, hint)]
     if found.scale > UNIT_WRONG:
         raise LogError(text, 'imu.angular_rate_unit = "deg/s"', place)
     if found.scale < 1.0 / UNIT_WRONG:
         raise LogError(text, 'imu.angular_rate_unit = "rad/s"', place)
     hint = f"imu.angular_rate_scale = {found.scale * settings.angular_rate_scale:.3g}"
-    return [Note("imu_gyro_scale", text, len(imu.time_ns), "warning", hint)]
+    return [Note("imu_gyro_scale", text, len(imu.time_ns), Severity.WARNING, hint)]
 
 
 def _attitude_notes(imu: ImuColumns, by_attitude: AttitudeFit | None) -> list[Note]:
@@ -165,7 +166,7 @@ def _attitude_notes(imu: ImuColumns, by_attitude: AttitudeFit | None) -> list[No
         f"(correlation {by_attitude.correlation:.2f})"
     )
     hint = "imu.axes, reference.axes, or imu.stamp and reference.stamp"
-    return [Note("imu_gyro_contradiction", text, len(imu.time_ns), "warning", hint)]
+    return [Note("imu_gyro_contradiction", text, len(imu.time_ns), Severity.WARNING, hint)]
 
 
 def _axis_notes(imu: ImuColumns, by_attitude: AttitudeFit) -> list[Note]:
@@ -180,7 +181,7 @@ def _axis_notes(imu: ImuColumns, by_attitude: AttitudeFit) -> list[Note]:
             f"the angular rate {AXES[axis]} turns against the reference's attitude, from 0 s on "
             f"(correlation {by_attitude.by_axis[axis]:.2f}), while another axis follows it",
             len(imu.time_ns),
-            "warning",
+            Severity.WARNING,
             "imu.axes, or imu.angular_rate names the fields in another order",
         )
         for axis in axes
@@ -196,7 +197,7 @@ def _track_notes(place: str, track: TrackFit | None, dvl: DvlColumns, config: Co
             f"whatever the heading and the scales, from the first ping on (coherence {track.coherence:.2f})"
         )
         hint = "initial.gyro_bias_degph, imu.axes, dvl.mounting_rpy_deg, or another imu.topic"
-        return [Note("track_contradiction", text, len(dvl.time_ns), "warning", hint)]
+        return [Note("track_contradiction", text, len(dvl.time_ns), Severity.WARNING, hint)]
     if track.coherence < COHERENT:
         return []
     return [*scale_notes(place, track.dvl_scale, dvl, config), *_heading_notes(track.heading, dvl, config.initial)]
@@ -212,4 +213,4 @@ def _heading_notes(heading: float, dvl: DvlColumns, initial: Initial) -> list[No
         f"and {initial.heading_deg:g} deg are configured, from the first ping on"
     )
     hint = f"initial.heading_deg = {heading / DEG:.0f}, or dvl.mounting_rpy_deg where the heading is known"
-    return [Note("dvl_direction", text, len(dvl.time_ns), "warning", hint)]
+    return [Note("dvl_direction", text, len(dvl.time_ns), Severity.WARNING, hint)]

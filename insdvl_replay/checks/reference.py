@@ -14,6 +14,7 @@ from insdvl_replay.checks.imu import Check
 from insdvl_replay.core.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import vector_from_mat
 
@@ -67,7 +68,7 @@ def _scale_notes(reference: ReferenceColumns) -> list[Note]:
             f"(coherence {coherence:.2f})"
         )
         hint = "reference.axes, reference.angle_unit, or the fields reference.latitude, longitude and velocity_n"
-        return [Note("reference_contradiction", text, count, "warning", hint)]
+        return [Note("reference_contradiction", text, count, Severity.WARNING, hint)]
     # Noise of the velocity makes the one too small, noise of the positions the other too large: the scale lies between.
     scale, at_most = float(product / power), float(np.vdot(gone_m, gone_m).real / product)
     # Each leg's own residual stands for its noise, whatever its length.
@@ -79,7 +80,8 @@ def _scale_notes(reference: ReferenceColumns) -> list[Note]:
         f"the positions of the reference go {100.0 * off:.2f} +- {100.0 * scale_sd:.2f} % "
         f"{'further' if scale > 1.0 else 'less far'} than its velocity says; it cannot be right in both"
     )
-    return [Note("reference_scale", text, len(gone_m), "warning", "a DVL whose dvl.scale fits the one fails the other")]
+    hint = "a DVL whose dvl.scale fits the one fails the other"
+    return [Note("reference_scale", text, len(gone_m), Severity.WARNING, hint)]
 
 
 def _ways(reference: ReferenceColumns) -> _Ways:
@@ -188,7 +190,7 @@ def _jump_notes(
         f"{unlike[largest] / factor:.1f} {unit} at {time_s[largest + 1]:.1f} s after the first"
     )
     hint = "--start and --end choose a part without jumps, which count as errors of the filters"
-    return [Note("reference_jump", text, int(jumps.size), "warning", hint)]
+    return [Note("reference_jump", text, int(jumps.size), Severity.WARNING, hint)]
 
 
 MOVING_MPS: Final = 0.1
@@ -219,7 +221,7 @@ def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumn
             "reference_constant",
             f"the {name} of the reference is the same in all its rows, from the first on, while {doing}",
             len(reference.time_ns),
-            "warning",
+            Severity.WARNING,
             "reference.topic and reference.fix name others",
         )
         for name, doing in found

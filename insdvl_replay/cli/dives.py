@@ -15,6 +15,7 @@ from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, wr
 from insdvl_replay.cli.options import Format
 from insdvl_replay.cli.screen import DivesBar, compiling, in_format, spinner
 from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.words import Severity
 from insdvl_replay.report.page import is_page
 from insdvl_replay.results.dive_document import dive_document, report_csv
 from insdvl_replay.results.folder import require_replaceable_file, result_file
@@ -127,7 +128,7 @@ def _report_result(outcome: Outcome, report: Report, run: RunOptions, *, quiet: 
 
 
 def _fail_on_warnings(report: Report, verbosity: int) -> int:
-    warnings = [note.code for note in report.notes if note.severity == "warning"]
+    warnings = [note.code for note in report.notes if note.severity == Severity.WARNING]
     if not warnings:
         return 0
     return log_failure(

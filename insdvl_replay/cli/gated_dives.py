@@ -14,6 +14,7 @@ from insdvl_replay.cli.options import CheckFormat
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, error_context, looked_for
+from insdvl_replay.core.words import GateStatus
 from insdvl_replay.gates.checking import (
     Checked,
     checked_replay,
@@ -107,7 +108,7 @@ def check_dives(
         _update(gates, checked)
     result = judge_dives(gates, checked)
     _report(result, output)
-    codes += [GATE_FAILED] * result.count("failed")
+    codes += [GATE_FAILED] * result.count(GateStatus.FAILED)
     if codes:
         first = result.judgements[0]
         log_to_stderr(

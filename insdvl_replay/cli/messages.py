@@ -12,6 +12,7 @@ import typer
 from insdvl_replay.core.errors import LogError, Note, UserError
 from insdvl_replay.core.plain_text import visible, visible_lines, without_commands
 from insdvl_replay.core.runtime import is_nearly_used_up
+from insdvl_replay.core.words import Severity
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -115,7 +116,7 @@ def log_to_stderr(text: str) -> None:
 def log_notes(notes: Iterable[Note], *, verbose: bool) -> None:
     """Report the warnings; all notes if verbose."""
     for note in notes:
-        if verbose or note.severity == "warning":
+        if verbose or note.severity == Severity.WARNING:
             log_to_stderr(f"{note.severity}: {note.text} [{note.code}]{_hinted(note.hint)}")
 
 

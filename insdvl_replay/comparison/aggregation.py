@@ -8,9 +8,10 @@ from typing import Final
 
 import msgspec
 
-from insdvl_replay.core.changes import Aggregate, Change, Counts, Tally, Word
+from insdvl_replay.core.changes import Aggregate, Change, Tally
 from insdvl_replay.core.errors import ConfigError, Note, require_known
 from insdvl_replay.core.tables import LAYOUTS, StoredReport, StoredResult
+from insdvl_replay.core.words import ChangeWord, Severity
 
 
 def parse_pairs(texts: Iterable[str]) -> dict[str, str]:
@@ -72,12 +73,12 @@ def require_no_strangers(pairs: Iterable[tuple[StoredResult, StoredResult]]) -> 
 
 
 def _one_sided(name: str, side: str, count: int) -> Note:
-    word = "gone" if side == "old" else "new"
+    word = ChangeWord.GONE if side == "old" else ChangeWord.NEW
     return Note(
         "filter_on_one_side",
         f"filter {name} is in the {side} results alone (dives: {count}); its rows are {word}",
         count,
-        "warning",
+        Severity.WARNING,
         "--pair OLD=NEW compares filters of different names",
     )
 
@@ -110,7 +111,7 @@ def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
     """
     cells: dict[tuple[str, str, str, str, str], list[Change]] = {}
     for change in changes:
-        if change.word in {"better", "worse", "same"}:
+        if change.word in {ChangeWord.BETTER, ChangeWord.WORSE, ChangeWord.SAME}:
             key = change.table, change.filter, change.row, change.unit, change.column
             cells.setdefault(key, []).append(change)
     gathered = [_aggregate(key, together) for key, together in cells.items()]
@@ -119,7 +120,7 @@ def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
 
 def tally(changes: Sequence[Change]) -> Tally:
     """Count cells by word, and name the largest loss and gain."""
-    counts: Counts = {"better": 0, "worse": 0, "same": 0, "changed": 0, "new": 0, "gone": 0}
+    counts = dict.fromkeys(ChangeWord, 0)
     for change in changes:
         counts[change.word] += 1
     losses = [change for change in changes if loss_of(change) > 0.0]
@@ -134,12 +135,12 @@ def worst_of(changes: Iterable[Change]) -> Change | None:
     return max(changes, key=lambda change: (_is_chief(change), loss_of(change)), default=None)
 
 
-def loss(word: Word, change_pct: float | None) -> float:
+def loss(word: ChangeWord, change_pct: float | None) -> float:
     """State how much a cell lost, in percent."""
-    if word not in {"better", "worse", "gone"}:
+    if word not in {ChangeWord.BETTER, ChangeWord.WORSE, ChangeWord.GONE}:
         return 0.0
     amount = math.inf if change_pct is None else abs(change_pct)
-    return -amount if word == "better" else amount
+    return -amount if word == ChangeWord.BETTER else amount
 
 
 def loss_of(change: Change) -> float:
@@ -159,10 +160,10 @@ def _aggregate(key: tuple[str, str, str, str, str], changes: Sequence[Change]) -
     return Aggregate(
         *key,
         dives=len(changes),
-        better=words.count("better"),
-        worse=words.count("worse"),
-        same=words.count("same"),
-        share_better_pct=100.0 * words.count("better") / len(words),
+        better=words.count(ChangeWord.BETTER),
+        worse=words.count(ChangeWord.WORSE),
+        same=words.count(ChangeWord.SAME),
+        share_better_pct=100.0 * words.count(ChangeWord.BETTER) / len(words),
         median_change_pct=median(percentages) if percentages else None,
         worst_log=worst.log,
         worst_change_pct=worst.change_pct,

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from insdvl_replay.comparison.aggregation import aggregates, require_no_strangers, tally, with_new_names
-from insdvl_replay.core.changes import Change, Comparison, Difference, DiveComparison, MatchedBy
+from insdvl_replay.core.changes import Change, Comparison, Difference, DiveComparison
 from insdvl_replay.core.errors import ConfigError, Note, require_known
 from insdvl_replay.core.table_layout import TableLayout
 from insdvl_replay.core.tables import LAYOUTS, StoredReport, StoredResult
+from insdvl_replay.core.words import MatchedBy, Severity
 from insdvl_replay.evaluation.row_changes import compare_tables, named_rows
 from insdvl_replay.results.stored_results import read_results
 
@@ -90,11 +91,11 @@ class Matching:
 
 # Results of one log in several folders are told apart by their place, then by their name.
 _KEYS: Final[tuple[tuple[MatchedBy, _Key], ...]] = (
-    ("hash", lambda result: (result.report.log.sha256, result.below)),
-    ("hash", lambda result: (result.report.log.sha256, result.name)),
-    ("hash", lambda result: result.report.log.sha256),
-    ("name", lambda result: (result.name, result.below)),
-    ("name", lambda result: result.name),
+    (MatchedBy.HASH, lambda result: (result.report.log.sha256, result.below)),
+    (MatchedBy.HASH, lambda result: (result.report.log.sha256, result.name)),
+    (MatchedBy.HASH, lambda result: result.report.log.sha256),
+    (MatchedBy.NAME, lambda result: (result.name, result.below)),
+    (MatchedBy.NAME, lambda result: result.name),
 )
 
 
@@ -126,15 +127,15 @@ def match_dives(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> Mat
 
 def _how_alike(old: StoredResult, new: StoredResult) -> MatchedBy:
     if old.report.log.sha256 and old.report.log.sha256 == new.report.log.sha256:
-        return "hash"
-    return "name" if old.name == new.name else "choice"
+        return MatchedBy.HASH
+    return MatchedBy.NAME if old.name == new.name else MatchedBy.CHOICE
 
 
 def _unique(results: Iterable[StoredResult], how: MatchedBy, key: _Key) -> dict[Hashable, StoredResult]:
     """Return the results that are alone with their key. A dive that was never a file has no hash."""
     by_key: dict[Hashable, list[StoredResult]] = {}
     for result in results:
-        if how != "hash" or result.report.log.sha256:
+        if how != MatchedBy.HASH or result.report.log.sha256:
             by_key.setdefault(key(result), []).append(result)
     return {value: together[0] for value, together in by_key.items() if len(together) == 1}
 
@@ -260,12 +261,14 @@ def _table_notes(pairs: _Pairs, layouts: Sequence[TableLayout]) -> Iterator[Note
         for side, word, missing in (("old", "new", (False, True)), ("new", "gone", (True, False))):
             if count := have.count(missing):
                 text = f"table {layout.name}: the {side} results of {count} dives have no rows; all its rows are {word}"
-                yield Note("table_on_one_side", text, count, "warning")
+                yield Note("table_on_one_side", text, count, Severity.WARNING)
     known = {layout.name for layout in LAYOUTS}
     unknown = [table for pair in pairs for result in pair for table in result.report.tables if table not in known]
     for table in dict.fromkeys(unknown):
         text = f"table {table}: this version does not know it, and leaves it out"
-        yield Note("table_unknown", text, unknown.count(table), "warning", "compare with the version that wrote it")
+        yield Note(
+            "table_unknown", text, unknown.count(table), Severity.WARNING, "compare with the version that wrote it"
+        )
 
 
 def _tables_of(changes: Sequence[Change]) -> list[str]:
@@ -276,6 +279,6 @@ def _dives(matching: Matching, by_dive: Sequence[Sequence[Change]]) -> Iterator[
     for (old, new, how), changes in zip(matching.pairs, by_dive, strict=True):
         yield DiveComparison(new.name, str(old.folder), str(new.folder), how, tally(changes))
     for result in matching.gone:
-        yield DiveComparison(result.name, str(result.folder), None, "nothing", None)
+        yield DiveComparison(result.name, str(result.folder), None, MatchedBy.NOTHING, None)
     for result in matching.new:
-        yield DiveComparison(result.name, None, str(result.folder), "nothing", None)
+        yield DiveComparison(result.name, None, str(result.folder), MatchedBy.NOTHING, None)

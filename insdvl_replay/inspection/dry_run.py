@@ -18,6 +18,7 @@ from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, Note, UserError
+from insdvl_replay.core.words import Severity
 from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.roles import Finding, RoleColumns
@@ -122,7 +123,7 @@ class DryRun:
             return
         # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
         text = f"by the first messages alone a replay would stop: {error.inside(self.log.path)}"
-        self.notes.append(Note("first_messages", text, 1, "warning", _LOOK_FURTHER))
+        self.notes.append(Note("first_messages", text, 1, Severity.WARNING, _LOOK_FURTHER))
 
     def _look_at_candidate(self, source: Source) -> None:
         """Keep what one of several topics would give; what is wrong with it is no obstacle yet."""
@@ -171,7 +172,7 @@ class DryRun:
 
     def _remark(self, notes: Iterable[Note]) -> None:
         """Keep notes; of those from a sample the warnings alone, since its counts are not the log's."""
-        kept = (note for note in notes if self.deep or note.severity == "warning")
+        kept = (note for note in notes if self.deep or note.severity == Severity.WARNING)
         self.notes += [replace(note, hint=self._hint(note.hint)) for note in kept]
 
     def _hint(self, hint: str) -> str:
@@ -180,7 +181,7 @@ class DryRun:
 
     def _doubt(self, topic: str, error: UserError) -> None:
         text = f"{topic}: {error.inside(self.log.path, topic)}"
-        self.notes.append(Note("candidate", text, 1, "warning", self._hint(error.hint)))
+        self.notes.append(Note("candidate", text, 1, Severity.WARNING, self._hint(error.hint)))
 
     def _stopped_by(self, error: UserError) -> None:
         self.obstacles.append(Obstacle(error.message, self._hint(error.hint)))

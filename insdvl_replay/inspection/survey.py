@@ -14,6 +14,7 @@ import numpy as np
 from insdvl_replay.core.columns import TimeNs, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
 from insdvl_replay.inspection.proposal import propose
@@ -99,7 +100,7 @@ def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool
     refusals = [error] if not allow_damaged and (error := log.damage_error()) is not None else []
     return Inventory(
         log=_log_facts(log, log_times),
-        reading="whole" if deep else "sample",
+        reading=Reading.WHOLE if deep else Reading.SAMPLE,
         topics=_topics(log.channels, log_times, findings),
         roles=tuple(_role_facts(finding) for finding in findings),
         conventions={source.topic: dict(source.conventions) for source in sources if source.conventions},

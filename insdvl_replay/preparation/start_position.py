@@ -8,6 +8,7 @@ from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Initial
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import wrap_angle
 
 FAR_S: Final = 1.0
@@ -57,7 +58,9 @@ def _far_notes(quantity: str, time_ns: TimeNs, values: Floats, start_ns: int) ->
     if far_s <= FAR_S:
         return []
     text = f"the {quantity} at the start is the reference's {far_s:.1f} s away from it, and is off by as much"
-    return [Note(f"start_{quantity}_far", text, severity="warning", hint=f"--start near the reference's {quantity}s")]
+    return [
+        Note(f"start_{quantity}_far", text, severity=Severity.WARNING, hint=f"--start near the reference's {quantity}s")
+    ]
 
 
 def _latitude_notes(initial: Initial, latitude_deg: float) -> list[Note]:
@@ -69,7 +72,7 @@ def _latitude_notes(initial: Initial, latitude_deg: float) -> list[Note]:
         "which counts"
     )
     hint = "leave initial.latitude_deg out, or name another reference.topic or reference.fix"
-    return [Note("start_latitude_contradiction", text, severity="warning", hint=hint)]
+    return [Note("start_latitude_contradiction", text, severity=Severity.WARNING, hint=hint)]
 
 
 def configured_latitude_deg(initial: Initial) -> float:

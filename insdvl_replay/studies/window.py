@@ -13,6 +13,7 @@ from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.config import Acceleration, Config
 from insdvl_replay.core.dive_names import dive_name
 from insdvl_replay.core.errors import ConfigError, LogError, Note
+from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.acceleration import (
     acceleration_at,
     differentiated_over_s,
@@ -142,7 +143,7 @@ def _studied(
             refused.append(error)
     if not studied:
         raise refused[0]
-    return studied, [Note(LEFT_OUT, f"{error.message}; left out", 1, "warning", error.hint) for error in refused]
+    return studied, [Note(LEFT_OUT, f"{error.message}; left out", 1, Severity.WARNING, error.hint) for error in refused]
 
 
 def _check_names(paths: Sequence[Path]) -> None:

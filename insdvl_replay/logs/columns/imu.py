@@ -13,6 +13,7 @@ from insdvl_replay.core.columns import Floats, ImuColumns, TimeNs, TruthColumns,
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import ANGULAR_RATE_UNITS, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS, SPECIFIC_FORCE_UNITS
+from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few
 from insdvl_replay.logs.columns.order import Mask
 from insdvl_replay.logs.columns.pauses import note_bursts, note_clock_set, note_gaps, note_lost_samples
@@ -53,7 +54,7 @@ def drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Floa
     if count and is_few(count, len(spikes)):
         good = np.ones(len(specific_force_b), np.bool_)
         good[cleaner.rows[spikes]] = False
-        cleaner.keep(good, "spikes", _REASON, "warning", "the instrument or its cable; the pauses are bridged")
+        cleaner.keep(good, "spikes", _REASON, Severity.WARNING, "the instrument or its cable; the pauses are bridged")
 
 
 def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:

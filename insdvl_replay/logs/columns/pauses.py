@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds
+from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.cleaning import Cleaner
 from insdvl_replay.logs.columns.order import Mask
 
@@ -56,7 +57,8 @@ def note_lost_samples(cleaner: Cleaner) -> None:
     )
     much = share >= _MUCH
     first = cleaner.rows[stamped[pauses & near]]
-    cleaner.note("lost_samples", text, lost, "warning" if much else "info", _HINT if much else "", first=first)
+    severity = Severity.WARNING if much else Severity.INFO
+    cleaner.note("lost_samples", text, lost, severity, _HINT if much else "", first=first)
 
 
 def _in_usual_steps(steps_ns: Floats) -> Floats:
@@ -104,7 +106,7 @@ def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
         f"{pauses_ns[gaps].sum() / NS_PER_S:.3f} s in all; {long} longer than {max_gap_s:g} s"
     )
     hint = f"{cleaner.role}.max_gap_s says which are harmless" if long else ""
-    cleaner.note("gaps", text, gaps.size, "warning" if long else "info", hint, first=cleaner.rows[gaps])
+    cleaner.note("gaps", text, gaps.size, Severity.WARNING if long else Severity.INFO, hint, first=cleaner.rows[gaps])
 
 
 def note_clock_set(cleaner: Cleaner, steps_ns: TimeNs) -> None:
@@ -118,7 +120,7 @@ def note_clock_set(cleaner: Cleaner, steps_ns: TimeNs) -> None:
         "recorded, or two dives are in it"
     )
     hint = "--start and --end choose what is before or behind"
-    cleaner.note("clock_set", text, steps.size, "warning", hint, first=cleaner.rows[steps])
+    cleaner.note("clock_set", text, steps.size, Severity.WARNING, hint, first=cleaner.rows[steps])
 
 
 def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
@@ -136,4 +138,4 @@ def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
         f"step of {usual_ns / NS_PER_S:.4f} s after the one before: stamps in bursts are those of a delivery"
     )
     hint = f"{cleaner.stamp_hint}; else raise {remedy} until the mean NIS is that of a consistent filter"
-    cleaner.note("bursts", text, together.size, "warning", hint, first=cleaner.rows[together])
+    cleaner.note("bursts", text, together.size, Severity.WARNING, hint, first=cleaner.rows[together])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.channel import Clock
 from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds
 from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.clocks import measure_clock, stamp_unit
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.damage import COPY_AGAIN, damaged_file_error
@@ -210,7 +211,7 @@ def _missing_note(table: Table) -> Note | None:
     if announced == found:
         return None
     text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
-    return Note("messages_missing", text, abs(announced - found), "warning", COPY_AGAIN)
+    return Note("messages_missing", text, abs(announced - found), Severity.WARNING, COPY_AGAIN)
 
 
 def _unreadable_note(table: Table) -> Note | None:
@@ -222,7 +223,7 @@ def _unreadable_note(table: Table) -> Note | None:
         f"{table.source.topic}: {count} messages cannot be read and are left out, the first {behind_s.min():.3f} s and "
         f"the last {behind_s.max():.3f} s behind the first that can: {table.fault.message}"
     )
-    return Note("messages_unreadable", text, count, "warning", COPY_AGAIN)
+    return Note("messages_unreadable", text, count, Severity.WARNING, COPY_AGAIN)
 
 
 def _duplicates_note(table: Table) -> Note | None:
