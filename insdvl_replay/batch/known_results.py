@@ -15,7 +15,7 @@ from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.words import Severity
-from insdvl_replay.results.folder import COMPLETE, damaged_files, require_replaceable_folder, trajectory_file
+from insdvl_replay.results.folder import COMPLETE, NOT_JSON, damaged_files, require_replaceable_folder, trajectory_file
 from insdvl_replay.results.json_report import Report, decode_report, package_versions
 from insdvl_replay.results.workspace import clear_leftovers
 
@@ -83,7 +83,7 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
             and log_digest(job) == report.log.sha256
         )
         damaged = damaged_files(job.target) if same else []
-    except (OSError, msgspec.DecodeError, UserError):  # a log that is no longer whole is told by its replay
+    except (OSError, *NOT_JSON, UserError):  # a log that is no longer whole is told by its replay
         return None
     if damaged:
         text = f"{job.target}: not as its replay wrote it: {listed(damaged)}"
