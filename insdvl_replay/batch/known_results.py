@@ -83,7 +83,7 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
             and log_digest(job) == report.log.sha256
         )
         damaged = damaged_files(job.target) if same else []
-    except (OSError, *NOT_JSON, UserError):  # a log that is no longer whole is told by its replay
+    except (OSError, *NOT_JSON, UserError):  # a log that is no longer whole is reported by its replay
         return None
     if damaged:
         text = f"{job.target}: not as its replay wrote it: {listed(damaged)}"

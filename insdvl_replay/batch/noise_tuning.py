@@ -121,16 +121,16 @@ def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, befor
     begin("running the filters")
     timeline = prepared_timeline(dive, start)
 
-    def unlikelihood(logarithms: Floats) -> float:
+    def negative_log_likelihood(logarithms: Floats) -> float:
         tried = resolve_filter(NAME, filter_with(logarithms), config, from_beams=start.velocities.from_beams)
         history = run_one(tried, start, timeline)
         return -round(log_likelihood(history.innovations[0]), LIKELIHOOD_DIGITS)
 
-    best = min(np.log(STARTS), key=unlikelihood)
+    best = min(np.log(STARTS), key=negative_log_likelihood)
     for step in (-2.0, 0.5):  # the second search frees what fell flat against an edge
         simplex = best + np.vstack([np.zeros(3), step * np.eye(3)])
         found = minimize(
-            unlikelihood,
+            negative_log_likelihood,
             best,
             method="Nelder-Mead",
             options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.1, "maxfev": 150},

@@ -18,8 +18,8 @@ from insdvl_replay.geometry.beams import DvlMounting, solve_beams
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import wrap_angle
 
-_LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and a lever arm's swing
-_LEAST_SWING_MPS: Final = 0.015  # below it a DVL shows its noise
+_LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and the velocity of a lever arm
+_LEAST_VARIATION_MPS: Final = 0.015  # below it a DVL shows its noise
 _TRACK_WINDOW_S: Final = 10.0
 _LEAST_WINDOW_M: Final = 3.0  # above the noise of a satellite fix
 _LEAST_TRACK_TURN: Final = np.pi / 2.0
@@ -55,7 +55,7 @@ class TrackFit:
     Attributes
     ----------
     gyro_scale : float or None
-        Measured over true; None where the vehicle turned too little to tell.
+        Measured over true; None where the vehicle turned too little for it.
     dvl_scale : float
         Measured over true.
     heading : float
@@ -120,7 +120,7 @@ def axes_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Confi
     found = np.full(3, np.nan)
     if len(true_b) < ENOUGH:
         return found
-    for axis in np.flatnonzero((true_b.std(axis=0) > _LEAST_SWING_MPS) & (measured_b.std(axis=0) > 0.0)):
+    for axis in np.flatnonzero((true_b.std(axis=0) > _LEAST_VARIATION_MPS) & (measured_b.std(axis=0) > 0.0)):
         found[axis] = np.corrcoef(measured_b[:, axis], true_b[:, axis])[0, 1]
     return found
 
@@ -209,9 +209,9 @@ def _windows(fix_ns: TimeNs, ping_ns: TimeNs) -> tuple[NDArray[np.int64], NDArra
     first = np.flatnonzero(last < len(fix_ns))
     last = last[first]
     pauses_ns = ping_ns[1:][np.diff(ping_ns) > nanoseconds(LONGEST_STEP_S)]
-    heard = np.searchsorted(pauses_ns, fix_ns[first]) == np.searchsorted(pauses_ns, fix_ns[last])
+    unbroken = np.searchsorted(pauses_ns, fix_ns[first]) == np.searchsorted(pauses_ns, fix_ns[last])
     close = fix_ns[last] - fix_ns[first] < nanoseconds(2.0 * _TRACK_WINDOW_S)
-    return first[heard & close], last[heard & close]
+    return first[unbroken & close], last[unbroken & close]
 
 
 def _travelled_m(ping_ns: TimeNs, velocity: Complex, at_ns: TimeNs) -> Complex:

@@ -1,4 +1,4 @@
-"""The gyros against who else knows how the vehicle turned: the reference's attitude, or the swing of gravity."""
+"""The gyros against who else knows how the vehicle turned: the reference's attitude, or the direction of gravity."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -31,16 +31,16 @@ class AttitudeFit:
         Measured over true.
     correlation : float
         1 or -1 where the gyros show nothing else.
-    swing : ndarray, shape (3,)
-        How far the reference's attitude goes to and fro about each axis, rad: of a vehicle that lies still there is
-        only noise to compare.
+    excursion : ndarray, shape (3,)
+        From the least to the largest angle of the reference's attitude about each axis, rad: of a vehicle that lies
+        still there is only noise to compare.
     by_axis : ndarray, shape (3,)
         The correlation about each axis.
     """
 
     scale: float
     correlation: float
-    swing: Floats
+    excursion: Floats
     by_axis: Floats
 
 
@@ -50,7 +50,7 @@ def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFi
     Returns
     -------
     AttitudeFit or None
-        None where the vehicle turned too little to tell.
+        None where the vehicle turned too little for it.
     """
     rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)) & lies_within(reference.time_ns, imu.time_ns))
     time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
@@ -69,7 +69,7 @@ def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFi
     return AttitudeFit(
         scale=float(product.sum() / power.sum()),
         correlation=float(_correlation(product.sum(), power.sum() * summed_power.sum())),
-        swing=np.ptp(np.cumsum(turned, axis=0), axis=0),
+        excursion=np.ptp(np.cumsum(turned, axis=0), axis=0),
         by_axis=_correlation(product, power * summed_power),
     )
 

@@ -105,7 +105,7 @@ def _dead_notes(place: str, imu: ImuColumns) -> list[Note]:
 
 
 def _is_constant(column: Floats) -> bool:
-    """Return whether all numbers are the same; the first few mostly tell that they are not."""
+    """Return whether all numbers are the same; the first few mostly show that they are not."""
     return bool(np.all(column[:_FEW] == column[0]) and np.all(column == column[0]))
 
 

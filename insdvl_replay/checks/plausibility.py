@@ -25,12 +25,12 @@ UNIT_WRONG: Final = 5.0
 """Factor of the angular rate at which it is another unit: deg/s are 57 times rad/s."""
 TRACK_DOUBT: Final = 0.15
 """The same for gyros seen through a track, whose DVL and positions have errors of their own."""
-GRAVITY_SWING: Final = 0.7
-"""The same for gyros seen by gravity, which in a moving vehicle swings with its own acceleration."""
+TILT_DOUBT: Final = 0.7
+"""The same for gyros seen by gravity, to which a moving vehicle adds its own acceleration."""
 AXIS_AGAINST: Final = 0.7
 """Correlation about one axis, of the opposite sign, that is no noise."""
-LEAST_SWING: Final = 3.0 * DEG
-"""Attitudes of a vehicle that swings less are no witness against its gyros."""
+LEAST_EXCURSION: Final = 3.0 * DEG
+"""Attitudes of a vehicle that turns less cannot check its gyros."""
 HEADING_DOUBT: Final = 30.0 * DEG
 """Beyond what gyro bias turns a track during a dive."""
 
@@ -44,7 +44,7 @@ class GyroScale:
     scale : float
         Angular rate measured over true.
     by : str
-        Who says so.
+        The source of the comparison.
     tolerance : float
         Factor up to which it is in order.
     """
@@ -116,7 +116,7 @@ def gyro_scale(
     Returns
     -------
     GyroScale or None
-        None where the vehicle moved too little to tell.
+        None where the vehicle moved too little for it.
     """
     return _best_scale(imu, *_comparisons(imu, dvl, reference, config))
 
@@ -132,13 +132,13 @@ def _comparisons(
 
 
 def _best_scale(imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFit | None) -> GyroScale | None:
-    """Ask for the scale of the gyros whoever knows it best."""
+    """Return the scale of the gyros by the best source that there is."""
     if by_attitude is not None and abs(by_attitude.correlation) > COHERENT:
         return GyroScale(by_attitude.scale, "the reference's attitude", 1.0 + SCALE_DOUBT)
     if track is not None and track.gyro_scale is not None and track.coherence > COHERENT:
         return GyroScale(track.gyro_scale, "the DVL's track against the reference's positions", 1.0 + TRACK_DOUBT)
     by_gravity = gyro_by_gravity(imu)
-    return GyroScale(by_gravity, "the swing of gravity", 1.0 + GRAVITY_SWING) if by_gravity is not None else None
+    return GyroScale(by_gravity, "the swing of gravity", 1.0 + TILT_DOUBT) if by_gravity is not None else None
 
 
 def _gyro_notes(place: str, imu: ImuColumns, found: GyroScale | None, settings: Imu) -> list[Note]:
@@ -157,7 +157,7 @@ def _gyro_notes(place: str, imu: ImuColumns, found: GyroScale | None, settings: 
 
 
 def _attitude_notes(imu: ImuColumns, by_attitude: AttitudeFit | None) -> list[Note]:
-    if by_attitude is None or by_attitude.swing.max() < LEAST_SWING:
+    if by_attitude is None or by_attitude.excursion.max() < LEAST_EXCURSION:
         return []
     if abs(by_attitude.correlation) >= INCOHERENT:
         return _axis_notes(imu, by_attitude)
@@ -171,7 +171,7 @@ def _attitude_notes(imu: ImuColumns, by_attitude: AttitudeFit | None) -> list[No
 
 def _axis_notes(imu: ImuColumns, by_attitude: AttitudeFit) -> list[Note]:
     """Find axes that turn the other way while another one follows the reference."""
-    known = by_attitude.swing >= LEAST_SWING
+    known = by_attitude.excursion >= LEAST_EXCURSION
     if not np.any(known & (by_attitude.by_axis > AXIS_AGAINST)):
         return []
     axes = np.flatnonzero(known & (by_attitude.by_axis < -AXIS_AGAINST)).tolist()

@@ -1,4 +1,4 @@
-"""The door: it parses, calls, prints and exits. Nothing else prints, and exit codes are made here alone.
+"""The command line: it parses, calls, prints and exits. Nothing else prints, and exit codes are made here alone.
 
 0 done; 1 a limit is exceeded; 2 usage or configuration; 3 a log or a stored result cannot be used; 4 a mistake of ours;
 130 interrupted. An interruption after the code is decided, as the interpreter ends, does not change it.
@@ -16,7 +16,7 @@ from insdvl_replay.cli.messages import open_outlets, report_lost_output
 from insdvl_replay.core.runtime import collect_rarely, use_small_pages
 
 INTERRUPTED = 130
-LONGEST_FAREWELL_S = 5.0
+LONGEST_SHUTDOWN_S = 5.0
 AGAIN_S = 0.02
 
 
@@ -27,7 +27,7 @@ def main() -> NoReturn:
         _listen()
         collect_rarely()
         use_small_pages()
-        # numpy's word on overflows would point to lines of ours; what is not finite is told by notes and status words.
+        # numpy's word on overflows would point to lines of ours; what is not finite stands in notes and status words.
         warnings.filterwarnings("ignore", category=RuntimeWarning)
         code = run_command_line(sys.argv[1:])
         _listen_no_more()
@@ -40,16 +40,16 @@ def main() -> NoReturn:
         sys.unraisablehook = lambda _: None
         # On its way out the interpreter waits for threads, and they, without end, for a worker that was ended while it
         # sent its result.
-        impatience = threading.Timer(LONGEST_FAREWELL_S, os._exit, (code,))
-        impatience.daemon = True
-        impatience.start()
+        forced_exit = threading.Timer(LONGEST_SHUTDOWN_S, os._exit, (code,))
+        forced_exit.daemon = True
+        forced_exit.start()
     sys.exit(max(code, report_lost_output(out, err)))
 
 
 def run_command_line(arguments: list[str]) -> int:
     """Run one command."""
     try:
-        # Imported here, so that an interruption during the import is told like any other.
+        # Imported here, so that an interruption during the import is reported like any other.
         from insdvl_replay.cli.app import app
         from insdvl_replay.cli.messages import log_failure, typed_verbosity
 

@@ -23,7 +23,7 @@ from insdvl_replay.results.json_report import Report, encode_report
 from insdvl_replay.results.overviews import Failure, index_page, is_summary, summary_csv
 
 OVERVIEWS: Final = {"summary.csv": (summary_csv, is_summary), "index.html": (index_page, is_page)}
-"""What lays several dives beside each other, and tells it from somebody else's work, by the name of its file."""
+"""What lays several dives beside each other, and by the name of its file is known from somebody else's work."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class RunOptions:
     cluster : Cluster, optional
         In place of this machine.
     verbosity : int
-        1: say all notes, not the warnings alone; 2: also where in the code an error arose.
+        1: print all notes, not the warnings alone; 2: also where in the code an error arose.
     """
 
     format: Format
@@ -86,7 +86,7 @@ def replay_dives(names: Sequence[str], output: Path, options: ReplayOptions, run
 def outcomes(
     dives: Sequence[ReplayJob], jobs: int, cluster: Cluster | None, *, force: bool, rerun: bool
 ) -> Generator[Outcome, None, None]:
-    """Replay what has changed, and say on a terminal how far it is."""
+    """Replay what has changed, and show the progress on a terminal."""
     known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
     changed = [dive for dive in dives if dive.target not in known]
     workers = local_workers(max(1, min(jobs, len(changed)))) if cluster is None else cluster_workers(cluster)

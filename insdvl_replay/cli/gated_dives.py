@@ -20,7 +20,7 @@ from insdvl_replay.gates.checking import (
     checked_replay,
     checked_results,
     compare_with_baselines,
-    judge_dives,
+    evaluate_gates,
     write_baselines,
 )
 from insdvl_replay.gates.gate_file import Gates, load_gates, require_known_names
@@ -106,7 +106,7 @@ def check_dives(
     codes = [log_failure(result, output.verbosity) for _, result in checked if isinstance(result, Exception)]
     if check.update:
         _update(gates, checked)
-    result = judge_dives(gates, checked)
+    result = evaluate_gates(gates, checked)
     _report(result, output)
     codes += [GATE_FAILED] * result.count(GateStatus.FAILED)
     if codes:

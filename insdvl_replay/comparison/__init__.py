@@ -1,4 +1,4 @@
 """Two sets of results laid beside each other, dive by dive and cell by cell.
 
-`comparison` joins the steps, `document` says what is shown of it.
+`comparison` joins the steps, `document` lays it out.
 """

@@ -93,7 +93,7 @@ def _renamed(report: StoredReport, pairs: Mapping[str, str]) -> StoredReport:
     return msgspec.structs.replace(report, tables=tables, filters=filters, baseline=baseline)
 
 
-_CHIEF: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.chief, *layout.words)}
+_PRIMARY: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.primary, *layout.words)}
 """Columns that a reader looks at first, and words with a rank, which sum up numbers."""
 _ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
 
@@ -126,13 +126,13 @@ def tally(changes: Sequence[Change]) -> Tally:
     losses = [change for change in changes if loss_of(change) > 0.0]
     gains = [change for change in changes if loss_of(change) < 0.0]
     return Tally(
-        counts, worst_of(losses), max(gains, key=lambda change: (_is_chief(change), -loss_of(change)), default=None)
+        counts, worst_of(losses), max(gains, key=lambda change: (_is_primary(change), -loss_of(change)), default=None)
     )
 
 
 def worst_of(changes: Iterable[Change]) -> Change | None:
-    """Name the largest loss, in the chief column of a table before all others; the first of equals."""
-    return max(changes, key=lambda change: (_is_chief(change), loss_of(change)), default=None)
+    """Name the largest loss, in the primary column of a table before all others; the first of equals."""
+    return max(changes, key=lambda change: (_is_primary(change), loss_of(change)), default=None)
 
 
 def loss(word: ChangeWord, change_pct: float | None) -> float:
@@ -148,9 +148,9 @@ def loss_of(change: Change) -> float:
     return loss(change.word, change.change_pct)
 
 
-def _is_chief(change: Change) -> bool:
+def _is_primary(change: Change) -> bool:
     """Return whether a cell is what a reader looks at first. Words with a rank are: they sum up all numbers."""
-    return (change.table, change.column) in _CHIEF
+    return (change.table, change.column) in _PRIMARY
 
 
 def _aggregate(key: tuple[str, str, str, str, str], changes: Sequence[Change]) -> Aggregate:

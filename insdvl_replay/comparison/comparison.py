@@ -80,12 +80,12 @@ class Matching:
     ----------
     pairs : tuple of (StoredResult, StoredResult, str)
         Old, new, and what they were matched by; in the order of the new ones.
-    gone, new : tuple of StoredResult
+    removed, new : tuple of StoredResult
         Without counterpart.
     """
 
     pairs: tuple[tuple[StoredResult, StoredResult, MatchedBy], ...]
-    gone: tuple[StoredResult, ...]
+    removed: tuple[StoredResult, ...]
     new: tuple[StoredResult, ...]
 
 
@@ -278,7 +278,7 @@ def _tables_of(changes: Sequence[Change]) -> list[str]:
 def _dives(matching: Matching, by_dive: Sequence[Sequence[Change]]) -> Iterator[DiveComparison]:
     for (old, new, how), changes in zip(matching.pairs, by_dive, strict=True):
         yield DiveComparison(new.name, str(old.folder), str(new.folder), how, tally(changes))
-    for result in matching.gone:
+    for result in matching.removed:
         yield DiveComparison(result.name, str(result.folder), None, MatchedBy.NOTHING, None)
     for result in matching.new:
         yield DiveComparison(result.name, None, str(result.folder), MatchedBy.NOTHING, None)

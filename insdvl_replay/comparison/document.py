@@ -19,7 +19,7 @@ from insdvl_replay.core.words import ChangeWord
 from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import MISSING, Callout, DisplayTable, Only, Part, Sentences, Title, counted
 
-_HASH_SHOWN: Final = 12
+_HASH_DIGITS: Final = 12
 _NAMED_DIVES: Final = 2
 
 
@@ -85,15 +85,15 @@ def _dive_row(dive: DiveComparison) -> tuple[object, ...]:
     return dive.log, dive.old, dive.new, dive.matched_by, *counts
 
 
-def breach_sentence(breach: Violation) -> str:
+def violation_sentence(violation: Violation) -> str:
     """State how much is worse than allowed, and what most."""
     reasons = []
-    if breach.worst is not None:
-        verb = "are" if breach.count > 1 else "is"
-        much = f"{counted(breach.count, 'value')} {_too_far(breach.limit, verb)}"
-        reasons.append(f"{much}; worst: {described(breach.worst)}")
-    if breach.dives:
-        reasons.append(f"{counted(len(breach.dives), 'dive')} without counterpart: {', '.join(breach.dives)}")
+    if violation.worst is not None:
+        verb = "are" if violation.count > 1 else "is"
+        much = f"{counted(violation.count, 'value')} {_too_far(violation.limit, verb)}"
+        reasons.append(f"{much}; worst: {described(violation.worst)}")
+    if violation.dives:
+        reasons.append(f"{counted(len(violation.dives), 'dive')} without counterpart: {', '.join(violation.dives)}")
     return "; ".join(reasons)
 
 
@@ -118,8 +118,8 @@ def _differences(differences: Sequence[Difference], dives: int) -> Iterator[Disp
         tuple(
             (
                 f"{difference.block} {difference.key}",
-                _shown(difference, difference.old),
-                _shown(difference, difference.new),
+                _value_text(difference, difference.old),
+                _value_text(difference, difference.new),
                 *(() if of_all else (_where(difference.logs, dives),)),
             )
             for difference in differences
@@ -127,10 +127,10 @@ def _differences(differences: Sequence[Difference], dives: int) -> Iterator[Disp
     )
 
 
-def _shown(difference: Difference, value: str | None) -> str:
+def _value_text(difference: Difference, value: str | None) -> str:
     if value is None:
         return MISSING
-    return value[:_HASH_SHOWN] if difference.key == "sha256" else value
+    return value[:_HASH_DIGITS] if difference.key == "sha256" else value
 
 
 def _where(logs: Sequence[str], dives: int) -> str:

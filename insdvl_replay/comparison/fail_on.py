@@ -56,7 +56,7 @@ def parse_limit(text: str) -> Limit:
     )
 
 
-def breach(comparison: Comparison, limit: Limit) -> Violation | None:
+def find_violation(comparison: Comparison, limit: Limit) -> Violation | None:
     """Find what exceeds a limit.
 
     Returns

@@ -13,11 +13,11 @@ from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, Cell
 from insdvl_replay.core.words import ChangeWord
 from insdvl_replay.report.document import MISSING, Column, DisplayTable, number, row_label, table_of
 
-Order = Literal["table", "name", "change", "worse"]
+SortOrder = Literal["table", "name", "change", "worse"]
 """As in the reports; by row; largest change first; largest loss first."""
 
 
-def arranged(comparison: Comparison, order: Order, *, only_changed: bool) -> Comparison:
+def in_order(comparison: Comparison, order: SortOrder, *, only_changed: bool) -> Comparison:
     """Put changes and aggregates into an order; counts stay those of all.
 
     Parameters

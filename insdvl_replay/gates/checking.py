@@ -57,10 +57,10 @@ def _checked_result(result: StoredResult) -> Checked:
     )
 
 
-def judge_dives(gates: Gates, dives: Iterable[Checked]) -> CheckResult:
+def evaluate_gates(gates: Gates, dives: Iterable[Checked]) -> CheckResult:
     """Hold every dive against every gate."""
     judgements = [
-        _judged(gates, gate, line, name, result)
+        _evaluated(gates, gate, line, name, result)
         for name, result in dives
         for gate, line in zip(gates.content.gate, gates.lines, strict=True)
     ]
@@ -68,7 +68,7 @@ def judge_dives(gates: Gates, dives: Iterable[Checked]) -> CheckResult:
     return CheckResult(str(gates.path), tuple(judgements))
 
 
-def _judged(gates: Gates, gate: Gate, line: int, name: str, result: StoredReport | Exception) -> Judgement:
+def _evaluated(gates: Gates, gate: Gate, line: int, name: str, result: StoredReport | Exception) -> Judgement:
     if gate.level == GateLevel.OFF:
         return Judgement(name, gate.name, GateStatus.OFF, line=line)
     if isinstance(result, Exception):

@@ -52,8 +52,8 @@ def _add_case(suite: ElementTree.Element, judgement: Judgement) -> None:
     if element := _ELEMENTS.get(judgement.status):
         message = {"message": _clean("; ".join(map(visible, judgement.reasons)) or judgement.status)}
         kind = {} if element == "skipped" else {"type": judgement.status}
-        told = ElementTree.SubElement(case, element, {**message, **kind})
-        told.text = _clean("\n".join(map(visible, judgement.reasons)))
+        entry = ElementTree.SubElement(case, element, {**message, **kind})
+        entry.text = _clean("\n".join(map(visible, judgement.reasons)))
 
 
 def _clean(text: str) -> str:
@@ -75,7 +75,7 @@ _COUNTED: Final[dict[GateStatus, str]] = {
     GateStatus.OFF: "off",
     GateStatus.PASSED: "passed",
 }
-SHOWN: Final = 10
+MOST_ANNOTATIONS: Final = 10
 """Annotations of a level that a step on GitHub shows; what is beyond that is counted in the last one."""
 
 
@@ -160,7 +160,7 @@ def baseline_text(changes: Sequence[tuple[str, Finding]]) -> str:
     str
         A line for each value that is new or moved in what it shows, and how many are as before.
     """
-    moved = [(dive, finding) for dive, finding in changes if _shown(finding.was) != _shown(finding.value)]
+    moved = [(dive, finding) for dive, finding in changes if _value_text(finding.was) != _value_text(finding.value)]
     lines = [f"{dive}: {_movement(finding)}" for dive, finding in moved]
     return "".join(
         f"{visible(line)}\n"
@@ -169,9 +169,9 @@ def baseline_text(changes: Sequence[tuple[str, Finding]]) -> str:
 
 
 def _commands(level: str, file: str, judgements: Sequence[Judgement]) -> list[str]:
-    shown = judgements if len(judgements) <= SHOWN else judgements[: SHOWN - 1]
-    lines = [_of_judgement(level, file, item) for item in shown]
-    if hidden := len(judgements) - len(shown):
+    listed = judgements if len(judgements) <= MOST_ANNOTATIONS else judgements[: MOST_ANNOTATIONS - 1]
+    lines = [_of_judgement(level, file, item) for item in listed]
+    if hidden := len(judgements) - len(listed):
         lines.append(_command(level, file, 0, "more", f"{hidden} more gates were not passed; the log lists them"))
     return lines
 
@@ -195,11 +195,11 @@ def _property(text: str) -> str:
 
 def _movement(finding: Finding) -> str:
     cell = f"{finding.table} {finding.filter} {finding.row}: {finding.column}"
-    now = _shown(finding.value)
-    return f"{cell} is new: {now}" if finding.was is None else f"{cell} goes from {_shown(finding.was)} to {now}"
+    now = _value_text(finding.value)
+    return f"{cell} is new: {now}" if finding.was is None else f"{cell} goes from {_value_text(finding.was)} to {now}"
 
 
-def _shown(value: Cell) -> str:
+def _value_text(value: Cell) -> str:
     """Write a value with the digits in which all processors agree."""
     if value is None:
         return MISSING

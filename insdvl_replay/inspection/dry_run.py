@@ -1,4 +1,4 @@
-"""What the messages of a log tell of those who play a role: their clocks, their pings, and whether they can be true.
+"""What the messages of topics with a role show: their clocks, their pings, and whether they are plausible.
 
 Where a dive is read, the first error ends the work; here each is kept, and the rest is looked at too.
 """
@@ -85,12 +85,12 @@ class DryRun:
         """Look at all topics that play a role or could."""
         for finding in findings:
             if finding.error is not None:
-                self._stopped_by(finding.error)
+                self._add_obstacle(finding.error)
             self._look_at(finding)
             for source in finding.candidates:
                 self._look_at_candidate(source)
         if self.columns.imu is not None:
-            with errors_to(self._stopped_by):
+            with errors_to(self._add_obstacle):
                 self._remark(self.columns.clock_notes(self.clocks))
             self._check(self.columns.imu)
         for topic, imu in self._other_imus.items():
@@ -107,8 +107,8 @@ class DryRun:
 
     def _look_at(self, finding: Finding) -> None:
         tables: list[Table] = []
-        with errors_to(self._stopped_by):
-            read = [self._read(source, self._stopped_by) for source in finding.sources]
+        with errors_to(self._add_obstacle):
+            read = [self._read(source, self._add_obstacle) for source in finding.sources]
             self._remark([*schema_notes(finding.sources), *stamp_notes(read)])
             if self.deep:
                 self._remark(loss_notes(read))
@@ -119,7 +119,7 @@ class DryRun:
 
     def _not_decoded(self, role: str, error: UserError) -> None:
         if self.deep or role == "imu" or isinstance(error, ConfigError):
-            self._stopped_by(error)
+            self._add_obstacle(error)
             return
         # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
         text = f"by the first messages alone a replay would stop: {error.inside(self.log.path)}"
@@ -133,15 +133,15 @@ class DryRun:
             if source.role == "imu":
                 self._other_imus[source.topic], _ = decode_imu(table, self.config.imu)
 
-    def _read(self, source: Source, complain: OnError) -> Table:
-        """Read a topic; where its stamps are no times, tell so and go on with the recorder's."""
+    def _read(self, source: Source, on_error: OnError) -> Table:
+        """Read a topic; where its stamps are no times, report it and go on with the recorder's."""
         table = read_tables(self.log, [source])[0] if self.deep else read_sample(self.log, source, _ENOUGH)
         if table.unreadable_ns:
-            complain(table.damage_error())
+            on_error(table.damage_error())
         try:
             clock = table.clock()
         except UserError as error:
-            complain(error)
+            on_error(error)
             table = replace(table, source=replace(source, stamp="log_time"))
             clock = table.clock()
         self.clocks.append(clock)
@@ -158,7 +158,7 @@ class DryRun:
 
     def _check(self, imu: ImuColumns) -> None:
         for check in self._checks(imu):
-            with errors_to(self._stopped_by):
+            with errors_to(self._add_obstacle):
                 self._remark(check())
 
     def _check_candidate(self, topic: str, imu: ImuColumns) -> None:
@@ -183,7 +183,7 @@ class DryRun:
         text = f"{topic}: {error.inside(self.log.path, topic)}"
         self.notes.append(Note("candidate", text, 1, Severity.WARNING, self._hint(error.hint)))
 
-    def _stopped_by(self, error: UserError) -> None:
+    def _add_obstacle(self, error: UserError) -> None:
         self.obstacles.append(Obstacle(error.message, self._hint(error.hint)))
 
 

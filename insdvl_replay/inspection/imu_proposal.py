@@ -77,7 +77,7 @@ def measured_scale(settings: Imu, found: GyroScale | None) -> list[Setting]:
 
 
 def level_axes(force: Floats) -> list[str]:
-    """List the right-handed axes in which gravity is felt upwards, as a level vehicle feels it.
+    """List the right-handed axes in which the specific force points up, as it does in a level vehicle.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def _axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[Setti
         yield Setting("imu.axes", None, open="the accelerometers feel nothing, so that nothing tells where down is")
         return
     strongest = int(np.argmax(np.abs(force)))
-    felt = f"gravity is felt along {'+' if force[strongest] > 0.0 else '-'}{'xyz'[strongest]}"
+    along = f"gravity is felt along {'+' if force[strongest] > 0.0 else '-'}{'xyz'[strongest]}"
     upright = [_Axes(axes, axes) for axes in level_axes(force)]
     opposite = [_Axes(axes, _opposite(axes)) for axes in level_axes(-force)]
     possible = [upright[0], opposite[0], *upright[1:], *opposite[1:]]
@@ -133,13 +133,13 @@ def _axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[Setti
     best = possible[int(np.argmax(np.array(scores) > max(scores) - _CLEARLY))]
     if max(scores) > _COHERENT:
         rivals = [axes for axes, score in zip(possible, scores, strict=True) if score > max(scores) - _CLEARLY]
-        seen = f"{felt}, and the angular rate follows the reference's attitude, correlation {max(scores):.3f}"
+        seen = f"{along}, and the angular rate follows the reference's attitude, correlation {max(scores):.3f}"
         left = "" if len(rivals) == 1 or best.rate == "frd" else _alternatives(rivals[1:])
         yield from best.settings(seen, left)
     elif best.rate == "frd":
-        yield from best.settings(f"{felt}, as forward-starboard-down has it", "")
+        yield from best.settings(f"{along}, as forward-starboard-down has it", "")
     else:
-        yield from best.settings(f"{felt}; a level vehicle must feel it along -z", _alternatives(possible[1:3]))
+        yield from best.settings(f"{along}; a level vehicle must feel it along -z", _alternatives(possible[1:3]))
 
 
 def _alternatives(others: Sequence[_Axes]) -> str:

@@ -1,4 +1,4 @@
-"""What is in a log: its topics by their log times, who plays which role and why, and what the messages tell.
+"""What is in a log: its topics by their log times, who plays which role and why, and what the messages show.
 
 Built on the functions that read a dive, so that what is said here is what a replay would meet.
 """
@@ -35,9 +35,9 @@ def inspect_log(
         A log, a bag, or several of them that are one dive.
     deep : bool
         Read the messages of all roles whole, and go as far as a replay would before its filters run; else the first
-        messages of each role tell about its clock and units.
+        messages of each role show of its clock and units.
     allow_damaged : bool
-        Damage is told, and is no obstacle.
+        Damage is reported, and is no obstacle.
 
     Raises
     ------

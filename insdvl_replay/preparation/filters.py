@@ -88,8 +88,8 @@ class ResolvedFilter:
         velocities : DvlVelocities
             m pings.
         gaps : Gaps
-            The IMU's long gaps. In one the lever arm swings unseen, and no window of accelerations spans any part of
-            one.
+            The IMU's long gaps. In one the lever arm's velocity is not observed, and no window of accelerations spans
+            any part of one.
         """
         cov_b = self._ping_cov(velocities) + lever_arm_velocity_cov(gaps, velocities.time_ns, mounting.lever_arm_b)
         return tuple(
@@ -100,7 +100,7 @@ class ResolvedFilter:
         )
 
     def _ping_cov(self, velocities: DvlVelocities) -> Floats:
-        """Return the covariance of each ping's velocity as the filter is told it, shape (m, 3, 3), m^2/s^2."""
+        """Return the covariance of each ping's velocity as the filter assumes it, shape (m, 3, 3), m^2/s^2."""
         return velocity_cov(velocities, self.dvl_noise.sd_mps, of_one_beam=self.dvl_noise.key == "beam_sd_mps")
 
     def _acceleration(self, velocities: DvlVelocities, cov_b: Floats) -> Measurement:

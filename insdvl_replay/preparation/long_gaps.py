@@ -69,7 +69,9 @@ def apply_gap_policy(
     inside = gaps.within(start_ns, end_ns)
     if not len(inside.start_ns):
         return start_ns, end_ns, ()
-    split_at = inside if imu.long_gaps == "split" else inside.where(_turns_unseen_rad(inside) > WIDEST_ATTITUDE_RAD)
+    split_at = (
+        inside if imu.long_gaps == "split" else inside.where(_unobserved_rotation_rad(inside) > WIDEST_ATTITUDE_RAD)
+    )
     notes: tuple[Note, ...] = ()
     if len(split_at.start_ns):
         kept_ns = split_at.longest_stretch(start_ns, end_ns)
@@ -85,7 +87,7 @@ def apply_gap_policy(
     return start_ns, end_ns, (*notes, Note("imu_long_gaps", text, len(inside.start_ns), Severity.WARNING, split))
 
 
-def _turns_unseen_rad(gaps: Gaps) -> Floats:
+def _unobserved_rotation_rad(gaps: Gaps) -> Floats:
     """Return the deviation of what a vehicle may have turned in each gap."""
     return np.asarray(gaps.rate_sd_radps * gaps.length_s)
 
@@ -96,7 +98,7 @@ def _split_note(gaps: Gaps, imu: Imu, span_ns: tuple[int, int], kept_ns: tuple[i
     left_out_s = (span_ns[1] - span_ns[0] - kept_ns[1] + kept_ns[0]) * 1e-9
     hint, why = "--set imu.long_gaps=grow bridges those in which the attitude is not lost", ""
     if imu.long_gaps == "grow":
-        widest_deg = float(_turns_unseen_rad(gaps).max()) / DEG
+        widest_deg = float(_unobserved_rotation_rad(gaps).max()) / DEG
         why = f" ({imu.gap_rate_degps:g} deg/s unseen leave the attitude unknown by {widest_deg:.0f} deg)"
         hint = "a smaller imu.gap_rate_degps, if the vehicle cannot have turned so fast, bridges them"
     text = f"{_found(gaps, imu, origin_ns)}{why}; only {from_s:.1f} to {to_s:.1f} s are replayed, "

@@ -1,4 +1,4 @@
-"""Where a filter starts, and what a reference's rows say at a time: between the finite ones, if they are near."""
+"""Where a filter starts, and what a reference's rows give at a time: between the finite ones, if they are near."""
 
 from typing import Final
 

@@ -26,7 +26,7 @@ from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.prepared import prepare_dive, reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.studies.study_report import StudyReport, write_study
-from insdvl_replay.studies.window_document import shown_windows, window_figure, window_sentences
+from insdvl_replay.studies.window_document import window_display, window_figure, window_sentences
 
 COMPENSATED: Final = "compensated"
 IGNORED: Final = "ignored"
@@ -81,7 +81,7 @@ def study_window(paths: Sequence[Path], config: Config, longest: int = 10) -> St
         arguments={"logs": list(map(dive_name, paths)), "longest": longest},
         sentences=window_sentences(best, spans_s),
         tables={"window": windows, "best": best},
-        shown=shown_windows(windows, best),
+        display=window_display(windows, best),
         config=config,
         notes=(*(note for of_dive in notes for note in of_dive), *left_out),
     )
@@ -185,7 +185,7 @@ def _expected(
 
 
 def _across_gaps(gaps: Gaps, velocities: DvlVelocities, longest: int) -> NDArray[np.bool_]:
-    """Find which pings end a window over a long gap of the IMU, in which nothing is known of the lever arm's swing."""
+    """Find which pings end a window over a long gap of the IMU, in which the lever arm's velocity is unknown."""
     first = np.maximum(np.arange(len(velocities.time_ns)) - longest + 1, 0)
     return gaps.overlap(velocities.time_ns[first], velocities.time_ns)
 
