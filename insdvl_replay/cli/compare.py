@@ -50,11 +50,11 @@ def compare(
       insdvl-replay compare before after --table reference_error --column rmse --fail-on worse:5%
     """
     from insdvl_replay.cli.screen import in_format
-    from insdvl_replay.comparison.aggregation import parse_pairs
     from insdvl_replay.comparison.comparison import Selection, compare_results
+    from insdvl_replay.comparison.display_tables import in_order
     from insdvl_replay.comparison.document import comparison_csv, comparison_document, violation_sentence
     from insdvl_replay.comparison.fail_on import find_violation, parse_limit, parse_percentage
-    from insdvl_replay.comparison.rows import in_order
+    from insdvl_replay.comparison.filter_pairs import parse_pairs
     from insdvl_replay.core.errors import LimitError
     from insdvl_replay.results.json_report import as_json
 

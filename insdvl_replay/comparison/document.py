@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, fields, replace
 from typing import Final
 
-from insdvl_replay.comparison.rows import aggregate_tables, change_tables, described, growth, place
+from insdvl_replay.comparison.display_tables import aggregate_tables, change_tables, described, growth, place
 from insdvl_replay.core.changes import (
     Aggregate,
     Change,

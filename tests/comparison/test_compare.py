@@ -19,9 +19,9 @@ from taken_apart import Document
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.comparison.aggregation import aggregates
 from insdvl_replay.comparison.comparison import Selection, compare_results
+from insdvl_replay.comparison.display_tables import SortOrder, in_order
 from insdvl_replay.comparison.document import comparison_csv, comparison_document, comparison_tables, opening_lines
 from insdvl_replay.comparison.fail_on import find_violation, parse_limit
-from insdvl_replay.comparison.rows import SortOrder, in_order
 from insdvl_replay.core.changes import Change, Comparison
 from insdvl_replay.core.errors import ConfigError, ResultError
 from insdvl_replay.core.tables import LAYOUTS
