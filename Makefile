@@ -39,8 +39,9 @@ lint: .venv/test.stamp
 bench: .venv/bench.stamp
 	$(BIN)/python benchmarks/reading.py
 	PYTHONPATH=tests $(BIN)/python benchmarks/filtering.py
+	PYTHONPATH=tests $(BIN)/python benchmarks/work.py
 	$(BIN)/python benchmarks/outages.py
-	$(BIN)/python benchmarks/archive.py
+	$(BIN)/python benchmarks/batch.py
 	$(BIN)/python benchmarks/whole_run.py
 
 # Damaged logs, bombs, hostile names, kills, swaps; takes some hour, and fails if there is a defect.

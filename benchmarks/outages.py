@@ -1,4 +1,4 @@
-"""Whether a filter is as sure as it says after an outage of the DVL: mean NEES over many matched worlds.
+"""Whether a filter is as sure as it says after an outage of the DVL: mean NEES over many matched setups.
 
 `make bench` runs this. Sensors, start and noise are exactly as the filter believes, preset by preset, so that the mean
 NEES of a filter that is right is 12 throughout.
@@ -18,7 +18,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.runtime import each
 from insdvl_replay.evaluation.ensemble import RunErrors
 from insdvl_replay.sim.dive import exact_dive
-from insdvl_replay.studies.simulated_run import make_world, run_seed, simulated_run
+from insdvl_replay.studies.simulated_run import make_setup, run_seed, simulated_run
 
 RUNS, SEED = 40, 1
 SCENARIO = "lawnmower"
@@ -44,8 +44,8 @@ def runs_through(preset: str, length_s: float) -> list[RunErrors]:
         reference_at_pings=True,
         outages=outages,
     )
-    world = replace(make_world(SCENARIO, config, "matched", 10.0), exact=exact)
-    return [run for (run,) in each(lambda k: simulated_run(world, run_seed(SEED, k)), range(1, RUNS + 1))]
+    setup = replace(make_setup(SCENARIO, config, "matched", 10.0), exact=exact)
+    return [run for (run,) in each(lambda k: simulated_run(setup, run_seed(SEED, k)), range(1, RUNS + 1))]
 
 
 def nees_at(runs: Sequence[RunErrors], times_s: Sequence[float]) -> Floats:

@@ -18,8 +18,8 @@ def message_definition(layout: TableLayout) -> str:
 def _lines(layout: TableLayout) -> Iterator[str]:
     yield from (f"# {layout.about}", "", "# End of the dive.", "std_msgs/Header header")
     for name, column in layout.columns.items():
-        if column.says:
-            yield from ("", f"# {column.says}")
+        if column.comment:
+            yield from ("", f"# {column.comment}")
         yield f"{TYPES[layout.kinds[name]]} {name}"
 
 

@@ -1,4 +1,4 @@
-"""Workers on a dask.distributed cluster, and how long it may keep silent."""
+"""Workers on a dask.distributed cluster, and how long it may go without an answer."""
 
 import importlib
 import logging
@@ -27,12 +27,12 @@ class Cluster:
     ----------
     address : str
         Of its scheduler, such as ``tcp://host:8786``.
-    patience_s : float
+    timeout_s : float
         How long it may be without a worker or an answer.
     """
 
     address: str
-    patience_s: float
+    timeout_s: float
 
 
 def cluster_workers(cluster: Cluster) -> Workers:
@@ -58,7 +58,7 @@ def cluster_workers(cluster: Cluster) -> Workers:
 
 
 def _silence(*libraries: str) -> None:
-    """Keep libraries from printing, with tracebacks, what an error of ours says in a sentence."""
+    """Keep libraries from printing, with tracebacks, what an error of ours reports in a sentence."""
     for name in [*libraries, *logging.root.manager.loggerDict]:
         if name.partition(".")[0] in libraries:
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -83,7 +83,7 @@ def _cluster(distributed: Any, cluster: Cluster, *, alone: bool) -> Iterator[Poo
 
 
 def _client(distributed: Any, cluster: Cluster) -> Any:
-    """Connect, in a thread that nobody waits for: a scheduler that hears and does not answer would hold it for ever."""
+    """Connect, in a thread that nobody waits for: one that accepts and never answers would block it for ever."""
     connected: Future[Any] = Future()
 
     def connect() -> None:
@@ -93,14 +93,14 @@ def _client(distributed: Any, cluster: Cluster) -> Any:
             connected.set_exception(error)
 
     threading.Thread(target=connect, daemon=True).start()
-    within_s = max(cluster.patience_s, 2.0 * _REACHED_WITHIN_S)
+    within_s = max(cluster.timeout_s, 2.0 * _REACHED_WITHIN_S)
     if not wait([connected], within_s).done:
         raise TimeoutError(f"no answer in {within_s:g} s")
     return connected.result()
 
 
 class _Health:
-    """Tells a cluster that takes long from one that will never be done."""
+    """Distinguishes a cluster that takes long from one that will never be done."""
 
     def __init__(self, client: Any, cluster: Cluster) -> None:
         self.client = client
@@ -108,7 +108,7 @@ class _Health:
         self.well_at_s = time.monotonic()
 
     def threads(self) -> int:
-        """Ask how many items can be done at a time; -1 where there is no answer."""
+        """Return how many items can be done at a time; -1 where there is no answer."""
         try:
             return sum(self.client.sync(self.client.scheduler.ncores, callback_timeout=_LOOK_EVERY_S).values())
         except (OSError, TimeoutError):
@@ -119,9 +119,9 @@ class _Health:
         threads = self.threads()
         if threads > 0:
             self.well_at_s = time.monotonic()
-        elif time.monotonic() - self.well_at_s > self.cluster.patience_s:
+        elif time.monotonic() - self.well_at_s > self.cluster.timeout_s:
             found = "has no workers" if threads == 0 else "does not answer"
             raise ConfigError(
-                f"--scheduler {self.cluster.address}: {found}, for {self.cluster.patience_s:g} s",
+                f"--scheduler {self.cluster.address}: {found}, for {self.cluster.timeout_s:g} s",
                 "`dask worker` adds one; --scheduler-patience waits longer",
             )

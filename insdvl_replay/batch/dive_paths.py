@@ -14,7 +14,7 @@ LOG_SUFFIX: Final = ".mcap"
 LIST_SUFFIX: Final = ".txt"
 """Ending of a file that lists dives, one a line."""
 BAG_METADATA: Final = "metadata.yaml"
-"""The file by which a bag is known. Names do not tell: dives of an archive are numbered like the parts of a bag."""
+"""The file by which a bag is known. Names do not show it: dives of an archive are numbered like the parts of a bag."""
 
 _MAGIC: Final = frozenset("*?[")
 
@@ -37,7 +37,7 @@ def find_dives(names: Sequence[str], beside: Path = Path(), *, results: bool = F
     -------
     list of Path
         In the order of the names, and by name below a folder; each once, however often it is meant. A name without
-        ``*`` or ``?`` that does not exist is among them, so that it is told like any other log that cannot be read.
+        ``*`` or ``?`` that does not exist is among them, so that it is reported like any other log that cannot be read.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def _matched(path: Path, *, results: bool) -> Iterator[Path]:
 
 
 def _real(path: Path) -> str:
-    """Follow links; one that leads to itself stays as it is, and is told when it is read."""
+    """Follow links; one that leads to itself stays as it is, and is reported when it is read."""
     return os.path.realpath(path)
 
 

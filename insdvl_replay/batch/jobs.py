@@ -160,7 +160,7 @@ def _for_elsewhere(job: ReplayJob) -> ReplayJob:
     """Report which files are meant to a worker that may stand in another folder or on another machine."""
     try:
         digest = log_digest(job)
-    except (OSError, LogError):  # the replay tells it
+    except (OSError, LogError):  # its replay reports it
         digest = ""
     logs = tuple(log.absolute() for log in job.logs)
     return replace(job, logs=logs, name=job.name.absolute(), target=job.target.absolute(), sha256=digest)

@@ -14,7 +14,8 @@ import msgspec
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
 from insdvl_replay.core.runtime import each
-from insdvl_replay.results.folder import COMPLETE, damaged_files, require_replaceable_folder, trajectory_file
+from insdvl_replay.core.words import Severity
+from insdvl_replay.results.folder import COMPLETE, NOT_JSON, damaged_files, require_replaceable_folder, trajectory_file
 from insdvl_replay.results.json_report import Report, decode_report, package_versions
 from insdvl_replay.results.workspace import clear_leftovers
 
@@ -82,11 +83,11 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
             and log_digest(job) == report.log.sha256
         )
         damaged = damaged_files(job.target) if same else []
-    except (OSError, msgspec.DecodeError, UserError):  # a log that is no longer whole is told by its replay
+    except (OSError, *NOT_JSON, UserError):  # a log that is no longer whole is reported by its replay
         return None
     if damaged:
         text = f"{job.target}: not as its replay wrote it: {listed(damaged)}"
-        return Note(DAMAGED_RESULT, text, len(damaged), "warning")
+        return Note(DAMAGED_RESULT, text, len(damaged), Severity.WARNING)
     return report if same else None
 
 

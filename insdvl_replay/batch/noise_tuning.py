@@ -16,6 +16,7 @@ from insdvl_replay.core.columns import Dive, Floats, ImuColumns
 from insdvl_replay.core.config import Config, Filter
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.runtime import begin
+from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
@@ -94,7 +95,7 @@ def _beyond_their_sensors(values: Mapping[str, float], imu: ImuColumns) -> Itera
     judged = {key: beyond_the_sensor(key, value, scatter.get(key, 0.0)) for key, value in values.items()}
     if found := [f"{key} = {values[key]:.4g} is {reason}" for key, reason in judged.items() if reason]:
         text = f"the control has fitted noise that cannot be the sensors': {'; '.join(found)}"
-        yield Note("control_out_of_class", text, len(found), "warning", GEOMETRY_FIRST)
+        yield Note("control_out_of_class", text, len(found), Severity.WARNING, GEOMETRY_FIRST)
 
 
 def _noise(baseline: ResolvedFilter) -> dict[str, float]:
@@ -120,16 +121,16 @@ def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, befor
     begin("running the filters")
     timeline = prepared_timeline(dive, start)
 
-    def unlikelihood(logarithms: Floats) -> float:
+    def negative_log_likelihood(logarithms: Floats) -> float:
         tried = resolve_filter(NAME, filter_with(logarithms), config, from_beams=start.velocities.from_beams)
         history = run_one(tried, start, timeline)
         return -round(log_likelihood(history.innovations[0]), LIKELIHOOD_DIGITS)
 
-    best = min(np.log(STARTS), key=unlikelihood)
+    best = min(np.log(STARTS), key=negative_log_likelihood)
     for step in (-2.0, 0.5):  # the second search frees what fell flat against an edge
         simplex = best + np.vstack([np.zeros(3), step * np.eye(3)])
         found = minimize(
-            unlikelihood,
+            negative_log_likelihood,
             best,
             method="Nelder-Mead",
             options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.1, "maxfev": 150},

@@ -3,7 +3,7 @@
 `cluster` has workers elsewhere; all of them are reached through ``concurrent.futures``.
 
 A worker that dies takes what it held with it. Such items are tried once more, one at a time in a fresh worker, so that
-the one that kills its worker is told from those that stood beside it.
+the one that kills its worker is distinguished from those that ran beside it.
 """
 
 import multiprocessing
@@ -29,7 +29,7 @@ Result = TypeVar("Result")
 
 _ENDINGS: Final = (signal.SIGINT, signal.SIGTERM)
 _THREADS_OF_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""How numpy is told, before it is imported, on how many cores to multiply matrices."""
+"""The variables that set, before numpy is imported, on how many cores it multiplies matrices."""
 _GRACE_S: Final = 3
 """How long a worker gets to remove what it has half written."""
 
@@ -67,7 +67,7 @@ class Workers:
     open : callable
         Gives a fresh `Pool`, of a single worker if asked to.
     lost : tuple of exception types
-        How a future says that its worker died.
+        What a future raises whose worker died.
     are_elsewhere : bool
         They may stand in other folders, on other machines.
     """
@@ -211,7 +211,7 @@ def _begin() -> None:
 
 
 def _end_with_the_parent() -> None:
-    """Wait until the parent is gone, however it ended, and end this worker: nobody else would."""
+    """Wait until the parent has ended, however it did, and end this worker: nobody else would."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -16,11 +16,12 @@ from insdvl_replay.core.columns import DvlColumns, Floats, ReferenceColumns, Tim
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, FASTEST_MPS
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.beams import DvlMounting, solve_beams
 from insdvl_replay.geometry.rotation import wrap_angle
 
 _LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and a lever arm's swing
-_LEAST_SWING_MPS: Final = 0.015  # below it a DVL shows its noise
+_LEAST_EXCURSION_MPS: Final = 0.015  # below it a DVL shows its noise
 Complex = NDArray[np.complex128]
 
 
@@ -80,7 +81,7 @@ def axes_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Confi
     found = np.full(3, np.nan)
     if len(true_b) < ENOUGH:
         return found
-    for axis in np.flatnonzero((true_b.std(axis=0) > _LEAST_SWING_MPS) & (measured_b.std(axis=0) > 0.0)):
+    for axis in np.flatnonzero((true_b.std(axis=0) > _LEAST_EXCURSION_MPS) & (measured_b.std(axis=0) > 0.0)):
         found[axis] = np.corrcoef(measured_b[:, axis], true_b[:, axis])[0, 1]
     return found
 
@@ -164,7 +165,7 @@ def scale_notes(place: str, scale: float, dvl: DvlColumns, config: Config) -> li
     if not 1.0 / FACTOR_OF_UNITS < scale < FACTOR_OF_UNITS:
         raise LogError(text, UNIT_HINT, place)
     hint = f"dvl.scale = {scale * config.dvl.scale:.3f}, or dvl.beam_tilt_deg"
-    return [Note("dvl_scale", text, len(dvl.time_ns), "warning", hint)]
+    return [Note("dvl_scale", text, len(dvl.time_ns), Severity.WARNING, hint)]
 
 
 def _speed_notes(place: str, dvl: DvlColumns) -> list[Note]:
@@ -188,7 +189,9 @@ def _zero_notes(dvl: DvlColumns) -> list[Note]:
         f"{zero.size} of {len(values)} pings are exactly zero, the first {first_s:.1f} s after the first ping: "
         "the instrument may have had no lock"
     )
-    return [Note("dvl_zero", text, int(zero.size), "warning", 'dvl.valid = "field.path" names what marks good pings')]
+    return [
+        Note("dvl_zero", text, int(zero.size), Severity.WARNING, 'dvl.valid = "field.path" names what marks good pings')
+    ]
 
 
 def _constant_notes(dvl: DvlColumns) -> list[Note]:
@@ -207,7 +210,7 @@ def _constant_notes(dvl: DvlColumns) -> list[Note]:
                 f"the velocity {name} is {always_mps:g} m/s in all {len(given)} pings that have it, from the first on"
             )
             hint = "dvl.velocity or dvl.beam_velocity names other fields"
-            notes.append(Note("dvl_constant", text, len(given), "warning", hint))
+            notes.append(Note("dvl_constant", text, len(given), Severity.WARNING, hint))
     return notes
 
 
@@ -230,7 +233,7 @@ def _direction_note(found: Fit, dvl: DvlColumns, config: Config) -> Note:
     right = float(wrap_angle(np.asarray(heading * DEG - found.turn))) / DEG
     text = f"the DVL's velocity is turned by {found.turn / DEG:.0f} deg from the reference's, from the first ping on"
     hint = f"dvl.mounting_rpy_deg = [{roll:g}, {pitch:g}, {right:.0f}], or another reference.axes"
-    return Note("dvl_direction", text, len(dvl.time_ns), "warning", hint)
+    return Note("dvl_direction", text, len(dvl.time_ns), Severity.WARNING, hint)
 
 
 def _axes_note(axes: list[str], dvl: DvlColumns) -> Note:
@@ -239,7 +242,7 @@ def _axes_note(axes: list[str], dvl: DvlColumns) -> Note:
         "from the first ping on"
     )
     hint = 'dvl.axes = "flu" where it is "frd" now, or the reverse; for beams, dvl.beam_azimuth_deg'
-    return Note("dvl_axes", text, len(dvl.time_ns), "warning", hint)
+    return Note("dvl_axes", text, len(dvl.time_ns), Severity.WARNING, hint)
 
 
 def _contradiction_note(found: Fit, dvl: DvlColumns) -> Note:
@@ -247,4 +250,4 @@ def _contradiction_note(found: Fit, dvl: DvlColumns) -> Note:
         f"the DVL's velocity does not follow the reference's, from the first ping on (coherence {found.coherence:.2f})"
     )
     hint = "dvl.beam_azimuth_deg, dvl.axes, reference.axes, or dvl.stamp and reference.stamp"
-    return Note("dvl_contradiction", text, len(dvl.time_ns), "warning", hint)
+    return Note("dvl_contradiction", text, len(dvl.time_ns), Severity.WARNING, hint)

@@ -25,6 +25,7 @@ from insdvl_replay.core.columns import (
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, MG
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry import earth
 from insdvl_replay.geometry.rotation import vector_from_mat
 
@@ -90,7 +91,8 @@ def _rate_notes(place: str, imu: ImuColumns, settings: Imu) -> list[Note]:
     if rate_hz < NOMINAL * settings.min_rate_hz:
         raise LogError(text, hint, place)
     if rate_hz < SLOW_HZ:
-        return [Note("imu_slow", text, len(imu.time_ns), "warning", "imu.topic names a faster one, if the log has any")]
+        hint = "imu.topic names a faster one, if the log has any"
+        return [Note("imu_slow", text, len(imu.time_ns), Severity.WARNING, hint)]
     return []
 
 
@@ -108,12 +110,12 @@ def _dead_notes(place: str, imu: ImuColumns) -> list[Note]:
             raise LogError(f"the {words} is zero in all {len(readings)} samples of the IMU", hint, place)
         for axis in [axis for axis, column in enumerate(readings.T) if _is_constant(column)]:
             text = f"{words} {AXES[axis]} is {readings[0, axis]:g} {unit} in all {len(readings)} samples, from 0 s on"
-            notes.append(Note("imu_constant", text, len(readings), "warning", hint))
+            notes.append(Note("imu_constant", text, len(readings), Severity.WARNING, hint))
     return notes
 
 
 def _is_constant(column: Floats) -> bool:
-    """Return whether all numbers are the same; the first few mostly tell that they are not."""
+    """Return whether all numbers are the same; the first few mostly show that they are not."""
     return bool(np.all(column[:_FEW] == column[0]) and np.all(column == column[0]))
 
 
@@ -134,7 +136,7 @@ def _stuck_notes(imu: ImuColumns) -> list[Note]:
         f"{count} samples of the IMU repeat all readings of the one before for over {STUCK_S:g} s, "
         f"the first at {first_s:.1f} s, the longest run of {lengths_s.max():.1f} s"
     )
-    return [Note("imu_stuck", text, count, "warning", "--start and --end leave them out")]
+    return [Note("imu_stuck", text, count, Severity.WARNING, "--start and --end leave them out")]
 
 
 def _spin_notes(place: str, imu: ImuColumns) -> list[Note]:
@@ -164,7 +166,7 @@ def _gravity_notes(place: str, imu: ImuColumns, reference: ReferenceColumns | No
     doubtful = np.abs(sizes / gravity - 1.0) > GRAVITY_DOUBT
     if abs(ratio - 1.0) > GRAVITY_DOUBT:
         text += f"; the first time at {_since_s(imu, starts[doubtful]):.1f} s"
-        return [Note("imu_gravity", text, int(doubtful.sum()), "warning", _force_hint(ratio, settings))]
+        return [Note("imu_gravity", text, int(doubtful.sum()), Severity.WARNING, _force_hint(ratio, settings))]
     along_down = float(np.median(mean_b[:, 2]))
     if along_down > 0.0:
         above = mean_b[:, 2] > 0.0
@@ -173,7 +175,7 @@ def _gravity_notes(place: str, imu: ImuColumns, reference: ReferenceColumns | No
             f"at {_since_s(imu, starts[above]):.1f} s, where a level vehicle has {-gravity:.3f} m/s^2"
         )
         hint = 'imu.axes = "flu" turns y and z; imu.specific_force_axes = "-x-y-z" turns the sign of the force alone'
-        return [Note("imu_upside_down", text, int(above.sum()), "warning", hint)]
+        return [Note("imu_upside_down", text, int(above.sum()), Severity.WARNING, hint)]
     return []
 
 
@@ -231,7 +233,7 @@ class AttitudeFit:
 
     scale: float
     correlation: float
-    swing: Floats
+    excursion: Floats
     by_axis: Floats
 
 
@@ -257,7 +259,7 @@ def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFi
     return AttitudeFit(
         scale=float(product.sum() / power.sum()),
         correlation=float(_correlation(product.sum(), power.sum() * summed_power.sum())),
-        swing=np.ptp(np.cumsum(turned, axis=0), axis=0),
+        excursion=np.ptp(np.cumsum(turned, axis=0), axis=0),
         by_axis=_correlation(product, power * summed_power),
     )
 

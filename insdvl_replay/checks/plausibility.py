@@ -40,6 +40,7 @@ from insdvl_replay.core.columns import DvlColumns, Floats, ImuColumns, Reference
 from insdvl_replay.core.config import Config, Imu, Initial
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import wrap_angle
 
@@ -125,11 +126,11 @@ UNIT_WRONG: Final = 5.0
 """Factor of the angular rate at which it is another unit: deg/s are 57 times rad/s."""
 TRACK_DOUBT: Final = 0.15
 """The same for gyros seen through a track, whose DVL and positions have errors of their own."""
-GRAVITY_SWING: Final = 0.7
+TILT_DOUBT: Final = 0.7
 """The same for gyros seen by gravity, which in a moving vehicle swings with its own acceleration."""
 AXIS_AGAINST: Final = 0.7
 """Correlation about one axis, of the opposite sign, that is no noise."""
-LEAST_SWING: Final = 3.0 * DEG
+LEAST_EXCURSION: Final = 3.0 * DEG
 """Attitudes of a vehicle that swings less are no witness against its gyros."""
 HEADING_DOUBT: Final = 30.0 * DEG
 """Beyond what gyro bias turns a track during a dive."""
@@ -209,7 +210,7 @@ def _best_scale(imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFi
     if track is not None and track.gyro_scale is not None and track.coherence > COHERENT:
         return GyroScale(track.gyro_scale, "the DVL's track against the reference's positions", 1.0 + TRACK_DOUBT)
     by_gravity = gyro_by_gravity(imu)
-    return GyroScale(by_gravity, "the swing of gravity", 1.0 + GRAVITY_SWING) if by_gravity is not None else None
+    return GyroScale(by_gravity, "the swing of gravity", 1.0 + TILT_DOUBT) if by_gravity is not None else None
 
 
 def _gyro_notes(place: str, imu: ImuColumns, found: GyroScale | None, settings: Imu) -> list[Note]:
@@ -218,17 +219,17 @@ def _gyro_notes(place: str, imu: ImuColumns, found: GyroScale | None, settings: 
     text = f"the angular rate is {found.scale:.3g} times what {found.by} shows, from 0 s on"
     if found.scale < 0.0:
         hint = 'imu.axes = "flu" turns y and z, and imu.specific_force_axes names those of the force where they differ'
-        return [Note("imu_gyro_sign", text, len(imu.time_ns), "warning", hint)]
+        return [Note("imu_gyro_sign", text, len(imu.time_ns), Severity.WARNING, hint)]
     if found.scale > UNIT_WRONG:
         raise LogError(text, 'imu.angular_rate_unit = "deg/s"', place)
     if found.scale < 1.0 / UNIT_WRONG:
         raise LogError(text, 'imu.angular_rate_unit = "rad/s"', place)
     hint = f"imu.angular_rate_scale = {found.scale * settings.angular_rate_scale:.3g}"
-    return [Note("imu_gyro_scale", text, len(imu.time_ns), "warning", hint)]
+    return [Note("imu_gyro_scale", text, len(imu.time_ns), Severity.WARNING, hint)]
 
 
 def _attitude_notes(imu: ImuColumns, by_attitude: AttitudeFit | None) -> list[Note]:
-    if by_attitude is None or by_attitude.swing.max() < LEAST_SWING:
+    if by_attitude is None or by_attitude.excursion.max() < LEAST_EXCURSION:
         return []
     if abs(by_attitude.correlation) >= INCOHERENT:
         return _axis_notes(imu, by_attitude)
@@ -237,12 +238,12 @@ def _attitude_notes(imu: ImuColumns, by_attitude: AttitudeFit | None) -> list[No
         f"(correlation {by_attitude.correlation:.2f})"
     )
     hint = "imu.axes, reference.axes, or imu.stamp and reference.stamp"
-    return [Note("imu_gyro_contradiction", text, len(imu.time_ns), "warning", hint)]
+    return [Note("imu_gyro_contradiction", text, len(imu.time_ns), Severity.WARNING, hint)]
 
 
 def _axis_notes(imu: ImuColumns, by_attitude: AttitudeFit) -> list[Note]:
     """Find axes that turn the other way while another one follows the reference."""
-    known = by_attitude.swing >= LEAST_SWING
+    known = by_attitude.excursion >= LEAST_EXCURSION
     if not np.any(known & (by_attitude.by_axis > AXIS_AGAINST)):
         return []
     axes = np.flatnonzero(known & (by_attitude.by_axis < -AXIS_AGAINST)).tolist()
@@ -252,7 +253,7 @@ def _axis_notes(imu: ImuColumns, by_attitude: AttitudeFit) -> list[Note]:
             f"the angular rate {AXES[axis]} turns against the reference's attitude, from 0 s on "
             f"(correlation {by_attitude.by_axis[axis]:.2f}), while another axis follows it",
             len(imu.time_ns),
-            "warning",
+            Severity.WARNING,
             "imu.axes, or imu.angular_rate names the fields in another order",
         )
         for axis in axes
@@ -268,7 +269,7 @@ def _track_notes(place: str, track: TrackFit | None, dvl: DvlColumns, config: Co
             f"whatever the heading and the scales, from the first ping on (coherence {track.coherence:.2f})"
         )
         hint = "initial.gyro_bias_degph, imu.axes, dvl.mounting_rpy_deg, or another imu.topic"
-        return [Note("track_contradiction", text, len(dvl.time_ns), "warning", hint)]
+        return [Note("track_contradiction", text, len(dvl.time_ns), Severity.WARNING, hint)]
     if track.coherence < COHERENT:
         return []
     return [*scale_notes(place, track.dvl_scale, dvl, config), *_heading_notes(track.heading, dvl, config.initial)]
@@ -284,4 +285,4 @@ def _heading_notes(heading: float, dvl: DvlColumns, initial: Initial) -> list[No
         f"and {initial.heading_deg:g} deg are configured, from the first ping on"
     )
     hint = f"initial.heading_deg = {heading / DEG:.0f}, or dvl.mounting_rpy_deg where the heading is known"
-    return [Note("dvl_direction", text, len(dvl.time_ns), "warning", hint)]
+    return [Note("dvl_direction", text, len(dvl.time_ns), Severity.WARNING, hint)]

@@ -12,11 +12,12 @@ from insdvl_replay.checks.imu import LONGEST_STEP_S, Check, lies_within, turned_
 from insdvl_replay.core.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import vector_from_mat
 
 _LEG_S: Final = 10.0
-"""Over so long a leg, single positions of a receiver are good enough to tell a direction."""
+"""Over so long a leg, single positions of a receiver are good enough to give a direction."""
 _LEGS: Final = 4
 _LEAST_M: Final = 20.0
 _FOLLOWS: Final = 0.8
@@ -34,12 +35,12 @@ _MEDIAN_LENGTH: Final = 1.18  # of a vector of normal noise in a plane, in stand
 
 
 @dataclass(frozen=True)
-class _Ways:
-    """From each position to the next: what lies between, and what the velocity adds up to, m; NaN where unknown."""
+class _Steps:
+    """From each position to the next: the displacement, and the integrated velocity, m; NaN where unknown."""
 
     time_s: Floats
-    gone_m: Complex
-    said_m: Complex
+    by_position_m: Complex
+    by_velocity_m: Complex
 
 
 def motion_checks(imu: ImuColumns, reference: ReferenceColumns) -> tuple[Check, ...]:
@@ -52,54 +53,55 @@ def motion_checks(imu: ImuColumns, reference: ReferenceColumns) -> tuple[Check, 
 
 
 def _scale_notes(reference: ReferenceColumns) -> list[Note]:
-    """Compare the ways between positions with what the velocity adds up to in the same time, over legs."""
-    gone_m, said_m = _legs(_ways(reference))
-    if len(gone_m) < _LEGS or min(np.abs(gone_m).sum(), np.abs(said_m).sum()) < _LEAST_M:
+    """Compare displacements by positions with those by velocity, over legs."""
+    by_position_m, by_velocity_m = _legs(_steps_of(reference))
+    if len(by_position_m) < _LEGS or min(np.abs(by_position_m).sum(), np.abs(by_velocity_m).sum()) < _LEAST_M:
         return []
     count = int(np.count_nonzero(reference.known["positions"] & reference.known["velocities"]))
-    power, product = float(np.vdot(said_m, said_m).real), np.vdot(said_m, gone_m).real
-    coherence = float(product / (np.sqrt(power) * np.linalg.norm(gone_m)))
+    power, product = float(np.vdot(by_velocity_m, by_velocity_m).real), np.vdot(by_velocity_m, by_position_m).real
+    coherence = float(product / (np.sqrt(power) * np.linalg.norm(by_position_m)))
     if coherence < _FOLLOWS:
         text = (
             "the positions of the reference do not move as its velocity says, from the first on "
             f"(coherence {coherence:.2f})"
         )
         hint = "reference.axes, reference.angle_unit, or the fields reference.latitude, longitude and velocity_n"
-        return [Note("reference_contradiction", text, count, "warning", hint)]
+        return [Note("reference_contradiction", text, count, Severity.WARNING, hint)]
     # Noise of the velocity makes the one too small, noise of the positions the other too large: the scale lies between.
-    scale, at_most = float(product / power), float(np.vdot(gone_m, gone_m).real / product)
+    scale, at_most = float(product / power), float(np.vdot(by_position_m, by_position_m).real / product)
     # Each leg's own residual stands for its noise, whatever its length.
-    scale_sd = float(np.linalg.norm((said_m.conj() * (gone_m - scale * said_m)).real)) / power
+    scale_sd = float(np.linalg.norm((by_velocity_m.conj() * (by_position_m - scale * by_velocity_m)).real)) / power
     off, surely_off = abs(scale - 1.0), max(scale - 1.0, 1.0 - at_most)
-    if len(gone_m) < _LEGS_OF_SCALE or surely_off < max(_SCALE_OFF, _SIGNIFICANT * scale_sd):
+    if len(by_position_m) < _LEGS_OF_SCALE or surely_off < max(_SCALE_OFF, _SIGNIFICANT * scale_sd):
         return []
     text = (
         f"the positions of the reference go {100.0 * off:.2f} +- {100.0 * scale_sd:.2f} % "
         f"{'further' if scale > 1.0 else 'less far'} than its velocity says; it cannot be right in both"
     )
-    return [Note("reference_scale", text, len(gone_m), "warning", "a DVL whose dvl.scale fits the one fails the other")]
+    hint = "a DVL whose dvl.scale fits the one fails the other"
+    return [Note("reference_scale", text, len(by_position_m), Severity.WARNING, hint)]
 
 
-def _ways(reference: ReferenceColumns) -> _Ways:
+def _steps_of(reference: ReferenceColumns) -> _Steps:
     placed, moving = reference.known["positions"], reference.known["velocities"]
     time_ns = reference.time_ns[placed]
     if len(time_ns) < 2:
-        return _Ways(np.empty(0), np.empty(0, complex), np.empty(0, complex))
+        return _Steps(np.empty(0), np.empty(0, complex), np.empty(0, complex))
     time_s = seconds(time_ns, time_ns[0])
-    said_m = np.full(len(time_s) - 1, np.nan, complex)
+    by_velocity_m = np.full(len(time_s) - 1, np.nan, complex)
     if np.count_nonzero(moving) >= 3:
         velocity_s = seconds(reference.time_ns[moving], time_ns[0])
-        said_m = _said_m(time_s, velocity_s, horizontal(reference.velocity_n[moving]))
-    return _Ways(time_s, _gone_m(reference.position[placed]), said_m)
+        by_velocity_m = _integrated_m(time_s, velocity_s, horizontal(reference.velocity_n[moving]))
+    return _Steps(time_s, _displacements_m(reference.position[placed]), by_velocity_m)
 
 
-def _gone_m(position: Floats) -> Complex:
+def _displacements_m(position: Floats) -> Complex:
     """Measure each step on the ellipsoid where it is made, so that long ways are as right as short ones."""
     north_m, east_m = north_east_m(position[1:], position[:-1], 0.5 * (position[1:] + position[:-1]))
     return np.asarray(north_m + 1j * east_m)
 
 
-def _said_m(time_s: Floats, velocity_s: Floats, velocity: Complex) -> Complex:
+def _integrated_m(time_s: Floats, velocity_s: Floats, velocity: Complex) -> Complex:
     """Integrate the velocity from one time to the next; NaN over a pause of it, and outside of it.
 
     Trapezoids alone would cut the corners of a turn, by 0.7 % at 17 deg a step; what the acceleration's change adds is
@@ -110,37 +112,38 @@ def _said_m(time_s: Floats, velocity_s: Floats, velocity: Complex) -> Complex:
     way_m = 0.5 * (velocity[1:] + velocity[:-1]) * step_s - np.diff(acceleration) * step_s**2 / 12.0
     summed_m = np.append(0.0, np.cumsum(way_m))
     paused_s = np.append(0.0, np.cumsum(np.where(step_s > LONGEST_STEP_S, step_s, 0.0)))
-    said_m = np.diff(np.interp(time_s, velocity_s, summed_m, np.nan, np.nan))
-    return np.where(np.diff(np.interp(time_s, velocity_s, paused_s)) > 0.0, np.nan, said_m)
+    by_velocity_m = np.diff(np.interp(time_s, velocity_s, summed_m, np.nan, np.nan))
+    return np.where(np.diff(np.interp(time_s, velocity_s, paused_s)) > 0.0, np.nan, by_velocity_m)
 
 
-def _legs(ways: _Ways) -> tuple[Complex, Complex]:
+def _legs(steps: _Steps) -> tuple[Complex, Complex]:
     """Add steps up to legs, of which each has to be known whole and not much longer than it is meant to be."""
-    if not len(ways.time_s):
-        return ways.gone_m, ways.said_m
+    if not len(steps.time_s):
+        return steps.by_position_m, steps.by_velocity_m
     # Each leg begins with the first row at or behind a multiple of its length, of which the last row ends one.
-    legs = np.floor(ways.time_s / _LEG_S)
-    legs[-1] = np.ceil(ways.time_s[-1] / _LEG_S) - 1.0
+    legs = np.floor(steps.time_s / _LEG_S)
+    legs[-1] = np.ceil(steps.time_s[-1] / _LEG_S) - 1.0
     rows = np.append(0, np.flatnonzero(np.diff(legs) > 0.0) + 1)
-    gone_m, said_m = (
-        np.diff(np.append(0.0, np.cumsum(way_m))[rows]) for way_m in (ways.gone_m, np.nan_to_num(ways.said_m))
+    by_position_m, by_velocity_m = (
+        np.diff(np.append(0.0, np.cumsum(way_m))[rows])
+        for way_m in (steps.by_position_m, np.nan_to_num(steps.by_velocity_m))
     )
-    unknown = np.diff(np.append(0, np.cumsum(~np.isfinite(ways.said_m)))[rows])
-    whole = (unknown == 0) & (np.diff(ways.time_s[rows]) < 2.0 * _LEG_S)
-    return gone_m[whole], said_m[whole]
+    unknown = np.diff(np.append(0, np.cumsum(~np.isfinite(steps.by_velocity_m)))[rows])
+    whole = (unknown == 0) & (np.diff(steps.time_s[rows]) < 2.0 * _LEG_S)
+    return by_position_m[whole], by_velocity_m[whole]
 
 
 def _position_jump_notes(reference: ReferenceColumns) -> list[Note]:
     """Find steps that neither the velocity nor any of the steps around explains."""
-    ways = _ways(reference)
-    step_s = np.diff(ways.time_s)
+    steps = _steps_of(reference)
+    step_s = np.diff(steps.time_s)
     if len(step_s) <= 2 * _AROUND:
         return []
-    unlike_m = np.abs(ways.gone_m - ways.said_m)
-    rates = np.where(step_s <= _CURVED_S, ways.gone_m / step_s, np.nan)
+    unlike_m = np.abs(steps.by_position_m - steps.by_velocity_m)
+    rates = np.where(step_s <= _CURVED_S, steps.by_position_m / step_s, np.nan)
     unlike_m = np.fmin(unlike_m, _least_difference(np.column_stack([rates.real, rates.imag])) * step_s)
     unlike_m[step_s > _LONG_STEP * np.median(step_s)] = np.nan
-    return _jump_notes("positions", unlike_m, _JUMP_M, "m", 1.0, ways.time_s)
+    return _jump_notes("positions", unlike_m, _JUMP_M, "m", 1.0, steps.time_s)
 
 
 def _attitude_jump_notes(imu: ImuColumns, reference: ReferenceColumns) -> list[Note]:
@@ -186,7 +189,7 @@ def _jump_notes(
         f"{unlike[largest] / factor:.1f} {unit} at {time_s[largest + 1]:.1f} s after the first"
     )
     hint = "--start and --end choose a part without jumps, which count as errors of the filters"
-    return [Note("reference_jump", text, int(jumps.size), "warning", hint)]
+    return [Note("reference_jump", text, int(jumps.size), Severity.WARNING, hint)]
 
 
 MOVING_MPS: Final = 0.1
@@ -217,7 +220,7 @@ def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumn
             "reference_constant",
             f"the {name} of the reference is the same in all its rows, from the first on, while {doing}",
             len(reference.time_ns),
-            "warning",
+            Severity.WARNING,
             "reference.topic and reference.fix name others",
         )
         for name, doing in found

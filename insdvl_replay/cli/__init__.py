@@ -17,7 +17,7 @@ from insdvl_replay.cli.messages import open_outlets, report_lost_output
 from insdvl_replay.core.runtime import Interruption, collect_rarely, use_small_pages
 
 INTERRUPTED = 130
-LONGEST_FAREWELL_S = 5.0
+LONGEST_SHUTDOWN_S = 5.0
 AGAIN_S = 0.02
 
 
@@ -41,10 +41,10 @@ def main() -> NoReturn:
         sys.unraisablehook = lambda _: None
         # On its way out the interpreter waits for threads, and they, without end, for a worker that was ended while it
         # sent its result.
-        impatience = threading.Timer(LONGEST_FAREWELL_S, os._exit, (code,))
-        impatience.daemon = True
+        forced_exit = threading.Timer(LONGEST_SHUTDOWN_S, os._exit, (code,))
+        forced_exit.daemon = True
         with suppress(RuntimeError):  # there may be no room for one more thread
-            impatience.start()
+            forced_exit.start()
     sys.exit(max(code, report_lost_output(out, err)))
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.options import CheckFormat, Jobs, Rerun, Scheduler, SchedulerPatience, Settings, Verbose
+from insdvl_replay.cli.options import CheckFormat, Jobs, Rerun, Scheduler, SchedulerTimeout, Settings, Verbose
 
 
 def check(
@@ -33,7 +33,7 @@ def check(
     ] = None,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
-    scheduler_patience: SchedulerPatience = 60.0,
+    scheduler_timeout: SchedulerTimeout = 60.0,
     rerun: Rerun = False,
     verbose: Verbose = 0,
 ) -> int:
@@ -52,6 +52,6 @@ def check(
     from insdvl_replay.batch.cluster import Cluster
     from insdvl_replay.cli.gated_dives import CheckOptions, OutputOptions, check_dives
 
-    cluster = None if scheduler is None else Cluster(scheduler, scheduler_patience)
+    cluster = None if scheduler is None else Cluster(scheduler, scheduler_timeout)
     options = CheckOptions(results, jobs, cluster, rerun, update)
     return check_dives(gates, dives, config, settings, options, OutputOptions(format_, output, summary, verbose))

@@ -50,11 +50,11 @@ def compare(
       insdvl-replay compare before after --table reference_error --column rmse --fail-on worse:5%
     """
     from insdvl_replay.cli.screen import in_format
-    from insdvl_replay.comparison.aggregation import parse_pairs
     from insdvl_replay.comparison.comparison import Selection, compare_results
-    from insdvl_replay.comparison.document import breach_sentence, comparison_csv, comparison_document
-    from insdvl_replay.comparison.fail_on import breach, parse_limit, parse_percentage
-    from insdvl_replay.comparison.rows import arranged
+    from insdvl_replay.comparison.display_tables import in_order
+    from insdvl_replay.comparison.document import comparison_csv, comparison_document, violation_sentence
+    from insdvl_replay.comparison.fail_on import find_violation, parse_limit, parse_percentage
+    from insdvl_replay.comparison.filter_pairs import parse_pairs
     from insdvl_replay.core.errors import LimitError
     from insdvl_replay.results.json_report import as_json
 
@@ -62,15 +62,15 @@ def compare(
     tolerance_pct = None if tolerance is None else parse_percentage(tolerance, "--tolerance ")
     selection = Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
     comparison = compare_results(old, new, selection)
-    shown = arranged(comparison, sort.value, only_changed=only_changed)
+    ordered = in_order(comparison, sort.value, only_changed=only_changed)
     write_stdout(
         in_format(
             format_,
-            document=lambda: comparison_document(shown),
-            json=lambda: as_json(shown),
-            csv=lambda: comparison_csv(shown),
+            document=lambda: comparison_document(ordered),
+            json=lambda: as_json(ordered),
+            csv=lambda: comparison_csv(ordered),
         )
     )
     log_notes(comparison.notes, verbose=verbose > 0)
-    if limit is not None and (found := breach(comparison, limit)):
-        raise LimitError(breach_sentence(found))
+    if limit is not None and (found := find_violation(comparison, limit)):
+        raise LimitError(violation_sentence(found))

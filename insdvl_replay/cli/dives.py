@@ -15,6 +15,7 @@ from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, wr
 from insdvl_replay.cli.options import Format
 from insdvl_replay.cli.screen import DivesBar, compiling, in_format, spinner
 from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.words import Severity
 from insdvl_replay.report.page import is_page
 from insdvl_replay.results.dive_document import dive_document, report_csv
 from insdvl_replay.results.folder import require_replaceable_file, result_file
@@ -22,7 +23,7 @@ from insdvl_replay.results.json_report import Report, encode_report
 from insdvl_replay.results.overviews import Failure, index_page, is_summary, summary_csv
 
 OVERVIEWS: Final = {"summary.csv": (summary_csv, is_summary), "index.html": (index_page, is_page)}
-"""What lays several dives beside each other, and tells it from somebody else's work, by the name of its file."""
+"""What lays several dives beside each other, and by the name of its file is known from somebody else's work."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class RunOptions:
     cluster : Cluster, optional
         In place of this machine.
     verbosity : int
-        1: say all notes, not the warnings alone; 2: also where in the code an error arose.
+        1: print all notes, not the warnings alone; 2: also where in the code an error arose.
     """
 
     format: Format
@@ -85,7 +86,7 @@ def replay_dives(names: Sequence[str], output: Path, options: ReplayOptions, run
 def outcomes(
     dives: Sequence[ReplayJob], jobs: int, cluster: Cluster | None, *, force: bool, rerun: bool
 ) -> Generator[Outcome, None, None]:
-    """Replay what has changed, and say on a terminal how far it is."""
+    """Replay what has changed, and show the progress on a terminal."""
     known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
     changed = [dive for dive in dives if dive.target not in known]
     workers = local_workers(max(1, min(jobs, len(changed)))) if cluster is None else cluster_workers(cluster)
@@ -127,7 +128,7 @@ def _report_result(outcome: Outcome, report: Report, run: RunOptions, *, quiet: 
 
 
 def _fail_on_warnings(report: Report, verbosity: int) -> int:
-    warnings = [note.code for note in report.notes if note.severity == "warning"]
+    warnings = [note.code for note in report.notes if note.severity == Severity.WARNING]
     if not warnings:
         return 0
     return log_failure(

@@ -14,12 +14,13 @@ from insdvl_replay.cli.options import CheckFormat
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, error_context, looked_for
+from insdvl_replay.core.words import GateStatus
 from insdvl_replay.gates.checking import (
     Checked,
     checked_replay,
     checked_results,
     compare_with_baselines,
-    judge_dives,
+    evaluate_gates,
     write_baselines,
 )
 from insdvl_replay.gates.gate_file import Gates, load_gates, require_known_names
@@ -89,9 +90,9 @@ def check_dives(
     codes = [log_failure(result, output.verbosity) for _, result in checked if isinstance(result, Exception)]
     if check.update:
         _update(gates, checked)
-    result = judge_dives(gates, checked)
+    result = evaluate_gates(gates, checked)
     _report(result, output)
-    codes += [GATE_FAILED] * result.count("failed")
+    codes += [GATE_FAILED] * result.count(GateStatus.FAILED)
     if codes:
         first = result.judgements[0]
         log_to_stderr(

@@ -62,8 +62,8 @@ def inspect(
             _print(inventory, format_, is_first=not inventories)
         inventories.append(inventory)
     if format_ is Format.JSON:
-        for shown in [inventories] if len(dives) > 1 else inventories:
-            write_stdout(as_json(shown).decode())
+        for content in [inventories] if len(dives) > 1 else inventories:
+            write_stdout(as_json(content).decode())
     return code
 
 

@@ -29,6 +29,25 @@ def json_schema(name: str) -> bytes:
     schema: dict[str, Any] = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": f"insdvl-replay {title}",
-        **msgspec.json.schema(SCHEMAS[name]),
+        **_with_words(msgspec.json.schema(SCHEMAS[name])),
     }
     return as_json(schema)
+
+
+def _with_words(schema: dict[str, Any]) -> dict[str, Any]:
+    """List the words that a value may be where it is described, not as definitions of their own."""
+    definitions = schema["$defs"]
+    words = {f"#/$defs/{name}": found["enum"] for name, found in definitions.items() if "enum" in found}
+
+    def listed(part: Any) -> Any:
+        if isinstance(part, list):
+            return [listed(inner) for inner in part]
+        if not isinstance(part, dict):
+            return part
+        if part.get("$ref") in words:
+            part = {"enum": words[part["$ref"]], **part}
+            del part["$ref"]
+        return {key: listed(inner) for key, inner in part.items()}
+
+    others = {name: found for name, found in definitions.items() if "enum" not in found}
+    return {**schema, "$defs": listed(others)}

@@ -110,7 +110,7 @@ Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", metavar="ADDR", help="Replay on the dask.distributed cluster at this address."),
 ]
-SchedulerPatience = Annotated[
+SchedulerTimeout = Annotated[
     float,
     typer.Option(
         "--scheduler-patience",

@@ -14,7 +14,7 @@ from insdvl_replay.cli.options import (
     Preset,
     Rerun,
     Scheduler,
-    SchedulerPatience,
+    SchedulerTimeout,
     Settings,
     Verbose,
 )
@@ -48,7 +48,7 @@ def run(
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
-    scheduler_patience: SchedulerPatience = 60.0,
+    scheduler_timeout: SchedulerTimeout = 60.0,
     rerun: Rerun = False,
     force: Force = False,
     verbose: Verbose = 0,
@@ -76,7 +76,7 @@ def run(
 
     spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
     resolved = load_config(preset, config, [*settings, *spans])
-    cluster = None if scheduler is None else Cluster(scheduler, scheduler_patience)
+    cluster = None if scheduler is None else Cluster(scheduler, scheduler_timeout)
     return replay_dives(
         logs,
         output,

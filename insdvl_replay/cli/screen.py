@@ -1,4 +1,4 @@
-"""The terminal's width, colour and patience, as rich sees them."""
+"""The terminal's width, colour and spinner, as rich sees them."""
 
 import sys
 from collections.abc import Callable, Iterator

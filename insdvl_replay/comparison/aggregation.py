@@ -1,98 +1,15 @@
 """One cell over many dives: the median of its changes, the worst, and the share of dives in which it improved."""
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from statistics import median
 from typing import Final
 
-import msgspec
+from insdvl_replay.core.changes import Aggregate, Change, Tally
+from insdvl_replay.core.tables import LAYOUTS
+from insdvl_replay.core.words import ChangeWord
 
-from insdvl_replay.core.changes import Aggregate, Change, Counts, Tally, Word
-from insdvl_replay.core.errors import ConfigError, Note, require_known
-from insdvl_replay.core.tables import LAYOUTS, StoredReport, StoredResult
-
-
-def parse_pairs(texts: Iterable[str]) -> dict[str, str]:
-    """Read pairs such as ``aided=windowed``.
-
-    Returns
-    -------
-    dict of str to str
-        New name by old name.
-
-    Raises
-    ------
-    ConfigError
-        One of them is something else.
-    """
-    pairs = {}
-    for text in texts:
-        old, equals, new = text.partition("=")
-        if not (old and equals and new):
-            raise ConfigError(f"--pair {text}: is not of the form OLD=NEW", "write --pair aided=windowed")
-        pairs[old] = new
-    return pairs
-
-
-def with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) -> list[StoredResult]:
-    """Return old results with the new names of their filters."""
-    for old, new in pairs.items():
-        names = list(dict.fromkeys(name for result in results for name in filter_names(result.report)))
-        require_known("filter", old, names)
-        if new in names and new not in pairs:
-            raise ConfigError(
-                f"--pair {old}={new}: the old results have a filter {new} too", f"add --pair {new}={new}_before"
-            )
-    return [StoredResult(result.folder, result.below, _renamed(result.report, pairs)) for result in results]
-
-
-def filter_names(report: StoredReport) -> list[str]:
-    """Return the baseline and the candidates."""
-    return [report.baseline, *report.filters]
-
-
-def require_no_strangers(pairs: Iterable[tuple[StoredResult, StoredResult]]) -> list[Note]:
-    """Raise if no candidate is on both sides of any dive; note those that are on one side only."""
-    sides: dict[str, Counter[str]] = {"old": Counter(), "new": Counter()}
-    only: dict[str, Counter[str]] = {"old": Counter(), "new": Counter()}
-    for old, new in pairs:
-        before, after = set(old.report.filters), set(new.report.filters)
-        sides["old"].update(before)
-        sides["new"].update(after)
-        only["old"].update(before - after)
-        only["new"].update(after - before)
-    if only["old"] == sides["old"] and only["new"] == sides["new"] and sides["old"] and sides["new"]:
-        theirs, ours = (sorted(sides[side]) for side in ("old", "new"))
-        raise ConfigError(
-            f"no candidate of the old results ({', '.join(theirs)}) is among the new ones ({', '.join(ours)})",
-            f"say which belong together with --pair {theirs[0]}={ours[0]}",
-        )
-    return [_one_sided(name, side, only[side][name]) for side in only for name in sorted(only[side])]
-
-
-def _one_sided(name: str, side: str, count: int) -> Note:
-    word = "gone" if side == "old" else "new"
-    return Note(
-        "filter_on_one_side",
-        f"filter {name} is in the {side} results alone (dives: {count}); its rows are {word}",
-        count,
-        "warning",
-        "--pair OLD=NEW compares filters of different names",
-    )
-
-
-def _renamed(report: StoredReport, pairs: Mapping[str, str]) -> StoredReport:
-    tables = {
-        table: [{**row, "filter": pairs.get(str(row.get("filter")), row.get("filter"))} for row in rows]
-        for table, rows in report.tables.items()
-    }
-    filters = {pairs.get(name, name): candidate for name, candidate in report.filters.items()}
-    baseline = pairs.get(report.baseline, report.baseline)
-    return msgspec.structs.replace(report, tables=tables, filters=filters, baseline=baseline)
-
-
-_CHIEF: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.chief, *layout.words)}
+_PRIMARY: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.primary, *layout.words)}
 """Columns that a reader looks at first, and words with a rank, which sum up numbers."""
 _ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
 
@@ -110,7 +27,7 @@ def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
     """
     cells: dict[tuple[str, str, str, str, str], list[Change]] = {}
     for change in changes:
-        if change.word in {"better", "worse", "same"}:
+        if change.word in {ChangeWord.BETTER, ChangeWord.WORSE, ChangeWord.SAME}:
             key = change.table, change.filter, change.row, change.unit, change.column
             cells.setdefault(key, []).append(change)
     gathered = [_aggregate(key, together) for key, together in cells.items()]
@@ -119,27 +36,27 @@ def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
 
 def tally(changes: Sequence[Change]) -> Tally:
     """Count cells by word, and name the largest loss and gain."""
-    counts: Counts = {"better": 0, "worse": 0, "same": 0, "changed": 0, "new": 0, "gone": 0}
+    counts = dict.fromkeys(ChangeWord, 0)
     for change in changes:
         counts[change.word] += 1
     losses = [change for change in changes if loss_of(change) > 0.0]
     gains = [change for change in changes if loss_of(change) < 0.0]
     return Tally(
-        counts, worst_of(losses), max(gains, key=lambda change: (_is_chief(change), -loss_of(change)), default=None)
+        counts, worst_of(losses), max(gains, key=lambda change: (_is_primary(change), -loss_of(change)), default=None)
     )
 
 
 def worst_of(changes: Iterable[Change]) -> Change | None:
-    """Name the largest loss, in the chief column of a table before all others; the first of equals."""
-    return max(changes, key=lambda change: (_is_chief(change), loss_of(change)), default=None)
+    """Name the largest loss, in the primary column of a table before all others; the first of equals."""
+    return max(changes, key=lambda change: (_is_primary(change), loss_of(change)), default=None)
 
 
-def loss(word: Word, change_pct: float | None) -> float:
+def loss(word: ChangeWord, change_pct: float | None) -> float:
     """State how much a cell lost, in percent."""
-    if word not in {"better", "worse", "gone"}:
+    if word not in {ChangeWord.BETTER, ChangeWord.WORSE, ChangeWord.GONE}:
         return 0.0
     amount = math.inf if change_pct is None else abs(change_pct)
-    return -amount if word == "better" else amount
+    return -amount if word == ChangeWord.BETTER else amount
 
 
 def loss_of(change: Change) -> float:
@@ -147,9 +64,9 @@ def loss_of(change: Change) -> float:
     return loss(change.word, change.change_pct)
 
 
-def _is_chief(change: Change) -> bool:
+def _is_primary(change: Change) -> bool:
     """Return whether a cell is what a reader looks at first. Words with a rank are: they sum up all numbers."""
-    return (change.table, change.column) in _CHIEF
+    return (change.table, change.column) in _PRIMARY
 
 
 def _aggregate(key: tuple[str, str, str, str, str], changes: Sequence[Change]) -> Aggregate:
@@ -159,10 +76,10 @@ def _aggregate(key: tuple[str, str, str, str, str], changes: Sequence[Change]) -
     return Aggregate(
         *key,
         dives=len(changes),
-        better=words.count("better"),
-        worse=words.count("worse"),
-        same=words.count("same"),
-        share_better_pct=100.0 * words.count("better") / len(words),
+        better=words.count(ChangeWord.BETTER),
+        worse=words.count(ChangeWord.WORSE),
+        same=words.count(ChangeWord.SAME),
+        share_better_pct=100.0 * words.count(ChangeWord.BETTER) / len(words),
         median_change_pct=median(percentages) if percentages else None,
         worst_log=worst.log,
         worst_change_pct=worst.change_pct,

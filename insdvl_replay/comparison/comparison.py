@@ -1,16 +1,19 @@
 """Two sets of results laid beside each other, dive by dive and cell by cell."""
 
 import json
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from insdvl_replay.comparison.aggregation import aggregates, require_no_strangers, tally, with_new_names
-from insdvl_replay.core.changes import Change, Comparison, Difference, DiveComparison, MatchedBy
+from insdvl_replay.comparison.aggregation import aggregates, tally
+from insdvl_replay.comparison.dive_matching import Matching, match_dives
+from insdvl_replay.comparison.filter_pairs import require_common_candidate, with_new_names
+from insdvl_replay.core.changes import Change, Comparison, Difference, DiveComparison
 from insdvl_replay.core.errors import ConfigError, Note, require_known
 from insdvl_replay.core.table_layout import TableLayout
 from insdvl_replay.core.tables import LAYOUTS, StoredReport, StoredResult
+from insdvl_replay.core.words import MatchedBy, Severity
 from insdvl_replay.evaluation.row_changes import compare_tables, named_rows
 from insdvl_replay.results.stored_results import read_results
 
@@ -68,95 +71,6 @@ def _channel(channel: Mapping[str, Any]) -> str:
     return f"{channel.get('messages')} {channel.get('type_name')} ({channel.get('role') or 'unused'})"
 
 
-_Key = Callable[[StoredResult], Hashable]
-
-
-@dataclass(frozen=True)
-class Matching:
-    """Who belongs to whom.
-
-    Attributes
-    ----------
-    pairs : tuple of (StoredResult, StoredResult, str)
-        Old, new, and what they were matched by; in the order of the new ones.
-    gone, new : tuple of StoredResult
-        Without counterpart.
-    """
-
-    pairs: tuple[tuple[StoredResult, StoredResult, MatchedBy], ...]
-    gone: tuple[StoredResult, ...]
-    new: tuple[StoredResult, ...]
-
-
-# Results of one log in several folders are told apart by their place, then by their name.
-_KEYS: Final[tuple[tuple[MatchedBy, _Key], ...]] = (
-    ("hash", lambda result: (result.report.log.sha256, result.below)),
-    ("hash", lambda result: (result.report.log.sha256, result.name)),
-    ("hash", lambda result: result.report.log.sha256),
-    ("name", lambda result: (result.name, result.below)),
-    ("name", lambda result: result.name),
-)
-
-
-def match_dives(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> Matching:
-    """Match results of the same dive.
-
-    Two single results are matched whatever they are: they were meant.
-    """
-    if len(old) == len(new) == 1:
-        return Matching(((old[0], new[0], _how_alike(old[0], new[0])),), (), ())
-    left = {id(result): result for result in old}
-    found: dict[int, tuple[StoredResult, MatchedBy]] = {}
-    for how, key in _KEYS:
-        unmatched = [result for result in new if id(result) not in found]
-        theirs, ours = (_unique(results, how, key) for results in (left.values(), unmatched))
-        for value in theirs.keys() & ours.keys():
-            found[id(ours[value])] = theirs[value], how
-            del left[id(theirs[value])]
-    pairs = tuple((found[id(result)][0], result, found[id(result)][1]) for result in new if id(result) in found)
-    unmatched = [result for result in new if id(result) not in found]
-    _require_unambiguous(list(left.values()), unmatched)
-    if not pairs:
-        raise ConfigError(
-            f"no dive of {_names(old)} is among {_names(new)}, by hash or by name",
-            "name two folders that hold results of the same logs, or two single results",
-        )
-    return Matching(pairs, tuple(left.values()), tuple(unmatched))
-
-
-def _how_alike(old: StoredResult, new: StoredResult) -> MatchedBy:
-    if old.report.log.sha256 and old.report.log.sha256 == new.report.log.sha256:
-        return "hash"
-    return "name" if old.name == new.name else "choice"
-
-
-def _unique(results: Iterable[StoredResult], how: MatchedBy, key: _Key) -> dict[Hashable, StoredResult]:
-    """Return the results that are alone with their key. A dive that was never a file has no hash."""
-    by_key: dict[Hashable, list[StoredResult]] = {}
-    for result in results:
-        if how != "hash" or result.report.log.sha256:
-            by_key.setdefault(key(result), []).append(result)
-    return {value: together[0] for value, together in by_key.items() if len(together) == 1}
-
-
-def _require_unambiguous(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> None:
-    """Raise if a dive is left on both sides: it has several results, and nothing says which belong together."""
-    shared = {result.name for result in old} & {result.name for result in new}
-    hashes = {result.report.log.sha256 for result in old} & {result.report.log.sha256 for result in new} - {""}
-    for result in new:
-        if result.name in shared or result.report.log.sha256 in hashes:
-            folders = [str(other.folder) for other in (*old, *new) if other.name == result.name]
-            raise ConfigError(
-                f"{result.name}: several results could belong together: {', '.join(folders)}",
-                "name the two folders that are to be compared",
-            )
-
-
-def _names(results: Sequence[StoredResult]) -> str:
-    names = [result.name for result in results]
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
 _Pairs = Sequence[tuple[StoredResult, StoredResult]]
 
 
@@ -202,7 +116,7 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
     as_stored = [(was, is_) for was, is_, _ in matching.pairs]
     renamed = with_new_names([was for was, _ in as_stored], selection.filter_pairs)
     pairs = [(was, is_) for was, (_, is_) in zip(renamed, as_stored, strict=True)]
-    notes = [*notes_before, *notes_after, *require_no_strangers(pairs), *_table_notes(pairs, layouts)]
+    notes = [*notes_before, *notes_after, *require_common_candidate(pairs), *_table_notes(pairs, layouts)]
     _require_something(pairs, layouts, selection.columns)
     by_dive = [
         _chosen_columns(compare_tables(was, is_, layouts, selection.tolerance_pct), selection.columns)
@@ -260,12 +174,14 @@ def _table_notes(pairs: _Pairs, layouts: Sequence[TableLayout]) -> Iterator[Note
         for side, word, missing in (("old", "new", (False, True)), ("new", "gone", (True, False))):
             if count := have.count(missing):
                 text = f"table {layout.name}: the {side} results of {count} dives have no rows; all its rows are {word}"
-                yield Note("table_on_one_side", text, count, "warning")
+                yield Note("table_on_one_side", text, count, Severity.WARNING)
     known = {layout.name for layout in LAYOUTS}
     unknown = [table for pair in pairs for result in pair for table in result.report.tables if table not in known]
     for table in dict.fromkeys(unknown):
         text = f"table {table}: this version does not know it, and leaves it out"
-        yield Note("table_unknown", text, unknown.count(table), "warning", "compare with the version that wrote it")
+        yield Note(
+            "table_unknown", text, unknown.count(table), Severity.WARNING, "compare with the version that wrote it"
+        )
 
 
 def _tables_of(changes: Sequence[Change]) -> list[str]:
@@ -275,7 +191,7 @@ def _tables_of(changes: Sequence[Change]) -> list[str]:
 def _dives(matching: Matching, by_dive: Sequence[Sequence[Change]]) -> Iterator[DiveComparison]:
     for (old, new, how), changes in zip(matching.pairs, by_dive, strict=True):
         yield DiveComparison(new.name, str(old.folder), str(new.folder), how, tally(changes))
-    for result in matching.gone:
-        yield DiveComparison(result.name, str(result.folder), None, "nothing", None)
+    for result in matching.removed:
+        yield DiveComparison(result.name, str(result.folder), None, MatchedBy.NOTHING, None)
     for result in matching.new:
-        yield DiveComparison(result.name, None, str(result.folder), "nothing", None)
+        yield DiveComparison(result.name, None, str(result.folder), MatchedBy.NOTHING, None)

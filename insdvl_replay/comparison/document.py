@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, fields, replace
 from typing import Final
 
-from insdvl_replay.comparison.rows import aggregate_tables, change_tables, described, growth, place
+from insdvl_replay.comparison.display_tables import aggregate_tables, change_tables, described, growth, place
 from insdvl_replay.core.changes import (
     Aggregate,
     Change,
@@ -14,13 +14,12 @@ from insdvl_replay.core.changes import (
     Limit,
     Tally,
     Violation,
-    Word,
 )
+from insdvl_replay.core.words import ChangeWord
 from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import MISSING, Callout, DisplayTable, Only, Part, Sentences, Title, counted
 
-WORDS: Final[tuple[Word, ...]] = ("better", "worse", "same", "changed", "new", "gone")
-_HASH_SHOWN: Final = 12
+_HASH_DIGITS: Final = 12
 _NAMED_DIVES: Final = 2
 
 
@@ -41,9 +40,9 @@ def opening_lines(comparison: Comparison) -> list[str]:
     """State how many values moved, and which of them most."""
     counts = comparison.total.counts
     number = sum(counts.values())
-    words = ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word] and word != "same")
+    words = ", ".join(f"{counts[word]} {word}" for word in ChangeWord if counts[word] and word != ChangeWord.SAME)
     limit = "the last printed digit" if comparison.tolerance_pct is None else f"{comparison.tolerance_pct:g} %"
-    lines = [f"{words or 'nothing moved'}; {counts['same']} of {number} values are the same up to {limit}"]
+    lines = [f"{words or 'nothing moved'}; {counts[ChangeWord.SAME]} of {number} values are the same up to {limit}"]
     for name, change in (("worst", comparison.total.worst), ("best", comparison.total.best)):
         if change is not None:
             lines.append(f"{name}: {described(change)}")
@@ -66,7 +65,7 @@ def comparison_csv(comparison: Comparison) -> str:
     """Write differences, dives, aggregates and changes one after the other."""
     parts: dict[str, tuple[tuple[str, ...], Iterable[tuple[object, ...]]]] = {
         "difference": (_header(Difference), map(_difference_row, comparison.differences)),
-        "dive": (("log", "old", "new", "matched_by", *WORDS), map(_dive_row, comparison.dives)),
+        "dive": (("log", "old", "new", "matched_by", *ChangeWord), map(_dive_row, comparison.dives)),
         "aggregate": (_header(Aggregate), map(astuple, comparison.aggregates)),
         "change": (_header(Change), map(astuple, comparison.changes)),
     }
@@ -82,25 +81,25 @@ def _difference_row(difference: Difference) -> tuple[object, ...]:
 
 
 def _dive_row(dive: DiveComparison) -> tuple[object, ...]:
-    counts = [dive.tally.counts[word] if dive.tally else None for word in WORDS]
+    counts = [dive.tally.counts[word] if dive.tally else None for word in ChangeWord]
     return dive.log, dive.old, dive.new, dive.matched_by, *counts
 
 
-def breach_sentence(breach: Violation) -> str:
+def violation_sentence(violation: Violation) -> str:
     """State how much is worse than allowed, and what most."""
     reasons = []
-    if breach.worst is not None:
-        verb = "are" if breach.count > 1 else "is"
-        much = f"{counted(breach.count, 'value')} {_too_far(breach.limit, verb)}"
-        reasons.append(f"{much}; worst: {described(breach.worst)}")
-    if breach.dives:
-        reasons.append(f"{counted(len(breach.dives), 'dive')} without counterpart: {', '.join(breach.dives)}")
+    if violation.worst is not None:
+        verb = "are" if violation.count > 1 else "is"
+        much = f"{counted(violation.count, 'value')} {_too_far(violation.limit, verb)}"
+        reasons.append(f"{much}; worst: {described(violation.worst)}")
+    if violation.dives:
+        reasons.append(f"{counted(len(violation.dives), 'dive')} without counterpart: {', '.join(violation.dives)}")
     return "; ".join(reasons)
 
 
 def _too_far(limit: Limit, verb: str) -> str:
-    if limit.word == "changed":
-        return "changed"
+    if limit.word == ChangeWord.CHANGED:
+        return ChangeWord.CHANGED
     return f"{verb} worse by more than {limit.above_pct:g} %" if limit.above_pct else f"{verb} worse"
 
 
@@ -119,8 +118,8 @@ def _differences(differences: Sequence[Difference], dives: int) -> Iterator[Disp
         tuple(
             (
                 f"{difference.block} {difference.key}",
-                _shown(difference, difference.old),
-                _shown(difference, difference.new),
+                _value_text(difference, difference.old),
+                _value_text(difference, difference.new),
                 *(() if of_all else (_where(difference.logs, dives),)),
             )
             for difference in differences
@@ -128,10 +127,10 @@ def _differences(differences: Sequence[Difference], dives: int) -> Iterator[Disp
     )
 
 
-def _shown(difference: Difference, value: str | None) -> str:
+def _value_text(difference: Difference, value: str | None) -> str:
     if value is None:
         return MISSING
-    return value[:_HASH_SHOWN] if difference.key == "sha256" else value
+    return value[:_HASH_DIGITS] if difference.key == "sha256" else value
 
 
 def _where(logs: Sequence[str], dives: int) -> str:
@@ -144,13 +143,17 @@ def _where(logs: Sequence[str], dives: int) -> str:
 def _dives(dives: Sequence[DiveComparison]) -> DisplayTable:
     """Show the dives in which something moved, and count the others."""
     moved = [dive for dive in dives if dive.tally is None or _has_moved(dive.tally)]
-    table = _tallies("Dives", "dive", [(dive.log, dive.tally, "gone" if dive.new is None else "new") for dive in moved])
+    table = _tallies("Dives", "dive", [(dive.log, dive.tally, _only_side(dive)) for dive in moved])
     still = len(dives) - len(moved)
     return replace(table, footnote=f"and {counted(still, 'dive')} in which nothing moved") if still else table
 
 
+def _only_side(dive: DiveComparison) -> ChangeWord:
+    return ChangeWord.GONE if dive.new is None else ChangeWord.NEW
+
+
 def _has_moved(tally: Tally) -> bool:
-    return tally.counts["same"] < sum(tally.counts.values())
+    return tally.counts[ChangeWord.SAME] < sum(tally.counts.values())
 
 
 def _by_table(tables: Mapping[str, Tally]) -> DisplayTable:
@@ -159,7 +162,7 @@ def _by_table(tables: Mapping[str, Tally]) -> DisplayTable:
 
 def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]]) -> DisplayTable:
     """Show counts by word, those that occur, and the largest loss; of what has no tally, a word instead."""
-    words = [word for word in WORDS if any(tally is not None and tally.counts[word] for _, tally, _ in named)]
+    words = [word for word in ChangeWord if any(tally is not None and tally.counts[word] for _, tally, _ in named)]
     rows = []
     for name, tally, otherwise in named:
         counts = [MISSING if tally is None else str(tally.counts[word]) for word in words]

@@ -5,6 +5,7 @@ import re
 from insdvl_replay.comparison.aggregation import loss_of, worst_of
 from insdvl_replay.core.changes import Change, Comparison, Limit, Violation
 from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.words import ChangeWord
 from insdvl_replay.evaluation.row_changes import ROUNDING, within
 
 
@@ -46,16 +47,16 @@ def parse_limit(text: str) -> Limit:
         It is something else.
     """
     word, colon, percentage = text.partition(":")
-    if word == "worse":
-        return Limit("worse", parse_percentage(percentage, "--fail-on worse:") if colon else 0.0)
-    if text == "changed":
-        return Limit("changed")
+    if word == ChangeWord.WORSE:
+        return Limit(ChangeWord.WORSE, parse_percentage(percentage, "--fail-on worse:") if colon else 0.0)
+    if text == ChangeWord.CHANGED:
+        return Limit(ChangeWord.CHANGED)
     raise ConfigError(
         f"--fail-on {text}: is not known", "write --fail-on worse, --fail-on worse:5% or --fail-on changed"
     )
 
 
-def breach(comparison: Comparison, limit: Limit) -> Violation | None:
+def find_violation(comparison: Comparison, limit: Limit) -> Violation | None:
     """Find what exceeds a limit.
 
     Returns
@@ -64,14 +65,13 @@ def breach(comparison: Comparison, limit: Limit) -> Violation | None:
         None where nothing does.
     """
     changes = tuple(change for change in comparison.changes if _exceeds(change, limit))
-    dives = tuple(
-        dive.log for dive in comparison.dives if dive.new is None or (limit.word == "changed" and dive.old is None)
-    )
+    new_ones_too = limit.word == ChangeWord.CHANGED
+    dives = tuple(dive.log for dive in comparison.dives if dive.new is None or (new_ones_too and dive.old is None))
     worst = worst_of(changes)
     return Violation(limit, len(changes), worst, dives) if changes or dives else None
 
 
 def _exceeds(change: Change, limit: Limit) -> bool:
-    if limit.word == "changed":
-        return change.word != "same"
+    if limit.word == ChangeWord.CHANGED:
+        return change.word != ChangeWord.SAME
     return not within(loss_of(change), limit.above_pct, 100.0 * ROUNDING)

@@ -4,16 +4,12 @@ The comparison finds it out and shows it.
 """
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.tables import Cell
+from insdvl_replay.core.words import ChangeWord, MatchedBy
 
-Word = Literal["better", "worse", "same", "changed", "new", "gone"]
-"""``changed`` is said of what is neither better nor worse; ``new`` and ``gone`` of what only one side has."""
-MatchedBy = Literal["hash", "name", "choice", "nothing"]
-"""``choice``: each side is a single result, so that the two were meant; ``nothing``: without counterpart."""
-Counts = dict[Word, int]
+Counts = dict[ChangeWord, int]
 
 
 @dataclass(frozen=True)
@@ -66,7 +62,7 @@ class Change:
     new: Cell
     change: float | None
     change_pct: float | None
-    word: Word
+    word: ChangeWord
 
 
 @dataclass(frozen=True)
@@ -141,7 +137,7 @@ class Aggregate:
     median_change_pct: float | None
     worst_log: str
     worst_change_pct: float | None
-    worst_word: Word
+    worst_word: ChangeWord
 
 
 @dataclass(frozen=True)
@@ -185,7 +181,7 @@ class Limit:
         fell, a number that was lost or grew from zero, and a row that is gone exceed every limit.
     """
 
-    word: Literal["worse", "changed"]
+    word: ChangeWord
     above_pct: float = 0.0
 
 

@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
-Severity = Literal["info", "warning"]
+from insdvl_replay.core.words import Severity
 
 ALIKE: Final = 0.6
 """Share of letters that a misspelled name has in common with what was meant; of others it is no use to speak."""
@@ -155,5 +155,5 @@ class Note:
     code: str
     text: str
     count: int = 1
-    severity: Severity = "info"
+    severity: Severity = Severity.INFO
     hint: str = ""

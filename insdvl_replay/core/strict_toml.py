@@ -4,6 +4,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from enum import EnumMeta
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal, NoReturn, TypeVar, get_args, get_origin, get_type_hints
@@ -223,6 +224,8 @@ def _value_at(table: Any, keys: KeyPath) -> object:
 
 def _words(hint: object) -> Iterator[str]:
     """Yield the words that a value may be."""
+    if isinstance(hint, EnumMeta):
+        yield from hint.__members__.values()
     for inner in get_args(hint):
         if get_origin(hint) is Literal:
             yield inner

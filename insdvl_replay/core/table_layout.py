@@ -18,11 +18,11 @@ class Column:
 
     Attributes
     ----------
-    says : str
-        What it holds, and those after it until the next one that says something.
+    comment : str
+        What it holds, and those after it until the next one with a comment.
     better : Better or None
         What counts as better; None for words, counts and limits that are neither better nor worse.
-    chief : bool
+    primary : bool
         A reader looks at it first.
     names : tuple of str or None
         What it names, if it names the row; empty where that is the user's choice.
@@ -30,9 +30,9 @@ class Column:
         The words that have a rank.
     """
 
-    says: str = ""
+    comment: str = ""
     better: Better | None = None
-    chief: bool = False
+    primary: bool = False
     names: tuple[str, ...] | None = None
     best_first: tuple[str, ...] = ()
 
@@ -55,7 +55,7 @@ class TableLayout:
         The column that, with log and filter, names a row.
     better : dict of str to Better
         Of the columns that have one.
-    chief : str
+    primary : str
         The column that a reader looks at first.
     words : dict of str to tuple of str
         By column, the words that have a rank, best first.
@@ -73,7 +73,7 @@ class TableLayout:
     kinds: dict[str, Kind]
     key: str
     better: dict[str, Better]
-    chief: str
+    primary: str
     words: dict[str, tuple[str, ...]]
     rows: tuple[str, ...]
     baseline_too: bool
@@ -92,16 +92,16 @@ def layout_of(name: str, row: type[Struct]) -> TableLayout:
     """Read the layout of a table from its row type; rows without a column that names them bear a filter's name."""
     hints = get_type_hints(row, include_extras=True)
     columns = {column: _column(hints[column]) for column in row.__struct_fields__}
-    key = next((column for column, told in columns.items() if told.names is not None), "filter")
+    key = next((column for column, found in columns.items() if found.names is not None), "filter")
     return TableLayout(
         name=name,
         row=row,
         columns=columns,
         kinds={column: _kind(hints[column]) for column in columns},
         key=key,
-        better={column: told.better for column, told in columns.items() if told.better},
-        chief=next(column for column, told in columns.items() if told.chief),
-        words={column: told.best_first for column, told in columns.items() if told.best_first},
+        better={column: found.better for column, found in columns.items() if found.better},
+        primary=next(column for column, found in columns.items() if found.primary),
+        words={column: found.best_first for column, found in columns.items() if found.best_first},
         rows=columns[key].names or () if key in columns else (),
         baseline_too=getattr(row, "baseline_too", False),
         about=getattr(row, "about", ""),
@@ -109,7 +109,7 @@ def layout_of(name: str, row: type[Struct]) -> TableLayout:
 
 
 def _column(hint: Any) -> Column:
-    return next((told for told in getattr(hint, "__metadata__", ()) if isinstance(told, Column)), Column())
+    return next((found for found in getattr(hint, "__metadata__", ()) if isinstance(found, Column)), Column())
 
 
 def _kind(hint: Any) -> Kind:

@@ -82,7 +82,7 @@ class ImprovementRow(Struct, frozen=True):
     state: Annotated[str, _STATE]
     unit: Annotated[str, Column("Unit of the standard deviations.")]
     baseline_sd: Annotated[Number, Column(better="lower")]
-    sd: Annotated[Number, Column(better="lower", chief=True)]
+    sd: Annotated[Number, Column(better="lower", primary=True)]
     improvement_pct: Annotated[
         Number, Column("(baseline - candidate) / baseline; NaN where there is none.", better="higher")
     ]
@@ -105,7 +105,7 @@ class ConvergenceRow(Struct, frozen=True):
         Number,
         Column("Times from the start at which the baseline and the candidate have it; NaN for never.", better="lower"),
     ]
-    reached_s: Annotated[Number, Column(better="lower", chief=True)]
+    reached_s: Annotated[Number, Column(better="lower", primary=True)]
     improvement_pct: Annotated[Number, Column(better="higher")]
     status: Annotated[str, Column("reached, at_start or never.")]
 
@@ -120,7 +120,7 @@ class ReferenceErrorRow(Struct, frozen=True):
     quantity: Annotated[str, _REFERENCE_QUANTITY]
     unit: Annotated[str, Column("Unit of the errors.")]
     baseline_rmse: Annotated[Number, Column("Root mean square over the dive.", better="lower")]
-    rmse: Annotated[Number, Column(better="lower", chief=True)]
+    rmse: Annotated[Number, Column(better="lower", primary=True)]
     improvement_pct: Annotated[Number, Column(better="higher")]
     baseline_final: Annotated[Number, Column("At the last reference time, with its sign.", better="nearer zero")]
     final: Annotated[Number, Column(better="nearer zero")]
@@ -150,7 +150,7 @@ class ConsistencyRow(Struct, frozen=True):
         Column(
             "Mean normalised innovation squared, and the interval in which 95 % of consistent filters have it.",
             better="nearer dof",
-            chief=True,
+            primary=True,
         ),
     ]
     low: Number
@@ -191,7 +191,7 @@ class CredibilityRow(Struct, frozen=True):
         Column(
             "Mean normalised error squared, and the interval in which 95 % of consistent filters have it.",
             better="nearer dof",
-            chief=True,
+            primary=True,
         ),
     ]
     low: Number
@@ -244,7 +244,7 @@ class Candidate(Struct, frozen=True):
     reference_improvement_pct: Annotated[
         Number,
         Meta(description="actual; median over the compared quantities"),
-        Column(better="higher", chief=True),
+        Column(better="higher", primary=True),
     ]
     credibility: Annotated[str, Meta(description="the verdict of its errors against the reference")] = ""
 

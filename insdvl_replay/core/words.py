@@ -1,4 +1,4 @@
-"""The words of the tables: every verdict and status, once. Their values stand in files, gates and scripts."""
+"""The words of results: every verdict, status, severity and change, once. Their values stand in files and scripts."""
 
 from enum import StrEnum
 
@@ -72,3 +72,62 @@ class DirectionStatus(StrEnum):
     UNOBSERVABLE = "unobservable"
     WEAK = "weak"
     SEEN = "seen"
+
+
+class Severity(StrEnum):
+    """Whether a note may change how far the tables are to be believed."""
+
+    INFO = "info"
+    WARNING = "warning"
+    """``--strict`` makes it an error."""
+
+
+class Reading(StrEnum):
+    """How much of the messages was read to know a log."""
+
+    SAMPLE = "sample"
+    WHOLE = "whole"
+
+
+class GateLevel(StrEnum):
+    """What a gate that is not passed does."""
+
+    ERROR = "error"
+    WARN = "warn"
+    OFF = "off"
+
+
+class GateStatus(StrEnum):
+    """What became of a gate on a dive, in the order in which a check lists it."""
+
+    UNUSABLE = "unusable"
+    """The dive could not be replayed, or its result not be read."""
+    FAILED = "failed"
+    WARNING = "warning"
+    OFF = "off"
+    PASSED = "passed"
+
+
+class ChangeWord(StrEnum):
+    """What became of a cell, in the order in which a comparison counts it."""
+
+    BETTER = "better"
+    WORSE = "worse"
+    SAME = "same"
+    CHANGED = "changed"
+    """Neither better nor worse, and not the same."""
+    NEW = "new"
+    """Only the new side has it."""
+    GONE = "gone"
+    """Only the old side has it."""
+
+
+class MatchedBy(StrEnum):
+    """How the counterpart of a dive was found."""
+
+    HASH = "hash"
+    NAME = "name"
+    CHOICE = "choice"
+    """Each side is a single result, so that the two were meant."""
+    NOTHING = "nothing"
+    """It has none."""

@@ -14,7 +14,7 @@ from insdvl_replay.core.columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.tables import AXES, ConsistencyRow, axis_of
-from insdvl_replay.core.words import Consistency, Whiteness
+from insdvl_replay.core.words import Consistency, Severity, Whiteness
 from insdvl_replay.evaluation.chi_square import mean_interval, verdict
 
 FEWEST_UPDATES = 10
@@ -118,7 +118,7 @@ def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
     kind, total = innovations.measurement, len(innovations.used)
     if total == 0:
         text, hint = f"filter {name} had no {kind} to use", f"filters.{name}.acceleration.max_window_gap_s or window"
-        return [Note("aiding_without_updates", text, 0, "warning", hint)]
+        return [Note("aiding_without_updates", text, 0, Severity.WARNING, hint)]
     lost = int(np.sum(~np.isfinite(innovations.nis)))
     if lost:
         first = int(np.argmax(~np.isfinite(innovations.nis)))
@@ -126,7 +126,7 @@ def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
             f"filter {name} broke down: {lost} of {total} {kind} innovations are not finite, from number {first + 1} on"
         )
         hint = 'check the units and sizes of [noise] and [initial]; after long IMU gaps, imu.long_gaps = "split"'
-        return [Note("filter_not_finite", text, lost, "warning", hint)]
+        return [Note("filter_not_finite", text, lost, Severity.WARNING, hint)]
     hint = f"check lever arm and mounting, raise [noise], or --set filters.{name}.gate_probability=1.0"
     return [*_rejection_notes(name, innovations, hint), *_reopening_notes(name, innovations, hint)]
 
@@ -136,7 +136,7 @@ def _rejection_notes(name: str, innovations: Innovations, hint: str) -> list[Not
     if rejected <= MANY_REJECTED * total:
         return []
     text = f"filter {name} rejected {rejected} of {total} {innovations.measurement} innovations"
-    return [Note("gate_rejects_many", text, rejected, "warning", hint)]
+    return [Note("gate_rejects_many", text, rejected, Severity.WARNING, hint)]
 
 
 def _reopening_notes(name: str, innovations: Innovations, hint: str) -> list[Note]:
@@ -148,7 +148,7 @@ def _reopening_notes(name: str, innovations: Innovations, hint: str) -> list[Not
         f"filter {name} was set to the DVL again after runs of rejected velocities ({len(reopened)} in all, the first "
         f"{first_s:.1f} s after the first ping)"
     )
-    return [Note("gate_reopened", text, len(reopened), "warning", hint)]
+    return [Note("gate_reopened", text, len(reopened), Severity.WARNING, hint)]
 
 
 def rejections(innovations: Innovations) -> int:

@@ -13,6 +13,7 @@ from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, TruthCo
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.words import Severity
 
 WELL_COVERED: Final = 0.9
 """Share of a replay that has to be covered before errors are taken for those of the whole."""
@@ -93,7 +94,7 @@ def _notes(source: str, time_ns: TimeNs, known: Mapping[str, Known], start_ns: i
             "that part alone"
         )
         count = min(len(_inside(time_ns[known[quantity]], start_ns, end_ns)) for quantity in quantities)
-        yield Note(f"{source}_coverage", text, count, "warning", "--start and --end choose that part")
+        yield Note(f"{source}_coverage", text, count, Severity.WARNING, "--start and --end choose that part")
 
 
 def _inside(time_ns: TimeNs, start_ns: int, end_ns: int) -> TimeNs:
@@ -132,7 +133,7 @@ def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, 
     )
     hint = f"a reference at {turn[worst] / SMALL_TURN / apart_s:.2g} Hz would see this turn"
     count = len(np.unique(since[turning]))
-    return (Note("reference_slow", text, count, "warning" if turn[worst] > LARGE_TURN else "info", hint),)
+    return (Note("reference_slow", text, count, Severity.WARNING if turn[worst] > LARGE_TURN else Severity.INFO, hint),)
 
 
 def _since_last_sample(history: History, reference_ns: TimeNs) -> tuple[TimeNs, Floats, Floats]:

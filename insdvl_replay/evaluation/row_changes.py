@@ -5,10 +5,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from insdvl_replay.core.changes import Change, Word
+from insdvl_replay.core.changes import Change
 from insdvl_replay.core.errors import ResultError
 from insdvl_replay.core.table_layout import PERCENTAGE, Better, TableLayout
 from insdvl_replay.core.tables import CANDIDATES, Cell, Row, StoredReport, StoredResult
+from insdvl_replay.core.words import ChangeWord
 
 PRINTED_DIGITS: Final = 4
 """Significant digits of a printed number."""
@@ -124,7 +125,7 @@ class Moved:
 
     change: float | None
     change_pct: float | None
-    word: Word
+    word: ChangeWord
 
 
 def judge_number(
@@ -138,7 +139,8 @@ def judge_number(
 ) -> Moved:
     """Judge what became of a number; without a tolerance the same is what prints alike. ``dofs``: old and new."""
     if old is None or new is None:
-        return Moved(None, None, "same" if old is new else "worse" if new is None else "better")
+        word = ChangeWord.WORSE if new is None else ChangeWord.BETTER
+        return Moved(None, None, ChangeWord.SAME if old is new else word)
     before, after = size(old, better, dofs[0]), size(new, better, dofs[1])
     change_pct = size_change_pct(before, after, column)
     if tolerance_pct is None:
@@ -147,17 +149,18 @@ def judge_number(
         digits = rounding_pct(before, after, column)
         alike = before == after or (change_pct is not None and within(abs(change_pct), tolerance_pct, digits))
     if alike:
-        return Moved(new - old, change_pct, "same")
-    return Moved(new - old, change_pct, "better" if (after > before) == (better == "higher") else "worse")
+        return Moved(new - old, change_pct, ChangeWord.SAME)
+    is_better = (after > before) == (better == "higher")
+    return Moved(new - old, change_pct, ChangeWord.BETTER if is_better else ChangeWord.WORSE)
 
 
-def rank_word(old: Cell, new: Cell, best_first: tuple[str, ...]) -> Word:
+def rank_word(old: Cell, new: Cell, best_first: tuple[str, ...]) -> ChangeWord:
     """State what became of a word: better or worse if both words have a rank, else whether it changed."""
     if old == new:
-        return "same"
+        return ChangeWord.SAME
     if old not in best_first or new not in best_first:
-        return "changed"
-    return "worse" if best_first.index(str(new)) > best_first.index(str(old)) else "better"
+        return ChangeWord.CHANGED
+    return ChangeWord.WORSE if best_first.index(str(new)) > best_first.index(str(old)) else ChangeWord.BETTER
 
 
 NAMES: Final = frozenset(("log", "filter", "unit"))
@@ -248,8 +251,8 @@ def _cells(
         if column in before and column in after:
             moved = _judged(before, after, column, layout, tolerance_pct)
         else:
-            moved = Moved(None, None, "new" if column in after else "gone")
-        if moved.word != "same" or column in layout.better or column in layout.words:
+            moved = Moved(None, None, ChangeWord.NEW if column in after else ChangeWord.GONE)
+        if moved.word != ChangeWord.SAME or column in layout.better or column in layout.words:
             yield column, was, is_, moved
 
 
@@ -260,7 +263,7 @@ def _judged(old: Row, new: Row, column: str, layout: TableLayout, tolerance_pct:
     if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
         better = None
     if isinstance(was, float) and isinstance(is_, float) and better is None and agree(was, is_, column):
-        return Moved(is_ - was, None, "same")
+        return Moved(is_ - was, None, ChangeWord.SAME)
     if better is None or isinstance(was, str) or isinstance(is_, str):
         return Moved(_difference(was, is_), None, rank_word(was, is_, layout.words.get(column, ())))
     return judge_number(was, is_, column, better, dofs=dofs, tolerance_pct=tolerance_pct)

@@ -9,9 +9,10 @@ import msgspec
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ConfigError, ResultError, UserError, looked_for
 from insdvl_replay.core.tables import StoredReport, StoredResult
+from insdvl_replay.core.words import GateLevel, GateStatus
 from insdvl_replay.gates.findings import gate_findings
 from insdvl_replay.gates.gate_file import Gates
-from insdvl_replay.gates.model import LOG, CheckResult, Finding, Gate, Judgement, Status
+from insdvl_replay.gates.model import LOG, CheckResult, Finding, Gate, Judgement
 from insdvl_replay.results.folder import COMPLETE, result_file
 from insdvl_replay.results.json_report import Report, as_json
 from insdvl_replay.results.stored_results import read_results
@@ -19,7 +20,7 @@ from insdvl_replay.results.stored_results import read_results
 Checked = tuple[str, StoredReport | Exception]
 """A dive's name, and its result or why there is none."""
 
-_ORDER: Final[tuple[Status, ...]] = ("unusable", "failed", "warning", "off", "passed")
+_WORST_FIRST: Final = tuple(GateStatus)
 
 
 def checked_replay(name: str, result: Report | Exception) -> Checked:
@@ -56,22 +57,22 @@ def _checked_result(result: StoredResult) -> Checked:
     )
 
 
-def judge_dives(gates: Gates, dives: Iterable[Checked]) -> CheckResult:
+def evaluate_gates(gates: Gates, dives: Iterable[Checked]) -> CheckResult:
     """Hold every dive against every gate."""
     judgements = [
-        _judged(gates, gate, line, name, result)
+        _evaluated(gates, gate, line, name, result)
         for name, result in dives
         for gate, line in zip(gates.content.gate, gates.lines, strict=True)
     ]
-    judgements.sort(key=lambda judgement: _ORDER.index(judgement.status))
+    judgements.sort(key=lambda judgement: _WORST_FIRST.index(judgement.status))
     return CheckResult(str(gates.path), tuple(judgements))
 
 
-def _judged(gates: Gates, gate: Gate, line: int, name: str, result: StoredReport | Exception) -> Judgement:
-    if gate.level == "off":
-        return Judgement(name, gate.name, "off", line=line)
+def _evaluated(gates: Gates, gate: Gate, line: int, name: str, result: StoredReport | Exception) -> Judgement:
+    if gate.level == GateLevel.OFF:
+        return Judgement(name, gate.name, GateStatus.OFF, line=line)
     if isinstance(result, Exception):
-        return Judgement(name, gate.name, "unusable", (str(result),), line=line)
+        return Judgement(name, gate.name, GateStatus.UNUSABLE, (str(result),), line=line)
     try:
         baseline = None if gate.baseline is None else _baseline(gates, gate, result)
     except UserError as error:
@@ -79,11 +80,11 @@ def _judged(gates: Gates, gate: Gate, line: int, name: str, result: StoredReport
         return Judgement(name, gate.name, _missed(gate), reasons, line=line)
     findings = gate_findings(gate, result, baseline)
     reasons = tuple(finding.sentence for finding in findings if not finding.passed)
-    return Judgement(name, gate.name, _missed(gate) if reasons else "passed", reasons, findings, line)
+    return Judgement(name, gate.name, _missed(gate) if reasons else GateStatus.PASSED, reasons, findings, line)
 
 
-def _missed(gate: Gate) -> Status:
-    return "warning" if gate.level == "warn" else "failed"
+def _missed(gate: Gate) -> GateStatus:
+    return GateStatus.WARNING if gate.level == GateLevel.WARN else GateStatus.FAILED
 
 
 def baseline_path(gates: Gates, gate: Gate, dive: str) -> Path:
@@ -153,7 +154,7 @@ def write_baselines(gates: Gates, dives: Sequence[Checked]) -> list[Path]:
 
 def _with_baseline(gates: Gates, dives: Sequence[Checked]) -> Iterator[tuple[Gate, str, StoredReport]]:
     for gate in gates.content.gate:
-        if gate.baseline is not None and gate.level != "off":
+        if gate.baseline is not None and gate.level != GateLevel.OFF:
             yield from ((gate, dive, result) for dive, result in dives if isinstance(result, StoredReport))
 
 

@@ -42,19 +42,19 @@ def _findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -
                 gate.column,
                 was.get(gate.column) if was else None,
                 row.get(gate.column),
-                f"{_cell(gate, layout, row)} {complaint or _told(layout, row, gate.column, was)}",
+                f"{_cell(gate, layout, row)} {complaint or _statement(layout, row, gate.column, was)}",
                 passed=not complaint,
             )
-        yield from _gone(gate, layout, before, report)
+        yield from _removed_rows(gate, layout, before, report)
 
 
-def _gone(gate: Gate, layout: TableLayout, before: _Named, report: StoredReport) -> Iterator[Finding]:
+def _removed_rows(gate: Gate, layout: TableLayout, before: _Named, report: StoredReport) -> Iterator[Finding]:
     """Find the rows that the baseline has and the result lacks: a star in the gate means them, too."""
     left = {_name(row, layout) for row in rows_of(report, layout)}
     for (filter_, key), was in before.items():
         if (filter_, key) not in left and _is_meant(gate, layout, was):
             value = was.get(gate.column)
-            sentence = f"{_cell(gate, layout, was)} is gone with its row, the baseline has {shown(value)}"
+            sentence = f"{_cell(gate, layout, was)} is gone with its row, the baseline has {value_text(value)}"
             yield Finding(layout.name, filter_, key, gate.column, value, None, sentence, passed=False)
 
 
@@ -81,9 +81,9 @@ def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None, unjud
     """State why a cell does not pass; nothing if it does."""
     value = row.get(gate.column)
     if unjudged:
-        return f"is {shown(value)}, and the filter is {Gain.NOT_JUDGED}"
+        return f"is {value_text(value)}, and the filter is {Gain.NOT_JUDGED}"
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and gate.column in layout.better:
-        return f"is {shown(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"
+        return f"is {value_text(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         word = row.get("status") or row.get("verdict")
         return f"is empty{f' ({word})' if word else ''}"
@@ -100,7 +100,7 @@ def _of_equality(gate: Gate, value: Cell) -> Iterator[str]:
         return
     wanted = gate.equals if isinstance(gate.equals, tuple) else (gate.equals,)
     if (value not in wanted or isinstance(value, bool)) and not any(_agree(value, one, gate.column) for one in wanted):
-        yield f"is {shown(value)}, {' or '.join(map(shown, wanted))} is wanted"
+        yield f"is {value_text(value)}, {' or '.join(map(value_text, wanted))} is wanted"
 
 
 def _of_limits(gate: Gate, value: Cell, unit: str) -> Iterator[str]:
@@ -110,9 +110,9 @@ def _of_limits(gate: Gate, value: Cell, unit: str) -> Iterator[str]:
         yield f"is the word {value!r}, a number is wanted"
         return
     if gate.min is not None and not (value >= gate.min or agree(value, gate.min, gate.column)):
-        yield f"is {shown(value)}{unit}, at least {shown(gate.min)} is wanted"
+        yield f"is {value_text(value)}{unit}, at least {value_text(gate.min)} is wanted"
     if gate.max is not None and not (value <= gate.max or agree(value, gate.max, gate.column)):
-        yield f"is {shown(value)}{unit}, at most {shown(gate.max)} is wanted"
+        yield f"is {value_text(value)}{unit}, at most {value_text(gate.max)} is wanted"
 
 
 def _of_baseline(gate: Gate, layout: TableLayout, row: Row, was: Row | None) -> Iterator[str]:
@@ -136,7 +136,7 @@ def _of_baseline(gate: Gate, layout: TableLayout, row: Row, was: Row | None) -> 
     if any(allowed is not None and within(worse, allowed, digits) for worse, allowed, digits in (in_percent, in_unit)):
         return
     amount = f"by {worse_pct:.3g} {_percent(gate.column)}" if math.isfinite(worse_pct) else "beyond any percentage"
-    yield f"{_told(layout, row, gate.column, was)}: worse {amount}, {_allowed(gate)} is allowed"
+    yield f"{_statement(layout, row, gate.column, was)}: worse {amount}, {_allowed(gate)} is allowed"
 
 
 def _agree(value: Cell, wanted: str | int | float, column: str) -> bool:
@@ -168,11 +168,11 @@ def _cell(gate: Gate, layout: TableLayout, row: Row) -> str:
     return f"{layout.name} {' '.join(names)}: {gate.column}"
 
 
-def _told(layout: TableLayout, row: Row, column: str, was: Row | None) -> str:
+def _statement(layout: TableLayout, row: Row, column: str, was: Row | None) -> str:
     unit = _unit(layout, row, column)
     if was is None or was.get(column) is None:
-        return f"is {shown(row[column])}{unit}"
-    return f"went from {shown(was[column])} to {shown(row[column])}{unit}"
+        return f"is {value_text(row[column])}{unit}"
+    return f"went from {value_text(was[column])} to {value_text(row[column])}{unit}"
 
 
 def _unit(layout: TableLayout, row: Row, column: str) -> str:
@@ -180,8 +180,8 @@ def _unit(layout: TableLayout, row: Row, column: str) -> str:
     return f" {unit}" if unit else ""
 
 
-def shown(value: Cell) -> str:
-    """Write a value with as many digits as tell it from its limit, words as they are."""
+def value_text(value: Cell) -> str:
+    """Write a value with enough digits to differ from its limit, words as they are."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 

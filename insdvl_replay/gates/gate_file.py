@@ -12,6 +12,7 @@ from insdvl_replay.core.plain_text import is_writable
 from insdvl_replay.core.strict_toml import TomlSource, read_toml
 from insdvl_replay.core.table_layout import TableLayout
 from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
+from insdvl_replay.core.words import GateLevel
 from insdvl_replay.gates.model import ANY, LOG, Gate, GateFile
 
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
@@ -96,7 +97,7 @@ def _check_all(content: GateFile) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ConfigError(f"two gates bear the name '{name}'", "give each a name of its own")
-    if all(gate.level == "off" for gate in content.gate):
+    if all(gate.level == GateLevel.OFF for gate in content.gate):
         raise ConfigError("no gate is active", f"add [[gate]] with {EXAMPLE}, or set a level to error")
 
 

@@ -1,10 +1,11 @@
 """Gates: what must hold of a dive's tables; and what became of each gate on each dive."""
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final
 
 from msgspec import Meta, Struct
 
 from insdvl_replay.core.tables import Cell
+from insdvl_replay.core.words import GateLevel, GateStatus
 
 ANY: Final = "*"
 """Stands for every table, filter or row."""
@@ -12,9 +13,6 @@ ANY: Final = "*"
 LOG: Final = "{log}"
 """Stands in the path of a baseline for the dive's name."""
 
-Level = Literal["error", "warn", "off"]
-Status = Literal["failed", "unusable", "warning", "off", "passed"]
-"""``unusable``: the dive could not be replayed, or its result not be read."""
 Allowance = Annotated[float, Meta(ge=0)]
 
 
@@ -40,7 +38,6 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         a percentage itself.
     max_worse_abs : float, optional
         The same in the unit of the value. Of two allowances the larger one counts.
-    level : {'error', 'warn', 'off'}
     """
 
     name: str
@@ -54,7 +51,7 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     baseline: str | None = None
     max_worse_pct: Allowance | None = None
     max_worse_abs: Allowance | None = None
-    level: Level = "error"
+    level: GateLevel = GateLevel.ERROR
 
 
 class GateFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -117,7 +114,7 @@ class Judgement(Struct, frozen=True):
 
     dive: str
     gate: str
-    status: Status
+    status: GateStatus
     reasons: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     line: int = 0
@@ -137,6 +134,6 @@ class CheckResult(Struct, frozen=True):
     gates: str
     judgements: tuple[Judgement, ...]
 
-    def count(self, status: Status) -> int:
+    def count(self, status: GateStatus) -> int:
         """Count the judgements of a status."""
         return sum(judgement.status == status for judgement in self.judgements)

@@ -9,17 +9,19 @@ from msgspec import Meta, Struct
 
 from insdvl_replay.core.plain_text import visible, visible_lines
 from insdvl_replay.core.tables import Cell
-from insdvl_replay.gates.model import CheckResult, Finding, Judgement, Status
+from insdvl_replay.core.words import GateStatus
+from insdvl_replay.gates.model import CheckResult, Finding, Judgement
 from insdvl_replay.report.document import MISSING, DisplayTable, Part, Title, counted
 from insdvl_replay.report.markdown import as_markdown
 from insdvl_replay.results.json_report import Tool, as_json, this_tool
 
-_ELEMENTS: Final[dict[Status, str]] = {
-    "unusable": "error",
-    "failed": "failure",
-    "warning": "skipped",
-    "off": "skipped",
+_ELEMENTS: Final[dict[GateStatus, str]] = {
+    GateStatus.UNUSABLE: "error",
+    GateStatus.FAILED: "failure",
+    GateStatus.WARNING: "skipped",
+    GateStatus.OFF: "skipped",
 }
+_ERRORS: Final = (GateStatus.UNUSABLE, GateStatus.FAILED)
 _NOT_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -38,10 +40,10 @@ def junit_xml(result: CheckResult) -> str:
 
 
 def _counts(judgements: tuple[Judgement, ...]) -> dict[str, str]:
-    def count(status: Status) -> str:
+    def count(status: GateStatus) -> str:
         return str(sum(judgement.status == status for judgement in judgements))
 
-    return {"tests": str(len(judgements)), "failures": count("failed"), "errors": count("unusable")}
+    return {"tests": str(len(judgements)), "failures": count(GateStatus.FAILED), "errors": count(GateStatus.UNUSABLE)}
 
 
 def _add_case(suite: ElementTree.Element, judgement: Judgement) -> None:
@@ -50,8 +52,8 @@ def _add_case(suite: ElementTree.Element, judgement: Judgement) -> None:
     if element := _ELEMENTS.get(judgement.status):
         message = {"message": _clean("; ".join(map(visible, judgement.reasons)) or judgement.status)}
         kind = {} if element == "skipped" else {"type": judgement.status}
-        told = ElementTree.SubElement(case, element, {**message, **kind})
-        told.text = _clean("\n".join(map(visible, judgement.reasons)))
+        entry = ElementTree.SubElement(case, element, {**message, **kind})
+        entry.text = _clean("\n".join(map(visible, judgement.reasons)))
 
 
 def _clean(text: str) -> str:
@@ -59,21 +61,21 @@ def _clean(text: str) -> str:
     return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", visible_lines(text))
 
 
-WORDS: Final[dict[Status, str]] = {
-    "unusable": "NO RESULT",
-    "failed": "FAILED",
-    "warning": "WARNING",
-    "off": "off",
-    "passed": "passed",
+WORDS: Final[dict[GateStatus, str]] = {
+    GateStatus.UNUSABLE: "NO RESULT",
+    GateStatus.FAILED: "FAILED",
+    GateStatus.WARNING: "WARNING",
+    GateStatus.OFF: "off",
+    GateStatus.PASSED: "passed",
 }
-_COUNTED: Final[dict[Status, str]] = {
-    "unusable": "without a result",
-    "failed": "failed",
-    "warning": "with a warning",
-    "off": "off",
-    "passed": "passed",
+_COUNTED: Final[dict[GateStatus, str]] = {
+    GateStatus.UNUSABLE: "without a result",
+    GateStatus.FAILED: "failed",
+    GateStatus.WARNING: "with a warning",
+    GateStatus.OFF: "off",
+    GateStatus.PASSED: "passed",
 }
-SHOWN: Final = 10
+MOST_ANNOTATIONS: Final = 10
 """Annotations of a level that a step on GitHub shows; what is beyond that is counted in the last one."""
 
 
@@ -124,11 +126,11 @@ def check_json(result: CheckResult) -> str:
     report = CheckReport(
         this_tool(),
         result.gates,
-        result.count("failed"),
-        result.count("unusable"),
-        result.count("warning"),
-        result.count("off"),
-        result.count("passed"),
+        result.count(GateStatus.FAILED),
+        result.count(GateStatus.UNUSABLE),
+        result.count(GateStatus.WARNING),
+        result.count(GateStatus.OFF),
+        result.count(GateStatus.PASSED),
         result.judgements,
     )
     return as_json(report).decode()
@@ -139,8 +141,8 @@ def github_annotations(result: CheckResult) -> str:
 
     Source: GitHub's "Workflow commands for GitHub Actions".
     """
-    errors = [judgement for judgement in result.judgements if judgement.status in ("unusable", "failed")]
-    warnings = [judgement for judgement in result.judgements if judgement.status == "warning"]
+    errors = [judgement for judgement in result.judgements if judgement.status in _ERRORS]
+    warnings = [judgement for judgement in result.judgements if judgement.status == GateStatus.WARNING]
     lines = [*_commands("error", result.gates, errors), *_commands("warning", result.gates, warnings)]
     return "".join(f"{line}\n" for line in (*lines, check_sentence(result)))
 
@@ -158,7 +160,7 @@ def baseline_text(changes: Sequence[tuple[str, Finding]]) -> str:
     str
         A line for each value that is new or moved in what it shows, and how many are as before.
     """
-    moved = [(dive, finding) for dive, finding in changes if _shown(finding.was) != _shown(finding.value)]
+    moved = [(dive, finding) for dive, finding in changes if _value_text(finding.was) != _value_text(finding.value)]
     lines = [f"{dive}: {_movement(finding)}" for dive, finding in moved]
     return "".join(
         f"{visible(line)}\n"
@@ -167,9 +169,9 @@ def baseline_text(changes: Sequence[tuple[str, Finding]]) -> str:
 
 
 def _commands(level: str, file: str, judgements: Sequence[Judgement]) -> list[str]:
-    shown = judgements if len(judgements) <= SHOWN else judgements[: SHOWN - 1]
-    lines = [_of_judgement(level, file, item) for item in shown]
-    if hidden := len(judgements) - len(shown):
+    listed = judgements if len(judgements) <= MOST_ANNOTATIONS else judgements[: MOST_ANNOTATIONS - 1]
+    lines = [_of_judgement(level, file, item) for item in listed]
+    if hidden := len(judgements) - len(listed):
         lines.append(_command(level, file, 0, "more", f"{hidden} more gates were not passed; the log lists them"))
     return lines
 
@@ -193,11 +195,11 @@ def _property(text: str) -> str:
 
 def _movement(finding: Finding) -> str:
     cell = f"{finding.table} {finding.filter} {finding.row}: {finding.column}"
-    now = _shown(finding.value)
-    return f"{cell} is new: {now}" if finding.was is None else f"{cell} goes from {_shown(finding.was)} to {now}"
+    now = _value_text(finding.value)
+    return f"{cell} is new: {now}" if finding.was is None else f"{cell} goes from {_value_text(finding.was)} to {now}"
 
 
-def _shown(value: Cell) -> str:
+def _value_text(value: Cell) -> str:
     """Write a value with the digits in which all processors agree."""
     if value is None:
         return MISSING
@@ -209,7 +211,7 @@ def _gates(result: CheckResult) -> list[str]:
 
 
 def _missed(result: CheckResult) -> list[Judgement]:
-    return [judgement for judgement in result.judgements if judgement.status in ("unusable", "failed", "warning")]
+    return [judgement for judgement in result.judgements if judgement.status in (*_ERRORS, GateStatus.WARNING)]
 
 
 def _passed(result: CheckResult) -> list[tuple[str, str]]:
@@ -217,6 +219,8 @@ def _passed(result: CheckResult) -> list[tuple[str, str]]:
     rows = []
     for name in _gates(result):
         own = [judgement for judgement in result.judgements if judgement.gate == name]
-        passed = sum(judgement.status == "passed" for judgement in own)
-        rows.append((name, "off" if own[0].status == "off" else f"passed by {passed} of {counted(len(own), 'dive')}"))
+        passed = sum(judgement.status == GateStatus.PASSED for judgement in own)
+        rows.append(
+            (name, "off" if own[0].status == GateStatus.OFF else f"passed by {passed} of {counted(len(own), 'dive')}")
+        )
     return rows

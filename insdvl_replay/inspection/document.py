@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import msgspec
 
+from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, PingFacts, ReferenceFacts, TopicFacts
 from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import (
@@ -214,7 +215,7 @@ def _verdict(inventory: Inventory) -> str:
     count = len(inventory.obstacles)
     if count:
         return f"cannot be replayed as it is: {count} {'thing' if count == 1 else 'things'} to settle first"
-    if inventory.reading == "sample":
+    if inventory.reading == Reading.SAMPLE:
         return "nothing seen that would stop a replay; --deep reads the messages whole"
     return "can be replayed"
 

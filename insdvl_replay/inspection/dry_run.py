@@ -1,4 +1,4 @@
-"""What the messages of a log tell of those who play a role: their clocks, their pings, and whether they can be true.
+"""What the messages of topics with a role show: their clocks, their pings, and whether they are plausible.
 
 Where a dive is read, the first error ends the work; here each is kept, and the rest is looked at too.
 """
@@ -18,6 +18,7 @@ from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns,
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import ConfigError, Note, UserError
+from insdvl_replay.core.words import Severity
 from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.roles import Finding, RoleColumns
@@ -76,12 +77,12 @@ class DryRun:
         """Look at all topics that play a role or could."""
         for finding in findings:
             if finding.error is not None:
-                self._stopped_by(finding.error)
+                self._add_obstacle(finding.error)
             self._look_at(finding)
             for source in finding.candidates:
                 self._look_at_candidate(source)
         if self.columns.imu is not None:
-            with errors_to(self._stopped_by):
+            with errors_to(self._add_obstacle):
                 self._remark(self.columns.clock_notes(self.clocks))
             self._check(self.columns.imu)
         for topic, imu in self._other_imus.items():
@@ -98,8 +99,8 @@ class DryRun:
 
     def _look_at(self, finding: Finding) -> None:
         tables: list[Table] = []
-        with errors_to(self._stopped_by):
-            read = [self._read(source, self._stopped_by) for source in finding.sources]
+        with errors_to(self._add_obstacle):
+            read = [self._read(source, self._add_obstacle) for source in finding.sources]
             self._remark([*schema_notes(finding.sources), *stamp_notes(read)])
             if self.deep:
                 self._remark(loss_notes(read))
@@ -110,11 +111,11 @@ class DryRun:
 
     def _not_decoded(self, role: str, error: UserError) -> None:
         if self.deep or role == "imu" or isinstance(error, ConfigError):
-            self._stopped_by(error)
+            self._add_obstacle(error)
             return
         # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
         text = f"by the first messages alone a replay would stop: {error.inside(self.log.path)}"
-        self.notes.append(Note("first_messages", text, 1, "warning", _LOOK_FURTHER))
+        self.notes.append(Note("first_messages", text, 1, Severity.WARNING, _LOOK_FURTHER))
 
     def _look_at_candidate(self, source: Source) -> None:
         """Keep what one of several topics would give; what is wrong with it is no obstacle yet."""
@@ -124,15 +125,15 @@ class DryRun:
             if source.role == "imu":
                 self._other_imus[source.topic], _ = decode_imu(table, self.config.imu)
 
-    def _read(self, source: Source, complain: OnError) -> Table:
-        """Read a topic; where its stamps are no times, tell so and go on with the recorder's."""
+    def _read(self, source: Source, on_error: OnError) -> Table:
+        """Read a topic; where its stamps are no times, report it and go on with the recorder's."""
         table = read_tables(self.log, [source])[0] if self.deep else read_sample(self.log, source, _ENOUGH)
         if table.unreadable_ns:
-            complain(table.damage_error())
+            on_error(table.damage_error())
         try:
             clock = table.clock()
         except UserError as error:
-            complain(error)
+            on_error(error)
             table = replace(table, source=replace(source, stamp="log_time"))
             clock = table.clock()
         self.clocks.append(clock)
@@ -149,7 +150,7 @@ class DryRun:
 
     def _check(self, imu: ImuColumns) -> None:
         for check in self._checks(imu):
-            with errors_to(self._stopped_by):
+            with errors_to(self._add_obstacle):
                 self._remark(check())
 
     def _check_candidate(self, topic: str, imu: ImuColumns) -> None:
@@ -163,7 +164,7 @@ class DryRun:
 
     def _remark(self, notes: Iterable[Note]) -> None:
         """Keep notes; of those from a sample the warnings alone, since its counts are not the log's."""
-        kept = (note for note in notes if self.deep or note.severity == "warning")
+        kept = (note for note in notes if self.deep or note.severity == Severity.WARNING)
         self.notes += [replace(note, hint=self._hint(note.hint)) for note in kept]
 
     def _hint(self, hint: str) -> str:
@@ -172,9 +173,9 @@ class DryRun:
 
     def _doubt(self, topic: str, error: UserError) -> None:
         text = f"{topic}: {error.inside(self.log.path, topic)}"
-        self.notes.append(Note("candidate", text, 1, "warning", self._hint(error.hint)))
+        self.notes.append(Note("candidate", text, 1, Severity.WARNING, self._hint(error.hint)))
 
-    def _stopped_by(self, error: UserError) -> None:
+    def _add_obstacle(self, error: UserError) -> None:
         self.obstacles.append(Obstacle(error.message, self._hint(error.hint)))
 
 

@@ -19,7 +19,7 @@ _FLAGS: Final = re.compile(r"valid|lock|good")
 _SLOWEST_MPS, _QUICKEST_MPS = 0.1, 5.0
 """Speeds over ground of a vehicle under way."""
 _CLOSE: Final = 1.5
-"""Factor within which a comparison with the reference tells a unit."""
+"""Factor within which a comparison with the reference decides on a unit."""
 _COHERENT: Final = 0.97
 _CLEARLY: Final = 0.01
 _AXES_OPEN: Final = "frd, flu (port and up turned) or a signed permutation; the maker says which"
@@ -80,7 +80,7 @@ def _scale(fit: Fit, config: Config) -> Iterator[Setting]:
 
 
 def _valid(topic: ProbedTopic) -> Iterator[Setting]:
-    """Ask about flags: what a good ping is named by can only be guessed."""
+    """Leave flags open: what a good ping is named by can only be guessed."""
     flags = [f'"{path}" (median {median:g})' for path, median in topic.scalars.items() if _FLAGS.search(path.lower())]
     if flags:
         yield Setting("dvl.valid", None, open=f"whether {' or '.join(flags)} is 0 where a ping is invalid")

@@ -4,12 +4,11 @@ Times count from the log's first message, on the recorder's clock.
 """
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import Note
-
-Reading = Literal["sample", "whole"]
+from insdvl_replay.core.words import Reading
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,11 @@ from insdvl_replay.inspection.imu_proposal import corrected_rates, imu_settings,
 from insdvl_replay.inspection.inventory import Obstacle
 from insdvl_replay.inspection.proposed_settings import (
     Setting,
-    decisions,
     not_yet_set,
     recorder_stamps,
     settings_toml,
     stamp_setting,
+    undecided_keys,
     with_settings,
 )
 from insdvl_replay.inspection.topic_probe import ProbedTopic, probe_topics
@@ -170,7 +170,7 @@ def propose(
     settings += _start(found, draft.initial)
     last = DryRun(log, with_settings(config, settings), deep=False)
     last.examine(found)
-    return Proposal(settings_toml(settings), decisions(settings), tuple(last.obstacles), notes)
+    return Proposal(settings_toml(settings), undecided_keys(settings), tuple(last.obstacles), notes)
 
 
 def _choices(findings: Sequence[Finding]) -> Iterator[Setting]:
@@ -215,7 +215,7 @@ def _named(seen: Sequence[ProbedTopic], topic: str | None) -> Sequence[ProbedTop
 
 
 def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, deep: bool) -> list[Setting]:
-    """Judge units, axes and clocks by what the messages show, read as proposed so far."""
+    """Evaluate units, axes and clocks by what the messages show, read as proposed so far."""
     findings = find_roles(str(log.path), log.channels, config)
     seen = DryRun(log, config, deep)
     seen.examine(findings)
@@ -224,7 +224,7 @@ def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, de
     if seen.columns.imu is not None:
         (source,) = findings[0].sources
         found = list(_measured_imu(seen, seen.columns.imu, source))
-        measured += found if "imu.angular_rate" in named else _worth_saying(found, source.topic)
+        measured += found if "imu.angular_rate" in named else _worth_proposing(found, source.topic)
     if "dvl.velocity" in named and len(seen.columns.dvl.time_ns):
         measured += measured_dvl(seen.columns.dvl, seen.columns.reference, config)
     return measured
@@ -240,8 +240,8 @@ def _measured_imu(seen: DryRun, imu: ImuColumns, source: Source) -> Iterator[Set
         yield from measured_scale(settings, gyro_scale(turned, seen.columns.dvl, seen.columns.reference, seen.config))
 
 
-def _worth_saying(measured: Sequence[Setting], topic: str) -> list[Setting]:
-    """Of an IMU of a known type, say only what is unlike its type, and of which topic it holds."""
+def _worth_proposing(measured: Sequence[Setting], topic: str) -> list[Setting]:
+    """Of an IMU of a known type, propose only what is unlike its type, and of which topic it holds."""
     return [replace(found, seen=f"{topic}: {found.seen}") for found in measured if found.value not in _DEFAULTS]
 
 

@@ -94,7 +94,7 @@ def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
     return [setting for setting in settings if setting.value is None or setting.of(config) == setting.of(default)]
 
 
-def decisions(settings: Iterable[Setting]) -> tuple[str, ...]:
+def undecided_keys(settings: Iterable[Setting]) -> tuple[str, ...]:
     """Name the keys about which a person must decide."""
     return tuple(setting.key for setting in _ordered(settings) if setting.open)
 
@@ -140,7 +140,7 @@ def _comment(text: str) -> Iterator[str]:
 _ENOUGH: Final = 1000
 _HEADER: Final = "header.stamp"
 _NAMES: Final = re.compile(r"time|stamp|clock|epoch|utc|tick|^t$|(^|_)(t_|ts$)|_([mun]s|sec)$")
-_STRAY: Final = 0.05
+_MOST_SPREAD: Final = 0.05
 """Share of the sample's length by which a clock may wander; what counts from the message before does not run at all."""
 
 
@@ -180,7 +180,7 @@ def _clocks(log: Recording, seen: ProbedTopic) -> Iterator[tuple[Clock, str]]:
 def _keeps_step(clock: Clock, table: Table) -> bool:
     recorded = table.columns["log_time"][:, 0]
     span_s = float(recorded[-1] - recorded[0]) * 1e-9
-    return clock.messages < 2 or clock.spread_s < min(LARGEST_JITTER_S, _STRAY * span_s)
+    return clock.messages < 2 or clock.spread_s < min(LARGEST_JITTER_S, _MOST_SPREAD * span_s)
 
 
 def _unit(table: Table) -> str:

@@ -1,4 +1,4 @@
-"""What is in a log: its topics by their log times, who plays which role and why, and what the messages tell.
+"""What is in a log: its topics by their log times, who plays which role and why, and what the messages show.
 
 Built on the functions that read a dive, so that what is said here is what a replay would meet.
 """
@@ -14,6 +14,7 @@ import numpy as np
 from insdvl_replay.core.columns import TimeNs, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
 from insdvl_replay.inspection.proposal import propose
@@ -34,9 +35,9 @@ def inspect_log(
         A log, a bag, or several of them that are one dive.
     deep : bool
         Read the messages of all roles whole, and go as far as a replay would before its filters run; else the first
-        messages of each role tell about its clock and units.
+        messages of each role show of its clock and units.
     allow_damaged : bool
-        Damage is told, and is no obstacle.
+        Damage is reported, and is no obstacle.
 
     Raises
     ------
@@ -99,7 +100,7 @@ def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool
     refusals = [error] if not allow_damaged and (error := log.damage_error()) is not None else []
     return Inventory(
         log=_log_facts(log, log_times),
-        reading="whole" if deep else "sample",
+        reading=Reading.WHOLE if deep else Reading.SAMPLE,
         topics=_topics(log.channels, log_times, findings),
         roles=tuple(_role_facts(finding) for finding in findings),
         conventions={source.topic: dict(source.conventions) for source in sources if source.conventions},

@@ -212,11 +212,11 @@ def probe_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[P
 
 
 def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
-    """Look at a topic; tell at how many fields."""
+    """Probe a topic; return how many fields were looked at, too."""
     check_encoding(channel)
     blocks = [_first_of(block) for block in islice(log.blocks({channel.id}), _BLOCKS)]
     reader = open_reader(channel, ())
-    # In JSON without schema only the messages tell which fields there are.
+    # In JSON without schema only the messages show which fields there are.
     for block in blocks[:1]:
         reader.columns(block)
     candidates: dict[str, Candidate] = {}

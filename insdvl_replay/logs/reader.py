@@ -12,6 +12,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_record import Channel, dive_name
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.runtime import begin
+from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.roles import RoleColumns, find_roles
 from insdvl_replay.logs.columns.table_reading import read_tables
 from insdvl_replay.logs.columns.tables import Table, stamp_unit
@@ -126,7 +127,7 @@ def _missing_note(table: Table) -> Note | None:
     if announced == found:
         return None
     text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"
-    return Note("messages_missing", text, abs(announced - found), "warning", COPY_AGAIN)
+    return Note("messages_missing", text, abs(announced - found), Severity.WARNING, COPY_AGAIN)
 
 
 def _unreadable_note(table: Table) -> Note | None:
@@ -138,7 +139,7 @@ def _unreadable_note(table: Table) -> Note | None:
         f"{table.source.topic}: {count} messages cannot be read and are left out, the first {behind_s.min():.3f} s and "
         f"the last {behind_s.max():.3f} s behind the first that can: {table.fault.message}"
     )
-    return Note("messages_unreadable", text, count, "warning", COPY_AGAIN)
+    return Note("messages_unreadable", text, count, Severity.WARNING, COPY_AGAIN)
 
 
 def _duplicates_note(table: Table) -> Note | None:

@@ -9,6 +9,7 @@ from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns, Tim
 from insdvl_replay.core.config import Initial
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
 from insdvl_replay.nav.dvl import DvlVelocities
@@ -183,7 +184,7 @@ def _heading_notes(reference: ReferenceColumns | None, mat_nb: Floats, start_ns:
         return []
     ours_deg, theirs_deg = ours / DEG % 360.0, theirs / DEG % 360.0
     text = f"the heading of {ours_deg:.0f} deg at the start contradicts the reference, which has {theirs_deg:.0f} deg"
-    return [Note("start_heading_contradiction", text, 1, "warning", f"initial.heading_deg = {theirs_deg:.1f}")]
+    return [Note("start_heading_contradiction", text, 1, Severity.WARNING, f"initial.heading_deg = {theirs_deg:.1f}")]
 
 
 def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:
@@ -202,7 +203,7 @@ def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:
             "acceleration off gravity"
         )
         hint = "--start where the DVL sees the bottom"
-        notes.append(Note("start_level_unaided", text, severity="warning", hint=hint))
+        notes.append(Note("start_level_unaided", text, severity=Severity.WARNING, hint=hint))
     return notes
 
 
@@ -285,7 +286,9 @@ def _far_notes(quantity: str, time_ns: TimeNs, values: Floats, start_ns: int) ->
     if far_s <= FAR_S:
         return []
     text = f"the {quantity} at the start is the reference's {far_s:.1f} s away from it, and is off by as much"
-    return [Note(f"start_{quantity}_far", text, severity="warning", hint=f"--start near the reference's {quantity}s")]
+    return [
+        Note(f"start_{quantity}_far", text, severity=Severity.WARNING, hint=f"--start near the reference's {quantity}s")
+    ]
 
 
 def _latitude_notes(initial: Initial, latitude_deg: float) -> list[Note]:
@@ -297,7 +300,7 @@ def _latitude_notes(initial: Initial, latitude_deg: float) -> list[Note]:
         "which counts"
     )
     hint = "leave initial.latitude_deg out, or name another reference.topic or reference.fix"
-    return [Note("start_latitude_contradiction", text, severity="warning", hint=hint)]
+    return [Note("start_latitude_contradiction", text, severity=Severity.WARNING, hint=hint)]
 
 
 def configured_latitude_deg(initial: Initial) -> float:

@@ -12,6 +12,7 @@ from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds, se
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, DV, PHI, STATES
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.local_earth import HOLD_AFTER_S
 from insdvl_replay.nav.timeline import Gaps
@@ -59,7 +60,9 @@ def apply_gap_policy(
     inside = gaps.within(start_ns, end_ns)
     if not len(inside.start_ns):
         return start_ns, end_ns, ()
-    split_at = inside if imu.long_gaps == "split" else inside.where(_turns_unseen_rad(inside) > WIDEST_ATTITUDE_RAD)
+    split_at = (
+        inside if imu.long_gaps == "split" else inside.where(_unobserved_rotation_rad(inside) > WIDEST_ATTITUDE_RAD)
+    )
     notes: tuple[Note, ...] = ()
     if len(split_at.start_ns):
         kept_ns = split_at.longest_stretch(start_ns, end_ns)
@@ -72,10 +75,10 @@ def apply_gap_policy(
     if inside.length_s.max() > LONGEST_BRIDGE_S:
         raise LogError(f"{found}; over {LONGEST_BRIDGE_S:g} s nothing can bridge it", split)
     text = f"{found}; they are bridged, and the filters' uncertainty grows in them"
-    return start_ns, end_ns, (*notes, Note("imu_long_gaps", text, len(inside.start_ns), "warning", split))
+    return start_ns, end_ns, (*notes, Note("imu_long_gaps", text, len(inside.start_ns), Severity.WARNING, split))
 
 
-def _turns_unseen_rad(gaps: Gaps) -> Floats:
+def _unobserved_rotation_rad(gaps: Gaps) -> Floats:
     """Return the deviation of what a vehicle may have turned in each gap."""
     return np.asarray(gaps.rate_sd_radps * gaps.length_s)
 
@@ -86,11 +89,11 @@ def _split_note(gaps: Gaps, imu: Imu, span_ns: tuple[int, int], kept_ns: tuple[i
     left_out_s = (span_ns[1] - span_ns[0] - kept_ns[1] + kept_ns[0]) * 1e-9
     hint, why = "--set imu.long_gaps=grow bridges those in which the attitude is not lost", ""
     if imu.long_gaps == "grow":
-        widest_deg = float(_turns_unseen_rad(gaps).max()) / DEG
+        widest_deg = float(_unobserved_rotation_rad(gaps).max()) / DEG
         why = f" ({imu.gap_rate_degps:g} deg/s unseen leave the attitude unknown by {widest_deg:.0f} deg)"
         hint = "a smaller imu.gap_rate_degps, if the vehicle cannot have turned so fast, bridges them"
     text = f"{_found(gaps, imu, origin_ns)}{why}; only {from_s:.1f} to {to_s:.1f} s are replayed, "
-    return Note("imu_split", f"{text}{left_out_s:.1f} s are left out", len(gaps.start_ns), "warning", hint)
+    return Note("imu_split", f"{text}{left_out_s:.1f} s are left out", len(gaps.start_ns), Severity.WARNING, hint)
 
 
 def _found(gaps: Gaps, imu: Imu, origin_ns: int) -> str:
@@ -126,4 +129,4 @@ def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> tuple[Note, ...
         f"{since_s:.0f} s after the start on; from then on gravity is taken at the height of before, since an unaided "
         f"height runs away, and standard deviations in and after it hold up to {_TRUSTED}"
     )
-    return (Note("dvl_outages", text, count, "warning", _HINT),)
+    return (Note("dvl_outages", text, count, Severity.WARNING, _HINT),)

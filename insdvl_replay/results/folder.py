@@ -25,6 +25,8 @@ from insdvl_replay.results.workspace import (
 
 REPORT: Final = "report.json"
 """The file that holds the list."""
+NOT_JSON: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+"""Raised where bytes are decoded that are no JSON of ours: cut, of other letters, or nested without end."""
 _TIME_OF_DAY: Final = ("started_at", "elapsed_s")
 
 
@@ -201,7 +203,7 @@ def is_result(folder: Path) -> bool:
         return False
     try:
         label = msgspec.json.decode((folder / COMPLETE).read_bytes(), type=_Label)
-    except (OSError, UnicodeDecodeError, msgspec.DecodeError):
+    except (OSError, *NOT_JSON):
         return True
     return label.tool.get("name", TOOL) == TOOL
 
@@ -213,7 +215,7 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
     """
     try:
         label = msgspec.json.decode((folder / COMPLETE).read_bytes(), type=_Label)
-    except (OSError, UnicodeDecodeError, msgspec.DecodeError):
+    except (OSError, *NOT_JSON):
         label = _Label(tool={})
     if label.tool.get("name") == TOOL:
         trajectories = map(trajectory_file, [label.baseline, *label.filters])

@@ -8,7 +8,7 @@ from typing import Final
 from urllib.parse import quote
 
 from insdvl_replay.core.tables import is_whole
-from insdvl_replay.core.words import Gain
+from insdvl_replay.core.words import Gain, Severity
 from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.report.document import MISSING, Callout, DisplayTable, LinkedTable, Title, number
 from insdvl_replay.report.page import page
@@ -135,7 +135,7 @@ def _index_rows(outcome: Report | Failure) -> Iterator[tuple[tuple[str, ...], st
     if isinstance(outcome, Failure):
         yield (outcome.log, *[MISSING] * 9, outcome.reason), ""
         return
-    warnings = sum(note.severity == "warning" for note in outcome.notes)
+    warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
     for name, candidate in outcome.filters.items():
         position_m = position_rmse(outcome, name, "position_h")
         cells = (

@@ -10,7 +10,7 @@ import msgspec
 from insdvl_replay import __version__
 from insdvl_replay.core.errors import ConfigError, Note, ResultError, looked_for
 from insdvl_replay.core.tables import TABLES, StoredReport, StoredResult
-from insdvl_replay.results.folder import COMPLETE
+from insdvl_replay.results.folder import COMPLETE, NOT_JSON
 
 
 class _Label(msgspec.Struct):
@@ -97,7 +97,7 @@ def _read_report(file: Path) -> StoredReport | None:
             f"{reason[:1].lower()}{reason[1:]}",
             "replay the log again with this version, or compare with the version that wrote it",
         ) from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except NOT_JSON as error:
         hint = "name a result folder or its report.json; a broken one is replaced by replaying its log with --force"
         raise ResultError(f"{file}: is not JSON: {error}", hint) from error
     _require_named_rows(file, report)

@@ -20,13 +20,13 @@ from insdvl_replay.evaluation.ensemble_tables import (
 )
 from insdvl_replay.studies.montecarlo_document import (
     ensemble_figure,
+    montecarlo_display,
     montecarlo_sentences,
     nees_figure,
+    run_display,
     run_sentences,
-    shown_montecarlo,
-    shown_run,
 )
-from insdvl_replay.studies.simulated_run import MATCHED, World, make_world, run_seed, simulated_run
+from insdvl_replay.studies.simulated_run import MATCHED, MonteCarloSetup, make_setup, run_seed, simulated_run
 from insdvl_replay.studies.study_report import StudyReport, write_study
 
 PICTURES: Final = {"navigation": STATES[:6], "biases": STATES[6:]}
@@ -76,10 +76,10 @@ def study_montecarlo(
     ConfigError
         Unknown scenario or grade, or a duration that cannot be.
     """
-    world = make_world(scenario, config, imu, duration_s, outages)
+    setup = make_setup(scenario, config, imu, duration_s, outages)
     seeds = [run_seed(seed, run) for run in range(1, runs + 1)]
     tallies: dict[str, Tally] = {}
-    for errors in each(partial(simulated_run, world), seeds, jobs):
+    for errors in each(partial(simulated_run, setup), seeds, jobs):
         for run in errors:
             tallies.setdefault(run.filter, Tally(run)).add(run)
         after_run()
@@ -89,11 +89,11 @@ def study_montecarlo(
         tables["outages"] = outage_table(ensembles, outages)
     report = StudyReport(
         study="montecarlo",
-        title=f"Monte Carlo study: {scenario}, {_length(world)}, {runs} runs, {_drawn(imu, seed, outages)}",
-        arguments=_arguments(world, imu, seed, outages) | {"runs": runs},
+        title=f"Monte Carlo study: {scenario}, {_length(setup)}, {runs} runs, {_drawn(imu, seed, outages)}",
+        arguments=_arguments(setup, imu, seed, outages) | {"runs": runs},
         sentences=montecarlo_sentences(tables),
         tables=tables,
-        shown=shown_montecarlo(tables),
+        display=montecarlo_display(tables),
         config=config,
         series={
             "nees": nees_table(ensembles),
@@ -150,25 +150,25 @@ def repeat_run(
     ConfigError
         As of `study_montecarlo`.
     """
-    world, own_seed = make_world(scenario, config, imu, duration_s, outages), run_seed(seed, run)
-    table = run_table(simulated_run(world, own_seed))
+    setup, own_seed = make_setup(scenario, config, imu, duration_s, outages), run_seed(seed, run)
+    table = run_table(simulated_run(setup, own_seed))
     return StudyReport(
         study="montecarlo",
-        title=f"Run {run} of the Monte Carlo study: {scenario}, {_length(world)}, {_drawn(imu, seed, outages)}",
-        arguments=_arguments(world, imu, seed, outages) | {"run": run, "run_seed": own_seed},
+        title=f"Run {run} of the Monte Carlo study: {scenario}, {_length(setup)}, {_drawn(imu, seed, outages)}",
+        arguments=_arguments(setup, imu, seed, outages) | {"run": run, "run_seed": own_seed},
         sentences=run_sentences(table),
         tables={"run": table},
-        shown=shown_run(table),
+        display=run_display(table),
         config=config,
     )
 
 
-def _length(world: World) -> str:
-    return f"{_duration_s(world):g} s"
+def _length(setup: MonteCarloSetup) -> str:
+    return f"{_duration_s(setup):g} s"
 
 
-def _duration_s(world: World) -> float:
-    time_ns = world.exact.imu.time_ns
+def _duration_s(setup: MonteCarloSetup) -> float:
+    time_ns = setup.exact.imu.time_ns
     return float(time_ns[-1] - time_ns[0]) * 1e-9
 
 
@@ -177,6 +177,6 @@ def _drawn(imu: str, seed: int, outages: Sequence[tuple[float, float]]) -> str:
     return f"IMU {imu}, seed {seed}{f', no bottom from {spans}' if spans else ''}"
 
 
-def _arguments(world: World, imu: str, seed: int, outages: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    asked = {"scenario": world.exact.name, "duration_s": _duration_s(world), "imu": imu, "seed": seed}
+def _arguments(setup: MonteCarloSetup, imu: str, seed: int, outages: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    asked = {"scenario": setup.exact.name, "duration_s": _duration_s(setup), "imu": imu, "seed": seed}
     return asked | {"outages": [list(outage) for outage in outages]}

@@ -52,7 +52,7 @@ def _change(improvement_pct: float) -> str:
     return f"{abs(improvement_pct):.1f} % {'smaller' if improvement_pct >= 0 else 'larger'}"
 
 
-def shown_montecarlo(tables: Mapping[str, pd.DataFrame]) -> tuple[DisplayTable, ...]:
+def montecarlo_display(tables: Mapping[str, pd.DataFrame]) -> tuple[DisplayTable, ...]:
     """Turn the tables of a study into tables for people: one for each filter, and the verdicts."""
     baseline, *_ = tables["verdicts"]["filter"]
     states = [
@@ -125,7 +125,7 @@ def run_sentences(table: pd.DataFrame) -> tuple[str, ...]:
     )
 
 
-def shown_run(table: pd.DataFrame) -> tuple[DisplayTable, ...]:
+def run_display(table: pd.DataFrame) -> tuple[DisplayTable, ...]:
     """Turn one run into tables for people, one for each filter."""
     return tuple(
         DisplayTable(

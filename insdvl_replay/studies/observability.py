@@ -27,8 +27,8 @@ from insdvl_replay.replay import prepared_timeline, run_one
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS
 from insdvl_replay.studies.observability_document import (
+    observability_display,
     observability_sentences,
-    shown_observability,
     singular_value_figure,
 )
 from insdvl_replay.studies.study_report import StudyReport, write_study
@@ -61,9 +61,9 @@ def observability_tables(
         ``ranks``: aiding, rank, states, gap, weak (observable directions whose signal is below the noise), unnamed
         (unobservable directions without a name).
         ``directions``: aiding, direction, label, signal_to_noise, status (``unobservable``, ``weak``, ``seen``).
-        ``catalogue``: direction, label, and its 12 errors in shown units, the leading one 1.
+        ``catalogue``: direction, label, and its 12 errors in display units, the leading one 1.
         ``singular_values``: aiding, number, singular_value, left_without_noise_pct of the prior, and the direction's 12
-        errors in shown units, as large as the prior.
+        errors in display units, as large as the prior.
         ``states``: aiding, state, unit, prior_sd, left_sd and left_pct of the prior after the last ping, with process
         noise, and left_without_noise_pct, what would be left without of the errors at the start.
     """
@@ -112,9 +112,9 @@ def _directions(
 def _catalogue(directions: tuple[ErrorDirection, ...], prior_sd: Floats) -> pd.DataFrame:
     rows = []
     for direction in directions:
-        shown = direction.error / _FACTORS
-        leading = shown[np.argmax(np.abs(direction.scaled(prior_sd)))]
-        rows.append((direction.id, direction.label, *(shown / leading)))
+        displayed = direction.error / _FACTORS
+        leading = displayed[np.argmax(np.abs(direction.scaled(prior_sd)))]
+        rows.append((direction.id, direction.label, *(displayed / leading)))
     return pd.DataFrame(rows, columns=["direction", "label", *(state.id for state in STATES)])
 
 
@@ -198,7 +198,7 @@ def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bo
         arguments={"dive": dive.name, "earth_rate": earth_rate},
         sentences=observability_sentences(tables, TOLERANCE),
         tables=tables,
-        shown=shown_observability(tables),
+        display=observability_display(tables),
         config=config,
         notes=dive.notes + start.notes,
     )

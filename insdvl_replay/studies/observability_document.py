@@ -16,7 +16,7 @@ _SHORT: Final = {
     "velocity + windowed": "velocity +\nwindowed",
 }
 _NOTHING: Final = 1e-5
-"""Smaller components of a direction, in shown units beside a leading 1, are left out."""
+"""Smaller components of a direction, in display units beside a leading 1, are left out."""
 _SMALLEST: Final = 1e-12
 """Singular values are drawn down to this share of the largest; below is rounding."""
 _GROWN_PCT: Final = 101.0
@@ -44,7 +44,7 @@ def _rank_sentence(row: Mapping[Any, Any], unseen: list[str]) -> str:
 
 
 def _grown_sentence(aiding: object, states: pd.DataFrame) -> str:
-    """Name the states that are less certain at the end than at the start, which no rank tells."""
+    """Name the states that are less certain at the end than at the start, which no rank shows."""
     grown = states[states["left_pct"] > _GROWN_PCT]
     names = [f"{row_label(row['state'])} ({row['left_pct']:.0f} %)" for row in grown.to_dict("records")]
     if not names:
@@ -52,7 +52,7 @@ def _grown_sentence(aiding: object, states: pd.DataFrame) -> str:
     return f"{aiding}: with process noise, less certain after the last ping than at the start: {'; '.join(names)}."
 
 
-def shown_observability(tables: Mapping[str, pd.DataFrame]) -> tuple[DisplayTable, ...]:
+def observability_display(tables: Mapping[str, pd.DataFrame]) -> tuple[DisplayTable, ...]:
     """Turn the tables of a study into tables for people."""
     return (
         _catalogue(tables["catalogue"]),

@@ -27,7 +27,7 @@ MATCHED: Final = "matched"
 
 
 @dataclass(frozen=True)
-class World:
+class MonteCarloSetup:
     """What all runs of a study have in common.
 
     Attributes
@@ -47,16 +47,16 @@ class World:
     config: Config
 
 
-def make_world(
+def make_setup(
     scenario: str,
     config: Config,
     imu: str,
     duration_s: float | None = None,
     outages: Sequence[tuple[float, float]] = (),
-) -> World:
-    """Simulate the exact dive and say how its sensors are going to err."""
-    worlds = {name: (errors, DvlErrors()) for name, errors in GRADES.items()}
-    imu_errors, dvl_errors = named("IMU grade", imu, {MATCHED: matched_errors(config), **worlds})
+) -> MonteCarloSetup:
+    """Simulate the exact dive and choose the errors of its sensors."""
+    grades = {name: (errors, DvlErrors()) for name, errors in GRADES.items()}
+    imu_errors, dvl_errors = named("IMU grade", imu, {MATCHED: matched_errors(config), **grades})
     exact = exact_dive(
         scenario,
         duration_s=duration_s,
@@ -65,11 +65,11 @@ def make_world(
         lever_arm_m=config.dvl.lever_arm_m,
         mounting_rpy_deg=config.dvl.mounting_rpy_deg,
     )
-    return World(exact, imu_errors, dvl_errors, config)
+    return MonteCarloSetup(exact, imu_errors, dvl_errors, config)
 
 
 def matched_errors(config: Config) -> tuple[ImuErrors, DvlErrors]:
-    """Let the sensors err as the first filter's Q, R and initial uncertainty say."""
+    """Return sensor errors by the first filter's Q, R and initial uncertainty."""
     baseline, sd = resolve_filters(config, from_beams=True)[0], initial_sd(config.initial)
     imu_errors = ImuErrors(
         accel_bias_sd_mps2=sd[BA][0],
@@ -85,35 +85,35 @@ def run_seed(seed: int, run: int) -> int:
     return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1)[0])
 
 
-def simulated_run(world: World, seed: int) -> tuple[RunErrors, ...]:
+def simulated_run(setup: MonteCarloSetup, seed: int) -> tuple[RunErrors, ...]:
     """Draw the errors of one run and replay it through every filter."""
-    config, dive = world.config, add_errors(world.exact, world.imu_errors, world.dvl_errors, seed)
+    config, dive = setup.config, add_errors(setup.exact, setup.imu_errors, setup.dvl_errors, seed)
     if dive.reference is None or dive.truth is None:
         raise ValueError("a simulated dive holds its truth")
     start_ns, end_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
     mounting = replace(dvl_mounting(config), scale=1.0)
     velocities = dvl_velocities(dive.dvl, mounting, config.dvl.max_beam_residual_mps or np.inf)
     filters = resolve_filters(config, from_beams=velocities.from_beams)
-    alignment = Alignment(start_ns, drawn_start(world, seed), ())
+    alignment = Alignment(start_ns, drawn_start(setup, seed), ())
     start = Prepared(velocities, alignment, end_ns, NO_GAPS, mounting, filters, ())
     timeline = prepared_timeline(dive, start)
     histories = (run_one(filter_, start, timeline, cov_ns=dive.reference.time_ns) for filter_ in filters)
     return tuple(run_errors(history, dive.reference, dive.truth) for history in histories)
 
 
-def drawn_start(world: World, seed: int) -> Start:
+def drawn_start(setup: MonteCarloSetup, seed: int) -> Start:
     """Start where the exact dive does, off by what the configured initial uncertainty allows.
 
     Biases are estimated as zero: how large they are is the sensors' part of the draw.
     """
-    if world.exact.reference is None:
+    if setup.exact.reference is None:
         raise ValueError("the filters start from the exact motion")
     # The sensors of `add_errors` draw from the seed's streams 0 to 2.
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
     position, velocity_n, mat_nb = (
         column[0]
-        for column in (world.exact.reference.position, world.exact.reference.velocity_n, world.exact.reference.mat_nb)
+        for column in (setup.exact.reference.position, setup.exact.reference.velocity_n, setup.exact.reference.mat_nb)
     )
-    sd = initial_sd(world.config.initial)
+    sd = initial_sd(setup.config.initial)
     turn = np.array(rotation_from_vector(vector(sd[PHI] * rng.standard_normal(3))))
     return Start(position, velocity_n + sd[DV] * rng.standard_normal(3), turn @ mat_nb, np.diag(sd**2))

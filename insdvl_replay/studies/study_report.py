@@ -50,7 +50,7 @@ class StudyReport:
         What it found, in words.
     tables : mapping of str to DataFrame
         What it found, in numbers.
-    shown : tuple of DisplayTable
+    display : tuple of DisplayTable
         The same for people.
     config : Config
         Resolved settings.
@@ -65,7 +65,7 @@ class StudyReport:
     arguments: Mapping[str, Any]
     sentences: tuple[str, ...]
     tables: "Mapping[str, pd.DataFrame]"
-    shown: tuple[DisplayTable, ...]
+    display: tuple[DisplayTable, ...]
     config: Config
     notes: tuple[Note, ...] = ()
     series: "Mapping[str, pd.DataFrame]" = field(default_factory=dict)
@@ -116,7 +116,7 @@ def study_document(report: StudyReport, figures: Sequence[Figure] = ()) -> list[
         Heading("Pictures"),
         *figures,
         Heading("Tables"),
-        *report.shown,
+        *report.display,
         Heading("What was lost or assumed"),
         Only(PAGE, (losses(report.notes),)),
         Heading("Provenance"),

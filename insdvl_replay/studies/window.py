@@ -13,6 +13,7 @@ from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.config import Acceleration, Config
 from insdvl_replay.core.dive_record import dive_name
 from insdvl_replay.core.errors import ConfigError, LogError, Note
+from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.acceleration import (
     acceleration_at,
     differentiated_over_s,
@@ -25,7 +26,7 @@ from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.prepared import prepare_dive, reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.studies.study_report import StudyReport, write_study
-from insdvl_replay.studies.window_document import shown_windows, window_figure, window_sentences
+from insdvl_replay.studies.window_document import window_display, window_figure, window_sentences
 
 COMPENSATED: Final = "compensated"
 IGNORED: Final = "ignored"
@@ -80,7 +81,7 @@ def study_window(paths: Sequence[Path], config: Config, longest: int = 10) -> St
         arguments={"logs": list(map(dive_name, paths)), "longest": longest},
         sentences=window_sentences(best, spans_s),
         tables={"window": windows, "best": best},
-        shown=shown_windows(windows, best),
+        display=window_display(windows, best),
         config=config,
         notes=(*(note for of_dive in notes for note in of_dive), *left_out),
     )
@@ -142,7 +143,7 @@ def _studied(
             refused.append(error)
     if not studied:
         raise refused[0]
-    return studied, [Note(LEFT_OUT, f"{error.message}; left out", 1, "warning", error.hint) for error in refused]
+    return studied, [Note(LEFT_OUT, f"{error.message}; left out", 1, Severity.WARNING, error.hint) for error in refused]
 
 
 def _check_names(paths: Sequence[Path]) -> None:
@@ -184,7 +185,7 @@ def _expected(
 
 
 def _across_gaps(gaps: Gaps, velocities: DvlVelocities, longest: int) -> NDArray[np.bool_]:
-    """Find which pings end a window over a long gap of the IMU, in which nothing is known of the lever arm's swing."""
+    """Find which pings end a window over a long gap of the IMU, in which the lever arm's velocity is unknown."""
     first = np.maximum(np.arange(len(velocities.time_ns)) - longest + 1, 0)
     return gaps.overlap(velocities.time_ns[first], velocities.time_ns)
 

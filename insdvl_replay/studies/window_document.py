@@ -24,8 +24,8 @@ _ALONE: Final = "zero"
 
 def window_sentences(best: pd.DataFrame, differentiated_over_s: Sequence[float]) -> tuple[str, ...]:
     """State which window is best, at its middle and at its end, and how fine the reference is that says so."""
-    told = best[best["log"] == best["log"].iloc[0]]
-    optima = [_optimum(rows.set_index("at")) for _, rows in told.groupby("lever_arm", sort=False)]
+    first_log = best[best["log"] == best["log"].iloc[0]]
+    optima = [_optimum(rows.set_index("at")) for _, rows in first_log.groupby("lever_arm", sort=False)]
     shortest_s, longest_s = min(differentiated_over_s), max(differentiated_over_s)
     over = f"{shortest_s:.3g} s" if longest_s - shortest_s < 0.01 else f"{shortest_s:.3g} to {longest_s:.3g} s"
     return (
@@ -43,7 +43,7 @@ def _optimum(rows: Any) -> str:
     )
 
 
-def shown_windows(windows: pd.DataFrame, best: pd.DataFrame) -> tuple[DisplayTable, ...]:
+def window_display(windows: pd.DataFrame, best: pd.DataFrame) -> tuple[DisplayTable, ...]:
     """Turn the tables of a study into tables for people: errors by number of velocities, and the optima of each log."""
     return (_by_size(windows[windows["log"] == windows["log"].iloc[0]]), _optima(best))
 

@@ -335,6 +335,15 @@ def test_a_changed_result_needs_force_before_any_work_is_done(archive: Path, res
     assert report.config["dvl"]["scale"] == 1.01
 
 
+@pytest.mark.parametrize("data", [b'{"baseline": "\xff"}', b'{"log": ' + b"[" * 100_000], ids=["letters", "nested"])
+def test_a_report_that_nobody_can_read_is_no_result(data: bytes, archive: Path, tmp_path: Path) -> None:
+    jobs = plan_jobs(find_dives([str(archive)]), tmp_path, ReplayOptions(load_config()))
+    jobs[0].target.mkdir()
+    (jobs[0].target / "report.json").write_bytes(data)
+    with pytest.raises(ConfigError, match=f"{jobs[0].target.name}: exists and is not a result folder"):
+        known_reports(jobs, force=True)
+
+
 def test_a_result_that_is_not_whole_is_replayed_and_told(
     archive: Path, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

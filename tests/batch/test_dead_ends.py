@@ -79,8 +79,8 @@ def scheduler() -> Iterator[tuple[str, psutil.Process]]:
         process.kill()
 
 
-def started(log: Path, address: str, patience_s: float) -> subprocess.Popen[str]:
-    command = [*TOOL, "run", str(log), "-o", "out", "--scheduler", address, "--scheduler-patience", f"{patience_s:g}"]
+def started(log: Path, address: str, timeout_s: float) -> subprocess.Popen[str]:
+    command = [*TOOL, "run", str(log), "-o", "out", "--scheduler", address, "--scheduler-patience", f"{timeout_s:g}"]
     return subprocess.Popen(command, cwd=log.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 

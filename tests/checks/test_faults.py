@@ -128,7 +128,7 @@ def test_dvl_that_never_changes_is_refused(value: float, dive: Dive, tmp_path: P
 def warnings_in(source: str) -> list[ast.Call]:
     """Find the calls in which a note becomes a warning; severity stands behind three other arguments, the hint next."""
     calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call) and len(node.args) > 3]
-    return [call for call in calls if any(getattr(part, "value", None) == "warning" for part in ast.walk(call.args[3]))]
+    return [call for call in calls if "Severity.WARNING" in ast.unparse(call.args[3])]
 
 
 def test_every_warning_about_a_log_has_a_hint() -> None:

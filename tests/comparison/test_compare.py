@@ -19,9 +19,9 @@ from taken_apart import Document
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.comparison.aggregation import aggregates
 from insdvl_replay.comparison.comparison import Selection, compare_results
+from insdvl_replay.comparison.display_tables import SortOrder, in_order
 from insdvl_replay.comparison.document import comparison_csv, comparison_document, comparison_tables, opening_lines
-from insdvl_replay.comparison.fail_on import breach, parse_limit
-from insdvl_replay.comparison.rows import Order, arranged
+from insdvl_replay.comparison.fail_on import find_violation, parse_limit
 from insdvl_replay.core.changes import Change, Comparison
 from insdvl_replay.core.errors import ConfigError, ResultError
 from insdvl_replay.core.tables import LAYOUTS
@@ -123,7 +123,7 @@ def test_digits_that_differ_between_processors_are_no_change(
     comparison = compared(tmp_path, content(), nudged(content(), share), tolerance_pct=tolerance_pct)
     assert words(comparison) == {}
     for limit in ("worse", "worse:0%", "changed"):
-        assert breach(comparison, parse_limit(limit)) is None
+        assert find_violation(comparison, parse_limit(limit)) is None
 
 
 @pytest.mark.parametrize("share", [1e-8, -1e-8])
@@ -131,13 +131,13 @@ def test_eight_digits_are_a_change_where_no_tolerance_covers_them(share: float, 
     comparison = compared(tmp_path, content(), nudged(content(), share), tolerance_pct=0.0)
     assert {"better", "worse", "changed"} <= set(words(comparison).values())
     for limit in ("worse", "changed"):
-        assert breach(comparison, parse_limit(limit)) is not None
+        assert find_violation(comparison, parse_limit(limit)) is not None
 
 
 def test_a_limit_may_be_reached_but_for_digits_that_differ_between_processors(tmp_path: Path) -> None:
     comparison = compared(tmp_path, content(), content(ba_x_sd=1.05 * (1.0 + 1e-10)), columns=("sd",))
-    assert breach(comparison, parse_limit("worse:5%")) is None
-    assert breach(comparison, parse_limit("worse:4.99999%")) is not None
+    assert find_violation(comparison, parse_limit("worse:5%")) is None
+    assert find_violation(comparison, parse_limit("worse:4.99999%")) is not None
 
 
 def test_a_row_on_one_side_is_new_or_gone(tmp_path: Path) -> None:
@@ -172,13 +172,13 @@ def test_tables_and_columns_that_only_a_newer_version_has_are_new_and_counted(tm
     assert words(comparison, table="reference_error") == {("reference_error", "roll", "final"): "new"}
     assert set(words(comparison, table="consistency").values()) == {"new"}
     assert [(note.code, note.count) for note in comparison.notes] == [("table_on_one_side", 1), ("table_unknown", 1)]
-    assert breach(comparison, parse_limit("worse")) is None
+    assert find_violation(comparison, parse_limit("worse")) is None
 
 
 def test_a_table_that_is_lost_counts_as_worse(tmp_path: Path) -> None:
     new = content()
     new["tables"]["reference_error"] = []
-    found = breach(compared(tmp_path, content(), new), parse_limit("worse:50%"))
+    found = find_violation(compared(tmp_path, content(), new), parse_limit("worse:50%"))
     assert found is not None
     assert found.worst is not None
     assert (found.worst.table, found.worst.column, found.worst.word) == ("reference_error", "rmse", "gone")
@@ -295,16 +295,16 @@ def test_rows_on_one_side_have_no_part_in_aggregates() -> None:
         ("worse", ["two", "three", "one"]),
     ],
 )
-def test_changes_come_in_the_order_asked_for(order: Order, logs: list[str], tmp_path: Path) -> None:
+def test_changes_come_in_the_order_asked_for(order: SortOrder, logs: list[str], tmp_path: Path) -> None:
     old, new = two_sets(tmp_path)
-    comparison = arranged(compare_results(old, new), order, only_changed=True)
+    comparison = in_order(compare_results(old, new), order, only_changed=True)
     assert [change.log for change in comparison.changes] == logs
 
 
 def test_only_changed_leaves_the_counts_alone(tmp_path: Path) -> None:
     old, new = two_sets(tmp_path)
     whole = compare_results(old, new)
-    less = arranged(whole, "table", only_changed=True)
+    less = in_order(whole, "table", only_changed=True)
     assert less.total == whole.total
     assert {change.word for change in less.changes} == {"better", "worse"}
     assert [aggregate.column for aggregate in less.aggregates] == ["rmse"]
@@ -312,7 +312,7 @@ def test_only_changed_leaves_the_counts_alone(tmp_path: Path) -> None:
 
 
 def test_a_page_says_first_how_much_moved_and_holds_every_cell(tmp_path: Path) -> None:
-    comparison = arranged(compare_results(*two_sets(tmp_path)), "table", only_changed=True)
+    comparison = in_order(compare_results(*two_sets(tmp_path)), "table", only_changed=True)
     document = Document(page(comparison_document(comparison)).decode())
     assert document.texts["p"][: len(opening_lines(comparison))] == opening_lines(comparison)
     tables = comparison_tables(comparison)
@@ -323,7 +323,7 @@ def test_a_page_says_first_how_much_moved_and_holds_every_cell(tmp_path: Path) -
 def test_dives_in_which_nothing_moved_are_counted(tmp_path: Path) -> None:
     old, new = two_sets(tmp_path)
     write(new / "four", content("four"))
-    text = as_markdown(comparison_document(arranged(compare_results(old, new), "table", only_changed=True)))
+    text = as_markdown(comparison_document(in_order(compare_results(old, new), "table", only_changed=True)))
     assert text.startswith("## 4 dives: ")
     assert "| four |" not in text
     assert "and 1 dive in which nothing moved" in text
@@ -514,7 +514,7 @@ def test_real_results_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_what_is_neither_better_nor_worse_comes_last(tmp_path: Path) -> None:
     new = content(rmse=0.2, final=0.4)
     new["tables"]["reference_error"][0]["samples"] = 290
-    text = as_markdown(comparison_document(arranged(compared(tmp_path, content(), new), "table", only_changed=True)))
+    text = as_markdown(comparison_document(in_order(compared(tmp_path, content(), new), "table", only_changed=True)))
     titles = [line for line in text.split("\n") if line.startswith("**Reference error")]
     assert [title.split(": ")[1].split()[0].strip("*") for title in titles] == ["rmse", "final", "samples"]
 

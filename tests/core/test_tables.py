@@ -16,8 +16,8 @@ from insdvl_replay.sim.dive import simulate_dive
 MESSAGES = Path(__file__).resolve().parents[2] / "schemas" / "insdvl_msgs" / "msg"
 
 
-def test_the_tables_have_these_names_keys_and_chief_columns() -> None:
-    assert [(layout.name, layout.key, layout.chief) for layout in LAYOUTS] == [
+def test_the_tables_have_these_names_keys_and_primary_columns() -> None:
+    assert [(layout.name, layout.key, layout.primary) for layout in LAYOUTS] == [
         ("filters", "filter", "reference_improvement_pct"),
         ("improvement", "state", "sd"),
         ("convergence", "state", "reached_s"),

@@ -21,7 +21,7 @@ from small_results import content, write
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.gates.model import CheckResult, Judgement
-from insdvl_replay.gates.output import SHOWN, CheckReport, github_annotations, junit_xml
+from insdvl_replay.gates.output import MOST_ANNOTATIONS, CheckReport, github_annotations, junit_xml
 
 DIVES = Path(__file__).parents[2] / "examples" / "archive" / "dives"
 SCHEMA = xmlschema.XMLSchema(Path(__file__).with_name("junit.xsd"))
@@ -393,10 +393,10 @@ def test_github_reads_back_what_was_said() -> None:
 
 
 def test_github_annotations_are_capped_by_level() -> None:
-    lines = github_annotations(judged(*["failed"] * 14, "unusable", *["warning"] * SHOWN)).splitlines()
+    lines = github_annotations(judged(*["failed"] * 14, "unusable", *["warning"] * MOST_ANNOTATIONS)).splitlines()
     commands = [as_a_runner_reads(line) for line in lines if line.startswith("::")]
-    assert [level for level, _, _ in commands] == ["error"] * SHOWN + ["warning"] * SHOWN
-    assert commands[SHOWN - 1][2] == "6 more gates were not passed; the log lists them"
+    assert [level for level, _, _ in commands] == ["error"] * MOST_ANNOTATIONS + ["warning"] * MOST_ANNOTATIONS
+    assert commands[MOST_ANNOTATIONS - 1][2] == "6 more gates were not passed; the log lists them"
 
 
 def test_json_and_the_summary(team: Path) -> None:

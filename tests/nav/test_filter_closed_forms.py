@@ -17,7 +17,7 @@ from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import exact_dive
-from insdvl_replay.studies.simulated_run import make_world, run_seed, simulated_run
+from insdvl_replay.studies.simulated_run import make_setup, run_seed, simulated_run
 
 T, G = 424.0, 9.795  # s, m/s^2
 LATITUDE, HEADING = 32.8 * DEG, 30.0 * DEG
@@ -75,7 +75,7 @@ def test_heading_drifts_with_the_gyro_bias_about_down(straight: Replay) -> None:
 @pytest.mark.parametrize("run", [1, 2, 3])
 def test_noise_does_not_show_the_heading(run: int) -> None:
     """Readings as noisy as the filter is told make for large corrections; heading drifts as if there were none."""
-    baseline, aided = simulated_run(make_world("straight", Config(), "matched"), run_seed(1, run))
+    baseline, aided = simulated_run(make_setup("straight", Config(), "matched"), run_seed(1, run))
     sd = [np.sqrt(errors.var[-1, PHI][2]) for errors in (baseline, aided)]
     assert sd == pytest.approx([np.hypot(PHI_0, BG_0 * T)] * 2, rel=0.02)
 

@@ -18,7 +18,7 @@ from insdvl_replay.preparation.alignment import initial_sd
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
-from insdvl_replay.studies.simulated_run import make_world, run_seed, simulated_run
+from insdvl_replay.studies.simulated_run import make_setup, run_seed, simulated_run
 
 RUNS, SEED = 50, 1
 TIMES_S = np.array([10.0, 60.0, 105.0, 150.0])  # settled, at the end of the long leg, in a turn, after two turns
@@ -157,7 +157,7 @@ def test_filter_comes_back_from_an_outage_as_sure_as_it_says(
         reference_at_pings=True,
         outages=[(start_s, end_s)] if end_s > start_s else [],
     )
-    world = replace(make_world("lawnmower", config, "matched", 10.0), exact=exact)
+    world = replace(make_setup("lawnmower", config, "matched", 10.0), exact=exact)
     runs = [simulated_run(world, run_seed(SEED, run))[0] for run in range(40)]
     nees = np.array([run.nees for run in runs])
     assert np.isfinite(nees).all()
@@ -174,7 +174,7 @@ def test_heading_is_as_sure_as_it_says_where_corrections_are_as_large_as_the_vel
     """The paper's noise moves a lawnmower's 0.17 m/s by as much between two pings, and a correction moves it back."""
     config = Config(filters={"baseline": Filter(aiding=("velocity",))})
     exact = exact_dive("lawnmower", reference_at_pings=True, imu_rate_hz=10.0)
-    world = replace(make_world("lawnmower", config, "matched"), exact=exact)
+    world = replace(make_setup("lawnmower", config, "matched"), exact=exact)
     runs = [simulated_run(world, run_seed(SEED, run))[0] for run in range(RUNS)]
     low, high = mean_interval(12, RUNS)
     assert low < np.mean([run.nees[-1] for run in runs]) < high

@@ -13,7 +13,7 @@ from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.sim.trajectories import Scenario, Wave
-from insdvl_replay.studies.simulated_run import make_world, run_seed, simulated_run
+from insdvl_replay.studies.simulated_run import make_setup, run_seed, simulated_run
 
 
 def pings_ns(*spans_s: tuple[float, float]) -> np.ndarray:
@@ -54,7 +54,7 @@ def test_gravity_that_is_held_costs_little_in_a_descent() -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sim_dive, "SCENARIOS", {"sinking": sinking})
         exact = exact_dive("sinking", imu_rate_hz=20.0, reference_at_pings=True, outages=[(0.0, 720.0)])
-    world = dataclasses.replace(make_world("straight", config, "matched", 10.0), exact=exact)
+    world = dataclasses.replace(make_setup("straight", config, "matched", 10.0), exact=exact)
     runs = [simulated_run(world, run_seed(1, run))[0] for run in range(20)]
     assert np.mean([run.nees[-1] for run in runs]) < 25.0
 

@@ -27,7 +27,7 @@ def study() -> StudyReport:
         arguments={"dive": "straight", "earth_rate": True},
         sentences=("rank 9 of 12", "rank 6 of 12"),
         tables={"singular_values": VALUES},
-        shown=(DisplayTable("Ranks", ("aiding", "rank"), "lr", (("velocity", "9"),)),),
+        display=(DisplayTable("Ranks", ("aiding", "rank"), "lr", (("velocity", "9"),)),),
         config=Config(),
         notes=(Note("imu_gaps", "the IMU pauses 3 times", 3, "warning"),),
     )

@@ -35,7 +35,7 @@ from insdvl_replay.report.plots.svg import sheet_svg
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
 from insdvl_replay.studies.montecarlo import repeat_run, save_montecarlo, study_montecarlo
 from insdvl_replay.studies.montecarlo_document import BELIEVED, ensemble_figure
-from insdvl_replay.studies.simulated_run import drawn_start, make_world, matched_errors, run_seed, simulated_run
+from insdvl_replay.studies.simulated_run import drawn_start, make_setup, matched_errors, run_seed, simulated_run
 
 RUNS, DURATION_S = 100, 40.0
 
@@ -185,7 +185,7 @@ def replace_filters(config: Config, filters: dict[str, Filter]) -> Config:
 
 
 def test_start_is_off_by_what_the_configuration_says() -> None:
-    world = make_world("static", SENSORS, "matched", 2.0)
+    world = make_setup("static", SENSORS, "matched", 2.0)
     starts = [drawn_start(world, seed) for seed in range(400)]
     assert world.exact.reference is not None
     turned = np.array([start.mat_nb for start in starts]) @ world.exact.reference.mat_nb[0].T
@@ -274,7 +274,7 @@ def test_any_run_can_be_repeated_alone() -> None:
 
 def test_runs_differ_and_a_seed_gives_them_again() -> None:
     assert len({run_seed(seed, run) for seed in range(20) for run in range(1, 21)}) == 400
-    world = make_world("straight", SENSORS, "matched", 5.0)
+    world = make_setup("straight", SENSORS, "matched", 5.0)
     first, again, other = (simulated_run(world, seed)[0].error for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert (first[-1] != other[-1]).all()
@@ -283,16 +283,16 @@ def test_runs_differ_and_a_seed_gives_them_again() -> None:
 def test_ping_without_velocity_leaves_no_hole_in_the_ensemble() -> None:
     """A ping that one run drops is a time of that run all the same."""
     picky = Config(noise=SENSORS.noise, initial=SENSORS.initial, dvl=Dvl(max_beam_residual_mps=0.005))
-    runs = [simulated_run(make_world("straight", picky, "fog", 20.0), seed)[0] for seed in (1, 2)]
+    runs = [simulated_run(make_setup("straight", picky, "fog", 20.0), seed)[0] for seed in (1, 2)]
     assert [len(run.time_s) for run in runs] == [21, 21]
 
 
 def test_unknown_names_are_told_with_the_nearest() -> None:
     with pytest.raises(ConfigError, match="IMU grade 'matchd' is not known") as caught:
-        make_world("straight", SENSORS, "matchd")
+        make_setup("straight", SENSORS, "matchd")
     assert caught.value.hint == "did you mean matched?"
     with pytest.raises(ConfigError, match="scenario 'strait' is not known"):
-        make_world("strait", SENSORS, "matched")
+        make_setup("strait", SENSORS, "matched")
 
 
 def test_work_is_given_back_in_order_and_ends_at_the_first_error() -> None:

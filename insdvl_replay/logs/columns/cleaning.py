@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, is_new, seconds
-from insdvl_replay.core.errors import LogError, Note, Severity
+from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.order import Mask, Order, Rows, find_order, raise_if_two_dives
 from insdvl_replay.logs.columns.tables import SAME_CLOCK_S, Table
 
@@ -98,7 +99,7 @@ class Cleaner:
         # No row is dropped or moved without a note.
         return values[self.rows] if self.notes else values
 
-    def keep(self, good: Mask, code: str, reason: str, severity: Severity = "info", hint: str = "") -> None:
+    def keep(self, good: Mask, code: str, reason: str, severity: Severity = Severity.INFO, hint: str = "") -> None:
         """Drop the rows that are not good; the reason says what the dropped messages are like."""
         self._keep_rows(good[self.rows], code, reason, severity, hint)
 
@@ -115,13 +116,13 @@ class Cleaner:
             finite &= np.isfinite(column)
         lost = ~finite[self.rows]
         single = not np.any(lost[1:] & lost[:-1])
-        severity: Severity = "warning" if hint and not single else "info"
+        severity: Severity = Severity.WARNING if hint and not single else Severity.INFO
         self.keep(finite, "not_finite", "messages hold a number that is not finite", severity, hint)
 
     def keep_possible(self, possible: Mask, reason: str, hint: str) -> None:
         """Drop the few rows that no sensor can have meant; where there are many, the unit is wrong, and is told."""
         if is_few(int(np.count_nonzero(~possible)), possible.size):
-            self.keep(possible, "impossible", reason, "warning", hint)
+            self.keep(possible, "impossible", reason, Severity.WARNING, hint)
 
     def require_rows(self) -> None:
         """Refuse a role of which nothing stays."""
@@ -165,7 +166,13 @@ class Cleaner:
             self.note("not_finite", text, count, first=self.rows[missing])
 
     def note(
-        self, code: str, text: str, count: int, severity: Severity = "info", hint: str = "", first: Rows | None = None
+        self,
+        code: str,
+        text: str,
+        count: int,
+        severity: Severity = Severity.INFO,
+        hint: str = "",
+        first: Rows | None = None,
     ) -> None:
         """Add a note about some of the rows."""
         first_s = 0.0 if first is None else float(seconds(self.time_ns[first].min(), self._first_ns))
@@ -184,7 +191,7 @@ class Cleaner:
         if not is_few(order.wrong.size, self.time_ns.size):
             raise LogError(text, hint, *self.table.where)
         self.notes.append(
-            Note(f"{self.role}_wrong_stamps", f"{self.role}: {text}; dropped", order.wrong.size, "warning", hint)
+            Note(f"{self.role}_wrong_stamps", f"{self.role}: {text}; dropped", order.wrong.size, Severity.WARNING, hint)
         )
 
     def _drop_stamped_together(self, good: Mask, count: int) -> None:
@@ -196,9 +203,11 @@ class Cleaner:
                 f'{self.stamp_hint}; {self.role}.stamp = "log_time" takes the recorder\'s',
                 *self.table.where,
             )
-        self._keep_rows(good, "same_times", reason, "warning", self.stamp_hint)
+        self._keep_rows(good, "same_times", reason, Severity.WARNING, self.stamp_hint)
 
-    def _keep_rows(self, good: Mask, code: str, reason: str, severity: Severity = "info", hint: str = "") -> None:
+    def _keep_rows(
+        self, good: Mask, code: str, reason: str, severity: Severity = Severity.INFO, hint: str = ""
+    ) -> None:
         dropped = int(np.count_nonzero(~good))
         if dropped:
             self.note(code, f"{reason}; dropped", dropped, severity, hint, first=self.rows[~good])
@@ -248,7 +257,9 @@ def note_lost_samples(cleaner: Cleaner) -> None:
     )
     much = share >= _MUCH
     first = cleaner.rows[stamped[pauses & near]]
-    cleaner.note("lost_samples", text, lost, "warning" if much else "info", _HINT if much else "", first=first)
+    cleaner.note(
+        "lost_samples", text, lost, Severity.WARNING if much else Severity.INFO, _HINT if much else "", first=first
+    )
 
 
 def _in_usual_steps(steps_ns: Floats) -> Floats:
@@ -292,4 +303,4 @@ def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
         f"step of {usual_ns / NS_PER_S:.4f} s after the one before: stamps in bursts are those of a delivery"
     )
     hint = f"{cleaner.stamp_hint}; else raise {remedy} until the mean NIS is that of a consistent filter"
-    cleaner.note("bursts", text, together.size, "warning", hint, first=cleaner.rows[together])
+    cleaner.note("bursts", text, together.size, Severity.WARNING, hint, first=cleaner.rows[together])

@@ -12,6 +12,7 @@ from insdvl_replay.core.columns import DvlColumns, Floats, find_runs, seconds
 from insdvl_replay.core.config import Dvl
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry import beams
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
 from insdvl_replay.logs.columns.imu import FRD, in_frd
@@ -40,7 +41,7 @@ def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
         f"pings have beam vectors that cannot be true ({doubt}); a tilt of {beams.TILT_DEG:g} deg and azimuths of "
         f"{', '.join(f'{azimuth:g}' for azimuth in beams.AZIMUTH_DEG)} deg are assumed",
         cleaner.rows.size,
-        "warning",
+        Severity.WARNING,
         _HINT,
     )
     return _geometry(settings)
@@ -57,7 +58,7 @@ def note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: F
     if part > _CONTRADICTION:
         text = f"pings have beams that, with the geometry in use, differ by {part:.0%} from the velocity beside them"
         hint = f'{_HINT}; dvl.kind = "velocity" leaves them'
-        cleaner.note("beam_contradiction", text, int(moving.sum()), "warning", hint, first=cleaner.rows[moving])
+        cleaner.note("beam_contradiction", text, int(moving.sum()), Severity.WARNING, hint, first=cleaner.rows[moving])
 
 
 def _geometry(settings: Dvl) -> Floats:
@@ -217,7 +218,7 @@ def _possible(values_mps: Floats, cleaner: Cleaner) -> Floats:
         return values_mps
     text = f"readings are above {FASTEST_MPS:g} m/s, and are taken for lost"
     rows = np.flatnonzero(impossible.any(axis=1))
-    cleaner.note("impossible", text, count, "warning", _VALID_HINT, first=rows)
+    cleaner.note("impossible", text, count, Severity.WARNING, _VALID_HINT, first=rows)
     return np.where(impossible, np.nan, values_mps)
 
 
@@ -225,7 +226,7 @@ def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
     zero = (values == 0.0).all(axis=1)
     if not zero.all():
         reason = "pings are exactly zero, as instruments without a lock report"
-        cleaner.keep(~zero, "zero", reason, "warning", _VALID_HINT)
+        cleaner.keep(~zero, "zero", reason, Severity.WARNING, _VALID_HINT)
     cleaner.drop_repeated_times(values)
     _note_stuck(cleaner, values)
     cleaner.drop_repeated_values(values)
@@ -249,4 +250,4 @@ def _note_stuck(cleaner: Cleaner, values: Floats) -> None:
         )
     count = int(np.sum(ends[long] - starts[long]))
     text = f"pings stand still to the last digit for over {STUCK_S:g} s, the longest run of {lengths_s.max():.1f} s"
-    cleaner.note("stuck", text, count, "warning", _VALID_HINT, first=cleaner.rows[starts[long]])
+    cleaner.note("stuck", text, count, Severity.WARNING, _VALID_HINT, first=cleaner.rows[starts[long]])

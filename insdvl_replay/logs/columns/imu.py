@@ -13,6 +13,7 @@ from insdvl_replay.core.columns import NS_PER_S, Floats, ImuColumns, TimeNs, Tru
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import ANGULAR_RATE_UNITS, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS, SPECIFIC_FORCE_UNITS
+from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_bursts, note_lost_samples
 from insdvl_replay.logs.columns.order import Mask
 from insdvl_replay.logs.columns.tables import Table
@@ -44,7 +45,7 @@ def drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Floa
     if count and is_few(count, len(spikes)):
         good = np.ones(len(specific_force_b), np.bool_)
         good[cleaner.rows[spikes]] = False
-        cleaner.keep(good, "spikes", _REASON, "warning", "the instrument or its cable; the pauses are bridged")
+        cleaner.keep(good, "spikes", _REASON, Severity.WARNING, "the instrument or its cable; the pauses are bridged")
 
 
 def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:
@@ -199,7 +200,7 @@ def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
         f"{pauses_ns[gaps].sum() / NS_PER_S:.3f} s in all; {long} longer than {max_gap_s:g} s"
     )
     hint = f"{cleaner.role}.max_gap_s says which are harmless" if long else ""
-    cleaner.note("gaps", text, gaps.size, "warning" if long else "info", hint, first=cleaner.rows[gaps])
+    cleaner.note("gaps", text, gaps.size, Severity.WARNING if long else Severity.INFO, hint, first=cleaner.rows[gaps])
 
 
 def note_clock_set(cleaner: Cleaner, steps_ns: TimeNs) -> None:
@@ -213,4 +214,4 @@ def note_clock_set(cleaner: Cleaner, steps_ns: TimeNs) -> None:
         "recorded, or two dives are in it"
     )
     hint = "--start and --end choose what is before or behind"
-    cleaner.note("clock_set", text, steps.size, "warning", hint, first=cleaner.rows[steps])
+    cleaner.note("clock_set", text, steps.size, Severity.WARNING, hint, first=cleaner.rows[steps])

@@ -9,6 +9,7 @@ from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, distinc
 from insdvl_replay.core.config import Reference
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, wrap_angle
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_lost_samples
@@ -91,7 +92,9 @@ def _drop_zeros(position: Floats, cleaner: Cleaner) -> None:
     if zero.size:
         position[zero] = np.nan
         text = "positions have latitude and longitude 0, as receivers without satellites report, and are left out"
-        cleaner.note("zero", text, zero.size, "warning", "reference.fix names another topic of positions", first=zero)
+        cleaner.note(
+            "zero", text, zero.size, Severity.WARNING, "reference.fix names another topic of positions", first=zero
+        )
 
 
 def _note_missing(cleaner: Cleaner, position: Floats | None, velocity_n: Floats | None, mat_nb: Floats | None) -> None:

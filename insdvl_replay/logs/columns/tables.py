@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, distinct, nanoseconds
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.loss import damaged_file_error
 from insdvl_replay.logs.encoding.fields import Columns, Kinds, fields_hint, split_paths
@@ -86,7 +87,7 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
             raise LogError(text, hint, place)
         if apart_s > SAME_CLOCK_S:
             text += "; clocks.max_disagreement_s allows it"
-            notes.append(Note("clocks_apart", text, other.messages, "warning", by_recorder))
+            notes.append(Note("clocks_apart", text, other.messages, Severity.WARNING, by_recorder))
     return tuple(notes)
 
 
@@ -110,7 +111,9 @@ def _unsteady_note(clock: Clock) -> Note:
         f"{clock.topic}: the clock of its stamps runs unlike the recorder's: log time minus stamp varies by "
         f"{clock.spread_s:.3f} s between its 5th and 95th percentile"
     )
-    return Note(f"{clock.role}_clock_unsteady", text, clock.messages, "warning", f'{clock.role}.stamp = "log_time"')
+    return Note(
+        f"{clock.role}_clock_unsteady", text, clock.messages, Severity.WARNING, f'{clock.role}.stamp = "log_time"'
+    )
 
 
 def _offset_note(clock: Clock) -> Note:

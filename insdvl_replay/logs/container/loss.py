@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import TimeNs, seconds
 from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container.blocks import MESSAGE, gather, read_chunk
 from insdvl_replay.logs.container.chunks import Chunk, chunk_header
 from insdvl_replay.logs.container.mcap_index import Loss, McapIndex
@@ -80,7 +81,7 @@ def damage_note(name: str, data: memoryview, mcap_index: McapIndex) -> Note:
         missing = None if missing is None else missing + duplicates
     loss = loss_text(found, missing, is_cut=mcap_index.is_cut)
     text = f"{name} is damaged in {places}, {loss} ({shown}{more})"
-    return Note("log_damaged", text, len(damages), "warning", COPY_AGAIN)
+    return Note("log_damaged", text, len(damages), Severity.WARNING, COPY_AGAIN)
 
 
 def loss_text(found: Sequence[Loss], missing: int | None, *, is_cut: bool) -> str:

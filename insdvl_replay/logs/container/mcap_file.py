@@ -16,6 +16,7 @@ from mcap import records
 
 from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container.blocks import Block, Content, content_of, index_entries
 from insdvl_replay.logs.container.chunks import Chunk, ChunkHeader, chunk_header, open_chunk, opened_size
 from insdvl_replay.logs.container.loss import COPY_AGAIN, chunk_span, damage_note
@@ -184,14 +185,14 @@ class McapFile:
         elif missing := self._index.missing:
             text = f"the summary of {self.path.name} announces {missing:+d} messages against what the log holds"
             hint = COPY_AGAIN
-            notes.append(Note("log_summary", text, abs(missing), "warning", hint))
+            notes.append(Note("log_summary", text, abs(missing), Severity.WARNING, hint))
         if (last_ns := self._last_ns()) >= _END_OF_TIME_NS:
             text = (
                 f"the log times of {self.path.name} go on to {last_ns} ns since 1970; from 2^63 ns on, which is in the "
                 "year 2262, they are no times that can be shown or compared with stamps"
             )
             hint = "the messages' own stamps are used where they have any; the recorder's clock was wrong"
-            notes.append(Note("log_times_late", text, 1, "warning", hint))
+            notes.append(Note("log_times_late", text, 1, Severity.WARNING, hint))
         if private := self._index.private:
             notes.append(Note("unknown_records", f"{private} records are of kinds that are not MCAP's own", private))
         return tuple(notes)

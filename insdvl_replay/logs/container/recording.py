@@ -13,6 +13,7 @@ from typing import Any, Final, TypeVar
 from insdvl_replay.core.columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.plain_text import read_text
+from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.loss import COPY_AGAIN, damaged_file_error
 from insdvl_replay.logs.container.mapped_file import Digest, UnusableFileError
@@ -77,7 +78,7 @@ class Recording:
     def _unusable_notes(self) -> Iterator[Note]:
         for error in self._unusable.values():
             text = f"{error.message}; an unknown number of messages (an unknown time) are lost; nothing of it is left"
-            yield Note("log_damaged", text, 1, "warning", COPY_AGAIN)
+            yield Note("log_damaged", text, 1, Severity.WARNING, COPY_AGAIN)
 
     def _overlap_notes(self) -> Iterator[Note]:
         spans = [part.span_ns for part in self.parts if part.span_ns]

@@ -13,6 +13,7 @@ from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import DEG_PER_HOUR, MG, STATES
 from insdvl_replay.core.table_layout import TableLayout
 from insdvl_replay.core.tables import Tables, each_table
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import MAT_FRD_FLU, east_north_up_m, quat_enu_flu
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.logs.writing.writer import (
@@ -36,7 +37,7 @@ Sampled = tuple[TimeNs, Floats]
 """Times of validity, shape (m,), and vectors in body axes, shape (m, 3)."""
 
 _UNIT_NAMES: Final = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
-_LOG_LEVELS: Final = {"info": 20, "warning": 30}
+_LOG_LEVELS: Final = {Severity.INFO: 20, Severity.WARNING: 30}
 
 
 class Errors(Protocol):

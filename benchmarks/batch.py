@@ -46,7 +46,7 @@ class Took(NamedTuple):
     processor_s: float
 
 
-def make_archive(folder: Path, dives: int, duration_s: float) -> None:
+def make_dives(folder: Path, dives: int, duration_s: float) -> None:
     """Simulate the dives and write the gates."""
     (folder / "gates.toml").write_text(GATES, "utf-8")
     (folder / "dives").mkdir()
@@ -80,7 +80,7 @@ def report(dives: int, duration_s: float) -> str:
     """Measure, and make a part of the page of it."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        make_archive(folder, dives, duration_s)
+        make_dives(folder, dives, duration_s)
         check(folder, "--results", "warm", "dives/dive_000.mcap")
         checks = usual_checks(folder)
     first_s = checks["the first, one process"].wall_s
@@ -90,10 +90,10 @@ def report(dives: int, duration_s: float) -> str:
         for kind, took in checks.items()
     ]
     lines = [
-        f"# Archive: {dives} dives of {duration_s:g} s",
+        f"# Batch: {dives} dives of {duration_s:g} s",
         "",
         f"A check of all of them against one gate, with all outputs; medians of {ROUNDS}, measured in turn. The second "
-        "check of an archive finds its results.",
+        "check of the same dives finds their results.",
         "",
         *table(("check", "s", "s of processor time", "dives an hour", "against one process"), rows),
         "",

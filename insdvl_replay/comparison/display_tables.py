@@ -10,13 +10,14 @@ from insdvl_replay.comparison.aggregation import loss, loss_of
 from insdvl_replay.core.changes import Aggregate, Change, Comparison
 from insdvl_replay.core.table_layout import PERCENTAGE
 from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, Cell
+from insdvl_replay.core.words import ChangeWord
 from insdvl_replay.report.document import MISSING, Column, DisplayTable, number, row_label, table_of
 
-Order = Literal["table", "name", "change", "worse"]
+SortOrder = Literal["table", "name", "change", "worse"]
 """As in the reports; by row; largest change first; largest loss first."""
 
 
-def arranged(comparison: Comparison, order: Order, *, only_changed: bool) -> Comparison:
+def in_order(comparison: Comparison, order: SortOrder, *, only_changed: bool) -> Comparison:
     """Put changes and aggregates into an order; counts stay those of all.
 
     Parameters
@@ -26,7 +27,7 @@ def arranged(comparison: Comparison, order: Order, *, only_changed: bool) -> Com
     """
     changes, overall = comparison.changes, comparison.aggregates
     if only_changed:
-        changes = tuple(change for change in changes if change.word != "same")
+        changes = tuple(change for change in changes if change.word != ChangeWord.SAME)
         overall = tuple(aggregate for aggregate in overall if aggregate.same < aggregate.dives)
     if order != "table":
         changes = tuple(sorted(changes, key=_CHANGE_KEYS[order]))
@@ -40,7 +41,7 @@ def _size(change_pct: float | None) -> float:
 
 _CHANGE_KEYS: Final[dict[str, Callable[[Change], str | float]]] = {
     "name": lambda change: change.row,
-    "change": lambda change: 0.0 if change.word == "same" else -_size(change.change_pct),
+    "change": lambda change: 0.0 if change.word == ChangeWord.SAME else -_size(change.change_pct),
     "worse": lambda change: -loss_of(change),
 }
 _AGGREGATE_KEYS: Final[dict[str, Callable[[Aggregate], str | float]]] = {
@@ -70,7 +71,7 @@ Columns = list[Column[Item]]
 
 def change_tables(changes: Iterable[Change]) -> list[DisplayTable]:
     """Show the cells of one dive, a table for each column; what is said of the candidates is one table."""
-    groups = sorted(_grouped(changes), key=lambda group: all(change.word == "changed" for change in group))
+    groups = sorted(_grouped(changes), key=lambda group: all(change.word == ChangeWord.CHANGED for change in group))
     return [_table(group, _value_columns(group)) for group in groups]
 
 
@@ -141,8 +142,8 @@ def _share_columns(aggregates: Sequence[Aggregate]) -> Columns[Aggregate]:
 
 def _worst_in(cell: Aggregate) -> str:
     """Name the dive that lost most; of words, only if one fell."""
-    nothing = cell.worst_word == "same" or (cell.worst_word == "better" and cell.worst_change_pct is None)
-    return MISSING if nothing else cell.worst_log
+    rose = cell.worst_word == ChangeWord.BETTER and cell.worst_change_pct is None
+    return MISSING if rose or cell.worst_word == ChangeWord.SAME else cell.worst_log
 
 
 def _title(items: Sequence[Item]) -> str:
