@@ -13,11 +13,12 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from concurrent.futures.process import ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from types import FrameType
 from typing import Any, Final, NoReturn, TypeVar
 
@@ -173,13 +174,24 @@ def _signals_held() -> Iterator[None]:
         return
     held: list[int] = []
     before = {number: signal.signal(number, lambda got, _frame: held.append(got)) for number in _ENDINGS}
+    masked = _block_for_those_that_start()
     try:
         yield
     finally:
+        if masked is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, masked)
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)  # none, where Python did not set it
     for got in held:
         signal.raise_signal(got)
+
+
+def _block_for_those_that_start() -> Collection[int] | None:
+    """Block the signals in this thread, from which a new process has it until `_begin`; return what was blocked."""
+    if not hasattr(signal, "pthread_sigmask"):
+        return None
+    resource_tracker.ensure_running()  # as it starts, it lets signals through again
+    return signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
 
 
 @contextmanager
@@ -207,6 +219,8 @@ def _begin() -> None:
     collect_rarely()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all processes; the parent ends them
     signal.signal(signal.SIGTERM, _leave)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDINGS)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 
 

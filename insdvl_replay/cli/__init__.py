@@ -13,7 +13,6 @@ from contextlib import suppress
 from types import FrameType
 from typing import NoReturn
 
-from insdvl_replay.cli.messages import open_outlets, report_lost_output
 from insdvl_replay.core.runtime import Interruption, collect_rarely, use_small_pages
 
 INTERRUPTED = 130
@@ -23,17 +22,20 @@ AGAIN_S = 0.02
 
 def main() -> NoReturn:
     """Run the command line and leave with its exit code."""
-    code, (out, err) = INTERRUPTED, open_outlets()
+    code, lost_output = INTERRUPTED, 0
     try:
         _listen()
         collect_rarely()
         use_small_pages()
         # numpy's word on overflows would point to lines of ours; what is not finite is told by notes and status words.
         warnings.filterwarnings("ignore", category=RuntimeWarning)
-        code = run_command_line(sys.argv[1:])
+        code, lost_output = _run_with_outlets(sys.argv[1:])
         _listen_no_more()
     except KeyboardInterrupt:  # a second one, or one between two lines
         _listen_no_more()
+    except Exception:
+        if not Interruption.came:
+            raise
     if code == INTERRUPTED:
         print("error: interrupted", file=sys.stderr, flush=True)
         # A pool of workers that was interrupted may find its own pipes closed as the interpreter ends: no word on that
@@ -45,7 +47,17 @@ def main() -> NoReturn:
         forced_exit.daemon = True
         with suppress(RuntimeError):  # there may be no room for one more thread
             forced_exit.start()
-    sys.exit(max(code, report_lost_output(out, err)))
+    sys.exit(max(code, lost_output))
+
+
+def _run_with_outlets(arguments: list[str]) -> tuple[int, int]:
+    """Run one command; return its exit code, and that of output which could not be written."""
+    # Imported here, as all that takes long, so that an interruption meanwhile finds who listens.
+    from insdvl_replay.cli.messages import open_outlets, report_lost_output
+
+    out, err = open_outlets()
+    code = run_command_line(arguments)
+    return code, report_lost_output(out, err)
 
 
 def run_command_line(arguments: list[str]) -> int:
