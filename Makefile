@@ -5,7 +5,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: demo test extras quick processors check lint bench attack lock samples schemas pictures readme reproduce clean
+.PHONY: demo test extras quick processors check lint bench judge attack lock samples schemas pictures readme reproduce clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
@@ -43,6 +43,10 @@ bench: .venv/bench.stamp
 	$(BIN)/python benchmarks/outages.py
 	$(BIN)/python benchmarks/batch.py
 	$(BIN)/python benchmarks/whole_run.py
+
+# How often the words on filters are right, in simulated worlds whose truth is known; takes some minutes.
+judge: .venv/test.stamp
+	$(BIN)/python benchmarks/judge.py
 
 # Damaged logs, bombs, hostile names, kills, swaps; takes some hour, and fails if there is a defect.
 attack: .venv/test.stamp

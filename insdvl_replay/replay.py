@@ -1,14 +1,12 @@
 """The pipeline: a log is read and checked, prepared, run through every filter, and what they believe judged."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from insdvl_replay.core.columns import Dive, TimeNs
+from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
@@ -16,18 +14,21 @@ from insdvl_replay.core.runtime import begin, return_freed_memory
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.consistency import update_notes
 from insdvl_replay.evaluation.judging import compared_filters, judged_times, reference_notes
+from insdvl_replay.evaluation.losses import ReferenceNoise
 from insdvl_replay.evaluation.reference import ReferenceErrors
-from insdvl_replay.evaluation.verdicts import dead_filters, verdicts
+from insdvl_replay.evaluation.sound_filters import not_to_be_judged
+from insdvl_replay.evaluation.verdicts import verdicts
 from insdvl_replay.nav.dvl import DvlVelocities
-from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.timeline import Timeline, build_timeline
-from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.long_gaps import outage_notes
-from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
-
-WORTH_A_THREAD = 20_000
-"""IMU samples from which filters run beside each other; with fewer, to start threads takes what it saves."""
+from insdvl_replay.preparation.running import (
+    coasting_of,
+    coasting_plan,
+    prepared_timeline,
+    run_filters,
+    run_from_drawn_starts,
+)
 
 
 @dataclass(frozen=True)
@@ -117,62 +118,26 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     start = prepare_dive(dive, config)
     span = start.alignment.start_ns, start.end_ns
     judged_ns = judged_times(dive.reference, *span, filters=len(config.filters))
-    histories = run_filters(dive, start, cov_ns=judged_ns)
+    plan, timeline = coasting_plan(start), prepared_timeline(dive, start)
+    histories = run_filters(start, timeline, cov_ns=np.union1d(judged_ns, plan.start_ns))
+    coasts = coasting_of(start, timeline, histories, plan)
+    draws = config.evaluation
+    drawn = run_from_drawn_starts(dive, start, draws.starts, draws.seed) if dive.reference is not None else ()
+    del timeline
     dive = replace(dive, imu=dive.imu.times_only())
     return_freed_memory()
     begin("judging the filters")
-    errors, tables = compared_filters(dive, histories, span[0], bridged_gaps=len(start.gaps.start_ns) > 0)
-    candidates = [history.filter for history in histories[1:]]
-    judged = verdicts(tables, config.baseline, candidates, dead_filters(histories))
+    own = config.reference
+    noise = ReferenceNoise(own.position_sd_m, own.velocity_sd_mps, own.attitude_sd_deg)
+    errors, tables = compared_filters(
+        dive, histories, drawn, coasts, noise, start_ns=span[0], bridged_gaps=len(start.gaps.start_ns) > 0
+    )
     notes = dive.notes + start.notes + outage_notes(start.velocities.time_ns, *span) + update_notes(histories)
     notes += reference_notes(dive, *span, histories[0], judged_ns, independent=config.reference.independent)
+    names = [history.filter for history in histories]
+    unsound = not_to_be_judged(histories, tables, notes)
+    judged = verdicts(tables, names[0], names[1:], unsound, independent=config.reference.independent)
     if not keep_cov:
         histories = tuple(history.without_cov() for history in histories)
     return_freed_memory()
     return Replay(dive, config, *span, start.velocities, histories, errors, tables, judged, notes)
-
-
-def run_filters(dive: Dive, start: Prepared, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
-    """Run every filter over a prepared dive, on a long one each in a thread of its own.
-
-    Parameters
-    ----------
-    start : Prepared
-        From `prepared.prepare_dive`.
-    cov_ns : ndarray, shape (c,), optional
-        Times of the reference at which the histories keep all of P.
-
-    Returns
-    -------
-    tuple of History
-        In the order of the configuration.
-    """
-    begin("running the filters")
-    timeline = prepared_timeline(dive, start)
-    return_freed_memory()
-    run = partial(run_one, start=start, timeline=timeline, cov_ns=cov_ns)
-    if len(dive.imu.time_ns) < WORTH_A_THREAD:
-        return tuple(map(run, start.filters))
-    with ThreadPoolExecutor() as threads:  # the compiled filter leaves the interpreter to others while it runs
-        return tuple(threads.map(run, start.filters))
-
-
-def run_one(filter_: ResolvedFilter, start: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> History:
-    """Run one filter over the time line of a prepared dive; ``cov_ns`` as of `run_filters`."""
-    return run_filter(
-        filter_.name,
-        timeline,
-        start.alignment.start,
-        filter_.noise_density,
-        filter_.measurements(start.velocities, start.mounting, start.gaps),
-        start.mounting.lever_arm_b,
-        cov_ns=cov_ns,
-    )
-
-
-def prepared_timeline(dive: Dive, start: Prepared) -> Timeline:
-    """Lay the readings, the pings and the reference's times of a prepared dive on one time line."""
-    reference_ns = dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64)
-    return build_timeline(
-        dive.imu, start.velocities.time_ns, reference_ns, start.alignment.start_ns, start.end_ns, start.gaps
-    )

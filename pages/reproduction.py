@@ -20,7 +20,10 @@ from written import PROJECT, markdown_table, renewed
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.states import NINE
+from insdvl_replay.core.tables import finite
 from insdvl_replay.evaluation.ensemble import Ensemble
+from insdvl_replay.evaluation.evidence import NAMES
+from insdvl_replay.evaluation.pooled_evidence import PooledRow, pooled_evidence
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.studies.montecarlo import study_montecarlo
@@ -49,6 +52,11 @@ FOG_STUDIES = (
     ("lawnmower", "fog"),
 )
 FOG_RUNS = 50
+TOGETHER = (
+    "drift_30s", "velocity_along", "velocity_across", "level", "heading", "coasting_30s", "coasting_60s",
+    "convergence_level",
+)  # fmt: skip
+"""Evidence that is shown of the eight dives together."""
 SD_WITHIN = 0.05
 """Standard deviations agree within this share."""
 REACHED_WITHIN_S = 8.0
@@ -114,6 +122,7 @@ def written(found: Findings) -> str:
             "claims": claims_in_words,
             "tuning": tuning,
             "verdicts": verdicts,
+            "together": together,
             "positions": positions,
             "geometry": geometry,
         }.items()
@@ -224,7 +233,16 @@ def verdicts(found: Findings) -> str:
     """What the paper does not ask: whether the same improvements are real."""
     replays = [found.straight, found.eight, *found.dives]
     return markdown_table(
-        ("dive", "filter", "believed improvement", "position rms [m]: baseline", "with accelerations", "verdict"),
+        (
+            "dive",
+            "filter",
+            "believed",
+            "position rms [m]: baseline",
+            "with accelerations",
+            "measured",
+            "belief",
+            "innovations",
+        ),
         [row for replay in replays for row in _verdicts(replay)],
     )
 
@@ -238,8 +256,26 @@ def _verdicts(replay: Replay) -> Iterator[tuple[str, ...]]:
             percent(verdict.mean_improvement_pct),
             f"{errors['baseline']:.2f}",
             f"{errors[name]:.2f}",
-            f"{verdict.improvement}, {verdict.consistency}",
+            verdict.improvement,
+            verdict.belief,
+            verdict.consistency,
         )
+
+
+def together(found: Findings) -> str:
+    """What the eight dives say together, measured from drawn starts and while the DVL is withheld."""
+    rows = []
+    for name in ("windowed", "published"):
+        evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in found.dives]
+        pooled = {row.quantity: row for row in pooled_evidence(name, evidence)}
+        rows += [_of_eight(name, pooled[quantity]) for quantity in TOGETHER]
+    return markdown_table(("filter", "quantity", "candidate over baseline, 95 %", "smaller on", "p", "word"), rows)
+
+
+def _of_eight(name: str, row: PooledRow) -> tuple[str, ...]:
+    numbers = row.ratio, row.low, row.high
+    ratio = "{:.3g} [{:.3g}, {:.3g}]".format(*(finite(number) for number in numbers))
+    return name, NAMES[row.quantity], ratio, f"{row.dives_won} of {row.dives}", f"{finite(row.p):.2g}", row.word
 
 
 def tuning(found: Findings) -> str:

@@ -22,7 +22,8 @@ from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, 
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
-from insdvl_replay.replay import Replay, prepared_timeline, replay_dive, run_one
+from insdvl_replay.preparation.running import prepared_timeline, run_one
+from insdvl_replay.replay import Replay, replay_dive
 
 NAME = "tuned"
 """Name of the tuned baseline among the filters."""

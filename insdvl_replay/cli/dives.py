@@ -20,9 +20,21 @@ from insdvl_replay.report.page import is_page
 from insdvl_replay.results.dive_document import dive_document, report_csv
 from insdvl_replay.results.folder import require_replaceable_file, result_file
 from insdvl_replay.results.json_report import Report, encode_report
-from insdvl_replay.results.overviews import Failure, index_page, is_summary, summary_csv
+from insdvl_replay.results.overviews import (
+    Failure,
+    evidence_csv,
+    index_page,
+    is_evidence,
+    is_summary,
+    pooled_sentences,
+    summary_csv,
+)
 
-OVERVIEWS: Final = {"summary.csv": (summary_csv, is_summary), "index.html": (index_page, is_page)}
+OVERVIEWS: Final = {
+    "summary.csv": (summary_csv, is_summary),
+    "evidence.csv": (evidence_csv, is_evidence),
+    "index.html": (index_page, is_page),
+}
 """What lays several dives beside each other, and by the name of its file is known from somebody else's work."""
 
 
@@ -79,6 +91,8 @@ def replay_dives(names: Sequence[str], output: Path, options: ReplayOptions, run
     if together:
         write_stdout(encode_report([report for report in reports if isinstance(report, Report)]).decode())
     if len(dives) > 1:
+        if run.format is Format.TABLE:
+            write_stdout("".join(f"{sentence}\n" for sentence in pooled_sentences(reports)))
         _summarise(reports, codes, output)
     return max(codes.values())
 

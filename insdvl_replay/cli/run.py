@@ -34,6 +34,10 @@ def run(
     ] = None,
     end: Annotated[float | None, typer.Option(metavar="T", help="End here, likewise.")] = None,
     settings: Settings = [],  # noqa: B006
+    starts: Annotated[
+        int | None,
+        typer.Option(metavar="K", min=1, help="Run each filter from K drawn starts; 16 unless the settings say."),
+    ] = None,
     format_: Annotated[Format, typer.Option("--format", help="How the tables are printed.")] = Format.TABLE,
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Use what can be read of a damaged log; what is lost is said.")
@@ -55,7 +59,7 @@ def run(
 ) -> int:
     """Replay dives through the configured filters.
 
-    What the filters believe is laid beside what is so. Each log gets a folder with report.html, CSV tables,
+    What the filters believe is laid beside what is measured. Each log gets a folder with report.html, CSV tables,
     report.json, replay.mcap and the settings; several logs also a summary.csv and an index.html that leads to them.
     A log that cannot be used does not stop the others. A dive whose log, settings and versions are those of the result
     that lies there is not replayed again.
@@ -74,8 +78,9 @@ def run(
     from insdvl_replay.cli.dives import RunOptions, replay_dives
     from insdvl_replay.core.config_file import load_config
 
-    spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
-    resolved = load_config(preset, config, [*settings, *spans])
+    named = {"span.start_s": start, "span.end_s": end, "evaluation.starts": starts}
+    options = [f"{key}={value!r}" for key, value in named.items() if value is not None]
+    resolved = load_config(preset, config, [*settings, *options])
     cluster = None if scheduler is None else Cluster(scheduler, scheduler_timeout)
     return replay_dives(
         logs,

@@ -118,6 +118,11 @@ class Reference(_Section, frozen=True):
         0.0,
     )
     independent: Annotated[bool, Comment("false: it was made from the same IMU or DVL")] = True
+    position_sd_m: Annotated[
+        NotNegative, Comment("its own error: smaller differences between filters count as none")
+    ] = 0.0
+    velocity_sd_mps: Annotated[NotNegative, Comment("likewise, each axis")] = 0.0
+    attitude_sd_deg: Annotated[NotNegative, Comment("likewise, each axis")] = 0.0
     stamp: Annotated[str | None, Comment(_STAMP)] = None
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
 
@@ -214,6 +219,18 @@ class Span(_Section, frozen=True):
     end_s: Annotated[float | None, Comment("seconds from the first IMU sample; left out: to the end")] = None
 
 
+class Evaluation(_Section, frozen=True):
+    """How the filters are held against each other."""
+
+    starts: Annotated[
+        Annotated[int, Meta(ge=1, le=1000)],
+        Comment("each filter is run from so many starts, drawn from [initial]; 1: from the one start alone"),
+    ] = 16
+    seed: Annotated[
+        Annotated[int, Meta(ge=0, le=4_294_967_295)], Comment("of the draws; another one shows what hangs on them")
+    ] = 0
+
+
 class Config(_Section, frozen=True):
     """All settings of a replay."""
 
@@ -224,6 +241,7 @@ class Config(_Section, frozen=True):
     noise: Noise = Noise()
     clocks: Clocks = Clocks()
     span: Span = Span()
+    evaluation: Evaluation = Evaluation()
     filters: dict[str, Filter] = msgspec.field(default_factory=_default_filters)
 
     @property

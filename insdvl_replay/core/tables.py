@@ -15,7 +15,7 @@ from msgspec import Meta, Struct
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import BA, STATES
 from insdvl_replay.core.table_layout import Column, TableLayout, layout_of
-from insdvl_replay.core.words import Consistency, Gain, Whiteness
+from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, Whiteness
 
 VERDICTS_BEST_FIRST: Final = (
     Consistency.CONSISTENT,
@@ -66,6 +66,22 @@ _REFERENCE_QUANTITY: Final = Column(names=tuple(REFERENCE_QUANTITIES))
 _MEASUREMENT: Final = Column(
     names=tuple(row for name in MEASUREMENTS for row in (name, *(axis_of(name, axis) for axis in AXES)))
 )
+ACCURACY: Final = (
+    "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "depth_60s", "level", "heading"
+)  # fmt: skip
+"""Errors against the reference, the one that decides first."""
+COASTING_WINDOWS_S: Final = ("30", "60", "120", "300")
+"""Lengths for which the DVL is withheld."""
+CONVERGED: Final = ("velocity", "level", "heading")
+EVIDENCE_QUANTITIES: Final = (
+    *ACCURACY,
+    *(f"coasting_{window}s" for window in COASTING_WINDOWS_S),
+    *(f"convergence_{name}" for name in CONVERGED),
+    "nis",
+    "nees",
+)
+"""Rows of evidence, each name once."""
+_EVIDENCE_QUANTITY: Final = Column(names=EVIDENCE_QUANTITIES)
 _CREDIBILITY_QUANTITY: Final = Column(names=(*CREDIBILITY_QUANTITIES, JOINT))
 
 
@@ -108,6 +124,19 @@ class ConvergenceRow(Struct, frozen=True):
     reached_s: Annotated[Number, Column(better="lower", primary=True)]
     improvement_pct: Annotated[Number, Column(better="higher")]
     status: Annotated[str, Column("reached, at_start or never.")]
+    measured_target: Annotated[
+        Number,
+        Column("Rms of the baseline's true errors at the end, over starts that are drawn from P0.", better="lower"),
+    ] = None
+    measured_baseline_s: Annotated[
+        Number,
+        Column(
+            "Times from which on the errors of the baseline and of the candidate stay there; NaN for never.",
+            better="lower",
+        ),
+    ] = None
+    measured_s: Annotated[Number, Column(better="lower")] = None
+    measured_status: Annotated[str, Column("reached, at_start, never, or empty where nothing knows the error.")] = ""
 
 
 class ReferenceErrorRow(Struct, frozen=True):
@@ -211,24 +240,105 @@ class CredibilityRow(Struct, frozen=True):
     effective_samples: Annotated[Number, Column("How many independent samples the compared times are worth.")]
 
 
+class EvidenceRow(Struct, frozen=True):
+    """One piece of evidence: a candidate beside the baseline in one quantity, with its interval and a word."""
+
+    about: ClassVar = "One piece of evidence on a candidate beside the baseline: what was measured, and what it says."
+
+    log: Annotated[str, Column("Dive, candidate, kind of evidence and quantity.")]
+    filter: str
+    evidence: Annotated[str, Column("accuracy, coasting, convergence or honesty.")]
+    quantity: Annotated[str, _EVIDENCE_QUANTITY]
+    unit: Annotated[str, Column("Unit of the two values.")]
+    baseline: Annotated[
+        Number, Column("What the baseline and the candidate have: a root mean square, or a median.", better="lower")
+    ]
+    value: Annotated[Number, Column(better="lower")]
+    ratio: Annotated[
+        Number,
+        Column("Candidate over baseline, and the interval that holds it with 95 %.", better="lower", primary=True),
+    ]
+    low: Number
+    high: Number
+    effective_samples: Annotated[Number, Column("How many independent values the dive holds.")]
+    starts: Annotated[
+        int, Column("Starts that were replayed, and stretches of the dive or windows that were compared.")
+    ]
+    windows: int
+    word: Annotated[
+        str,
+        Column(
+            "better, worse, equivalent or undecided; empty where the filter is not judged.",
+            best_first=(EvidenceWord.BETTER, EvidenceWord.EQUIVALENT, EvidenceWord.UNDECIDED, EvidenceWord.WORSE),
+        ),
+    ]
+
+
+class CoastingRow(Struct, frozen=True):
+    """How far a filter drifts in some time without velocities, beside the baseline."""
+
+    about: ClassVar = (
+        "Windows of one length in which every velocity was withheld from a filter: how far it went astray by what the "
+        "withheld velocities say. Blind to heading, to the DVL's scale and to its mounting about down."
+    )
+    baseline_too: ClassVar = True
+
+    log: Annotated[str, Column("Dive, filter and length of the windows.")]
+    filter: str
+    window_s: Annotated[str, Column(names=COASTING_WINDOWS_S)]
+    windows: Annotated[int, Column("Windows that do not overlap, and those left out since DVL or IMU fell silent.")]
+    left_out: int
+    drift_median_m: Annotated[
+        Number,
+        Column(
+            "Horizontal drift at the end of a window: median, root mean square and 95th percentile, which of fewer "
+            "than 20 windows is nearly the largest.",
+            better="lower",
+            primary=True,
+        ),
+    ]
+    drift_rms_m: Annotated[Number, Column(better="lower")]
+    drift_p95_m: Annotated[Number, Column(better="lower")]
+    drift_of_distance_pct: Annotated[
+        Number, Column("Median over windows; NaN where the vehicle hardly moved.", better="lower")
+    ]
+    end_velocity_mps: Annotated[Number, Column("Median horizontal velocity error at the end.", better="lower")]
+    vertical_median_m: Annotated[Number, Column("Median vertical drift, either way.", better="lower")]
+    ratio_to_baseline: Annotated[
+        Number,
+        Column(
+            "Median ratio of the drifts in the same windows, with its 95 % interval; NaN for the baseline.",
+            better="lower",
+        ),
+    ]
+    ratio_low: Number
+    ratio_high: Number
+    windows_won_pct: Annotated[
+        Number, Column("Windows in which it drifts less than the baseline; a draw counts half.", better="higher")
+    ]
+    nis_per_dof: Annotated[Number, Column("Mean over windows, of the last withheld velocity; 1 is expected.")]
+
+
 class Tables(Struct, frozen=True):
-    """The tables, row for row as in the CSV files; null for what is missing. Early reports lack ``credibility``."""
+    """The tables, row for row as in the CSV files; null for what is missing. Early reports lack the last three."""
 
     improvement: list[ImprovementRow]
     convergence: list[ConvergenceRow]
     reference_error: list[ReferenceErrorRow]
     consistency: list[ConsistencyRow]
     credibility: list[CredibilityRow] = []
+    evidence: list[EvidenceRow] = []
+    coasting: list[CoastingRow] = []
 
 
 class Candidate(Struct, frozen=True):
     """What there is to say of one candidate."""
 
-    verdict: Annotated[str, Meta(description="one paragraph for people: believed, actual, consistent")]
+    verdict: Annotated[str, Meta(description="one paragraph for people: measured, believed, consistent")]
     improvement: Annotated[
         str,
-        Meta(description="borne out, not borne out, worse, none believed, no reference or not judged"),
-        Column(best_first=tuple(word for word in Gain if word != Gain.NO_REFERENCE)),
+        Meta(description="better, worse, mixed, equivalent, undecided or not judged, by all evidence"),
+        Column(best_first=tuple(Judgement)),
     ]
     consistency: Annotated[
         str,
@@ -246,7 +356,12 @@ class Candidate(Struct, frozen=True):
         Meta(description="actual; median over the compared quantities"),
         Column(better="higher", primary=True),
     ]
-    credibility: Annotated[str, Meta(description="the verdict of its errors against the reference")] = ""
+    credibility: Annotated[str, Meta(description="the gravest verdict of its errors against the reference")] = ""
+    belief: Annotated[
+        str,
+        Meta(description="whether what was measured bears out what it believes: borne out, not borne out, undecided"),
+        Column(best_first=tuple(Belief)),
+    ] = ""
 
 
 TABLES: Final[tuple[TableLayout, ...]] = tuple(

@@ -24,16 +24,36 @@ class Whiteness(StrEnum):
     NOT_FINITE = "not finite"
 
 
-class Gain(StrEnum):
-    """Whether the reference bears out what a candidate believes to have gained."""
+class EvidenceWord(StrEnum):
+    """What one piece of evidence says of a candidate beside the baseline."""
 
-    BORNE_OUT = "borne out"
-    NONE_BELIEVED = "none believed"
-    NOT_BORNE_OUT = "not borne out"
+    BETTER = "better"
+    EQUIVALENT = "equivalent"
+    """As good within the margin, and that is sure."""
+    UNDECIDED = "undecided"
+    """The dive holds too little to tell."""
+    WORSE = "worse"
+
+
+class Judgement(StrEnum):
+    """What all evidence says of a candidate beside the baseline."""
+
+    BETTER = "better"
+    """In something, and in nothing worse."""
+    EQUIVALENT = "equivalent"
+    UNDECIDED = "undecided"
+    MIXED = "mixed"
     WORSE = "worse"
     NOT_JUDGED = "not judged"
-    """The candidate, or the baseline, is dead: its numbers say nothing of gain or loss."""
-    NO_REFERENCE = "no reference"
+    """The candidate, or the baseline, is dead or set wrong: its numbers say nothing of gain or loss."""
+
+
+class Belief(StrEnum):
+    """Whether what was measured bears out what a candidate believes to have gained."""
+
+    BORNE_OUT = "borne out"
+    UNDECIDED = "undecided"
+    NOT_BORNE_OUT = "not borne out"
 
 
 class ImprovementStatus(StrEnum):

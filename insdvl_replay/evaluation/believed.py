@@ -9,11 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, seconds
+from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.core.tables import ConvergenceRow, ImprovementRow, finite
-from insdvl_replay.core.words import ConvergenceStatus, ImprovementStatus
+from insdvl_replay.core.words import ImprovementStatus
 
 SAME_PCT = 0.05
 """A smaller change of a standard deviation is called ``same``; shown with one digit it would read 0.0 %."""
@@ -33,14 +33,14 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> list[Improvem
     rows = []
     for candidate in candidates:
         for state in STATES:
-            before, after = (float(_final_sd(history)[state.index]) / state.factor for history in (baseline, candidate))
+            before, after = (float(final_sd(history)[state.index]) / state.factor for history in (baseline, candidate))
             change_pct = improvement_pct(before, after)
             status = _improvement_status(change_pct)
             rows.append(ImprovementRow(log, candidate.filter, state.id, state.unit, before, after, change_pct, status))
     return rows
 
 
-def _final_sd(history: History) -> Floats:
+def final_sd(history: History) -> Floats:
     """Return the standard deviations after the last ping."""
     sd: Floats = history.sd[np.flatnonzero(history.updated)[-1]]
     return sd
@@ -59,63 +59,6 @@ def _improvement_status(change_pct: float) -> ImprovementStatus:
     if abs(change_pct) < SAME_PCT:
         return ImprovementStatus.SAME
     return ImprovementStatus.IMPROVED if change_pct > 0.0 else ImprovementStatus.WORSE
-
-
-def convergence_table(log: str, histories: tuple[History, ...]) -> list[ConvergenceRow]:
-    """State when each candidate became, and stayed, as sure as the baseline is at the end, in 12 states.
-
-    Parameters
-    ----------
-    log : str
-        Name of the dive.
-    histories : tuple of History
-        The first is the baseline.
-
-    Returns
-    -------
-    list of ConvergenceRow
-        Times are seconds from the start, the baseline's that of the last ping.
-    """
-    baseline, *candidates = histories
-    baseline_s = float(seconds(baseline.time_ns[baseline.updated], baseline.time_ns[0])[-1])
-    rows = []
-    for candidate in candidates:
-        read = candidate.updated | (candidate.time_ns == candidate.time_ns[0])
-        time_s = seconds(candidate.time_ns[read], candidate.time_ns[0])
-        for state in STATES:
-            target = float(_final_sd(baseline)[state.index])
-            reached_s, status = time_to_stay_below(time_s, candidate.sd[read, state.index], target)
-            faster_pct = improvement_pct(baseline_s, reached_s) if status == ConvergenceStatus.REACHED else float("nan")
-            named = log, candidate.filter, state.id, state.unit
-            rows.append(ConvergenceRow(*named, target / state.factor, baseline_s, reached_s, faster_pct, status))
-    return rows
-
-
-def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float, ConvergenceStatus]:
-    """Find the first time after which a standard deviation stays at or below a target.
-
-    Parameters
-    ----------
-    time_s, sd : ndarray, shape (k,)
-    target : float
-        In the unit of ``sd``.
-
-    Returns
-    -------
-    float
-        Interpolated between the samples, s; NaN unless reached.
-    ConvergenceStatus
-        ``reached``, ``at_start`` (never above the target) or ``never`` (above it, or not finite, at the end).
-    """
-    above = np.flatnonzero(~(sd <= target))
-    if len(above) == 0:
-        return float("nan"), ConvergenceStatus.AT_START
-    last = int(above[-1])
-    if last == len(sd) - 1:
-        return float("nan"), ConvergenceStatus.NEVER
-    drop = sd[last] - sd[last + 1]
-    fraction = (sd[last] - target) / drop if np.isfinite(drop) else 1.0
-    return float(time_s[last] + fraction * (time_s[last + 1] - time_s[last])), ConvergenceStatus.REACHED
 
 
 def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: str) -> float:

@@ -10,10 +10,17 @@ from insdvl_replay.core.columns import Dive, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.tables import Tables
-from insdvl_replay.evaluation.believed import convergence_table, improvement_table
+from insdvl_replay.evaluation.believed import improvement_table
+from insdvl_replay.evaluation.coasting import Coasts, coasting_table, window_drifts
 from insdvl_replay.evaluation.consistency import consistency_table
+from insdvl_replay.evaluation.convergence import convergence_table
 from insdvl_replay.evaluation.coverage import reference_coverage_notes, reference_rate_notes, truth_coverage_notes
 from insdvl_replay.evaluation.credibility import credibility_table
+from insdvl_replay.evaluation.drawn_errors import DrawnErrors
+from insdvl_replay.evaluation.evidence import Measured, evidence_table
+from insdvl_replay.evaluation.losses import Losses, ReferenceNoise, losses_of
+from insdvl_replay.evaluation.measured_convergence import measured_convergences
+from insdvl_replay.evaluation.paired_statistics import windows_ratio
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
 from insdvl_replay.evaluation.state_errors import state_errors
 
@@ -40,9 +47,23 @@ def _inside(reference_ns: TimeNs, start_ns: int, end_ns: int) -> TimeNs:
 
 
 def compared_filters(
-    dive: Dive, histories: tuple[History, ...], start_ns: int, *, bridged_gaps: bool
+    dive: Dive,
+    histories: tuple[History, ...],
+    drawn: tuple[DrawnErrors, ...],
+    coasts: Coasts,
+    noise: ReferenceNoise,
+    *,
+    start_ns: int,
+    bridged_gaps: bool,
 ) -> tuple[dict[str, ReferenceErrors], Tables]:
     """Compare the filters with the reference and with each other.
+
+    Parameters
+    ----------
+    drawn : tuple of DrawnErrors
+        Of the filters; empty without a reference.
+    noise : ReferenceNoise
+        How far the reference itself may be off.
 
     Returns
     -------
@@ -57,13 +78,27 @@ def compared_filters(
             history.filter: state_errors(history, dive.reference, dive.truth).after(start_ns) for history in histories
         }
     names = [history.filter for history in histories]
+    convergence = {of_one.filter: measured_convergences(drawn[0], of_one) for of_one in drawn[1:]}
+    consistency = consistency_table(dive.name, histories)
+    credibility = credibility_table(dive.name, names, in_states)
+    measured = Measured(_losses(dive, drawn, noise, bridged_gaps=bridged_gaps), window_drifts(coasts), convergence)
     return errors, Tables(
         improvement_table(dive.name, histories),
-        convergence_table(dive.name, histories),
+        convergence_table(dive.name, histories, convergence),
         reference_error_table(dive.name, histories, errors, bridged_gaps=bridged_gaps),
-        consistency_table(dive.name, histories),
-        credibility_table(dive.name, names, in_states),
+        consistency,
+        credibility,
+        evidence_table(dive.name, names[0], names[1:], measured, consistency, credibility),
+        coasting_table(dive.name, coasts, windows_ratio),
     )
+
+
+def _losses(
+    dive: Dive, drawn: tuple[DrawnErrors, ...], noise: ReferenceNoise, *, bridged_gaps: bool
+) -> dict[str, dict[str, Losses]]:
+    if dive.reference is None:
+        return {}
+    return {of_one.filter: losses_of(of_one, dive.reference, noise, bridged_gaps=bridged_gaps) for of_one in drawn}
 
 
 def reference_notes(

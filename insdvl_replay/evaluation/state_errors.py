@@ -61,19 +61,35 @@ def state_errors(history: History, reference: ReferenceColumns, truth: TruthColu
         At the times of the history's P that the reference has, the start included.
     """
     time_ns, of_cov, theirs = np.intersect1d(history.cov_ns, reference.time_ns, assume_unique=True, return_indices=True)
-    ours = np.searchsorted(history.time_ns, time_ns)
+    ours, error = np.searchsorted(history.time_ns, time_ns), errors_at(time_ns, history, reference, truth)
+    heading = rpy_from_mat(reference.mat_nb[theirs])[:, 2]
+    return StateErrors(history.filter, time_ns, error, history.sd[ours], history.cov[of_cov], heading)
+
+
+def errors_at(time_ns: TimeNs, history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> Floats:
+    """Return how far a filter is off in its 12 states, as in `StateErrors`.
+
+    Parameters
+    ----------
+    time_ns : ndarray, shape (k,)
+        Times that both history and reference have.
+    truth : TruthColumns or None
+        The biases, at any of the reference's times.
+
+    Returns
+    -------
+    ndarray, shape (k, 12)
+    """
+    ours, theirs = np.searchsorted(history.time_ns, time_ns), np.searchsorted(reference.time_ns, time_ns)
     error = np.full((len(time_ns), 12), np.nan)
-    mat_nb = reference.mat_nb[theirs]
     error[:, DV], error[:, PHI] = motion_error(
-        history.velocity_n[ours], history.mat_nb[ours], reference.velocity_n[theirs], mat_nb
+        history.velocity_n[ours], history.mat_nb[ours], reference.velocity_n[theirs], reference.mat_nb[theirs]
     )
     if truth is not None:
         _, rows, of_truth = np.intersect1d(time_ns, truth.time_ns, assume_unique=True, return_indices=True)
         error[rows, BA] = truth.accel_bias_b[of_truth] - history.accel_bias_b[ours][rows]
         error[rows, BG] = truth.gyro_bias_b[of_truth] - history.gyro_bias_b[ours][rows]
-    return StateErrors(
-        history.filter, time_ns, error, history.sd[ours], history.cov[of_cov], rpy_from_mat(mat_nb)[:, 2]
-    )
+    return error
 
 
 def motion_error(

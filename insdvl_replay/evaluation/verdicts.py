@@ -1,48 +1,62 @@
-"""Verdicts in words: whether a filter is as good as it says, and whether a believed improvement is one.
+"""The judgement in words: what all evidence says of a candidate, and whether it may believe what it does.
 
-An improvement is borne out when the error against the reference falls by at least half of what the filter believes. A
-filter is called over-confident or over-cautious when its innovations, or its errors against the reference, say so with
-significance and by a size that matters, as `chi_square.verdict` decides. Where the two disagree, the sentence names
-both. Of a filter that is dead, or is held against one that is, nothing is said of gain or loss.
+Measured comes first: better, worse, mixed, equivalent or undecided, by the words of each piece of evidence. That a
+filter believes in smaller errors is a second statement, which what was measured bears out or not; whether its
+innovations and errors are as large as it says is a third. Of a filter that is dead or set wrong, or is held against one
+that is, nothing is said of gain or loss.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Final
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
-from scipy.special import chdtrc
 
-from insdvl_replay.core.columns import NS_PER_S
-from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.tables import (
     JOINT,
     VERDICTS_BEST_FIRST,
     Candidate,
     ConsistencyRow,
     CredibilityRow,
-    ReferenceErrorRow,
+    EvidenceRow,
+    Number,
     Tables,
     finite,
     is_whole,
 )
-from insdvl_replay.core.words import Consistency, Gain, ReferenceStatus
+from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejections
+from insdvl_replay.evaluation.evidence import DECIDING, HONESTY, NAMES
 
 NOTABLE_PCT: Final = 5.0
-"""A smaller change, believed or real, is not spoken of as an improvement."""
+"""A smaller gain is not spoken of as one that somebody believes in."""
 BORNE_OUT: Final = 0.5
-"""Share of the believed improvement that the reference has to confirm."""
+"""Share of the believed improvement that has to be measured."""
 COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
 """Quantities whose median change stands for the error against the reference."""
 GRAVEST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.TOO_FEW)
-MANY_REOPENED: Final = 0.01
-"""Share of the pings; each comes after several that were rejected."""
-FEW: Final = 2
-"""So many rejections prove nothing, in however short a dive."""
+MANY_TIMES: Final = 3.0
+"""From here on, nobody reads percent."""
+MOST_NAMED: Final = 2
+"""So many pieces of evidence stand in the sentence with their numbers; the others are in the table."""
 
 
-def verdicts(tables: Tables, baseline: str, candidates: Sequence[str], dead: Mapping[str, str]) -> dict[str, Candidate]:
+class Piece(Protocol):
+    """One piece of evidence, of one dive or of several."""
+
+    @property
+    def evidence(self) -> str: ...  # noqa: D102
+    @property
+    def quantity(self) -> str: ...  # noqa: D102
+    @property
+    def word(self) -> str: ...  # noqa: D102
+
+
+P = TypeVar("P", bound=Piece)
+
+
+def verdicts(
+    tables: Tables, baseline: str, candidates: Sequence[str], unsound: Mapping[str, str], *, independent: bool
+) -> dict[str, Candidate]:
     """Judge each candidate.
 
     Parameters
@@ -51,10 +65,34 @@ def verdicts(tables: Tables, baseline: str, candidates: Sequence[str], dead: Map
         Name of the first filter.
     candidates : sequence of str
         Names of the others.
-    dead : mapping of str to str
-        What is wrong with filters that cannot be judged, from `dead_filters`.
+    unsound : mapping of str to str
+        By candidate what keeps it from being judged, from `sound_filters`.
+    independent : bool
+        Whether the reference shares no sensors with the filters.
     """
-    return {candidate: _verdict(tables, baseline, candidate, dead) for candidate in candidates}
+    return {candidate: _verdict(tables, baseline, candidate, unsound, independent) for candidate in candidates}
+
+
+def judgement_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> Judgement:
+    """Return what the evidence on one candidate says together: better in something and worse in nothing, and so on."""
+    words = [row.word for row in rows if row.quantity in deciding]
+    better, worse = EvidenceWord.BETTER in words, EvidenceWord.WORSE in words
+    if better or worse:
+        return Judgement.MIXED if better and worse else Judgement.BETTER if better else Judgement.WORSE
+    return Judgement.EQUIVALENT if words and words[0] == EvidenceWord.EQUIVALENT else Judgement.UNDECIDED
+
+
+def belief_of(believed_pct: float, rows: Sequence[EvidenceRow]) -> Belief:
+    """Return whether at least half of what is believed was measured; undecided where the interval holds both."""
+    measured = [row for row in rows if row.evidence == "accuracy" and row.ratio is not None]
+    if not measured or not believed_pct >= NOTABLE_PCT:
+        return Belief.UNDECIDED
+    least_pct, most_pct = (
+        100.0 * (1.0 - float(np.median([finite(getattr(row, end)) for row in measured]))) for end in ("high", "low")
+    )
+    if least_pct >= BORNE_OUT * believed_pct:
+        return Belief.BORNE_OUT
+    return Belief.NOT_BORNE_OUT if most_pct < BORNE_OUT * believed_pct else Belief.UNDECIDED
 
 
 def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
@@ -62,8 +100,7 @@ def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
 
     Their axes say where and do not count: of eight tests one fails by chance in every third honest filter.
     """
-    found = {row.verdict for row in table if row.filter == filter_name and is_whole(row.measurement)}
-    return next((word for word in GRAVEST_FIRST if word in found), Consistency.TOO_FEW)
+    return _gravest(row.verdict for row in table if row.filter == filter_name and is_whole(row.measurement))
 
 
 def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
@@ -71,60 +108,117 @@ def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
     return next(row.verdict for row in table if (row.filter, row.quantity) == (filter_name, JOINT))
 
 
-def _verdict(tables: Tables, baseline: str, candidate: str, dead: Mapping[str, str]) -> Candidate:
+def _gravest(words: Iterable[str]) -> str:
+    found = set(words)
+    return next((word for word in GRAVEST_FIRST if word in found), Consistency.TOO_FEW)
+
+
+def _verdict(tables: Tables, baseline: str, candidate: str, unsound: Mapping[str, str], independent: bool) -> Candidate:
     believed_pct = mean_over_nine(tables.improvement, candidate)
-    rows = [row for row in tables.reference_error if row.filter == candidate]
-    compared = {row.quantity: row for row in rows if row.status == ReferenceStatus.COMPARED}
-    actual_pct = _median_pct(compared)
-    wrong = list(dict.fromkeys(dead[name] for name in (baseline, candidate) if name in dead))
-    improvement = Gain.NOT_JUDGED if wrong else _borne_out(believed_pct, actual_pct)
+    evidence = [row for row in tables.evidence if row.filter == candidate]
+    wrong = unsound.get(candidate, "")
+    judgement = Judgement.NOT_JUDGED if wrong else judgement_of(evidence)
+    belief = Belief.UNDECIDED if wrong else belief_of(believed_pct, evidence)
     (consistency, credibility), of_baseline = (
         (consistency_of(tables.consistency, name), credibility_of(tables.credibility, name))
         for name in (candidate, baseline)
     )
-    partly = any(row.status == ReferenceStatus.PARTLY_COVERED for row in rows)
-    gain = (
-        f"{candidate} is NOT JUDGED against {baseline}: {' and '.join(wrong)}; settle that first"
+    measured = (
+        f"{candidate} is NOT JUDGED against {baseline}: {wrong}; settle that first"
         if wrong
-        else f"{candidate} {_believes(believed_pct, baseline)}; "
-        f"{_against_reference(compared.get('position_h'), actual_pct, partly=partly)}: {_CONCLUSION[improvement]}"
+        else f"{_measured(candidate, baseline, judgement, evidence)}. "
+        f"It {_believes(believed_pct, baseline)}{_of_belief(believed_pct, belief, evidence)}"
     )
     trust = _on_trust(_trust(consistency, credibility), _trust(*of_baseline), candidate, baseline)
+    shared = "" if independent or not _has_reference(tables) else f" {SHARED}"
     return Candidate(
-        verdict=f"{gain}. {trust}",
-        improvement=improvement,
+        verdict=f"{measured}. {trust}{shared}",
+        improvement=judgement,
         consistency=consistency,
         mean_improvement_pct=believed_pct,
         mean_convergence_improvement_pct=mean_over_nine(tables.convergence, candidate),
-        reference_improvement_pct=actual_pct,
+        reference_improvement_pct=_median_pct(tables, candidate),
         credibility=credibility,
+        belief=belief,
     )
 
 
-def _median_pct(compared: Mapping[str, ReferenceErrorRow]) -> float:
+SHARED: Final = "The reference shares sensors with the filters: errors that they have in common are not seen."
+AGAINST: Final = {
+    Judgement.BETTER: "is BETTER than",
+    Judgement.WORSE: "is WORSE than",
+    Judgement.MIXED: "is better in some and WORSE in other things than",
+    Judgement.EQUIVALENT: "is as good as",
+    Judgement.UNDECIDED: "is undecided against",
+}
+
+
+def _measured(candidate: str, baseline: str, judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
+    """State what was measured, by the pieces of evidence that decided, or those that could have."""
+    named = "; ".join(map(_in_words, spoken_of(judgement, evidence))) or "there is nothing to measure it by"
+    return f"{candidate} {AGAINST[judgement]} {baseline}: {named}{_on_honesty(evidence)}"
+
+
+def spoken_of(judgement: Judgement, rows: Iterable[P], deciding: Collection[str] = DECIDING) -> list[P]:
+    """Choose pieces of evidence of each word that made the judgement, or could have: the first of each kind."""
+    of_judgement: dict[Judgement, tuple[EvidenceWord, ...]] = {
+        Judgement.BETTER: (EvidenceWord.BETTER,),
+        Judgement.WORSE: (EvidenceWord.WORSE,),
+        Judgement.MIXED: (EvidenceWord.BETTER, EvidenceWord.WORSE),
+        Judgement.EQUIVALENT: (EvidenceWord.EQUIVALENT,),
+    }
+    words = of_judgement.get(judgement, (EvidenceWord.UNDECIDED,))
+    known = [row for row in rows if row.quantity in deciding]
+    first = ({row.evidence: row for row in reversed(known) if row.word == word} for word in words)
+    return [row for kinds in first for row in [*reversed(kinds.values())][: MOST_NAMED // len(words)]]
+
+
+def changed(quantity: str, ratio: float) -> str:
+    """State by how much a quantity is smaller or larger, or sooner or later."""
+    if not np.isfinite(ratio):
+        return f"{NAMES[quantity]} unknown"
+    if ratio >= MANY_TIMES:
+        return f"{NAMES[quantity]} {ratio:.3g} times as {'late' if quantity.startswith('convergence') else 'large'}"
+    smaller, larger = ("sooner", "later") if quantity.startswith("convergence") else ("smaller", "larger")
+    return f"{NAMES[quantity]} {abs(100.0 * (ratio - 1.0)):.1f} % {smaller if ratio <= 1.0 else larger}"
+
+
+def interval_in_words(ratio: Number, low: Number, high: Number) -> str:
+    """Write the interval of a ratio, in percent or, as the ratio itself, in times."""
+    if finite(ratio) >= MANY_TIMES:
+        return f"{finite(low):.3g} to {finite(high):.3g} times"
+    low_pct, high_pct = (100.0 * (finite(end) - 1.0) for end in (low, high))
+    return f"{low_pct:+.1f} to {high_pct:+.1f} %"
+
+
+def _in_words(row: EvidenceRow) -> str:
+    ratio = finite(row.ratio)
+    if not np.isfinite(ratio):
+        return changed(row.quantity, ratio)
+    values = f"{finite(row.baseline):.3g} {row.unit}, now {finite(row.value):.3g} {row.unit}"
+    return f"{changed(row.quantity, ratio)} ({values}; 95 %: {interval_in_words(row.ratio, row.low, row.high)})"
+
+
+def _on_honesty(evidence: Sequence[EvidenceRow]) -> str:
+    words = {row.word for row in evidence if row.evidence == HONESTY}
+    if EvidenceWord.BETTER in words and EvidenceWord.WORSE not in words:
+        return "; and it is more honest"
+    return "; but it is less honest" if EvidenceWord.WORSE in words and EvidenceWord.BETTER not in words else ""
+
+
+def _median_pct(tables: Tables, candidate: str) -> float:
     """Return the median improvement of the compared quantities that have one, NaN without any."""
-    changes = [finite(row.improvement_pct) for quantity, row in compared.items() if quantity in COMPARED]
+    changes = [
+        finite(row.improvement_pct)
+        for row in tables.reference_error
+        if row.filter == candidate and row.status == ReferenceStatus.COMPARED and row.quantity in COMPARED
+    ]
     known = [change for change in changes if np.isfinite(change)]
     return float(np.median(known)) if known else float("nan")
 
 
-def _borne_out(believed_pct: float, actual_pct: float) -> Gain:
-    if not np.isfinite(actual_pct):
-        return Gain.NO_REFERENCE
-    if actual_pct < -NOTABLE_PCT:
-        return Gain.WORSE
-    if not believed_pct >= NOTABLE_PCT:
-        return Gain.NONE_BELIEVED
-    return Gain.BORNE_OUT if actual_pct >= BORNE_OUT * believed_pct else Gain.NOT_BORNE_OUT
-
-
-_CONCLUSION: Final = {
-    Gain.BORNE_OUT: "the improvement is borne out",
-    Gain.NOT_BORNE_OUT: "the improvement is NOT borne out",
-    Gain.WORSE: "it is WORSE",
-    Gain.NONE_BELIEVED: "no improvement",
-    Gain.NO_REFERENCE: "nothing tells whether that is so",
-}
+def _has_reference(tables: Tables) -> bool:
+    return any(row.samples for row in tables.reference_error)
 
 
 def _believes(believed_pct: float, baseline: str) -> str:
@@ -132,18 +226,19 @@ def _believes(believed_pct: float, baseline: str) -> str:
         return "believes in nothing finite"
     if abs(believed_pct) < NOTABLE_PCT:
         return f"believes in errors as large as those of {baseline} ({believed_pct:+.1f} %)"
-    return f"believes in {abs(believed_pct):.1f} % {'smaller' if believed_pct > 0 else 'larger'} errors than {baseline}"
+    return f"believes in {abs(believed_pct):.1f} % {'smaller' if believed_pct > 0 else 'larger'} errors"
 
 
-def _against_reference(position: ReferenceErrorRow | None, actual_pct: float, *, partly: bool) -> str:
-    if not np.isfinite(actual_pct):
-        missing = "the reference covers too little of the replay" if partly else "there is no reference"
-        return f"{missing} to compare with"
-    size = "smaller" if actual_pct >= 0 else "larger"
-    change = f"the errors against the reference are {abs(actual_pct):.1f} % {size} in the median"
-    if position is None:
-        return change
-    return f"{change} (position {finite(position.baseline_rmse):.2f} m, now {finite(position.rmse):.2f} m)"
+def _of_belief(believed_pct: float, belief: Belief, evidence: Sequence[EvidenceRow]) -> str:
+    if not believed_pct >= NOTABLE_PCT:
+        return ""
+    if not any(row.evidence == "accuracy" for row in evidence):
+        return ", and no reference tells whether that is so"
+    return {
+        Belief.BORNE_OUT: ", and that is borne out",
+        Belief.NOT_BORNE_OUT: ", and that is NOT borne out",
+        Belief.UNDECIDED: ", and whether that is so is undecided",
+    }[belief]
 
 
 def _trust(consistency: str, credibility: str) -> str:
@@ -159,62 +254,3 @@ def _on_trust(trust: str, of_baseline: str, candidate: str, baseline: str) -> st
     if trust != of_baseline:
         return f"{candidate} is {trust}, {baseline} {of_baseline}."
     return "Too few updates to judge either." if trust == Consistency.TOO_FEW else f"Both filters are {trust}."
-
-
-def dead_filters(histories: tuple[History, ...]) -> dict[str, str]:
-    """Find the filters that are not to be judged.
-
-    Returns
-    -------
-    dict of str to str
-        By name of the filter what is wrong with it; those that are sound are left out. A filter is dead where its state
-        is not finite, where its gate rejected more than `MANY_REJECTED` of what locks it out (the velocities, or the
-        accelerations of a filter that has no others), or where it was set to the DVL again more than once and at more
-        than `MANY_REOPENED` of its pings. What a gate rejects of a sound filter by chance is allowed for.
-    """
-    found = {
-        history.filter: _not_finite(history) or _locked_out(history) or _set_again(history) for history in histories
-    }
-    return {name: wrong for name, wrong in found.items() if wrong}
-
-
-def _not_finite(history: History) -> str:
-    columns = (history.position, history.velocity_n, history.mat_nb, history.accel_bias_b, history.gyro_bias_b)
-    finite = np.isfinite(history.sd).all(axis=1)
-    for column in columns:
-        finite &= np.isfinite(column.reshape(len(column), -1)).all(axis=1)
-    if finite.all():
-        return ""
-    first_s = (history.time_ns[np.argmin(finite)] - history.time_ns[0]) / NS_PER_S
-    return f"the state of {history.filter} is not finite from {first_s:.1f} s on"
-
-
-def _locked_out(history: History) -> str:
-    innovations = _leading(history)
-    if innovations is None:
-        return ""
-    rejected, total = rejections(innovations), len(innovations.used)
-    if rejected <= max(FEW, (MANY_REJECTED + _by_chance(innovations)) * total):
-        return ""
-    return f"{history.filter} rejected {rejected} of {total} {innovations.measurement} innovations"
-
-
-def _set_again(history: History) -> str:
-    """Find a filter that is not thrown off once, but errs all the time, and is saved from itself every so often."""
-    innovations = _leading(history)
-    if innovations is None:
-        return ""
-    reopened, total = int(innovations.reopened.sum()), len(innovations.used)
-    if reopened <= max(1.0, (MANY_REOPENED + _by_chance(innovations) ** innovations.reopen_after) * total):
-        return ""
-    return f"{history.filter} lost its way {reopened} times in {total} velocity innovations"
-
-
-def _by_chance(innovations: Innovations) -> float:
-    """Return the share of the innovations that the gate of a sound filter rejects."""
-    return float(chdtrc(innovations.dof, innovations.gate))
-
-
-def _leading(history: History) -> Innovations | None:
-    velocities = [innovations for innovations in history.innovations if innovations.measurement == "velocity"]
-    return next(iter((*velocities, *history.innovations)), None)

@@ -7,7 +7,7 @@ from typing import TypeGuard
 
 from insdvl_replay.core.table_layout import PERCENTAGE, TableLayout
 from insdvl_replay.core.tables import CANDIDATES, TABLES, Cell, Row, StoredReport
-from insdvl_replay.core.words import Gain, ReferenceStatus
+from insdvl_replay.core.words import Judgement, ReferenceStatus
 from insdvl_replay.evaluation.row_changes import agree, rounding, rounding_pct, rows_of, size, size_change_pct, within
 from insdvl_replay.gates.model import ANY, Finding, Gate
 
@@ -74,14 +74,14 @@ def _is_unjudged(layout: TableLayout, row: Row, gate: Gate, report: StoredReport
     """Return whether a cell speaks of what a filter gains where nothing can be said of that; the verdict itself can."""
     candidate = report.filters.get(str(row["filter"]), {})
     of_gain = not layout.baseline_too and gate.column in layout.better and gate.column != "improvement"
-    return of_gain and candidate.get("improvement") == Gain.NOT_JUDGED
+    return of_gain and candidate.get("improvement") == Judgement.NOT_JUDGED
 
 
 def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None, unjudged: bool) -> str:
     """State why a cell does not pass; nothing if it does."""
     value = row.get(gate.column)
     if unjudged:
-        return f"is {value_text(value)}, and the filter is {Gain.NOT_JUDGED}"
+        return f"is {value_text(value)}, and the filter is {Judgement.NOT_JUDGED}"
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and gate.column in layout.better:
         return f"is {value_text(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"
     if value is None or (isinstance(value, float) and not math.isfinite(value)):

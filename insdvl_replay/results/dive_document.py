@@ -7,7 +7,7 @@ from typing import Final
 from msgspec.structs import astuple
 
 from insdvl_replay.core.tables import Candidate, each_table
-from insdvl_replay.core.words import Gain, ReferenceStatus
+from insdvl_replay.core.words import Belief, Judgement, ReferenceStatus
 from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import (
     PAGE,
@@ -29,20 +29,10 @@ from insdvl_replay.report.document import (
 )
 from insdvl_replay.report.page import page
 from insdvl_replay.report.plots.panel import Figure
-from insdvl_replay.results.dive_tables import display_tables, glance_table
+from insdvl_replay.results.dive_tables import TONES, display_tables, glance_table
 from insdvl_replay.results.json_report import Report
 
-_TONES: Final[dict[str, str]] = {
-    Gain.BORNE_OUT: "good",
-    Gain.NOT_BORNE_OUT: "bad",
-    Gain.WORSE: "bad",
-    Gain.NOT_JUDGED: "bad",
-}
-_IN_SHORT: Final[dict[str, str]] = {
-    Gain.NOT_BORNE_OUT: "NOT borne out",
-    Gain.WORSE: "WORSE",
-    Gain.NONE_BELIEVED: "no improvement",
-}
+_LOUD: Final = (Judgement.WORSE, Judgement.NOT_JUDGED)
 _SAME: Final = {"dv_n": "velocity_n", "dv_e": "velocity_e", "dv_d": "velocity_d", "phi_d": "heading"}
 """States whose error is also compared with the reference, and under which name."""
 _FULL_PCT: Final = 100.0
@@ -61,7 +51,7 @@ def dive_document(report: Report, behind: Sequence[Part] = ()) -> list[Part]:
     return [
         Only(PRINTED, (Title(heading(report)),)),
         Only(PAGE, (Title(_replayed(report)),)),
-        *(Callout(candidate.verdict, _TONES.get(candidate.improvement, "")) for candidate in report.filters.values()),
+        *(Callout(candidate.verdict, TONES.get(candidate.improvement, "")) for candidate in report.filters.values()),
         *glance,
         Heading("Tables"),
         *display_tables(report),
@@ -110,10 +100,12 @@ def _replayed(report: Report) -> str:
 
 
 def _in_short(candidate: Candidate) -> str:
-    if candidate.improvement == Gain.NOT_JUDGED:
-        return "NOT JUDGED"
-    word = _IN_SHORT.get(candidate.improvement, candidate.improvement)
-    return f"{percent(candidate.mean_improvement_pct)} believed, {word}"
+    """State the judgement, and of what is believed whether it is borne out."""
+    word = candidate.improvement.upper() if candidate.improvement in _LOUD else candidate.improvement
+    if candidate.improvement == Judgement.NOT_JUDGED:
+        return word
+    belief = f", {candidate.belief}" if candidate.belief != Belief.UNDECIDED else ""
+    return f"{word}; {percent(candidate.mean_improvement_pct)} believed{belief}"
 
 
 def closing_lines(report: Report) -> tuple[str, ...]:
@@ -123,7 +115,7 @@ def closing_lines(report: Report) -> tuple[str, ...]:
         "own covariance; see reference error and consistency), "
         f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner"
         for name, means in report.filters.items()
-        if means.improvement != Gain.NOT_JUDGED
+        if means.improvement != Judgement.NOT_JUDGED
     )
 
 

@@ -4,15 +4,18 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, Protocol, TypeVar
 
 from insdvl_replay.core.tables import (
-    Candidate,
+    CoastingRow,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
+    EvidenceRow,
     ImprovementRow,
     ReferenceErrorRow,
     is_whole,
 )
-from insdvl_replay.core.words import Gain, ReferenceStatus
+from insdvl_replay.core.words import Judgement, ReferenceStatus
+from insdvl_replay.evaluation.evidence import HONESTY, NAMES
+from insdvl_replay.evaluation.pooled_evidence import PooledCandidate, PooledRow
 from insdvl_replay.report.document import (
     MISSING,
     Column,
@@ -26,10 +29,17 @@ from insdvl_replay.report.document import (
 from insdvl_replay.results.json_report import Report
 
 MEANS: Final = (
-    "believed: mean over nine states, by the filter's own covariance; actual: median of the errors against the "
-    "reference; sooner: mean convergence"
+    "measured: how much smaller the error is by the first evidence, drift in 30 s against the reference or while the "
+    "DVL is withheld; believed: mean over nine states, by the filter's own covariance"
 )
 """What stands in the columns of candidates."""
+TONES: Final[dict[str, str]] = {
+    Judgement.BETTER: "good",
+    Judgement.MIXED: "bad",
+    Judgement.WORSE: "bad",
+    Judgement.NOT_JUDGED: "bad",
+}
+"""How the page colours what is said of a candidate."""
 
 
 class _OfFilter(Protocol):
@@ -46,38 +56,34 @@ def display_tables(report: Report) -> list[DisplayTable]:
 
 
 def glance_table(report: Report) -> DisplayTable:
-    """Lay each candidate's verdicts and mean improvements beside each other."""
+    """Lay each candidate's verdicts and its measured and believed improvement beside each other."""
     return DisplayTable(
         "At a glance",
-        ("filter", "improvement", "believed", "actual", "sooner", "innovations", "errors"),
-        "llrrrll",
+        ("filter", "judgement", "measured", "believed", "belief", "innovations", "errors"),
+        "llrrlll",
         tuple(
-            (
-                name,
-                *gain_cells(candidate),
-                candidate.consistency,
-                candidate.credibility or MISSING,
-            )
+            (name, *gain_cells(report, name), candidate.consistency, candidate.credibility or MISSING)
             for name, candidate in report.filters.items()
         ),
         f"{MEANS}; innovations and errors: whether they are as large as the filter says",
     )
 
 
-def gain_cells(candidate: Candidate) -> tuple[str, str, str, str]:
-    """Write what a candidate gains: the verdict on it, what is believed, what is so, and how much sooner."""
-    if candidate.improvement == Gain.NOT_JUDGED:
-        return Gain.NOT_JUDGED, MISSING, MISSING, MISSING
-    return (
-        candidate.improvement,
-        percent(candidate.mean_improvement_pct),
-        percent(candidate.reference_improvement_pct),
-        percent(candidate.mean_convergence_improvement_pct),
-    )
+def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
+    """Write what a candidate gains: the judgement, what is measured and believed, and whether that is borne out."""
+    candidate = report.filters[name]
+    if candidate.improvement == Judgement.NOT_JUDGED:
+        return Judgement.NOT_JUDGED, MISSING, MISSING, MISSING
+    first = next((row for row in report.tables.evidence if row.filter == name and row.evidence != HONESTY), None)
+    measured = MISSING if first is None or first.ratio is None else percent(100.0 * (1.0 - first.ratio))
+    return candidate.improvement, measured, percent(candidate.mean_improvement_pct), candidate.belief or MISSING
 
 
 def _tables(report: Report) -> Iterator[DisplayTable]:
     tables = report.tables
+    for name in report.filters:
+        yield from _evidence(report.baseline, name, _of(name, tables.evidence))
+    yield from _coasting(tables.coasting)
     for name in report.filters:
         yield from _improvement(report.baseline, name, _of(name, tables.improvement))
         yield from _convergence(report.baseline, name, _of(name, tables.convergence))
@@ -90,6 +96,72 @@ def _tables(report: Report) -> Iterator[DisplayTable]:
 
 def _of(name: str, rows: Iterable[Row]) -> list[Row]:
     return [row for row in rows if row.filter == name]
+
+
+def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> Iterator[DisplayTable]:
+    if rows:
+        columns: list[Column[EvidenceRow]] = [
+            ("quantity", "l", lambda row: NAMES[row.quantity]),
+            ("word", "l", lambda row: row.word),
+            ("unit", "l", lambda row: row.unit),
+            (baseline, "r", lambda row: number(row.baseline)),
+            (name, "r", lambda row: number(row.value)),
+            ("ratio", "r", lambda row: decimal(row.ratio, 3)),
+            ("low", "r", lambda row: decimal(row.low, 3)),
+            ("high", "r", lambda row: decimal(row.high, 3)),
+            ("n", "r", lambda row: decimal(row.effective_samples, 0)),
+        ]
+        title = f"Evidence: what was measured, {name} against {baseline}"
+        yield table_of(title, rows, columns, _how_measured(rows))
+
+
+def pooled_table(pooled: PooledCandidate) -> DisplayTable:
+    """Lay out what several dives say of a candidate together."""
+    columns: list[Column[PooledRow]] = [
+        ("quantity", "l", lambda row: NAMES[row.quantity]),
+        ("word", "l", lambda row: row.word),
+        ("ratio", "r", lambda row: decimal(row.ratio, 3)),
+        ("low", "r", lambda row: decimal(row.low, 3)),
+        ("high", "r", lambda row: decimal(row.high, 3)),
+        ("dives", "r", lambda row: str(row.dives)),
+        ("won", "r", lambda row: str(row.dives_won)),
+        ("p", "r", lambda row: decimal(row.p, 4)),
+    ]
+    return table_of(
+        f"All dives together: {pooled.name} against {pooled.baseline}",
+        pooled.rows,
+        columns,
+        "Hodges-Lehmann ratio over the dives, where it lies with 95 %, and Wilcoxon's exact p; of fewer than six dives "
+        "the range, and no word",
+    )
+
+
+def _how_measured(rows: Sequence[EvidenceRow]) -> str:
+    starts = max(row.starts for row in rows)
+    drawn = f"from {starts} starts, drawn from what the filters say of theirs" if starts > 1 else "from one start"
+    return f"{drawn}; low to high: where the ratio lies with 95 %; n: independent values"
+
+
+def _coasting(rows: Sequence[CoastingRow]) -> Iterator[DisplayTable]:
+    if rows:
+        columns: list[Column[CoastingRow]] = [
+            ("filter", "l", lambda row: row.filter),
+            ("withheld", "r", lambda row: f"{row.window_s} s"),
+            ("windows", "r", lambda row: str(row.windows)),
+            ("median\n[m]", "r", lambda row: number(row.drift_median_m)),
+            ("95 %\n[m]", "r", lambda row: number(row.drift_p95_m)),
+            ("of way\n[%]", "r", lambda row: decimal(row.drift_of_distance_pct, 2)),
+            ("down\n[m]", "r", lambda row: number(row.vertical_median_m)),
+            ("ratio", "r", lambda row: decimal(row.ratio_to_baseline, 2)),
+            ("won\n[%]", "r", lambda row: decimal(row.windows_won_pct, 0)),
+            ("NIS/dof", "r", lambda row: decimal(row.nis_per_dof, 2)),
+        ]
+        yield table_of(
+            "Coasting: drift while the DVL is withheld",
+            rows,
+            columns,
+            "Blind to heading, scale and a constant turn of the mounting, which the DVL itself shares.",
+        )
 
 
 def _improvement(baseline: str, name: str, rows: Sequence[ImprovementRow]) -> Iterator[DisplayTable]:

@@ -1,4 +1,7 @@
-"""Several dives beside each other, one row for each log and candidate: a summary for scripts, a page for people."""
+"""Several dives beside each other, one row for each log and candidate, and what they say together.
+
+A summary and the pooled evidence for scripts, a page for people.
+"""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -7,25 +10,28 @@ from importlib.resources import files
 from typing import Final
 from urllib.parse import quote
 
+from msgspec.structs import astuple
+
 from insdvl_replay.core.tables import is_whole
-from insdvl_replay.core.words import Gain, Severity
+from insdvl_replay.core.words import Judgement, Severity
+from insdvl_replay.evaluation.pooled_evidence import PooledCandidate, PooledRow, pooled_candidate, pooled_sentence
 from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.report.document import MISSING, Callout, DisplayTable, LinkedTable, Title, number
 from insdvl_replay.report.page import page
-from insdvl_replay.results.dive_tables import MEANS, gain_cells
+from insdvl_replay.results.dive_tables import MEANS, TONES, gain_cells, pooled_table
 from insdvl_replay.results.folder import PAGE
 from insdvl_replay.results.json_report import Report
 
 COLUMNS: Final = (
     "log", "filter", "mean_improvement_pct", "mean_convergence_improvement_pct", "position_h_baseline_rmse_m",
-    "position_h_rmse_m", "position_h_baseline_rmse_pct", "position_h_rmse_pct", "improvement", "verdicts", "status",
-    "reason",
+    "position_h_rmse_m", "position_h_baseline_rmse_pct", "position_h_rmse_pct", "improvement", "belief", "verdicts",
+    "status", "reason",
 )  # fmt: skip
 _HEADER: Final = (
-    "dive", "filter", "improvement", "believed", "actual", "sooner", "baseline\nposition [m]",
+    "dive", "filter", "judgement", "measured", "believed", "belief", "baseline\nposition [m]",
     "candidate\nposition [m]", "consistency", "warnings", "failed because",
 )  # fmt: skip
-_ALIGNMENT: Final = "lllrrrrrlrl"
+_ALIGNMENT: Final = "lllrrlrrlrl"
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,37 @@ def summary_csv(outcomes: Sequence[Report | Failure]) -> bytes:
     return rows_csv(COLUMNS, (row for outcome in outcomes for row in _summary_rows(outcome))).encode()
 
 
+def evidence_csv(outcomes: Sequence[Report | Failure]) -> bytes:
+    """Pool the evidence of several dives, as CSV."""
+    rows = (astuple(row) for pooled in pooled_candidates(outcomes) for row in pooled.rows)
+    return rows_csv(PooledRow.__struct_fields__, rows).encode()
+
+
+def is_evidence(data: bytes) -> bool:
+    """Return whether a file is pooled evidence."""
+    return data.startswith(rows_csv(PooledRow.__struct_fields__, ()).encode())
+
+
+def pooled_sentences(outcomes: Sequence[Report | Failure]) -> list[str]:
+    """State for each candidate what all dives say together, by the first piece of evidence that decided."""
+    return [pooled_sentence(pooled) for pooled in pooled_candidates(outcomes)]
+
+
+def pooled_candidates(outcomes: Sequence[Report | Failure]) -> list[PooledCandidate]:
+    """Pool the evidence on each candidate of a name, where two dives at least have it."""
+    reports = [outcome for outcome in outcomes if isinstance(outcome, Report)]
+    names = dict.fromkeys(name for report in reports for name in report.filters)
+    found = [_pooled(name, [report for report in reports if name in report.filters]) for name in names]
+    return [pooled for pooled in found if pooled.dives > 1]
+
+
+def _pooled(name: str, reports: Sequence[Report]) -> PooledCandidate:
+    judged = [report for report in reports if report.filters[name].improvement != Judgement.NOT_JUDGED]
+    rows = [[row for row in report.tables.evidence if row.filter == name] for report in judged]
+    baselines = {report.baseline for report in reports}
+    return pooled_candidate(name, " or ".join(sorted(baselines)), rows, len(reports))
+
+
 def is_summary(data: bytes) -> bool:
     """Return whether a file is a summary."""
     return data.startswith(rows_csv(COLUMNS, ()).encode())
@@ -63,7 +100,7 @@ def _summary_rows(outcome: Report | Failure) -> Iterator[tuple[object, ...]]:
         yield (outcome.log, *[None] * (len(COLUMNS) - 3), "failed", outcome.reason)
         return
     for name, means in outcome.filters.items():
-        judged = means.improvement != Gain.NOT_JUDGED
+        judged = means.improvement != Judgement.NOT_JUDGED
         yield (
             outcome.log.name,
             name,
@@ -72,6 +109,7 @@ def _summary_rows(outcome: Report | Failure) -> Iterator[tuple[object, ...]]:
             *position_rmse(outcome, name, "position_h"),
             *position_rmse(outcome, name, "position_h_pct"),
             means.improvement,
+            means.belief,
             _verdicts(outcome, name),
             "done",
             None,
@@ -118,16 +156,20 @@ def index_page(outcomes: Sequence[Report | Failure]) -> bytes:
     )
     words = f"{len(outcomes)} dives" + (f", {failed} of them failed" if failed else "")
     script = files("insdvl_replay.report").joinpath("sorting.js").read_text("utf-8")
-    return page([Title(words), *_opening(outcomes), LinkedTable(table, tuple(link for _, link in rows))], script)
+    pooled = [pooled_table(one) for one in pooled_candidates(outcomes)]
+    linked = LinkedTable(table, tuple(link for _, link in rows))
+    return page([Title(words), *_opening(outcomes), linked, *pooled], script)
 
 
 def _opening(outcomes: Sequence[Report | Failure]) -> Iterator[Callout]:
-    """State of how many candidates the improvement is borne out."""
+    """State how many candidates are better, worse, or neither."""
     reports = [outcome for outcome in outcomes if isinstance(outcome, Report)]
     counts = Counter(candidate.improvement for report in reports for candidate in report.filters.values())
+    for pooled in pooled_candidates(outcomes):
+        yield Callout(pooled_sentence(pooled), TONES.get(pooled.judgement, ""))
     if counts:
         found = ", ".join(f"{count} {word}" for word, count in counts.most_common())
-        yield Callout(f"Improvements over the baseline: {found}.")
+        yield Callout(f"Dive by dive, against the baseline: {found}.")
 
 
 def _index_rows(outcome: Report | Failure) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -141,7 +183,7 @@ def _index_rows(outcome: Report | Failure) -> Iterator[tuple[tuple[str, ...], st
         cells = (
             outcome.log.name,
             name,
-            *gain_cells(candidate),
+            *gain_cells(outcome, name),
             *map(number, position_m),
             candidate.consistency,
             str(warnings),

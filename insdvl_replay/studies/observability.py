@@ -23,7 +23,7 @@ from insdvl_replay.nav.observability import TOLERANCE, Observability, analyse, r
 from insdvl_replay.preparation.filters import resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
-from insdvl_replay.replay import prepared_timeline, run_one
+from insdvl_replay.preparation.running import prepared_timeline, run_one
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS
 from insdvl_replay.studies.observability_document import (

@@ -18,7 +18,7 @@ from insdvl_replay.nav.vector_algebra import rotation_from_vector, vector
 from insdvl_replay.preparation.alignment import Alignment, initial_sd
 from insdvl_replay.preparation.filters import dvl_mounting, resolve_filters
 from insdvl_replay.preparation.prepared import Prepared
-from insdvl_replay.replay import prepared_timeline, run_one
+from insdvl_replay.preparation.running import prepared_timeline, run_one
 from insdvl_replay.sim.dive import add_errors, exact_dive, named
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 

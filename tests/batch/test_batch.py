@@ -210,7 +210,7 @@ def test_a_result_that_lost_a_file_is_made_anew(archive: Path, results: Path, tm
     (tmp_path / "out" / "dive_2" / "report.html").unlink()
     done = run(archive, "-o", "out", "--force", cwd=tmp_path)
     assert [line for line in done.stderr.splitlines() if line.startswith("wrote")] == [
-        "wrote out/dive_2", "wrote out/summary.csv", "wrote out/index.html"
+        "wrote out/dive_2", "wrote out/summary.csv", "wrote out/evidence.csv", "wrote out/index.html"
     ]  # fmt: skip
     assert bytes_of(tmp_path / "out") == bytes_of(results)
 
@@ -316,6 +316,7 @@ def test_only_what_changed_is_replayed(archive: Path, results: Path, tmp_path: P
     assert said == [
         *(f"{'wrote' if seed == 3 else 'unchanged'} out/dive_{seed}" for seed in range(1, 7)),
         "wrote out/summary.csv",
+        "wrote out/evidence.csv",
         "wrote out/index.html",
     ]
     assert bytes_of(tmp_path / "out") == bytes_of(results)

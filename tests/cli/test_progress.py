@@ -15,6 +15,8 @@ from insdvl_replay.sim.dive import simulate_dive
 STAGES = [
     "reading the log",
     "running the filters",
+    "coasting without velocities",
+    "running the filters from drawn starts",
     "judging the filters",
     "writing the results",
     "drawing the report",

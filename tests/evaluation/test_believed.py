@@ -11,13 +11,8 @@ from frames import frame
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import NINE, STATES
-from insdvl_replay.evaluation.believed import (
-    convergence_table,
-    improvement_pct,
-    improvement_table,
-    mean_over_nine,
-    time_to_stay_below,
-)
+from insdvl_replay.evaluation.believed import improvement_pct, improvement_table, mean_over_nine
+from insdvl_replay.evaluation.convergence import convergence_table, time_to_stay_below
 
 SECOND = 1_000_000_000
 PAPER_S = 424
@@ -142,6 +137,7 @@ def test_convergence_counts_seconds_from_the_start() -> None:
     table = frame(convergence_table("dive", (baseline, aided)))
     assert table.columns.tolist() == [
         "log", "filter", "state", "unit", "target_sd", "baseline_s", "reached_s", "improvement_pct", "status",
+        "measured_target", "measured_baseline_s", "measured_s", "measured_status",
     ]  # fmt: skip
     for state in STATES:
         found = row(table, state.id)

@@ -18,7 +18,7 @@ from insdvl_replay.evaluation.consistency import (
     consistency_table,
     update_notes,
 )
-from insdvl_replay.evaluation.verdicts import dead_filters
+from insdvl_replay.evaluation.sound_filters import dead_filters
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors

@@ -1,18 +1,19 @@
 """Verdicts: decided by what the tables say, never by a filter's name."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-import numpy as np
 import pytest
 
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.tables import (
+    EVIDENCE_QUANTITIES,
     REFERENCE_QUANTITIES,
     Candidate,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
+    EvidenceRow,
     ImprovementRow,
     ReferenceErrorRow,
     Tables,
@@ -21,26 +22,30 @@ from insdvl_replay.evaluation.verdicts import consistency_of, credibility_of, ve
 
 
 def judged(
-    believed_pct: float,
-    actual_pct: float | None,
+    words: Sequence[str],
+    believed_pct: float = 40.0,
+    ratio: tuple[float, float, float] = (0.8, 0.7, 0.9),
     of_aided: str = "consistent",
     of_baseline: str = "consistent",
     errors_of_aided: str = "consistent",
     errors_of_baseline: str = "consistent",
-    dead: Mapping[str, str] = MappingProxyType({}),
-    status: str = "compared",
+    unsound: Mapping[str, str] = MappingProxyType({}),
+    honesty: str = "equivalent",
+    independent: bool = True,
+    kind: str = "accuracy",
 ) -> Candidate:
-    """Judge a candidate whose states all improved alike, and whose errors all did."""
-    known = actual_pct is not None
-    rmse = 2.0 * (1.0 - actual_pct / 100.0) if actual_pct is not None else np.nan
+    """Judge a candidate whose states all improved alike, by pieces of evidence that say these words."""
+    row = "dive", "aided"
+    pieces = [
+        EvidenceRow(*row, kind, quantity, "m", 2.0, 2.0 * ratio[0], *ratio, 30.0, 16, 60, word)
+        for quantity, word in zip(EVIDENCE_QUANTITIES, words, strict=False)
+    ]
+    pieces.append(EvidenceRow(*row, "honesty", "nis", "", 2.0, 1.0, 0.5, None, None, None, 1, 0, honesty))
     tables = Tables(
-        [ImprovementRow("dive", "aided", state.id, state.unit, 1.0, 1.0, believed_pct, "improved") for state in STATES],
-        [ConvergenceRow("dive", "aided", state.id, state.unit, 1.0, 9.0, 9.0, 0.0, "reached") for state in STATES],
+        [ImprovementRow(*row, state.id, state.unit, 1.0, 1.0, believed_pct, "improved") for state in STATES],
+        [ConvergenceRow(*row, state.id, state.unit, 1.0, 9.0, 9.0, 0.0, "reached") for state in STATES],
         [
-            ReferenceErrorRow(
-                *("dive", "aided", quantity, unit, 2.0, rmse, actual_pct, 0.0, 0.0, 9),
-                status if known else "no reference",
-            )
+            ReferenceErrorRow(*row, quantity, unit, 2.0, 1.6, 20.0, 0.0, 0.0, 9, "compared")
             for quantity, unit in REFERENCE_QUANTITIES.items()
         ],
         [
@@ -49,8 +54,9 @@ def judged(
             consistency("aided", "acceleration", of_aided),
         ],
         [credibility("baseline", "all", errors_of_baseline), credibility("aided", "all", errors_of_aided)],
+        pieces,
     )
-    return verdicts(tables, "baseline", ["aided"], dead)["aided"]
+    return verdicts(tables, "baseline", ["aided"], unsound, independent=independent)["aided"]
 
 
 def consistency(filter_: str, measurement: str, verdict: str) -> ConsistencyRow:
@@ -62,58 +68,77 @@ def credibility(filter_: str, quantity: str, verdict: str) -> CredibilityRow:
 
 
 @pytest.mark.parametrize(
-    ("believed_pct", "actual_pct", "word"),
+    ("words", "judgement"),
     [
-        (40.0, 35.0, "borne out"),
-        (40.0, 20.0, "borne out"),
-        (40.0, 19.9, "not borne out"),
-        (40.0, 0.0, "not borne out"),
-        (40.0, -4.9, "not borne out"),
-        (40.0, -5.1, "worse"),
-        (0.0, -50.0, "worse"),
-        (1.0, 0.5, "none believed"),
-        (-20.0, 0.0, "none believed"),
-        (40.0, None, "no reference"),
+        (["better", "equivalent", "undecided"], "better"),
+        (["undecided", "undecided", "better"], "better"),
+        (["worse", "equivalent"], "worse"),
+        (["better", "worse"], "mixed"),
+        (["equivalent", "undecided"], "equivalent"),
+        (["undecided", "equivalent"], "undecided"),
+        ([], "undecided"),
     ],
 )
-def test_improvement_is_judged_by_the_reference(believed_pct: float, actual_pct: float | None, word: str) -> None:
-    assert judged(believed_pct, actual_pct).improvement == word
+def test_evidence_together_is_better_where_nothing_is_worse(words: list[str], judgement: str) -> None:
+    assert judged(words).improvement == judgement
 
 
-@pytest.mark.parametrize("dead", ["aided", "baseline"])
-@pytest.mark.parametrize("actual_pct", [80.0, -80.0, None])
-def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(dead: str, actual_pct: float | None) -> None:
+@pytest.mark.parametrize(
+    ("believed_pct", "ratio", "belief"),
+    [
+        (40.0, (0.6, 0.5, 0.7), "borne out"),
+        (40.0, (0.79, 0.79, 0.79), "borne out"),
+        (40.0, (0.8, 0.7, 0.9), "undecided"),
+        (40.0, (0.9, 0.81, 0.99), "not borne out"),
+        (40.0, (1.5, 1.2, 1.8), "not borne out"),
+        (4.0, (0.6, 0.5, 0.7), "undecided"),
+        (-30.0, (0.6, 0.5, 0.7), "undecided"),
+    ],
+)
+def test_belief_is_borne_out_by_half_of_it_with_its_interval(
+    believed_pct: float, ratio: tuple[float, float, float], belief: str
+) -> None:
+    assert judged(["better"], believed_pct, ratio).belief == belief
+
+
+@pytest.mark.parametrize("unsound", ["aided", "baseline"])
+@pytest.mark.parametrize("word", ["better", "worse", "undecided"])
+def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(unsound: str, word: str) -> None:
     verdict = judged(
-        40.0,
-        actual_pct,
-        "consistent",
-        "over-confident",
-        "too few",
-        "too few",
-        dead={dead: f"{dead} rejected 209 of 300"},
+        [word],
+        of_baseline="over-confident",
+        errors_of_aided="too few",
+        errors_of_baseline="too few",
+        unsound={"aided": f"{unsound} rejected 209 of 300"},
     )
-    assert verdict.improvement == "not judged"
+    assert (verdict.improvement, verdict.belief) == ("not judged", "undecided")
     assert verdict.verdict == (
-        f"aided is NOT JUDGED against baseline: {dead} rejected 209 of 300; settle that first. "
+        f"aided is NOT JUDGED against baseline: {unsound} rejected 209 of 300; settle that first. "
         "aided is consistent, baseline over-confident."
     )
 
 
 def test_sentence_holds_the_numbers_that_it_was_judged_by() -> None:
-    sentence = judged(40.0, -75.0, of_aided="over-confident", errors_of_aided="over-confident").verdict
-    assert "40.0 % smaller errors than baseline" in sentence
-    assert "75.0 % larger in the median (position 2.00 m, now 3.50 m): it is WORSE" in sentence
-    assert "aided is over-confident, baseline consistent." in sentence
+    sentence = judged(["worse"], 40.0, (1.75, 1.5, 2.0), of_aided="over-confident", honesty="worse").verdict
+    assert sentence.startswith(
+        "aided is WORSE than baseline: drift in 30 s 75.0 % larger (2 m, now 3.5 m; 95 %: +50.0 to +100.0 %); "
+        "but it is less honest. It believes in 40.0 % smaller errors, and that is NOT borne out. "
+    )
 
 
-def test_errors_of_a_part_of_the_dive_decide_nothing() -> None:
-    verdict = judged(40.0, 35.0, status="partly covered")
-    assert verdict.improvement == "no reference"
-    assert "the reference covers too little of the replay to compare with" in verdict.verdict
+def test_better_and_more_honest_and_better_than_believed_can_be_said() -> None:
+    assert "; and it is more honest." in judged(["better"], honesty="better").verdict
+    assert "It believes in 30.0 % larger errors. " in judged(["better"], -30.0).verdict
 
 
 def test_sentence_without_a_reference_says_so() -> None:
-    assert "there is no reference to compare with: nothing tells whether that is so" in judged(40.0, None).verdict
+    sentence = judged(["better"], kind="coasting").verdict
+    assert "It believes in 40.0 % smaller errors, and no reference tells whether that is so." in sentence
+
+
+def test_a_reference_that_shares_sensors_is_part_of_the_sentence() -> None:
+    assert judged(["better"], independent=False).verdict.endswith("errors that they have in common are not seen.")
+    assert "share" not in judged(["better"]).verdict
 
 
 @pytest.mark.parametrize(
@@ -131,7 +156,7 @@ def test_sentence_without_a_reference_says_so() -> None:
     ],
 )
 def test_sentence_says_whether_innovations_or_errors_speak(innovations: str, errors: str, words: str) -> None:
-    verdict = judged(40.0, 0.0, of_aided=innovations, errors_of_aided=errors)
+    verdict = judged(["undecided"], of_aided=innovations, errors_of_aided=errors)
     assert verdict.verdict.endswith(words)
     assert (verdict.consistency, verdict.credibility) == (innovations, errors)
 

@@ -15,13 +15,18 @@ PACKAGE = Path(__file__).resolve().parents[2] / "schemas" / "insdvl_msgs"
 TYPES = sorted(file.stem for file in (PACKAGE / "msg").glob("*.msg"))
 TABLES = {
     "ImprovementRow": "log,filter,state,unit,baseline_sd,sd,improvement_pct,status",
-    "ConvergenceRow": "log,filter,state,unit,target_sd,baseline_s,reached_s,improvement_pct,status",
+    "ConvergenceRow": "log,filter,state,unit,target_sd,baseline_s,reached_s,improvement_pct,status,"
+    "measured_target,measured_baseline_s,measured_s,measured_status",
     "ReferenceErrorRow": "log,filter,quantity,unit,baseline_rmse,rmse,improvement_pct,baseline_final,final,samples,"
     "status",
     "ConsistencyRow": "log,filter,measurement,dof,used,rejected,mean_nis,low,high,verdict,autocorrelation,"
     "autocorrelation_limit,whiteness",
     "CredibilityRow": "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,"
     "effective_samples",
+    "EvidenceRow": "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,"
+    "word",
+    "CoastingRow": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
+    "end_velocity_mps,vertical_median_m,ratio_to_baseline,ratio_low,ratio_high,windows_won_pct,nis_per_dof",
 }
 UNITS = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
 

@@ -144,6 +144,7 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
     # They hand settings and gaps to the mathematics, a start to the filter, and results to the history.
     without = {
         "preparation.filters",
+        "preparation.running",
         "preparation.reading",
         "nav.gaps",
         "nav.state_log",

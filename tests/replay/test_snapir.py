@@ -85,11 +85,13 @@ def test_every_ping_and_reference_time_is_used_or_counted(replays: dict[str, Rep
         assert (rows["status"] == "compared").all()
 
 
-def test_first_line_says_that_the_improvement_is_not_borne_out(replays: dict[str, Replay]) -> None:
+def test_the_published_model_is_worse_where_the_vehicle_turns_and_belief_is_not_borne_out(
+    replays: dict[str, Replay],
+) -> None:
     for run, replay in replays.items():
         windowed, published = replay.verdicts["windowed"], replay.verdicts["published"]
-        assert windowed.improvement == "not borne out"
-        assert published.improvement == ("not borne out" if run == STRAIGHT else "worse")
-        assert "NOT borne out" in windowed.verdict
+        assert windowed.improvement in {"better", "equivalent", "undecided"}
+        assert windowed.belief in {"not borne out", "undecided"}
+        assert published.improvement in ({"undecided"} if run == STRAIGHT else {"worse", "undecided"})
         if run != STRAIGHT:
             assert 35.0 < finite(windowed.mean_improvement_pct) < 42.0

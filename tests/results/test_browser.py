@@ -114,20 +114,20 @@ def test_every_plot_of_a_dive_is_drawn(pages: dict[str, Path], browser: Browser)
 
 def test_a_click_sorts_by_number_and_what_is_missing_stands_last(pages: dict[str, Path], browser: Browser) -> None:
     browser.open(pages["index"], 1280)
-    column = '[...document.querySelectorAll("tbody tr")].map(row => parseFloat(row.cells[3].textContent))'
+    column = '[...document.querySelector("tbody").rows].map(row => parseFloat(row.cells[4].textContent))'
     for ascending in (True, False):
-        browser.value('document.querySelectorAll("th button")[3].click()')
+        browser.value('document.querySelectorAll("th button")[4].click()')
         shown = browser.value(column)
         assert shown == sorted(shown, reverse=not ascending)
         assert len(set(shown)) > 2
-    assert browser.value('document.querySelectorAll("th")[3].getAttribute("aria-sort")') == "descending"
+    assert browser.value('document.querySelectorAll("th")[4].getAttribute("aria-sort")') == "descending"
 
 
 def test_without_scripts_the_index_is_a_table(pages: dict[str, Path], browser: Browser) -> None:
     browser.open(pages["index"], 1280, scripts=False)
     assert browser.complaints == []
     assert browser.value('document.querySelectorAll("th button").length') == 0
-    assert browser.value('document.querySelectorAll("tbody tr").length') == 6
+    assert browser.value('document.querySelector("tbody").rows.length') == 6
 
 
 def test_a_dive_prints_on_white_with_its_settings(pages: dict[str, Path], browser: Browser) -> None:

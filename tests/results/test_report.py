@@ -21,9 +21,11 @@ from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.core.tables import (
     Candidate,
+    CoastingRow,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
+    EvidenceRow,
     ImprovementRow,
     ReferenceErrorRow,
     Tables,
@@ -44,7 +46,8 @@ from insdvl_replay.results.result_files import run_log
 NAN = float("nan")
 HEADERS = {
     "improvement": "log,filter,state,unit,baseline_sd,sd,improvement_pct,status",
-    "convergence": "log,filter,state,unit,target_sd,baseline_s,reached_s,improvement_pct,status",
+    "convergence": "log,filter,state,unit,target_sd,baseline_s,reached_s,improvement_pct,status,"
+    "measured_target,measured_baseline_s,measured_s,measured_status",
     "reference_error": (
         "log,filter,quantity,unit,baseline_rmse,rmse,improvement_pct,baseline_final,final,samples,status"
     ),
@@ -53,6 +56,11 @@ HEADERS = {
     "credibility": (
         "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,effective_samples"
     ),
+    "evidence": (
+        "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,word"
+    ),
+    "coasting": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
+    "end_velocity_mps,vertical_median_m,ratio_to_baseline,ratio_low,ratio_high,windows_won_pct,nis_per_dof",
 }
 """What other people's scripts rely on."""
 SCHEMA_FOLDER = Path(__file__).resolve().parents[2] / "schemas"
@@ -83,12 +91,23 @@ def tables() -> Tables:
         ("dive", "aided", "ba_x", 1, 424, 5.0, 0.01, 4.9, 10.0, 90.0, "over-confident", 1.2),
         ("dive", "aided", "all", 5, 424, 9.0, 3.9, 6.1, 30.0, 97.0, "over-confident", 40.0),
     ]
+    evidence = [
+        ("accuracy", "drift_30s", "m", 1.0, 0.8, 0.8, 0.7, 0.9, 20.5, 16, 74, "better"),
+        ("convergence", "convergence_level", "s", NAN, NAN, NAN, NAN, NAN, 15.0, 15, 0, "undecided"),
+        ("honesty", "nis", "", 1.5, 1.0, 0.66, NAN, NAN, NAN, 1, 0, "better"),
+    ]
+    coasting = [
+        ("dive", "baseline", "30", 9, 0, 0.5, 0.6, 1.1, 2.0, 0.04, 0.1, NAN, NAN, NAN, NAN, 1.1),
+        ("dive", "aided", "30", 9, 0, 0.4, 0.5, 0.9, 1.5, 0.03, 0.1, 0.8, 0.7, 0.95, 66.7, 1.0),
+    ]
     return Tables(
         [ImprovementRow(*row) for row in improvement],
         [ConvergenceRow(*row) for row in convergence],
         [ReferenceErrorRow(*row) for row in reference],
         [ConsistencyRow(*row) for row in consistency],
         [CredibilityRow(*row) for row in credibility],
+        [EvidenceRow("dive", "aided", *row) for row in evidence],
+        [CoastingRow(*row) for row in coasting],
     )
 
 
@@ -105,12 +124,13 @@ def report(name: str = "dive", used: Tables | None = None) -> Report:
     used = used or tables()
     aided = Candidate(
         "aided believes in smaller errors",
-        "not borne out",
+        "better",
         "consistent",
         mean_over_nine(used.improvement, "aided"),
         mean_over_nine(used.convergence, "aided"),
         float("nan"),
         "over-confident",
+        "not borne out",
     )
     return build_report(dive, Config(), used, {"aided": aided}, notes, 1_000_000_000, 425_000_000_000)
 
@@ -222,14 +242,14 @@ def test_no_gain_stands_beside_a_filter_that_is_not_judged() -> None:
 
 def test_markdown_tables_have_one_cell_per_column() -> None:
     lines = [line for line in as_markdown(dive_document(report())).split("\n") if line.startswith("|")]
-    assert len(lines) == 12 + 12 + 3 + 3 + 4 + 3 + 6 * 2
-    assert {line.count("|") for line in lines} == {7, 8, 9}
+    assert len(lines) == 3 + 2 + 12 + 12 + 3 + 3 + 4 + 3 + 8 * 2
+    assert {line.count("|") for line in lines} == {7, 8, 9, 10, 11}
     assert "| accelerometer bias, z | mg | 1.000 | 0.8000 | - | improved |" in lines
 
 
 def test_latex_escapes_what_latex_would_read() -> None:
     text = as_latex(dive_document(report()))
-    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 6
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 8
     assert r"20.0 \% & improved \\" in text
     assert r"m/s & 1.000" in text
 

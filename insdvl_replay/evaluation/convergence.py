@@ -1,0 +1,84 @@
+"""When each candidate became, and stayed, as sure as the baseline is at the end; and, where that is known, as right."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.core.columns import Floats, seconds
+from insdvl_replay.core.history import History
+from insdvl_replay.core.states import STATES
+from insdvl_replay.core.tables import ConvergenceRow
+from insdvl_replay.core.words import ConvergenceStatus
+from insdvl_replay.evaluation.believed import final_sd, improvement_pct
+from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
+
+NOT_MEASURED: Final[Mapping[str, Mapping[str, MeasuredConvergence]]] = MappingProxyType({})
+
+
+def convergence_table(
+    log: str, histories: tuple[History, ...], measured: Mapping[str, Mapping[str, MeasuredConvergence]] = NOT_MEASURED
+) -> list[ConvergenceRow]:
+    """State when each candidate became, and stayed, as sure as the baseline is at the end, in 12 states.
+
+    Parameters
+    ----------
+    log : str
+        Name of the dive.
+    histories : tuple of History
+        The first is the baseline.
+
+    Returns
+    -------
+    list of ConvergenceRow
+        Times are seconds from the start, the baseline's that of the last ping.
+    """
+    baseline, *candidates = histories
+    baseline_s = float(seconds(baseline.time_ns[baseline.updated], baseline.time_ns[0])[-1])
+    rows = []
+    for candidate in candidates:
+        read = candidate.updated | (candidate.time_ns == candidate.time_ns[0])
+        time_s = seconds(candidate.time_ns[read], candidate.time_ns[0])
+        for state in STATES:
+            target = float(final_sd(baseline)[state.index])
+            reached_s, status = time_to_stay_below(time_s, candidate.sd[read, state.index], target)
+            faster_pct = improvement_pct(baseline_s, reached_s) if status == ConvergenceStatus.REACHED else float("nan")
+            named = log, candidate.filter, state.id, state.unit
+            predicted = target / state.factor, baseline_s, reached_s, faster_pct
+            found = _measured(measured.get(candidate.filter, {}).get(state.id), state.factor)
+            rows.append(ConvergenceRow(*named, *predicted, status, *found))
+    return rows
+
+
+def _measured(found: MeasuredConvergence | None, factor: float) -> tuple[float, float, float, str]:
+    if found is None:
+        return float("nan"), float("nan"), float("nan"), ""
+    return found.target / factor, found.baseline_s, found.candidate_s, found.status
+
+
+def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float, ConvergenceStatus]:
+    """Find the first time after which a standard deviation stays at or below a target.
+
+    Parameters
+    ----------
+    time_s, sd : ndarray, shape (k,)
+    target : float
+        In the unit of ``sd``.
+
+    Returns
+    -------
+    float
+        Interpolated between the samples, s; NaN unless reached.
+    ConvergenceStatus
+        ``reached``, ``at_start`` (never above the target) or ``never`` (above it, or not finite, at the end).
+    """
+    above = np.flatnonzero(~(sd <= target))
+    if len(above) == 0:
+        return float("nan"), ConvergenceStatus.AT_START
+    last = int(above[-1])
+    if last == len(sd) - 1:
+        return float("nan"), ConvergenceStatus.NEVER
+    drop = sd[last] - sd[last + 1]
+    fraction = (sd[last] - target) / drop if np.isfinite(drop) else 1.0
+    return float(time_s[last] + fraction * (time_s[last + 1] - time_s[last])), ConvergenceStatus.REACHED

@@ -1,0 +1,103 @@
+"""True errors of one filter from several starts: what is left of what the start got wrong, and of what sensors add."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from insdvl_replay.core.columns import Floats, ReferenceColumns, TruthColumns, seconds
+from insdvl_replay.core.history import History
+from insdvl_replay.core.states import PHI, STATES
+from insdvl_replay.evaluation.reference import ReferenceErrors, reference_errors
+from insdvl_replay.evaluation.state_errors import errors_at
+
+
+@dataclass(frozen=True)
+class RunFromStart:
+    """How far a filter is off in one run.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (k,)
+        The reference's times, from the start, which is not among them.
+    against_reference : ReferenceErrors
+        At these times.
+    error, sd : ndarray, shape (k, 12)
+        In its states, see `state_errors.StateErrors`, and what it believes of them.
+    """
+
+    filter: str
+    time_s: Floats
+    against_reference: ReferenceErrors
+    error: Floats
+    sd: Floats
+
+
+def run_from_start(history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> RunFromStart:
+    """Compare one run with the reference, and its biases with the truth, and let go of all else."""
+    errors = reference_errors(history, reference)
+    return RunFromStart(
+        history.filter,
+        seconds(errors.time_ns, history.time_ns[0]),
+        errors,
+        errors_at(errors.time_ns, history, reference, truth),
+        history.sd[np.searchsorted(history.time_ns, errors.time_ns)],
+    )
+
+
+@dataclass(frozen=True)
+class DrawnErrors:
+    """The runs of one filter over the same dive from s starts, of which the first is the dive's own.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (k,)
+        The reference's times, from the start, which is not among them.
+    against_reference : tuple of ReferenceErrors
+        One for each start.
+    error : ndarray, shape (s, k, 12)
+        SI units, see `state_errors.StateErrors`. NaN where neither reference nor truth knows.
+    sd : ndarray, shape (k, 12)
+        What the filter believes of them, from its own start; from the others it hardly differs.
+    """
+
+    filter: str
+    time_s: Floats
+    against_reference: tuple[ReferenceErrors, ...]
+    error: Floats
+    sd: Floats
+
+    @property
+    def left_of_start(self) -> Floats:
+        """How far runs from drawn starts, one at least, are from the own at the end, rms in its sd; shape (12,)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            apart = (self.error[1:, -1] - self.error[0, -1]) / self.sd[-1]
+            left: Floats = np.sqrt(np.mean(apart**2, axis=0))
+        return left
+
+
+def drawn_errors(runs: Sequence[RunFromStart]) -> DrawnErrors:
+    """Take the runs of one filter together, that from the dive's own start first."""
+    own, error = runs[0], np.stack([run.error for run in runs])
+    return DrawnErrors(own.filter, own.time_s, tuple(run.against_reference for run in runs), error, own.sd)
+
+
+def squared_errors(drawn: DrawnErrors) -> dict[str, Floats]:
+    """Square the errors that measured comparisons are of.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (s, k)
+        ``position_h`` in m^2, ``velocity_h`` in m^2/s^2, ``level`` (the mean square of roll and pitch) in rad^2, and
+        each error state by its name, SI units. NaN where it is not known; what is never known is left out.
+    """
+    position_m = np.stack([run.position_error_ned_m for run in drawn.against_reference])
+    velocity_mps = np.stack([run.velocity_error_n for run in drawn.against_reference])
+    with np.errstate(over="ignore"):
+        squares = {
+            "position_h": np.sum(position_m[..., :2] ** 2, axis=-1),
+            "velocity_h": np.sum(velocity_mps[..., :2] ** 2, axis=-1),
+            "level": np.mean(drawn.error[..., PHI][..., :2] ** 2, axis=-1),
+            **{state.id: drawn.error[..., state.index] ** 2 for state in STATES},
+        }
+    return {quantity: square for quantity, square in squares.items() if np.isfinite(square).any()}

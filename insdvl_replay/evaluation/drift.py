@@ -1,0 +1,225 @@
+"""How far a filter drifts over segments of a dive, and how its velocity errs along and across the course.
+
+The position error at the end of a dive is one number, and its rms over the dive about two independent ones. Over
+segments only what is lost inside each counts, so that there are many. Sources: Geiger, Lenz and Urtasun, "Are we ready
+for autonomous driving? The KITTI vision benchmark suite", 2012, and Sturm et al., "A benchmark for the evaluation of
+RGB-D SLAM systems", 2012, for relative errors.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, nanoseconds, seconds
+from insdvl_replay.evaluation.reference import ReferenceErrors
+from insdvl_replay.geometry.frames import north_east_m
+
+SEGMENT_S: Final = 60.0
+SEGMENT_M: Final = 100.0
+STEP_S: Final = 5.0
+"""From the start of a segment to that of the next, which overlaps with it."""
+ABOUT: Final = 0.1
+"""A segment may be longer or shorter by this share, where the reference has no sample at its end."""
+ROUNDING: Final = 1e-6
+"""Share of a segment that sums of speeds and steps may be short of it."""
+SLOWEST_MPS: Final = 0.1
+"""A slower vehicle has no course."""
+CHORD_S: Final = 10.0
+"""Steps between positions that are shorter than this add up their noise rather than the way."""
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Pairs of the compared times, the same for all filters of a dive.
+
+    Attributes
+    ----------
+    start_ns, end_ns : ndarray, shape (m,)
+    first, last : ndarray of int, shape (m,)
+        Rows of `ReferenceErrors` at the ends of each segment.
+    steps : int
+        How many following segments one overlaps with: the least block of `paired_statistics.paired_ratio`.
+    """
+
+    start_ns: TimeNs
+    end_ns: TimeNs
+    first: Indices
+    last: Indices
+    steps: int
+
+
+@dataclass(frozen=True)
+class WorstSegment:
+    """Where a filter drifts furthest."""
+
+    start_ns: int
+    end_ns: int
+    horizontal_m: float
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How much a filter's position error changes over each segment.
+
+    Attributes
+    ----------
+    horizontal_m : ndarray, shape (m,)
+        Length of the change of the horizontal error. NaN where the reference, or the filter, has no number.
+    down_m : ndarray, shape (m,)
+        Change of the error down, with its sign.
+    """
+
+    segments: Segments
+    horizontal_m: Floats
+    down_m: Floats
+
+    @property
+    def worst(self) -> WorstSegment | None:
+        """The segment with the largest horizontal drift, or None where there is no segment with a number."""
+        if not np.isfinite(self.horizontal_m).any():
+            return None
+        row = int(np.nanargmax(self.horizontal_m))
+        start_ns, end_ns = int(self.segments.start_ns[row]), int(self.segments.end_ns[row])
+        return WorstSegment(start_ns, end_ns, float(self.horizontal_m[row]))
+
+
+@dataclass(frozen=True)
+class CourseErrors:
+    """Horizontal velocity error along and across (to starboard of) the reference's course over ground.
+
+    Attributes
+    ----------
+    along_mps, across_mps : ndarray, shape (k,)
+        NaN where the reference has no velocity, or is slower than `SLOWEST_MPS`.
+    """
+
+    along_mps: Floats
+    across_mps: Floats
+
+
+@dataclass(frozen=True)
+class CircularError:
+    """Radii that hold one half, and 95 %, of the horizontal position errors, m; NaN without a position."""
+
+    cep50_m: float
+    cep95_m: float
+
+
+def time_segments(time_ns: TimeNs, length_s: float = SEGMENT_S) -> Segments:
+    """Choose overlapping segments of a length in time.
+
+    Parameters
+    ----------
+    time_ns : ndarray, shape (k,)
+        Of the compared errors, in order.
+
+    Returns
+    -------
+    Segments
+        None across a hole of the reference that leaves no time near the end.
+    """
+    return _segments(time_ns, seconds(time_ns, time_ns[0]) if len(time_ns) else np.empty(0), length_s)
+
+
+def distance_segments(time_ns: TimeNs, distance_m: Floats, length_m: float = SEGMENT_M) -> Segments:
+    """Choose overlapping segments of a length along the way.
+
+    Parameters
+    ----------
+    time_ns : ndarray, shape (k,)
+        Of the compared errors, in order.
+    distance_m : ndarray, shape (k,)
+        Travelled since the first of them, as `reference_distance_m` gives it.
+    """
+    return _segments(time_ns, distance_m, length_m)
+
+
+def segment_drift(errors: ReferenceErrors, segments: Segments) -> Drift:
+    """Return what a filter's position error changes by over each segment."""
+    change_ned_m = errors.position_error_ned_m[segments.last] - errors.position_error_ned_m[segments.first]
+    return Drift(segments, np.hypot(change_ned_m[:, 0], change_ned_m[:, 1]), change_ned_m[:, 2])
+
+
+def reference_distance_m(reference: ReferenceColumns, time_ns: TimeNs) -> Floats:
+    """Return how far the reference has travelled horizontally since the first of some times.
+
+    Its speed is added up; where it never gives a velocity, chords between its positions.
+
+    Parameters
+    ----------
+    time_ns : ndarray, shape (k,)
+        In order, times of the reference.
+
+    Returns
+    -------
+    ndarray, shape (k,), m
+        NaN where the reference has neither velocity nor position.
+    """
+    rows = np.isin(reference.time_ns, time_ns)
+    moving, located = reference.known["velocities"] & rows, reference.known["positions"] & rows
+    if moving.any():
+        speed_mps = np.hypot(reference.velocity_n[moving, 0], reference.velocity_n[moving, 1])
+        since_s = seconds(time_ns, time_ns[0])
+        steady_mps = np.interp(since_s, seconds(reference.time_ns[moving], time_ns[0]), speed_mps)
+        return _added_up(np.diff(since_s) * (steady_mps[1:] + steady_mps[:-1]) / 2.0)
+    if not located.any():
+        return np.full(len(time_ns), np.nan)
+    ends = _thinned(reference.time_ns[located], CHORD_S)
+    fix_ns, position = reference.time_ns[located][ends], reference.position[located][ends]
+    way_m = _added_up(np.hypot(*north_east_m(position[1:], position[:-1], position[:-1])))
+    return np.interp(seconds(time_ns, time_ns[0]), seconds(fix_ns, time_ns[0]), way_m)
+
+
+def course_errors(errors: ReferenceErrors, reference: ReferenceColumns) -> CourseErrors:
+    """Turn a filter's horizontal velocity error to the reference's course over ground."""
+    velocity_n = reference.velocity_n[np.searchsorted(reference.time_ns, errors.time_ns), :2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speed_mps = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
+        course = np.where(speed_mps[:, None] >= SLOWEST_MPS, velocity_n / speed_mps[:, None], np.nan)
+    north_mps, east_mps = errors.velocity_error_n[:, :2].T
+    return CourseErrors(
+        course[:, 0] * north_mps + course[:, 1] * east_mps, course[:, 0] * east_mps - course[:, 1] * north_mps
+    )
+
+
+def circular_error(errors: ReferenceErrors) -> CircularError:
+    """Return the radii that hold one half and 95 % of the horizontal position errors."""
+    horizontal_m = np.hypot(errors.position_error_ned_m[:, 0], errors.position_error_ned_m[:, 1])
+    known = horizontal_m[np.isfinite(horizontal_m)]
+    if not len(known):
+        return CircularError(float("nan"), float("nan"))
+    return CircularError(*np.quantile(known, [0.5, 0.95]).tolist())
+
+
+def _segments(time_ns: TimeNs, travelled: Floats, length: float) -> Segments:
+    """Pair each start with the time whose seconds, or metres, are nearest to a length further on."""
+    first = _thinned(time_ns, STEP_S)
+    # What remains at the end of the dive is no segment; the last may lack what rounding takes.
+    first = first[travelled[first] + length <= travelled[-1:] + ROUNDING * length]
+    if not len(first):
+        return Segments(time_ns[:0], time_ns[:0], first, first, 1)
+    end = travelled[first] + length
+    after = np.minimum(np.searchsorted(travelled, end), len(travelled) - 1)
+    last = np.where(travelled[after] - end > end - travelled[after - 1], after - 1, after)
+    whole = np.abs(travelled[last] - travelled[first] - length) <= ABOUT * length
+    first, last = first[whole], last[whole]
+    # Those of a vehicle that stops on the way hold many more.
+    inside = np.searchsorted(first, last) - np.arange(len(first))
+    steps = max(1, int(np.ceil(np.median(inside)))) if len(first) else 1
+    return Segments(time_ns[first], time_ns[last], first, last, steps)
+
+
+def _thinned(time_ns: TimeNs, step_s: float) -> Indices:
+    """Return the first row in every step of time."""
+    if not len(time_ns):
+        return np.empty(0, np.int64)
+    _, rows = np.unique((time_ns - time_ns[0]) // nanoseconds(step_s), return_index=True)
+    return np.asarray(rows, dtype=np.int64)
+
+
+def _added_up(steps: Floats) -> Floats:
+    return np.concatenate([[0.0], np.cumsum(steps)])

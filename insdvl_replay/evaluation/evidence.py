@@ -1,0 +1,258 @@
+"""The evidence on each candidate beside the baseline: what was measured, its interval, and a word.
+
+Both filters ran on the same dive from the same starts, so that everything is paired. *Accuracy* is against the
+reference, *coasting* while the DVL is withheld, *convergence* from starts that err as much as the filters allow for,
+*honesty* whether innovations and errors are as large as a filter says; the last says nothing of gain or loss.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.tables import (
+    COASTING_WINDOWS_S,
+    JOINT,
+    VERDICTS_BEST_FIRST,
+    ConsistencyRow,
+    CredibilityRow,
+    EvidenceRow,
+    finite,
+    is_whole,
+)
+from insdvl_replay.core.words import Consistency, EvidenceWord
+from insdvl_replay.evaluation.consistency import NORMAL_95
+from insdvl_replay.evaluation.losses import Losses
+from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
+from insdvl_replay.evaluation.over_dives import holm
+from insdvl_replay.evaluation.paired_statistics import RatioInterval, paired_ratio, windows_ratio, word_of
+
+CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_d"}
+"""Rows of measured convergence, and how `drawn_errors.squared_errors` names them."""
+DECIDING: Final = (
+    "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "level", "heading",
+    *(f"coasting_{window}s" for window in COASTING_WINDOWS_S),
+)  # fmt: skip
+"""Quantities by which a candidate is better or worse. Depth is not among them, which a pressure gauge tells."""
+DECIDING_TOGETHER: Final = (*DECIDING, *(f"convergence_{quantity}" for quantity in CONVERGED))
+"""Those by which several dives decide. Of one dive, convergence knows how the starts scatter, but not the sensors."""
+HONESTY: Final = "honesty"
+NAMES: Final = {
+    "drift_30s": "drift in 30 s",
+    "drift_60s": "drift in 60 s",
+    "drift_100m": "drift in 100 m",
+    "velocity_along": "velocity along",
+    "velocity_across": "velocity across",
+    "depth_60s": "depth in 60 s",
+    "level": "level",
+    "heading": "heading",
+    **{f"coasting_{window}s": f"coasting {window} s" for window in COASTING_WINDOWS_S},
+    "convergence_velocity": "velocity settled",
+    "convergence_level": "level settled",
+    "convergence_heading": "heading settled",
+    "nis": "NIS / dof",
+    "nees": "NEES / dof",
+}
+"""How people are told of a quantity."""
+NOTABLY: Final = 1.1
+"""A mean NIS or NEES nearer to its degrees of freedom by less is as honest."""
+SOONER: Final = 0.25
+"""A smaller difference of convergence decides nothing: its interval is over starts, and the sensors err once a dive."""
+FAR: Final = 0.1
+"""Margin of all pieces but the first: of a dozen, one is often off by more than 5 % on one dive."""
+CHANCE: Final = 0.05
+"""Largest p, after Holm, with which a piece decides."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured of all filters of a dive, by filter.
+
+    Attributes
+    ----------
+    losses : mapping of str to mapping of str to Losses
+        By filter and quantity of `tables.ACCURACY`; empty without a reference.
+    coasting : mapping of str to mapping of str to ndarray
+        By filter and length of window the horizontal drifts, shape (n,), m.
+    convergence : mapping of str to mapping of str to MeasuredConvergence
+        By candidate and quantity.
+    """
+
+    losses: Mapping[str, Mapping[str, Losses]]
+    coasting: Mapping[str, Mapping[str, Floats]]
+    convergence: Mapping[str, Mapping[str, MeasuredConvergence]]
+
+
+def evidence_table(
+    log: str,
+    baseline: str,
+    candidates: Sequence[str],
+    measured: Measured,
+    consistency: Sequence[ConsistencyRow],
+    credibility: Sequence[CredibilityRow],
+) -> list[EvidenceRow]:
+    """Hold each candidate against the baseline, piece by piece.
+
+    Parameters
+    ----------
+    log : str
+        Name of the dive.
+    baseline : str
+        Name of the first filter.
+    candidates : sequence of str
+        Names of the others.
+
+    Returns
+    -------
+    list of EvidenceRow
+        For each candidate, the piece that decides first in front.
+    """
+    rows: list[EvidenceRow] = []
+    for candidate in candidates:
+        named = log, candidate
+        deciding = [
+            *_accuracy(named, measured, baseline),
+            *_coasting(named, measured, baseline),
+            *_convergence(named, measured),
+        ]
+        rows += [*_corrected(deciding), *_honesty(named, consistency, credibility, baseline)]
+    return rows
+
+
+_Named = tuple[str, str]
+"""Dive and candidate."""
+
+
+def _corrected(rows: Sequence[EvidenceRow]) -> list[EvidenceRow]:
+    """Let better and worse stand where one of so many pieces is not so by chance, behind the first where it is far."""
+    adjusted = holm(np.array([_chance(row) for row in rows]))
+    return [
+        replace(row, word=EvidenceWord.UNDECIDED)
+        if _is_decided(row) and (p >= CHANCE or (place > 0 and not _is_far(row)))
+        else row
+        for place, (row, p) in enumerate(zip(rows, adjusted, strict=True))
+    ]
+
+
+def _is_far(row: EvidenceRow) -> bool:
+    return not 1.0 / (1.0 + FAR) < finite(row.ratio) < 1.0 + FAR
+
+
+def _is_decided(row: EvidenceRow) -> bool:
+    return row.word in (EvidenceWord.BETTER, EvidenceWord.WORSE)
+
+
+def _chance(row: EvidenceRow) -> float:
+    """Return the two-sided p of a ratio as the normal distribution has it that its interval is of; 1 where unknown."""
+    ratio, low, high = finite(row.ratio), finite(row.low), finite(row.high)
+    if not (ratio > 0.0 and 0.0 < low < high < math.inf):
+        return 1.0
+    sds = abs(math.log(ratio)) / (math.log(high / low) / (2.0 * NORMAL_95))
+    return math.erfc(sds / math.sqrt(2.0))
+
+
+def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
+    ours = measured.losses.get(named[1], {})
+    for quantity, before in measured.losses.get(baseline, {}).items():
+        after = ours[quantity]
+        starts, windows = before.squared.shape
+        interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
+        values = _rms(before.squared), _rms(after.squared)
+        below_floor = max(values) <= before.floor
+        word = EvidenceWord.UNDECIDED if below_floor else word_of(interval)
+        yield EvidenceRow(*named, "accuracy", quantity, before.unit, *values, *_ends(interval), starts, windows, word)
+
+
+def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
+    for window, before in measured.coasting.get(baseline, {}).items():
+        after = measured.coasting[named[1]][window]
+        if not len(before):
+            continue
+        interval = windows_ratio(before, after)
+        values = float(np.median(before)), float(np.median(after))
+        quantity, word = f"coasting_{window}", word_of(interval)
+        yield EvidenceRow(*named, "coasting", quantity, "m", *values, *_ends(interval), 1, len(before), word)
+
+
+def _convergence(named: _Named, measured: Measured) -> Iterator[EvidenceRow]:
+    converged = measured.convergence.get(named[1], {})
+    for quantity, name in CONVERGED.items():
+        if (found := converged.get(name)) is not None:
+            ends = found.ratio, found.low, found.high, found.low90, found.high90
+            interval = RatioInterval(*ends, float(found.starts))
+            values = found.baseline_s, found.candidate_s
+            word = _word_of_convergence(interval)
+            name = f"convergence_{quantity}"
+            yield EvidenceRow(*named, "convergence", name, "s", *values, *_ends(interval), found.starts, 0, word)
+
+
+def _word_of_convergence(interval: RatioInterval) -> EvidenceWord:
+    word = word_of(interval)
+    is_far = not 1.0 / (1.0 + SOONER) < interval.ratio < 1.0 + SOONER
+    return word if is_far or word == EvidenceWord.EQUIVALENT else EvidenceWord.UNDECIDED
+
+
+def _ends(interval: RatioInterval) -> tuple[float, float, float, float]:
+    return interval.ratio, interval.low, interval.high, interval.effective_samples
+
+
+def _rms(squared: Floats) -> float:
+    known = squared[np.isfinite(squared)]
+    return math.sqrt(float(known.mean())) if known.size else math.nan
+
+
+def _honesty(
+    named: _Named, consistency: Sequence[ConsistencyRow], credibility: Sequence[CredibilityRow], baseline: str
+) -> Iterator[EvidenceRow]:
+    """Compare how far the mean NIS, and the mean NEES, is from what each filter expects."""
+    whole = [row for row in consistency if is_whole(row.measurement)]
+    joint = [row for row in credibility if row.quantity == JOINT]
+    sizes: dict[str, dict[str, _Size]] = {
+        "nis": {row.filter: _Size(_mean(row.mean_nis, row.dof), row.verdict) for row in _farthest_last(whole)},
+        "nees": {row.filter: _Size(_mean(row.mean_nees, row.dof), row.verdict) for row in joint},
+    }
+    for quantity, found in sizes.items():
+        before, after = found.get(baseline), found.get(named[1])
+        if before is None or after is None or not (math.isfinite(before.mean) and math.isfinite(after.mean)):
+            continue
+        ratio, nan = math.exp(_off(after.mean) - _off(before.mean)), math.nan
+        word = _more_honest(before, after, ratio)
+        yield EvidenceRow(*named, HONESTY, quantity, "", before.mean, after.mean, ratio, nan, nan, nan, 1, 0, word)
+
+
+class _Size(NamedTuple):
+    """A mean over its degrees of freedom, 1 is expected, and its verdict."""
+
+    mean: float
+    verdict: str
+
+
+def _more_honest(before: _Size, after: _Size, ratio: float) -> EvidenceWord:
+    """Judge whose mean is nearer to 1; a candidate is not the more honest for being over-confident instead."""
+    graver = _gravity(after) > _gravity(before)
+    if ratio < 1.0 / NOTABLY and before.verdict != Consistency.CONSISTENT and not graver:
+        return EvidenceWord.BETTER
+    if after.verdict != Consistency.CONSISTENT and (ratio > NOTABLY or graver):
+        return EvidenceWord.WORSE
+    return EvidenceWord.EQUIVALENT
+
+
+def _gravity(size: _Size) -> int:
+    return VERDICTS_BEST_FIRST.index(Consistency(size.verdict)) if size.verdict in VERDICTS_BEST_FIRST else 0
+
+
+def _farthest_last(rows: Sequence[ConsistencyRow]) -> list[ConsistencyRow]:
+    return sorted(rows, key=lambda row: _off(_mean(row.mean_nis, row.dof)))
+
+
+def _mean(mean: float | None, dof: int) -> float:
+    return finite(mean) / dof if dof else math.nan
+
+
+def _off(size: float) -> float:
+    """Return how far a mean is from what is expected, whichever way; NaN is nearest."""
+    return abs(math.log(size)) if size > 0.0 else 0.0 if math.isnan(size) else math.inf

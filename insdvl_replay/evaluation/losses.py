@@ -1,0 +1,117 @@
+"""What filters lose against the reference: squared errors, one quantity at a time, from every start of a dive.
+
+Positions are judged by how far they drift over a stretch of time or of way: their error as such is one number that a
+heading wrong at the start decides. Levels and headings are judged from drawn starts alone: a filter that is set to the
+reference's own attitude has nothing to find.
+"""
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from insdvl_replay.core.columns import Floats, ReferenceColumns
+from insdvl_replay.core.states import DEG, PHI
+from insdvl_replay.evaluation.coverage import WELL_COVERED, covered_share
+from insdvl_replay.evaluation.drawn_errors import DrawnErrors
+from insdvl_replay.evaluation.drift import (
+    Segments,
+    course_errors,
+    distance_segments,
+    reference_distance_m,
+    segment_drift,
+    time_segments,
+)
+from insdvl_replay.evaluation.reference import ReferenceErrors
+
+ROOT_2: Final = float(np.sqrt(2.0))
+SEGMENTS_S: Final = (30.0, 60.0)
+FEWEST_STARTS: Final = 8
+"""With fewer, levels and headings are no evidence: each start is one sample of them."""
+
+
+class ReferenceNoise(NamedTuple):
+    """How far the reference itself may be off, each axis."""
+
+    position_m: float
+    velocity_mps: float
+    attitude_deg: float
+
+
+class Losses(NamedTuple):
+    """Squared errors of one filter in one quantity.
+
+    Attributes
+    ----------
+    squared : ndarray, shape (s, k)
+        Of s starts at k times or stretches, in the unit squared.
+    least_block : int
+        So many neighbours share what they are made of.
+    floor : float
+        Root mean square up to which the reference itself may err.
+    """
+
+    unit: str
+    squared: Floats
+    least_block: int
+    floor: float
+
+
+def losses_of(
+    drawn: DrawnErrors, reference: ReferenceColumns, noise: ReferenceNoise, *, bridged_gaps: bool
+) -> dict[str, Losses]:
+    """Square the errors of one filter.
+
+    Parameters
+    ----------
+    bridged_gaps : bool
+        Whether the filters went through long gaps of the IMU, in which nothing tells where the vehicle went.
+
+    Returns
+    -------
+    dict of str to Losses
+        By quantity of `tables.ACCURACY`, in its order. What the reference knows for less than `coverage.WELL_COVERED`
+        of the runs is left out.
+    """
+    found = dict(_losses(drawn, reference, noise, bridged_gaps=bridged_gaps))
+    return {quantity: losses for quantity, losses in found.items() if losses.squared.shape[1] > 1}
+
+
+def _losses(
+    drawn: DrawnErrors, reference: ReferenceColumns, noise: ReferenceNoise, *, bridged_gaps: bool
+) -> Iterator[tuple[str, Losses]]:
+    runs = drawn.against_reference
+    time_ns, located, moving = runs[0].time_ns, runs[0].position_error_ned_m, runs[0].velocity_error_n
+    if _is_covered(drawn, located[:, :2]) and not bridged_gaps:
+        for length_s in SEGMENTS_S:
+            yield f"drift_{length_s:.0f}s", _drift(runs, time_segments(time_ns, length_s), noise.position_m)
+        way_m = reference_distance_m(reference, time_ns)
+        yield "drift_100m", _drift(runs, distance_segments(time_ns, way_m), noise.position_m)
+    if _is_covered(drawn, moving[:, :2]):
+        of_course = [course_errors(errors, reference) for errors in runs]
+        along = np.stack([errors.along_mps for errors in of_course])
+        across = np.stack([errors.across_mps for errors in of_course])
+        yield "velocity_along", Losses("m/s", along**2, 1, noise.velocity_mps)
+        yield "velocity_across", Losses("m/s", across**2, 1, noise.velocity_mps)
+    if _is_covered(drawn, located[:, 2:]) and not bridged_gaps:
+        segments = time_segments(time_ns)
+        down_m = np.stack([segment_drift(errors, segments).down_m for errors in runs])
+        yield "depth_60s", Losses("m", down_m**2, segments.steps, ROOT_2 * noise.position_m)
+    if len(drawn.error) >= FEWEST_STARTS and _is_covered(drawn, drawn.error[0, :, PHI]):
+        squared = (drawn.error[1:, :, PHI] / DEG) ** 2
+        yield "level", Losses("deg", squared[..., :2].mean(axis=-1), 1, noise.attitude_deg)
+        yield "heading", Losses("deg", squared[..., 2], 1, noise.attitude_deg)
+
+
+def _is_covered(drawn: DrawnErrors, columns: Floats) -> bool:
+    """Return whether numbers, shape (k, n), are known for nearly all of the time."""
+    time_ns = drawn.against_reference[0].time_ns
+    start_ns = int(time_ns[0] - round(drawn.time_s[0] * 1e9)) if len(time_ns) else 0
+    known = np.asarray(np.isfinite(columns).all(axis=1))
+    return bool(known.any()) and covered_share(time_ns, known, start_ns, int(time_ns[-1])) >= WELL_COVERED
+
+
+def _drift(runs: tuple[ReferenceErrors, ...], segments: Segments, sd_m: float) -> Losses:
+    """Square by how much horizontal position errors change over segments; both ends are the reference's."""
+    drift_m = np.stack([segment_drift(errors, segments).horizontal_m for errors in runs])
+    return Losses("m", drift_m**2, segments.steps, 2.0 * sd_m)

@@ -1,0 +1,204 @@
+"""Whether a candidate beats the baseline: ratios of paired errors over one dive, their intervals, and their word.
+
+Filters of one dive share its sensors and its reference, so that what they lose at one time is compared pair by pair,
+and time is redrawn in blocks that keep neighbouring errors together. Ratios are means and differences of logarithms
+inside; below 1 the candidate is better. Sources: Künsch, "The jackknife and the bootstrap for general stationary
+observations", 1989, for moving blocks; Diebold and Mariano, "Comparing predictive accuracy", 1995, for the
+differential of losses; Satterthwaite, 1946, for the freedom of a sum of variances; Schuirmann, 1987, for equivalence.
+"""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
+
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.words import EvidenceWord
+from insdvl_replay.evaluation.effective_samples import block_length, effective_samples, slow_part
+
+MARGIN: Final = 0.05
+"""A difference of less than this share is none that matters."""
+FEWEST_EFFECTIVE: Final = 6.0
+"""Fewer independent samples, or dives, decide nothing: six that all agree are the fewest with p below 5 %."""
+DRAWS: Final = 2000
+SEED: Final = 20_260_000
+WIDER_THAN_OPTIMAL: Final = 3
+"""Blocks that estimate a variance best make its intervals too short: longer ones are noisier, and less biased."""
+MOST_VALUES: Final = 1000
+"""Of a longer series neighbours are first averaged, so that hours at 10 Hz are drawn as fast as minutes."""
+TAILS: Final = (0.975, 0.95)
+"""Upper ends of the 95 % interval, and of the 90 % interval by which equivalence is judged."""
+
+
+Indices = NDArray[np.int64]
+
+
+class RatioInterval(NamedTuple):
+    """Candidate over baseline, with the 95 % and the 90 % interval; all NaN where nothing could be compared."""
+
+    ratio: float
+    low: float
+    high: float
+    low90: float
+    high90: float
+    effective_samples: float
+
+
+NAN: Final = float("nan")
+NOTHING: Final = RatioInterval(NAN, NAN, NAN, NAN, NAN, 0.0)
+
+
+def paired_ratio(baseline_sq: Floats, candidate_sq: Floats, *, least_block: int = 1) -> RatioInterval:
+    """Return the ratio of root mean squares of two filters' errors over the same times of one dive.
+
+    The standard deviation of its logarithm is that over moving blocks of time, drawn alike for both filters and all
+    starts; with several starts that over starts is added. The interval is Student's, with the number of blocks and of
+    starts for its freedom.
+
+    Parameters
+    ----------
+    baseline_sq, candidate_sq : ndarray, shape (k,) or (s, k)
+        Squared losses, evenly spaced in time, of one start or of s drawn starts of the same dive. A time at which one
+        of them is not finite is left out.
+    least_block : int
+        How many values a loss overlaps with, such as the length of a segment in steps.
+
+    Returns
+    -------
+    RatioInterval
+        Its effective samples are those of the differential of the losses, over time and starts.
+    """
+    baseline, candidate = _finite_pairs(np.atleast_2d(baseline_sq), np.atleast_2d(candidate_sq))
+    if np.array_equal(baseline, candidate) and baseline.size:
+        return RatioInterval(1.0, 1.0, 1.0, 1.0, 1.0, float(baseline.size))
+    if baseline.shape[1] < 2 or not (baseline.any() and candidate.any()):
+        return NOTHING
+    log_ratio = 0.5 * float(np.log(candidate.mean() / baseline.mean()))
+    together = -(-baseline.shape[1] // MOST_VALUES)
+    baseline, candidate = _averaged(baseline, together), _averaged(candidate, together)
+    differential = 0.5 * (candidate / candidate.mean() - baseline / baseline.mean())
+    block = _block(differential.mean(axis=0), -(-least_block // together))
+    time_variance = _block_variance(baseline.mean(axis=0), candidate.mean(axis=0), block)
+    start_variance = _block_variance(baseline.mean(axis=1), candidate.mean(axis=1), 1) if len(baseline) > 1 else 0.0
+    freedom = _freedom(time_variance, baseline.shape[1] / block - 1.0, start_variance, len(baseline) - 1.0)
+    log_sd = float(np.sqrt(time_variance + start_variance))
+    return _student_interval(log_ratio, log_sd, freedom, _effective_over_starts(differential))
+
+
+def windows_ratio(baseline: Floats, candidate: Floats) -> RatioInterval:
+    """Return the median ratio of two filters' errors over windows of one dive, such as those of a coasting run.
+
+    Windows are redrawn in moving blocks. The quantiles of the median's logarithm are widened as Student's are against
+    the normal ones.
+
+    Parameters
+    ----------
+    baseline, candidate : ndarray, shape (k,)
+        Errors, in the order of time. A window in which one of them is not finite and positive is left out.
+    """
+    usable = np.isfinite(baseline) & np.isfinite(candidate) & (baseline > 0.0) & (candidate > 0.0)
+    log_ratios = np.log(candidate[usable] / baseline[usable])
+    k = len(log_ratios)
+    if k < 2:
+        return NOTHING
+    block = _block(log_ratios, 1)
+    rows = (_first_of_blocks(k, block)[:, :, None] + np.arange(block)).reshape(DRAWS, -1)[:, :k]
+    middle, medians = float(np.median(log_ratios)), np.median(log_ratios[rows], axis=1)
+    freedom = max(k / block - 1.0, 1.0)
+    ends = [
+        middle + (np.quantile(medians, side) - middle) * _widening(freedom, tail)
+        for tail in TAILS
+        for side in (1.0 - tail, tail)
+    ]
+    return _interval(middle, ends, effective_samples(log_ratios))
+
+
+def word_of(interval: RatioInterval, margin: float = MARGIN) -> EvidenceWord:
+    """Judge a ratio: better or worse beyond the margin and surely not equal, equivalent surely inside, or undecided.
+
+    Equivalent is two one-sided tests at 5 %. Too few effective samples decide nothing.
+    """
+    least, most = 1.0 / (1.0 + margin), 1.0 + margin
+    if not interval.effective_samples >= FEWEST_EFFECTIVE:
+        return EvidenceWord.UNDECIDED
+    if least <= interval.low90 and interval.high90 <= most:
+        return EvidenceWord.EQUIVALENT
+    if interval.high < 1.0 and interval.ratio <= least:
+        return EvidenceWord.BETTER
+    if interval.low > 1.0 and interval.ratio >= most:
+        return EvidenceWord.WORSE
+    return EvidenceWord.UNDECIDED
+
+
+def _finite_pairs(baseline: Floats, candidate: Floats) -> tuple[Floats, Floats]:
+    known = (np.isfinite(baseline) & np.isfinite(candidate)).all(axis=0)
+    return baseline[:, known], candidate[:, known]
+
+
+def _averaged(losses: Floats, together: int) -> Floats:
+    """Average so many neighbouring times at once; what does not fill the last group is left out."""
+    starts, times = losses.shape
+    groups = times // together
+    averages: Floats = losses[:, : groups * together].reshape(starts, groups, together).mean(axis=2)
+    return averages
+
+
+def _block(values: Floats, least_block: int) -> int:
+    """Return how many neighbours are drawn together: as the slow part asks for, at most a third of the values."""
+    averages, together = slow_part(values)
+    optimal = max(block_length(values), together * block_length(averages) if block_length(averages) > 1 else 1)
+    wanted = WIDER_THAN_OPTIMAL * optimal if optimal > 1 else 1
+    return max(1, min(max(wanted, least_block), len(values) // 3))
+
+
+def _first_of_blocks(n: int, block: int) -> Indices:
+    """Draw where the blocks begin that fill n values, shape (draws, blocks)."""
+    return np.random.default_rng(SEED).integers(0, n - block + 1, (DRAWS, -(-n // block)))
+
+
+def _block_variance(baseline: Floats, candidate: Floats, block: int) -> float:
+    """Return the variance of the logarithm of the ratio of root means over drawn blocks."""
+    n = len(baseline)
+    first = _first_of_blocks(n, block)
+    before, after = (np.convolve(loss, np.ones(block), "valid")[first].sum(axis=1) for loss in (baseline, candidate))
+    drawn = (before > 0.0) & (after > 0.0)
+    # Blocks scatter about the mean of the same n values, which takes the freedom of one of them.
+    return float(np.var(0.5 * np.log(after[drawn] / before[drawn]))) * n / (n - block)
+
+
+def _freedom(first: float, first_freedom: float, second: float, second_freedom: float) -> float:
+    """Return the degrees of freedom of a sum of two variances (Satterthwaite); at least 1."""
+    if not second > 0.0:
+        return max(first_freedom, 1.0)
+    parts = first**2 / max(first_freedom, 1.0) + second**2 / max(second_freedom, 1.0)
+    return (first + second) ** 2 / parts
+
+
+def _student_interval(log_ratio: float, log_sd: float, freedom: float, effective: float) -> RatioInterval:
+    widths = [float(stdtrit(freedom, tail)) * log_sd for tail in TAILS]
+    ends = [log_ratio + sign * width for width in widths for sign in (-1.0, 1.0)]
+    return _interval(log_ratio, ends, effective)
+
+
+def _interval(log_ratio: float, log_ends: Sequence[float], effective: float) -> RatioInterval:
+    # A filter that broke down may be worse beyond all numbers: infinitely.
+    with np.errstate(over="ignore", invalid="ignore"):
+        low, high, low90, high90 = np.exp(log_ends).tolist()
+    return RatioInterval(float(np.exp(log_ratio)), low, high, low90, high90, effective)
+
+
+def _widening(freedom: float, tail: float) -> float:
+    return float(stdtrit(freedom, tail) / ndtri(tail) * np.sqrt((freedom + 1.0) / freedom))
+
+
+def _effective_over_starts(differential: Floats) -> float:
+    """Return the variance of one value over that of the mean over times and starts."""
+    starts = len(differential)
+    over_time = differential.mean(axis=0)
+    samples = effective_samples(over_time)
+    if starts == 1:
+        return samples
+    of_mean = over_time.var() / samples + differential.mean(axis=1).var(ddof=1) / starts
+    return float(np.clip(differential.var() / of_mean, 1.0, differential.size)) if of_mean > 0.0 else 1.0

@@ -1,0 +1,136 @@
+"""Coasting: a filter goes on from a ping that it has used, and every later one is withheld from it.
+
+It starts from what it has written down at that ping, state and P, so that a window costs no more than its own length.
+The withheld pings are measured against it all the same: their innovations say how far it has gone astray, and their
+NIS whether it knows.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.core.columns import NS_PER_S, Floats
+from insdvl_replay.core.history import History
+from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.initial_state import Start
+from insdvl_replay.nav.local_earth import HOLD_AFTER_S
+from insdvl_replay.nav.measurements import NEVER_REOPENED, Measurement
+from insdvl_replay.nav.timeline import Timeline
+
+NOTHING_PASSES: Final = -1.0
+"""A gate below any NIS."""
+
+
+def coast(
+    history: History,
+    timeline: Timeline,
+    window_ns: tuple[int, int],
+    noise_density: Floats,
+    velocity: Measurement,
+    lever_arm_b: Floats,
+) -> History:
+    """Let a filter go on from a ping with none of the next ones, accelerations neither.
+
+    Parameters
+    ----------
+    history : History
+        Of the filter with every ping; it holds P at the start of the window.
+    timeline : Timeline
+        That of the history.
+    window_ns : tuple of int
+        Times of the ping that is used last, and of the last one that is withheld.
+    noise_density : ndarray, shape (12,)
+        As the history was made with.
+    velocity : Measurement
+        The velocity, prepared for every ping of the dive.
+    lever_arm_b : ndarray, shape (3,)
+        IMU to DVL, m.
+
+    Returns
+    -------
+    History
+        At the start of the window and at each withheld ping, with an innovation for each of these. None is used; NIS is
+        by the true R.
+
+    Raises
+    ------
+    ValueError
+        The history does not hold P there.
+    """
+    window = between_pings(timeline, *window_ns)
+    first = int(timeline.ping[np.searchsorted(timeline.event_ns, window_ns[0])]) + 1
+    last = int(timeline.ping[np.searchsorted(timeline.event_ns, window_ns[1])]) + 1
+    measurement = withheld(velocity, slice(first, last))
+    start = restart(history, window_ns[0])
+    return run_filter(history.filter, window, start, noise_density, (measurement,), lever_arm_b)
+
+
+def restart(history: History, time_ns: int) -> Start:
+    """Return what a filter goes on from at a time at which its history holds P; ValueError at others.
+
+    Its height is the one at which the filter takes gravity, from which it goes on: where it had no velocity for long,
+    its own has run away.
+    """
+    row, of_cov = (int(np.searchsorted(times, time_ns)) for times in (history.time_ns, history.cov_ns))
+    if of_cov == len(history.cov_ns) or history.cov_ns[of_cov] != time_ns:
+        raise ValueError(f"the history of {history.filter} holds no P at {time_ns}")
+    latitude, longitude, height_m = history.position[row]
+    return Start(
+        np.array([latitude, longitude, height_m - _height_drift_m(history, time_ns)]),
+        history.velocity_n[row],
+        history.mat_nb[row],
+        history.cov[of_cov],
+        history.accel_bias_b[row],
+        history.gyro_bias_b[row],
+    )
+
+
+def _height_drift_m(history: History, until_ns: int) -> float:
+    """Sum up by what the height has moved while that of gravity was held, see `local_earth.GravityHeight`."""
+    used_ns = [of_kind.time_ns[of_kind.used] for of_kind in history.innovations if of_kind.measurement == "velocity"]
+    aided_ns = np.concatenate([history.time_ns[:1], *used_ns])
+    aided_ns = aided_ns[aided_ns <= until_ns]
+    held_ns = aided_ns[:-1] + int(HOLD_AFTER_S * NS_PER_S)
+    outages = held_ns < aided_ns[1:]
+    before = np.searchsorted(history.time_ns, held_ns[outages], side="right") - 1
+    after = np.searchsorted(history.time_ns, aided_ns[1:][outages])
+    return float(np.sum(history.position[after, 2] - history.position[before, 2]))
+
+
+def between_pings(timeline: Timeline, start_ns: int, end_ns: int) -> Timeline:
+    """Cut a time line from one ping to another, whose rows count from the one after the first.
+
+    It has the same nodes, but only pings and the two ends are recorded.
+    """
+    events = slice(*np.searchsorted(timeline.event_ns, [start_ns, end_ns + 1]))
+    samples = slice(
+        np.searchsorted(timeline.sample_ns, start_ns, side="right") - 1,
+        np.searchsorted(timeline.sample_ns, end_ns) + 1,
+    )
+    ping = timeline.ping[events]
+    is_ping = ping >= 0
+    return Timeline(
+        timeline.sample_ns[samples],
+        timeline.specific_force_b[samples],
+        timeline.angular_rate_b[samples],
+        timeline.event_ns[events],
+        np.where(is_ping, ping - ping[0] - 1, -1),
+        np.where(is_ping, np.cumsum(is_ping) - 1, -1),
+        timeline.gap[events],
+        timeline.gap_noise_density,
+    )
+
+
+def withheld(velocity: Measurement, pings: slice) -> Measurement:
+    """Keep some pings of a measurement, none of which the gate lets pass."""
+    return Measurement(
+        velocity.kind,
+        velocity.available[pings],
+        velocity.valid_ns[pings],
+        velocity.measured_b[pings],
+        velocity.cov_b[pings],
+        velocity.velocity_weights[pings],
+        velocity.interval_weights[pings],
+        NOTHING_PASSES,
+        NEVER_REOPENED,
+    )

@@ -1,0 +1,175 @@
+"""The filters of a prepared dive, run: over the whole of it, from drawn starts, and without velocities for a while.
+
+The compiled filter leaves the interpreter to others while it runs; on long dives each filter has a thread of its own.
+"""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from insdvl_replay.core.columns import Dive, TimeNs
+from insdvl_replay.core.history import History
+from insdvl_replay.core.runtime import begin, each, return_freed_memory
+from insdvl_replay.evaluation.coasting import Coast, Coasts, coast_of, distance_along_m
+from insdvl_replay.evaluation.coasting_windows import CoastingPlan, plan_coasting
+from insdvl_replay.evaluation.drawn_errors import DrawnErrors, RunFromStart, drawn_errors, run_from_start
+from insdvl_replay.nav.coasting import coast
+from insdvl_replay.nav.drawn_starts import drawn_starts
+from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.initial_state import Start
+from insdvl_replay.nav.timeline import Timeline, build_timeline
+from insdvl_replay.preparation.filters import ResolvedFilter
+from insdvl_replay.preparation.prepared import Prepared
+
+WORTH_A_THREAD = 20_000
+"""IMU samples from which filters run beside each other; with fewer, to start threads takes what it saves."""
+MOST_DRAWN_SAMPLES = 20_000_000
+"""IMU samples, in all runs from drawn starts together: three seconds of work."""
+MOST_DRAWN_TIMES = 5_000
+"""Times of the reference at which the errors of each of these runs are kept."""
+
+
+def run_filters(start: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
+    """Run every filter over a prepared dive.
+
+    Parameters
+    ----------
+    start : Prepared
+        From `prepared.prepare_dive`.
+    timeline : Timeline
+        From `prepared_timeline`.
+    cov_ns : ndarray, shape (c,), optional
+        Times of the reference at which the histories keep all of P.
+
+    Returns
+    -------
+    tuple of History
+        In the order of the configuration.
+    """
+    begin("running the filters")
+    return_freed_memory()
+    run = partial(run_one, start=start, timeline=timeline, cov_ns=cov_ns)
+    if len(timeline.sample_ns) < WORTH_A_THREAD:
+        return tuple(map(run, start.filters))
+    with ThreadPoolExecutor() as threads:
+        return tuple(threads.map(run, start.filters))
+
+
+def run_one(filter_: ResolvedFilter, start: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> History:
+    """Run one filter over the time line of a prepared dive; ``cov_ns`` as of `run_filters`."""
+    return run_filter(
+        filter_.name,
+        timeline,
+        start.alignment.start,
+        filter_.noise_density,
+        filter_.measurements(start.velocities, start.mounting, start.gaps),
+        start.mounting.lever_arm_b,
+        cov_ns=cov_ns,
+    )
+
+
+def prepared_timeline(dive: Dive, start: Prepared) -> Timeline:
+    """Lay the readings, the pings and the reference's times of a prepared dive on one time line."""
+    reference_ns = dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64)
+    return build_timeline(
+        dive.imu, start.velocities.time_ns, reference_ns, start.alignment.start_ns, start.end_ns, start.gaps
+    )
+
+
+def coasting_plan(start: Prepared) -> CoastingPlan:
+    """Lay the windows in which velocities are withheld into a prepared dive.
+
+    Its ``start_ns`` are times at which `run_filters` has to keep all of P for `coasting_of`.
+    """
+    return plan_coasting(start.velocities.time_ns, start.gaps.overlap, start.alignment.start_ns, start.end_ns)
+
+
+def coasting_of(start: Prepared, timeline: Timeline, histories: tuple[History, ...], plan: CoastingPlan) -> Coasts:
+    """Let every filter coast through the windows of a plan, on a long dive each filter in a thread of its own.
+
+    Parameters
+    ----------
+    timeline : Timeline
+        From `prepared_timeline`.
+    histories : tuple of History
+        From `run_filters`, in the order of the filters, with P at the plan's ``start_ns``.
+    """
+    begin("coasting without velocities")
+    coasts = partial(_coasts_of_one, start=start, timeline=timeline, plan=plan)
+    if len(timeline.sample_ns) < WORTH_A_THREAD:
+        runs = list(map(coasts, start.filters, histories))
+    else:
+        with ThreadPoolExecutor() as threads:
+            runs = list(threads.map(coasts, start.filters, histories))
+    distance_m = distance_along_m(start.velocities.time_ns, start.velocities.velocity_b)
+    return Coasts(plan, distance_m, {history.filter: of_one for history, of_one in zip(histories, runs, strict=True)})
+
+
+def _coasts_of_one(
+    filter_: ResolvedFilter, history: History, *, start: Prepared, timeline: Timeline, plan: CoastingPlan
+) -> tuple[Coast, ...]:
+    by_velocity = replace(filter_, aiding=("velocity",))
+    (velocity,) = by_velocity.measurements(start.velocities, start.mounting, start.gaps)
+    return tuple(
+        coast_of(coast(history, timeline, (first, last), filter_.noise_density, velocity, start.mounting.lever_arm_b))
+        for first, last in plan.windows_ns
+    )
+
+
+def run_from_drawn_starts(dive: Dive, start: Prepared, count: int, seed: int = 0) -> tuple[DrawnErrors, ...]:
+    """Run every filter from the dive's own start and from others that err as P0 says, and keep their true errors.
+
+    Parameters
+    ----------
+    dive : Dive
+        As `run_filters` takes it, with a reference.
+    start : Prepared
+        From `prepared.prepare_dive`.
+    count : int
+        Starts, the dive's own among them.
+    seed : int
+        Of the draws, beside the size of the dive: the same for all filters, and others for other dives.
+
+    Returns
+    -------
+    tuple of DrawnErrors
+        In the order of the configuration. They end where the runs together have `MOST_DRAWN_SAMPLES`, and are of
+        evenly chosen times of a reference that has more than `MOST_DRAWN_TIMES`.
+    """
+    begin("running the filters from drawn starts")
+    starts = drawn_starts(start.alignment.start, count, (*_sizes(dive, start), seed))
+    dive, start = _first_part(dive, start, MOST_DRAWN_SAMPLES // (count * len(start.filters)))
+    timeline = prepared_timeline(dive, start)
+    run = partial(_run_from, dive=dive, prepared=start, timeline=timeline)
+    runs = list(each(run, [(filter_, begun) for filter_ in start.filters for begun in starts]))
+    return tuple(drawn_errors(runs[row : row + count]) for row in range(0, len(runs), count))
+
+
+def _sizes(dive: Dive, start: Prepared) -> tuple[int, int, int]:
+    """Return numbers by which dives differ, and which hang neither on their date nor on a processor."""
+    return len(dive.imu.time_ns), len(start.velocities.time_ns), start.end_ns - start.alignment.start_ns
+
+
+def _first_part(dive: Dive, start: Prepared, samples: int) -> tuple[Dive, Prepared]:
+    """End a prepared dive after so many samples of the IMU, and thin its reference."""
+    if dive.reference is None:
+        raise ValueError(f"{dive.name}: errors need a reference")
+    start_ns, time_ns = start.alignment.start_ns, dive.imu.time_ns
+    last = min(int(np.searchsorted(time_ns, start_ns)) + samples, len(time_ns) - 1)
+    end_ns = min(start.end_ns, int(time_ns[last]))
+    inside = (dive.reference.time_ns >= start_ns) & (dive.reference.time_ns <= end_ns)
+    chosen = np.flatnonzero(inside)[:: max(1, math.ceil(inside.sum() / MOST_DRAWN_TIMES))]
+    reference = dive.reference.rows(np.isin(np.arange(len(inside)), chosen))
+    velocities, gaps = start.velocities.within(start_ns, end_ns), start.gaps.within(start_ns, end_ns)
+    return replace(dive, reference=reference), replace(start, velocities=velocities, gaps=gaps, end_ns=end_ns)
+
+
+def _run_from(work: tuple[ResolvedFilter, Start], dive: Dive, prepared: Prepared, timeline: Timeline) -> RunFromStart:
+    filter_, start = work
+    if dive.reference is None:
+        raise ValueError(f"{dive.name}: errors need a reference")
+    begun = replace(prepared, alignment=replace(prepared.alignment, start=start))
+    return run_from_start(run_one(filter_, begun, timeline), dive.reference, dive.truth)

@@ -1,0 +1,264 @@
+"""Windows lie where a dive has room for them, and the table says of each filter what it did in them."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.table_layout import layout_of
+from insdvl_replay.evaluation.coasting import (
+    Coast,
+    CoastingRow,
+    Coasts,
+    coast_of,
+    coasting_table,
+    distance_along_m,
+    drift_over_time,
+)
+from insdvl_replay.evaluation.coasting_windows import CoastingPlan, plan_coasting
+
+START_NS = 1_704_067_200_000_000_000
+FIRST_PING_S = 0.3717
+
+
+class Interval(NamedTuple):
+    ratio: float
+    low: float
+    high: float
+
+
+def ratio_of_windows(baseline: Floats, candidate: Floats) -> Interval:
+    """Stand in for the ratio with its interval, which has tests of its own."""
+    ratios = np.sort(candidate / baseline)
+    return Interval(float(np.median(ratios)), float(ratios[0]), float(ratios[-1]))
+
+
+def at(*time_s: float) -> TimeNs:
+    return START_NS + np.rint(np.array(time_s) * 1e9).astype(np.int64)
+
+
+def pings(duration_s: float, rate_hz: float = 1.0) -> TimeNs:
+    return at(*np.arange(FIRST_PING_S, duration_s, 1.0 / rate_hz))
+
+
+def plan_of(ping_ns: TimeNs, duration_s: float, gaps_s: tuple[tuple[float, float], ...] = ()) -> CoastingPlan:
+    def in_gap(from_ns: TimeNs, to_ns: TimeNs) -> np.ndarray:
+        touched = [(from_ns < at(end)) & (to_ns > at(start)) for start, end in gaps_s]
+        return np.any([np.zeros(len(from_ns), bool), *touched], axis=0)
+
+    return plan_coasting(ping_ns, in_gap, START_NS, int(at(duration_s)[0]))
+
+
+def starts_s(plan: CoastingPlan, rows: np.ndarray) -> list[float]:
+    return [round(float(start) / NS_PER_S) for start in plan.ping_ns[rows] - START_NS]
+
+
+# Windows
+
+
+def test_windows_begin_after_the_burn_in_and_do_not_overlap() -> None:
+    plan = plan_of(pings(1000.0), 1000.0)
+    assert [windows.window_s for windows in plan.judged] == [30, 60, 120, 300]
+    thirty, sixty, _, three_hundred = plan.judged
+    assert starts_s(plan, thirty.first) == list(range(100, 941, 30))
+    assert starts_s(plan, sixty.first) == list(range(100, 911, 60))
+    assert starts_s(plan, three_hundred.first) == [100, 400]
+    assert starts_s(plan, plan.shown.first) == list(range(100, 911, 30))
+    for windows in (*plan.judged, plan.shown):
+        np.testing.assert_array_equal(windows.last - windows.first, windows.window_s)
+        assert windows.left_out == 0
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "lengths"),
+    [(159.0, []), (160.0, [30]), (219.9, [30]), (220.0, [30, 60]), (424.0, [30, 60, 120]), (700.0, [30, 60, 120, 300])],
+)
+def test_dive_needs_room_for_two_windows(duration_s: float, lengths: list[int]) -> None:
+    plan = plan_of(pings(duration_s), duration_s)
+    assert [windows.window_s for windows in plan.judged] == lengths
+
+
+@pytest.mark.parametrize("rate_hz", [0.5, 1.0, 4.7, 23.0])
+def test_every_window_is_run_once_as_far_as_the_longest_goes(rate_hz: float) -> None:
+    plan = plan_of(pings(2000.0, rate_hz), 2000.0)
+    first, last = plan.runs
+    assert (np.diff(first) > 0).all()
+    for windows in (*plan.judged, plan.shown):
+        run = np.searchsorted(first, windows.first)
+        np.testing.assert_array_equal(first[run], windows.first)
+        assert (last[run] >= windows.last).all()
+    ends = {int(row) for windows in (*plan.judged, plan.shown) for row in windows.last}
+    assert set(last.tolist()) <= ends
+    np.testing.assert_array_equal(plan.start_ns, plan.ping_ns[first])
+    assert list(plan.windows_ns) == list(zip(plan.ping_ns[first], plan.ping_ns[last], strict=True))
+
+
+def without(ping_ns: TimeNs, *spans_s: tuple[float, float]) -> TimeNs:
+    gone = [(ping_ns >= at(start)) & (ping_ns < at(end)) for start, end in spans_s]
+    return ping_ns[~np.any(gone, axis=0)]
+
+
+def test_windows_with_an_outage_are_left_out_and_counted() -> None:
+    plan = plan_of(without(pings(424.0), (110.0, 115.0)), 424.0)
+    thirty, sixty, hundred_and_twenty = plan.judged
+    assert (starts_s(plan, thirty.first), thirty.left_out) == (list(range(130, 371, 30)), 1)
+    assert (starts_s(plan, sixty.first), sixty.left_out) == ([160, 220, 280, 340], 1)
+    assert (starts_s(plan, hundred_and_twenty.first), hundred_and_twenty.left_out) == ([220], 1)
+
+
+@pytest.mark.parametrize(
+    ("outage_s", "left_out"), [((97.0, 104.0), 1), ((126.0, 134.0), 2), ((128.0, 140.0), 2), ((391.0, 399.0), 1)]
+)
+def test_window_whose_end_has_no_ping_near_is_left_out(outage_s: tuple[float, float], left_out: int) -> None:
+    thirty, *_ = plan_of(without(pings(424.0), outage_s), 424.0).judged
+    assert (thirty.left_out, len(thirty.first)) == (left_out, 10 - left_out)
+
+
+def test_single_lost_pings_are_no_outage() -> None:
+    plan = plan_of(without(pings(424.0), *((s, s + 1.0) for s in range(110, 400, 7))), 424.0)
+    assert [windows.left_out for windows in plan.judged] == [0, 0, 0]
+
+
+def test_windows_after_the_last_ping_of_all_are_left_out() -> None:
+    thirty, *_ = plan_of(pings(300.0), 424.0).judged
+    assert (starts_s(plan_of(pings(300.0), 424.0), thirty.first), thirty.left_out) == (list(range(100, 251, 30)), 4)
+
+
+def test_windows_with_a_gap_of_the_imu_are_left_out() -> None:
+    thirty, *_ = plan_of(pings(424.0), 424.0, gaps_s=((165.0, 166.0),)).judged
+    assert thirty.left_out == 1
+
+
+@pytest.mark.parametrize("ping_ns", [at(), at(5.0), pings(400.0, 0.01)], ids=["none", "one", "rare"])
+def test_pings_that_are_too_few_make_no_windows(ping_ns: TimeNs) -> None:
+    plan = plan_of(ping_ns, 400.0)
+    assert plan.judged == ()
+    assert list(plan.windows_ns) == []
+
+
+# Drift
+
+
+def test_innovations_are_turned_to_north_and_integrated() -> None:
+    """Heading east, the filter runs ahead by 1 cm/s more each second: 1/2 a t^2 to the east."""
+    east = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    time_ns = at(*np.arange(5.0))
+    nothing = np.zeros((5, 3))
+    innovation_b = np.column_stack([0.01 * np.arange(1, 5), np.zeros(4), np.zeros(4)])
+    no, sd = np.zeros(4, bool), np.ones((4, 3))
+    withheld = Innovations("velocity", "m/s", time_ns[1:], time_ns[1:], sd, innovation_b, sd, np.arange(4.0), no,
+                           np.zeros(4), -1.0, 0, no)  # fmt: skip
+    history = History("baseline", time_ns, no, nothing, nothing, np.tile(east, (5, 1, 1)), nothing, nothing,
+                      np.ones((5, 12)), time_ns[:0], np.empty((0, 12, 12)), (withheld,))  # fmt: skip
+    coast = coast_of(history)
+    np.testing.assert_allclose(coast.drift_n[:, 1], 0.005 * np.arange(5.0) ** 2, atol=1e-15)
+    np.testing.assert_allclose(coast.drift_n[:, [0, 2]], 0.0, atol=1e-15)
+    np.testing.assert_allclose(coast.velocity_error_n[-1], [0.0, 0.04, 0.0], atol=1e-15)
+    np.testing.assert_array_equal(coast.nis, [np.nan, 0.0, 1.0, 2.0, 3.0])
+
+
+def test_distance_is_that_of_the_dvl() -> None:
+    velocity_b = np.tile([1.2, 0.0, 1.6], (11, 1))
+    np.testing.assert_allclose(distance_along_m(at(*np.arange(0.0, 22.0, 2.0)), velocity_b), 4.0 * np.arange(11))
+
+
+DURATION_S = 424.0
+
+
+def coasts_that_drift(**accel_mps2: Floats | float) -> Coasts:
+    """Filters that accelerate northwards and half as much downwards, in each run by as much as is given."""
+    ping_ns = pings(DURATION_S)
+    plan = plan_of(ping_ns, DURATION_S)
+    first, last = plan.runs
+
+    def run(row: int, accel: float) -> Coast:
+        time_s = np.arange(last[row] - first[row] + 1.0)
+        way_n = np.outer(time_s, [1.0, 0.0, 0.5])
+        return Coast(time_s, accel * way_n, 0.5 * accel * time_s[:, None] * way_n, np.full(len(time_s), 6.0))
+
+    of_filters = {name: np.broadcast_to(accel, len(first)) for name, accel in accel_mps2.items()}
+    runs = {name: tuple(run(row, a) for row, a in enumerate(accel)) for name, accel in of_filters.items()}
+    return Coasts(plan, 2.0 * np.arange(len(ping_ns)), runs)
+
+
+def rows_of(coasts: Coasts) -> dict[tuple[str, str], CoastingRow]:
+    rows = coasting_table("dive", coasts, ratio_of_windows)
+    return {(row.filter, row.window_s): row for row in rows}
+
+
+def test_rows_say_how_far_a_filter_drifts() -> None:
+    rows = rows_of(coasts_that_drift(baseline=0.001, aided=0.0005))
+    assert list(rows) == [(name, length) for length in ("30", "60", "120") for name in ("baseline", "aided")]
+    row = rows["baseline", "60"]
+    assert (row.log, row.windows, row.left_out) == ("dive", 5, 0)
+    assert [row.drift_median_m, row.drift_rms_m, row.drift_p95_m] == pytest.approx([1.8] * 3)
+    assert row.drift_of_distance_pct == pytest.approx(1.5)
+    assert row.end_velocity_mps == pytest.approx(0.06)
+    assert row.vertical_median_m == pytest.approx(0.9)
+    assert row.nis_per_dof == pytest.approx(2.0)
+    assert np.isnan([row.ratio_to_baseline, row.ratio_low, row.ratio_high, row.windows_won_pct]).all()
+    aided = rows["aided", "120"]
+    assert (aided.ratio_to_baseline, aided.windows_won_pct) == (pytest.approx(0.5), 100.0)
+
+
+def test_filters_are_paired_by_window() -> None:
+    """The baseline drifts the more, the later; the candidate by a constant share of that, save in one window."""
+    runs = len(coasts_that_drift(baseline=1.0).runs["baseline"])
+    baseline = 1e-3 * np.arange(1.0, runs + 1.0)
+    candidate = 0.8 * baseline
+    candidate[0] = 2.0 * baseline[0]
+    row = rows_of(coasts_that_drift(baseline=baseline, aided=candidate))["aided", "30"]
+    assert [row.ratio_to_baseline, row.ratio_low, row.ratio_high] == pytest.approx([0.8, 0.8, 2.0])
+    assert row.windows_won_pct == pytest.approx(90.0)
+
+
+def test_filters_that_drift_alike_draw() -> None:
+    assert rows_of(coasts_that_drift(baseline=0.001, same=0.001))["same", "30"].windows_won_pct == 50.0
+
+
+def test_filter_that_is_lost_has_no_numbers_to_compare() -> None:
+    rows = rows_of(coasts_that_drift(baseline=0.001, lost=np.nan))
+    assert rows["baseline", "30"].drift_median_m == pytest.approx(0.45)
+    row = rows["lost", "30"]
+    assert np.isnan([row.drift_median_m, row.ratio_to_baseline, row.windows_won_pct]).all()
+
+
+def test_filter_that_runs_away_is_compared_without_a_warning() -> None:
+    row = rows_of(coasts_that_drift(baseline=0.001, far=1e200))["far", "30"]
+    assert (row.drift_median_m, row.windows_won_pct) == (pytest.approx(4.5e202), 0.0)
+
+
+def test_vehicle_at_rest_has_no_per_cent_of_its_way() -> None:
+    moving = coasts_that_drift(baseline=0.001)
+    row = rows_of(Coasts(moving.plan, 0.01 * moving.distance_m, moving.runs))["baseline", "30"]
+    assert np.isnan(row.drift_of_distance_pct)
+    assert row.drift_median_m == pytest.approx(0.45)
+
+
+def test_windows_that_were_all_left_out_make_a_row_that_says_so() -> None:
+    ping_ns = without(pings(424.0), *((s, s + 4.0) for s in range(110, 400, 30)))
+    plan = plan_of(ping_ns, 424.0)
+    coasts = Coasts(plan, np.arange(float(len(ping_ns))), {"baseline": (), "aided": ()})
+    rows = rows_of(coasts)
+    assert (rows["aided", "30"].windows, rows["aided", "30"].left_out) == (0, 10)
+    assert np.isnan(rows["aided", "30"].drift_median_m)
+    assert np.isnan(drift_over_time(coasts, "aided").median_m).all()
+
+
+def test_drift_over_time_is_the_middle_and_the_edge_of_all_windows() -> None:
+    runs = len(coasts_that_drift(baseline=1.0).runs["baseline"])
+    coasts = coasts_that_drift(baseline=1e-3 * np.arange(runs))
+    shown = drift_over_time(coasts, "baseline")
+    accel = 1e-3 * np.searchsorted(coasts.plan.runs[0], coasts.plan.shown.first)
+    np.testing.assert_allclose(shown.time_s, np.arange(61.0))
+    np.testing.assert_allclose(shown.median_m, 0.5 * np.median(accel) * shown.time_s**2, atol=1e-12)
+    np.testing.assert_allclose(shown.p95_m, 0.5 * np.quantile(accel, 0.95) * shown.time_s**2, atol=1e-12)
+
+
+def test_the_row_type_is_a_table() -> None:
+    layout = layout_of("coasting", CoastingRow)
+    assert (layout.key, layout.primary) == ("window_s", "drift_median_m")
+    assert layout.rows == ("30", "60", "120", "300")
+    assert layout.baseline_too

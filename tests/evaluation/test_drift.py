@@ -1,0 +1,199 @@
+"""Drift, course errors and circles of worlds whose answer is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from insdvl_replay.core.columns import Floats, ReferenceColumns
+from insdvl_replay.evaluation.drift import (
+    circular_error,
+    course_errors,
+    distance_segments,
+    reference_distance_m,
+    segment_drift,
+    time_segments,
+)
+from insdvl_replay.evaluation.paired_statistics import paired_ratio
+from insdvl_replay.evaluation.reference import ReferenceErrors
+from insdvl_replay.geometry.frames import moved_position
+
+SECOND = 1_000_000_000
+START = np.array([0.57, 0.61, -20.0])
+
+
+def errors_of(position_ned_m: Floats, velocity_n: Floats | None = None, step_s: float = 1.0) -> ReferenceErrors:
+    k = len(position_ned_m)
+    return ReferenceErrors(
+        (1_700_000_000 * SECOND + np.arange(1, k + 1) * step_s * SECOND).astype(np.int64),
+        position_ned_m,
+        np.zeros((k, 3)) if velocity_n is None else velocity_n,
+        np.zeros((k, 3)),
+        100.0,
+    )
+
+
+def growing(k: int, per_s: tuple[float, float, float]) -> Floats:
+    return np.outer(np.arange(1, k + 1), per_s)
+
+
+def going(k: int, velocity_n: Floats) -> ReferenceColumns:
+    """A reference whose positions are the sum of its velocities, once a second."""
+    way_m = np.cumsum(np.broadcast_to(velocity_n, (k, 3)), axis=0)
+    return ReferenceColumns(
+        errors_of(way_m).time_ns,
+        moved_position(np.tile(START, (k, 1)), way_m),
+        np.array(np.broadcast_to(velocity_n, (k, 3))),
+        np.full((k, 3, 3), np.nan),
+    )
+
+
+# --- Segments and what is lost inside them.
+
+
+def test_error_that_grows_evenly_drifts_alike_over_every_segment() -> None:
+    errors = errors_of(growing(400, (0.03, -0.04, 0.01)))
+    drift = segment_drift(errors, time_segments(errors.time_ns))
+    assert len(drift.horizontal_m) == 68, "starts every 5 s, as long as 60 s are left"
+    np.testing.assert_allclose(drift.horizontal_m, 3.0, atol=1e-9)
+    np.testing.assert_allclose(drift.down_m, 0.6, atol=1e-9)
+    assert drift.segments.steps == 12
+    np.testing.assert_array_equal(drift.segments.end_ns - drift.segments.start_ns, 60 * SECOND)
+
+
+def test_error_that_stays_is_no_drift() -> None:
+    errors = errors_of(np.full((200, 3), 7.0))
+    assert not segment_drift(errors, time_segments(errors.time_ns)).horizontal_m.any()
+
+
+def test_random_walk_drifts_by_the_root_of_the_time() -> None:
+    walk = np.cumsum(0.1 * np.random.default_rng(1).standard_normal((40_000, 3)), axis=0)
+    drift = segment_drift(errors_of(walk), time_segments(errors_of(walk).time_ns))
+    assert np.mean(drift.horizontal_m**2) == pytest.approx(2.0 * 60.0 * 0.01, rel=0.1)
+    assert np.mean(drift.down_m**2) == pytest.approx(60.0 * 0.01, rel=0.1)
+
+
+def test_worst_segment_is_found_with_its_time() -> None:
+    position_m = np.zeros((300, 3))
+    position_m[150:, 0] = 5.0
+    position_m[150:155, 0] = 6.0
+    errors = errors_of(position_m)
+    worst = segment_drift(errors, time_segments(errors.time_ns)).worst
+    assert worst is not None
+    assert worst.horizontal_m == pytest.approx(6.0)
+    assert worst.start_ns < errors.time_ns[150] <= worst.end_ns < errors.time_ns[155]
+
+
+@pytest.mark.parametrize("k", [0, 1, 2, 50])
+def test_dive_shorter_than_a_segment_has_none(k: int) -> None:
+    errors = errors_of(np.zeros((k, 3)))
+    drift = segment_drift(errors, time_segments(errors.time_ns))
+    assert drift.horizontal_m.shape == (0,)
+    assert drift.worst is None
+
+
+def test_segments_do_not_reach_across_a_hole_where_they_end() -> None:
+    errors = errors_of(growing(400, (0.1, 0.0, 0.0)))
+    kept = np.r_[0:100, 200:400]
+    holed = replace(
+        errors,
+        time_ns=errors.time_ns[kept],
+        position_error_ned_m=errors.position_error_ned_m[kept],
+        velocity_error_n=errors.velocity_error_n[kept],
+    )
+    drift = segment_drift(holed, time_segments(holed.time_ns))
+    assert 30 < len(drift.horizontal_m) < 60
+    assert np.all(np.abs(drift.horizontal_m - 6.0) <= 0.6 + 1e-9), "of 54 to 66 s"
+
+
+def test_reference_that_is_slower_than_the_step_gives_fewer_segments() -> None:
+    errors = errors_of(growing(30, (3.0, 4.0, 0.0)), step_s=20.0)
+    drift = segment_drift(errors, time_segments(errors.time_ns))
+    np.testing.assert_allclose(drift.horizontal_m, 15.0, atol=1e-9)
+    assert drift.segments.steps == 3
+
+
+def test_what_is_not_known_stays_in_its_place() -> None:
+    position_m = growing(200, (0.1, 0.0, 0.0))
+    position_m[:40] = np.nan
+    errors, full = errors_of(position_m), errors_of(growing(200, (0.2, 0.0, 0.0)))
+    segments = time_segments(errors.time_ns)
+    drift, other = segment_drift(errors, segments), segment_drift(full, segments)
+    assert np.isnan(drift.horizontal_m[:8]).all()
+    assert np.isfinite(drift.horizontal_m[8:]).all()
+    assert paired_ratio(drift.horizontal_m**2, other.horizontal_m**2).ratio == pytest.approx(2.0)
+    nothing = segment_drift(errors_of(np.full((200, 3), np.nan)), segments)
+    assert nothing.worst is None
+
+
+# --- Distance.
+
+
+def test_distance_segments_are_as_long_as_they_say() -> None:
+    reference = going(400, np.array([1.2, -1.6, 0.5]))
+    errors = errors_of(growing(400, (0.02, 0.0, 0.01)))
+    distance_m = reference_distance_m(reference, errors.time_ns)
+    assert distance_m[-1] == pytest.approx(399 * 2.0)
+    drift = segment_drift(errors, distance_segments(errors.time_ns, distance_m))
+    np.testing.assert_allclose(drift.horizontal_m, 50 * 0.02, atol=1e-9)
+    assert drift.segments.steps == 10
+
+
+def test_vehicle_that_stops_drifts_over_the_way_and_not_over_the_time() -> None:
+    velocity_n = np.zeros((600, 3))
+    velocity_n[:, 0] = np.where((np.arange(600) >= 200) & (np.arange(600) < 300), 0.0, 1.0)
+    reference, errors = going(600, velocity_n), errors_of(growing(600, (0.1, 0.0, 0.0)))
+    drift = segment_drift(errors, distance_segments(errors.time_ns, reference_distance_m(reference, errors.time_ns)))
+    assert drift.horizontal_m.min() == pytest.approx(10.0, abs=0.2)
+    assert drift.horizontal_m.max() == pytest.approx(20.0, abs=0.2)
+
+
+def test_distance_of_positions_alone_does_not_add_up_their_noise() -> None:
+    reference = going(600, np.array([1.0, 0.0, 0.0]))
+    noise_m = 0.5 * np.random.default_rng(2).standard_normal((600, 3))
+    noisy = replace(
+        reference, position=moved_position(reference.position, noise_m), velocity_n=np.full((600, 3), np.nan)
+    )
+    assert reference_distance_m(noisy, reference.time_ns)[-1] == pytest.approx(590.0, rel=0.02)
+    nothing = replace(noisy, position=np.full((600, 3), np.nan))
+    assert np.isnan(reference_distance_m(nothing, reference.time_ns)).all()
+    assert len(distance_segments(reference.time_ns, np.full(600, np.nan)).first) == 0
+
+
+# --- Velocity.
+
+
+@pytest.mark.parametrize("course_deg", [0.0, 37.0, 90.0, 200.0, 300.0])
+def test_scale_errs_along_and_heading_across_the_course(course_deg: float) -> None:
+    course = np.deg2rad(course_deg)
+    velocity_n = 1.5 * np.array([np.cos(course), np.sin(course), 0.0])
+    to_starboard = 1.5 * np.array([-np.sin(course), np.cos(course), 0.0])
+    errors = errors_of(np.zeros((50, 3)), np.tile(0.01 * velocity_n + 0.02 * to_starboard, (50, 1)))
+    found = course_errors(errors, going(50, velocity_n))
+    np.testing.assert_allclose(found.along_mps, 0.015, atol=1e-12)
+    np.testing.assert_allclose(found.across_mps, 0.030, atol=1e-12)
+
+
+def test_vehicle_at_rest_has_no_course() -> None:
+    velocity_n = np.zeros((50, 3))
+    velocity_n[10:, 1] = 1.0
+    velocity_n[20] = np.nan
+    found = course_errors(errors_of(np.zeros((50, 3)), np.full((50, 3), 0.1)), going(50, velocity_n))
+    assert np.flatnonzero(np.isnan(found.along_mps)).tolist() == [*range(10), 20]
+    np.testing.assert_array_equal(np.isnan(found.along_mps), np.isnan(found.across_mps))
+
+
+# --- Circles.
+
+
+def test_circles_of_a_normal_error_have_the_radii_of_rayleigh() -> None:
+    position_m = 2.0 * np.random.default_rng(3).standard_normal((200_000, 3))
+    circle = circular_error(errors_of(position_m))
+    assert circle.cep50_m == pytest.approx(2.0 * np.sqrt(chi2.ppf(0.50, 2)), rel=0.01)
+    assert circle.cep95_m == pytest.approx(2.0 * np.sqrt(chi2.ppf(0.95, 2)), rel=0.01)
+
+
+def test_no_position_has_no_circle() -> None:
+    circle = circular_error(errors_of(np.full((5, 3), np.nan)))
+    assert np.isnan([circle.cep50_m, circle.cep95_m]).all()

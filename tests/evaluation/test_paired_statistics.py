@@ -1,0 +1,264 @@
+"""Intervals of paired ratios against closed forms, and against how often they hold what is true."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.words import EvidenceWord
+from insdvl_replay.evaluation.effective_samples import block_length, effective_samples
+from insdvl_replay.evaluation.paired_statistics import (
+    NOTHING,
+    RatioInterval,
+    paired_ratio,
+    windows_ratio,
+    word_of,
+)
+
+
+def autoregressive(rng: np.random.Generator, rho: float, *shape: int) -> Floats:
+    """Stationary normal series of unit variance along the last axis."""
+    noise = rng.standard_normal((*shape[:-1], shape[-1] + 500)) * np.sqrt(1.0 - rho**2)
+    series: Floats = lfilter([1.0], [1.0, -rho], noise, axis=-1)[..., 500:]
+    return series
+
+
+def alike_pairs(rng: np.random.Generator, rho: float, runs: int, n: int) -> tuple[Floats, Floats]:
+    """Squared errors of two filters that are equally good and share half of what drives them, shape (runs, n)."""
+    common, *own = autoregressive(rng, rho, 3, runs, n)
+    return (common + own[0]) ** 2 / 2.0, (common + own[1]) ** 2 / 2.0
+
+
+def segment_pairs(rng: np.random.Generator, runs: int, n: int, segment: int) -> tuple[Floats, Floats]:
+    """Squared changes of two random walks in the plane, over overlapping segments."""
+    walks = np.cumsum(rng.standard_normal((3, 2, runs, n + segment)), axis=-1)
+    common, *own = walks[..., segment:] - walks[..., :-segment]
+    return np.sum((common + own[0]) ** 2, axis=0), np.sum((common + own[1]) ** 2, axis=0)
+
+
+# --- What a series is worth.
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_effective_samples_of_an_autoregressive_series_have_the_closed_form(rho: float) -> None:
+    n = 10_000
+    series = autoregressive(np.random.default_rng(1), rho, 40, n)
+    found = np.median([effective_samples(run) for run in series])
+    assert found == pytest.approx(n * (1.0 - rho) / (1.0 + rho), rel=0.1)
+
+
+def test_bias_of_short_series_is_taken_off() -> None:
+    series = autoregressive(np.random.default_rng(2), 0.8, 400, 100)
+    found = np.median([effective_samples(run) for run in series])
+    assert found == pytest.approx(100.0 / 9.0, rel=0.25)
+
+
+@pytest.mark.parametrize(("values", "worth"), [([], 0.0), ([3.0], 1.0), ([2.0] * 50, 1.0), ([1.0, -1.0] * 25, 50.0)])
+def test_effective_samples_at_the_edges(values: list[float], worth: float) -> None:
+    assert effective_samples(np.array(values)) == worth
+
+
+def test_trend_is_worth_next_to_nothing() -> None:
+    assert effective_samples(np.arange(200.0)) < 6.0
+
+
+@pytest.mark.parametrize("rho", [0.3, 0.5, 0.8])
+def test_block_length_is_the_optimal_one_of_an_autoregressive_series(rho: float) -> None:
+    n = 20_000
+    # 2 sum j rho^j and the sum of all rho^|j|, in the formula of Politis and White as corrected by Patton.
+    slope, long_run = 2.0 * rho / (1.0 - rho) ** 2, (1.0 + rho) / (1.0 - rho)
+    optimal = np.cbrt(1.5 * n * slope**2 / long_run**2)
+    found = np.median([block_length(run) for run in autoregressive(np.random.default_rng(3), rho, 20, n)])
+    assert found == pytest.approx(optimal, rel=0.25)
+
+
+def test_block_length_keeps_to_its_bounds() -> None:
+    white = np.random.default_rng(4).standard_normal((50, 400))
+    assert np.median([block_length(run) for run in white]) <= 3
+    assert block_length(np.arange(400.0)) <= 60
+    assert block_length(np.ones(400)) == 1
+    assert block_length(np.array([1.0, 2.0])) == 1
+
+
+# --- Paired losses.
+
+
+@pytest.mark.parametrize(
+    ("rho", "n", "least"), [(0.0, 60, 0.92), (0.5, 120, 0.91), (0.9, 60, 0.87), (0.9, 300, 0.88), (0.9, 500, 0.89)]
+)
+def test_interval_holds_what_is_true_about_as_often_as_it_says(rho: float, n: int, least: float) -> None:
+    pairs = zip(*alike_pairs(np.random.default_rng(5), rho, 400, n), strict=True)
+    intervals = [paired_ratio(*pair) for pair in pairs]
+    # Three standard deviations of 400 draws, some 4 %, below what a thousand pairs and more have: 90 to 95 %.
+    assert least <= np.mean([interval.low <= 1.0 <= interval.high for interval in intervals]) <= 0.985
+    assert least - 0.07 <= np.mean([interval.low90 <= 1.0 <= interval.high90 for interval in intervals]) <= 0.95
+
+
+@pytest.mark.parametrize("n", [73, 150])
+def test_interval_over_overlapping_segments_holds_what_is_true(n: int) -> None:
+    pairs = zip(*segment_pairs(np.random.default_rng(6), 400, n, 12), strict=True)
+    intervals = [paired_ratio(*pair, least_block=12) for pair in pairs]
+    assert 0.90 <= np.mean([interval.low <= 1.0 <= interval.high for interval in intervals]) <= 0.985
+
+
+def test_least_block_holds_where_the_losses_look_independent() -> None:
+    pairs = list(zip(*alike_pairs(np.random.default_rng(18), 0.0, 40, 90), strict=True))
+    short, long = (
+        np.median(
+            [np.log(high / low) for _, low, high, *_ in (paired_ratio(*pair, least_block=least) for pair in pairs)]
+        )
+        for least in (1, 30)
+    )
+    assert long > 1.5 * short, "three blocks leave two degrees of freedom"
+
+
+def slow_under_noise(rng: np.random.Generator, runs: int, n: int) -> tuple[Floats, Floats]:
+    """Squared errors of two filters, half of them fast noise and half slow, such as that of a heading."""
+    fast, slow = rng.standard_normal((3, runs, n)), autoregressive(rng, 0.98, 3, runs, n)
+    common, *own = fast + slow
+    return (common + own[0]) ** 2, (common + own[1]) ** 2
+
+
+def test_fast_noise_does_not_hide_a_slow_error() -> None:
+    intervals = [
+        paired_ratio(*pair) for pair in zip(*slow_under_noise(np.random.default_rng(17), 400, 400), strict=True)
+    ]
+    # Without the averages of neighbours it is 79 %.
+    assert 0.85 <= np.mean([interval.low <= 1.0 <= interval.high for interval in intervals]) <= 0.985
+    assert np.median([interval.effective_samples for interval in intervals]) < 80.0
+
+
+def test_ratio_is_that_of_the_root_mean_squares() -> None:
+    baseline, candidate = alike_pairs(np.random.default_rng(7), 0.5, 1, 300)
+    found = paired_ratio(baseline[0], 0.25 * candidate[0])
+    assert found.ratio == pytest.approx(0.5 * np.sqrt(candidate.mean() / baseline.mean()), rel=1e-12)
+    assert found.low < found.low90 < found.ratio < found.high90 < found.high
+    assert np.sqrt(found.low * found.high) == pytest.approx(found.ratio, rel=1e-12)
+
+
+def test_pairing_makes_the_interval_short_where_both_filters_err_alike() -> None:
+    rng = np.random.default_rng(8)
+    error = autoregressive(rng, 0.5, 200)
+    paired = paired_ratio(error**2, (error + 0.05 * rng.standard_normal(200)) ** 2)
+    apart = paired_ratio(error**2, autoregressive(rng, 0.5, 200) ** 2)
+    assert np.log(paired.high / paired.low) < 0.1 * np.log(apart.high / apart.low)
+
+
+def test_exchanged_filters_have_the_inverse_interval() -> None:
+    baseline, candidate = (losses[0] for losses in alike_pairs(np.random.default_rng(9), 0.7, 1, 150))
+    there, back = paired_ratio(baseline, candidate), paired_ratio(candidate, baseline)
+    expected = [1.0 / there.ratio, 1.0 / there.high, 1.0 / there.low, 1.0 / there.high90, 1.0 / there.low90]
+    np.testing.assert_allclose(back[:5], expected, rtol=1e-9)
+    assert back.effective_samples == pytest.approx(there.effective_samples, rel=1e-9)
+
+
+def test_same_losses_are_equal_beyond_doubt() -> None:
+    losses = np.random.default_rng(10).random(50)
+    assert paired_ratio(losses, losses) == RatioInterval(1.0, 1.0, 1.0, 1.0, 1.0, 50.0)
+
+
+def test_times_that_are_not_numbers_are_left_out_and_too_few_give_nothing() -> None:
+    baseline, candidate = (losses[0] for losses in alike_pairs(np.random.default_rng(11), 0.0, 1, 60))
+    holes = baseline.copy()
+    holes[[3, 40]] = np.nan, np.inf
+    assert paired_ratio(holes, candidate) == paired_ratio(np.delete(baseline, [3, 40]), np.delete(candidate, [3, 40]))
+    for few in (np.empty(0), np.array([1.0]), np.full(20, np.nan)):
+        np.testing.assert_equal(paired_ratio(few, few + 1.0), NOTHING)
+    np.testing.assert_equal(paired_ratio(baseline, np.zeros(60)), NOTHING)
+
+
+def test_long_series_are_averaged_and_as_sure_as_they_scatter() -> None:
+    pairs = list(zip(*alike_pairs(np.random.default_rng(16), 0.95, 60, 6_500), strict=True))
+    intervals = [paired_ratio(*pair) for pair in pairs]
+    for interval, (baseline, candidate) in zip(intervals, pairs, strict=True):
+        assert interval.ratio == pytest.approx(np.sqrt(candidate.mean() / baseline.mean()), rel=1e-9)
+    scatter = np.std([np.log(interval.ratio) for interval in intervals])
+    half = np.median([np.log(interval.high / interval.low) / 2.0 for interval in intervals])
+    assert half == pytest.approx(1.96 * scatter, rel=0.3)
+
+
+@pytest.mark.parametrize("growth", [11.0, 55.0])
+def test_filter_that_breaks_down_is_worse_by_numbers_of_any_size(growth: float) -> None:
+    found = paired_ratio(np.ones(12), np.exp(growth * np.arange(12)))
+    assert found.ratio > 1e20
+    assert word_of(found) == EvidenceWord.WORSE
+
+
+# --- Drawn starts.
+
+
+def started(rng: np.random.Generator, runs: int, starts: int, n: int) -> tuple[Floats, Floats]:
+    """Errors that stay through a dive as each start drew them, with a little noise, shape (runs, starts, n)."""
+    drawn = rng.standard_normal((3, runs, starts, 1)) + 0.3 * rng.standard_normal((3, runs, starts, n))
+    return (drawn[0] + drawn[1]) ** 2, (drawn[0] + drawn[2]) ** 2
+
+
+def test_interval_over_drawn_starts_holds_what_is_true() -> None:
+    pairs = zip(*started(np.random.default_rng(12), 300, 16, 60), strict=True)
+    intervals = [paired_ratio(*pair) for pair in pairs]
+    assert 0.89 <= np.mean([interval.low <= 1.0 <= interval.high for interval in intervals]) <= 0.985
+    # Each start is one error, however long it is looked at.
+    assert np.median([interval.effective_samples for interval in intervals]) == pytest.approx(16.0, rel=0.25)
+
+
+def test_one_start_alone_is_the_same_with_and_without_an_axis() -> None:
+    baseline, candidate = alike_pairs(np.random.default_rng(13), 0.5, 1, 100)
+    assert paired_ratio(baseline, candidate) == paired_ratio(baseline[0], candidate[0])
+
+
+# --- Windows.
+
+
+@pytest.mark.parametrize(("windows", "least"), [(6, 0.89), (10, 0.90), (20, 0.91), (60, 0.91)])
+def test_median_over_windows_holds_what_is_true(windows: int, least: float) -> None:
+    logs = 0.5 * np.random.default_rng(14).standard_t(3, (400, windows))
+    intervals = [windows_ratio(np.ones(windows), 0.8 * np.exp(run)) for run in logs]
+    assert least <= np.mean([interval.low <= 0.8 <= interval.high for interval in intervals]) <= 0.99
+
+
+def test_windows_ratio_is_that_of_the_median() -> None:
+    baseline, candidate = np.array([1.0, 2.0, 4.0, np.nan, 0.0]), np.array([0.5, 2.0, 1.0, 1.0, 1.0])
+    assert windows_ratio(baseline, candidate).ratio == pytest.approx(0.5)
+    for few in (np.empty(0), np.ones(1)):
+        np.testing.assert_equal(windows_ratio(few, 2.0 * few), NOTHING)
+
+
+# --- Words.
+
+
+@dataclass(frozen=True)
+class Case:
+    ratio: float
+    half: float
+    effective: float
+    word: EvidenceWord
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case(0.80, 0.10, 20.0, EvidenceWord.BETTER),
+        Case(0.80, 0.10, 5.9, EvidenceWord.UNDECIDED),
+        Case(0.80, 0.30, 20.0, EvidenceWord.UNDECIDED),
+        Case(0.90, 0.001, 20.0, EvidenceWord.BETTER),
+        Case(0.97, 0.001, 20.0, EvidenceWord.EQUIVALENT),
+        Case(0.96, 0.03, 20.0, EvidenceWord.UNDECIDED),
+        Case(1.03, 0.01, 20.0, EvidenceWord.EQUIVALENT),
+        Case(1.20, 0.10, 20.0, EvidenceWord.WORSE),
+        Case(1.20, 0.30, 20.0, EvidenceWord.UNDECIDED),
+        Case(float("nan"), 0.1, 20.0, EvidenceWord.UNDECIDED),
+        Case(0.80, 0.10, float("nan"), EvidenceWord.UNDECIDED),
+    ],
+)
+def test_word(case: Case) -> None:
+    ratio, half = case.ratio, case.half
+    ends = ratio * np.exp([-half, half, -0.8 * half, 0.8 * half])
+    assert word_of(RatioInterval(ratio, *ends.tolist(), case.effective)) == case.word
+
+
+def test_same_seed_draws_the_same() -> None:
+    baseline, candidate = (losses[0] for losses in alike_pairs(np.random.default_rng(15), 0.5, 1, 100))
+    assert paired_ratio(baseline, candidate) == paired_ratio(baseline, candidate)
+    assert windows_ratio(baseline, candidate) == windows_ratio(baseline, candidate)

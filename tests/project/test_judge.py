@@ -1,0 +1,90 @@
+"""What `make judge` finds in two worlds whose truth nobody doubts, and how it counts."""
+
+from collections import Counter
+
+import judge
+import numpy as np
+import pytest
+from judge import QUESTIONS, Judged, JudgedDive, judged_candidates, judged_dives, page, rates
+from true_errors import Ratio, mean_squares, true_ratio, truth
+from worlds import WORLDS, made_dive
+
+from insdvl_replay.core.columns import NS_PER_S
+from insdvl_replay.evaluation.reference import ReferenceErrors
+
+CAUTIOUS, DEAD = "baseline's R of 200 mm/s, truly 20", "dead: a knock, and gates that stay shut"
+DIVES = 4
+
+
+def number_of(name: str) -> int:
+    """Find a world by its name."""
+    return next(number for number, world in enumerate(WORLDS) if world.name == name)
+
+
+@pytest.mark.slow
+def test_a_baseline_that_hardly_trusts_its_dvl_is_beaten_and_a_dead_one_is_not_judged() -> None:
+    tasks = [(number_of(name), dive) for name in (CAUTIOUS, DEAD) for dive in range(DIVES)]
+    better, dead = judged_candidates(list(judged_dives(tasks, jobs=1)), "reference")
+    assert (better.name, better.kind, better.words["better"]) == (CAUTIOUS, "A", DIVES)
+    assert (dead.name, dead.kind, dead.words) == (DEAD, "D", Counter({"not judged": DIVES}))
+    told = page([better, dead], DIVES, "reference", 1.0)
+    assert f"| truly better, said better | 100.0 % ({DIVES} of {DIVES}) |" in told
+    assert f"| dead, said anything but *not judged* | 0.0 % (0 of {DIVES}) |" in told
+
+
+def test_the_same_dive_of_a_world_is_made_again_and_another_differs() -> None:
+    number = number_of("a gate against 1 % of outliers")
+    first, again, other = (made_dive(number, seed).dvl.beam_velocity_mps for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_drift_is_the_change_of_the_error_over_a_minute() -> None:
+    time_s = np.arange(0.0, 300.0, 0.2)
+    drifting_m = np.outer(time_s, [0.003, 0.004, 1.0])
+    velocity_n = np.tile([0.03, 0.04, 1.0], (len(time_s), 1))
+    errors = ReferenceErrors(np.rint(time_s * NS_PER_S).astype(np.int64), drifting_m, velocity_n, velocity_n, 300.0)
+    assert mean_squares(errors) == pytest.approx((0.3**2, 0.05**2), rel=1e-9)
+
+
+def test_the_ratio_of_a_world_has_an_interval_that_holds_the_truth_95_times_of_100() -> None:
+    rng, true, dives, tries = np.random.default_rng(1), 0.8, 60, 400
+    common = rng.gamma(2.0, size=(tries, dives))
+    own = rng.gamma(4.0, 0.25, size=(2, tries, dives))
+    ratios = [true_ratio(*pair) for pair in zip(common * own[0], true**2 * common * own[1], strict=True)]
+    held = sum(ratio.low <= true <= ratio.high for ratio in ratios)
+    assert 0.91 * tries <= held <= 0.98 * tries
+
+
+@pytest.mark.parametrize(
+    ("drift", "velocity", "kind"),
+    [
+        (Ratio(0.80, 0.75, 0.85), Ratio(1.00, 0.98, 1.02), "A"),
+        (Ratio(0.80, 0.75, 0.97), Ratio(1.00, 0.98, 1.02), "A?"),
+        (Ratio(0.80, 0.75, 0.85), Ratio(1.00, 0.98, 1.07), "A?"),
+        (Ratio(0.80, 0.75, 0.85), Ratio(1.20, 1.15, 1.25), "AC"),
+        (Ratio(1.00, 0.96, 1.04), Ratio(1.00, 0.98, 1.02), "B"),
+        (Ratio(1.00, 0.96, 1.04), Ratio(1.00, 0.98, 1.06), "B?"),
+        (Ratio(1.00, 0.96, 1.04), Ratio(1.20, 1.15, 1.25), "C"),
+    ],
+)
+def test_a_class_is_certain_if_the_intervals_allow_for_no_other(drift: Ratio, velocity: Ratio, kind: str) -> None:
+    assert truth([drift, velocity]) == kind
+
+
+def test_whole_groups_of_eight_dives_are_pooled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(judge, "pooled_word", lambda _, evidence: f"{evidence[0]} to {evidence[-1]}")
+    dives = [JudgedDive(0, {"aided": "better"}, {"aided": dive}, {}, None) for dive in range(20)]
+    (found,) = judged_candidates(dives, "reference")
+    assert found.pooled == Counter(["0 to 7", "8 to 15"])
+    assert found.words == Counter(better=20)
+
+
+def test_words_are_counted_in_the_class_that_is_true() -> None:
+    right = Judged("a", "A?", {}, Counter(better=45, worse=15), Counter(better=7), "")
+    dead = Judged("d", "D", {}, Counter({"not judged": 50, "better": 10}), Counter({"not judged": 7}), "")
+    rows = dict(zip((question.asks for question in QUESTIONS), rates([right, dead]), strict=True))
+    assert "| 75.0 % (45 of 60) | at least 60 % | 100.0 % (7 of 7) |" in rows["truly better, said better"]
+    assert "| 25.0 % (15 of 60) |" in rows["truly better, said worse"]
+    assert "| - | at least 60 % | - | 100 % |" in rows["truly worse, said worse"]
+    assert "| 16.7 % (10 of 60) | 0 | 0.0 % (0 of 7) |" in rows["dead, said anything but *not judged*"]

@@ -1,0 +1,53 @@
+"""What withheld velocities say of filters on the real dives of the AUV Snapir, where no reference is needed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.evaluation.coasting import window_ends
+from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
+from insdvl_replay.preparation.reading import read_checked_dive
+from insdvl_replay.preparation.running import coasting_of, coasting_plan, prepared_timeline, run_filters
+
+CONFIG = Path(__file__).parents[2] / "examples" / "snapir.toml"
+RUNS = ("01", "02", "05", "07", "08", "09", "11", "12")
+ARM_OF_THE_REFERENCE = "dvl.lever_arm_m=[-1.834, -0.034, 0.095]"
+
+
+def drifts_m(snapir: Path, preset: str, *overrides: str) -> dict[str, Floats]:
+    """Horizontal drift of each filter after a minute, in windows every 30 s of all dives."""
+    config = load_config(preset, CONFIG, overrides)
+    drifts: dict[str, list[Floats]] = {}
+    for run in RUNS:
+        dive = with_reference_at_imu(read_checked_dive(snapir / f"snapir_{run}.mcap", config), config)
+        start = prepare_dive(dive, config)
+        timeline, plan = prepared_timeline(dive, start), coasting_plan(start)
+        histories = run_filters(start, timeline, cov_ns=plan.start_ns)
+        coasts = coasting_of(start, timeline, histories, plan)
+        for name in coasts.runs:
+            drifts.setdefault(name, []).append(window_ends(coasts, name, plan.shown).drift_m)
+    return {name: np.concatenate(of_dives) for name, of_dives in drifts.items()}
+
+
+@pytest.fixture(scope="module")
+def levy_klein(snapir: Path) -> dict[str, Floats]:
+    return drifts_m(snapir, "levy-klein")
+
+
+def test_a_minute_without_velocities_costs_less_than_a_metre(levy_klein: dict[str, Floats]) -> None:
+    assert len(levy_klein["baseline"]) == 64
+    assert 0.5 < np.median(levy_klein["baseline"]) < 1.0
+    assert 0.5 < np.median(levy_klein["windowed"]) < 1.0
+
+
+def test_published_accelerations_leave_a_filter_that_cannot_coast(levy_klein: dict[str, Floats]) -> None:
+    assert np.median(levy_klein["published"]) > 30.0
+    assert np.mean(levy_klein["published"] > levy_klein["baseline"]) > 0.95
+
+
+def test_wrong_arm_of_the_dvl_shows_without_a_reference(snapir: Path) -> None:
+    right, wrong = drifts_m(snapir, "fog"), drifts_m(snapir, "fog", ARM_OF_THE_REFERENCE)
+    assert np.median(wrong["baseline"]) > 3.0 * np.median(right["baseline"])
