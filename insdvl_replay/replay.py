@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from insdvl_replay.core.columns import Dive
@@ -13,6 +14,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import begin, return_freed_memory
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.consistency import update_notes
+from insdvl_replay.evaluation.evidence import without_words
 from insdvl_replay.evaluation.judging import compared_filters, judged_times, reference_notes
 from insdvl_replay.evaluation.losses import ReferenceNoise
 from insdvl_replay.evaluation.reference import ReferenceErrors
@@ -136,6 +138,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     notes += reference_notes(dive, *span, histories[0], judged_ns, independent=config.reference.independent)
     names = [history.filter for history in histories]
     unsound = not_to_be_judged(histories, tables, notes)
+    tables = msgspec.structs.replace(tables, evidence=without_words(tables.evidence, unsound))
     judged = verdicts(tables, names[0], names[1:], unsound, independent=config.reference.independent)
     if not keep_cov:
         histories = tuple(history.without_cov() for history in histories)

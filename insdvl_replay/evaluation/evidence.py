@@ -6,7 +6,7 @@ reference, *coasting* while the DVL is withheld, *convergence* from starts that 
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -121,6 +121,11 @@ def evidence_table(
         ]
         rows += [*_corrected(deciding), *_honesty(named, consistency, credibility, baseline)]
     return rows
+
+
+def without_words(rows: Sequence[EvidenceRow], not_judged: Collection[str]) -> list[EvidenceRow]:
+    """Take the words from the evidence on candidates that are not judged: no gate on them may pass."""
+    return [replace(row, word="") if row.filter in not_judged else row for row in rows]
 
 
 _Named = tuple[str, str]

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import pytest
+from msgspec.structs import replace
 
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.tables import (
@@ -18,6 +19,7 @@ from insdvl_replay.core.tables import (
     ReferenceErrorRow,
     Tables,
 )
+from insdvl_replay.evaluation.evidence import without_words
 from insdvl_replay.evaluation.verdicts import consistency_of, credibility_of, verdicts
 
 
@@ -184,3 +186,9 @@ def test_errors_of_all_states_together_stand_for_the_filter() -> None:
     ]
     table = [credibility(*row) for row in rows]
     assert [credibility_of(table, name) for name in "ab"] == ["consistent", "no reference"]
+
+
+def test_evidence_on_a_candidate_that_is_not_judged_has_no_words() -> None:
+    row = EvidenceRow("dive", "aided", "accuracy", "drift_30s", "m", 2.0, 1.0, 0.5, 0.4, 0.6, 30.0, 16, 60, "better")
+    found = without_words([row, replace(row, filter="other")], {"aided": "aided rejected 209 of 300"})
+    assert [(row.filter, row.word, row.ratio) for row in found] == [("aided", "", 0.5), ("other", "better", 0.5)]
