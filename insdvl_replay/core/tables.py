@@ -136,7 +136,7 @@ class ConvergenceRow(Struct, frozen=True):
         ),
     ] = None
     measured_s: Annotated[Number, Column(better="lower")] = None
-    measured_status: Annotated[str, Column("reached, at_start, never, or empty where nothing knows the error.")] = ""
+    measured_status: Annotated[str, Column("reached, at_start, never or not measured.")] = ""
 
 
 class ReferenceErrorRow(Struct, frozen=True):

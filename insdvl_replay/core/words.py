@@ -71,6 +71,8 @@ class ConvergenceStatus(StrEnum):
     REACHED = "reached"
     AT_START = "at_start"
     NEVER = "never"
+    NOT_MEASURED = "not measured"
+    """No reference, or truth, knows the error, or no start was drawn."""
 
 
 class ReferenceStatus(StrEnum):

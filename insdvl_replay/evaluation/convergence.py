@@ -53,7 +53,7 @@ def convergence_table(
 
 def _measured(found: MeasuredConvergence | None, factor: float) -> tuple[float, float, float, str]:
     if found is None:
-        return float("nan"), float("nan"), float("nan"), ""
+        return float("nan"), float("nan"), float("nan"), ConvergenceStatus.NOT_MEASURED
     return found.target / factor, found.baseline_s, found.candidate_s, found.status
 
 
