@@ -8,8 +8,9 @@ from typing import Final, Literal, TypeVar
 
 from insdvl_replay.comparison.aggregation import loss, loss_of
 from insdvl_replay.core.changes import Aggregate, Change, Comparison
+from insdvl_replay.core.stored_report import Cell
 from insdvl_replay.core.table_layout import PERCENTAGE
-from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, Cell
+from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
 from insdvl_replay.core.words import ChangeWord
 from insdvl_replay.report.document import MISSING, Column, DisplayTable, number, row_label, table_of
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.tables import StoredResult
+from insdvl_replay.core.stored_report import StoredResult
 from insdvl_replay.core.words import MatchedBy
 
 _Key = Callable[[StoredResult], Hashable]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import msgspec
 
 from insdvl_replay.core.errors import ConfigError, Note, require_known
-from insdvl_replay.core.tables import StoredReport, StoredResult
+from insdvl_replay.core.stored_report import StoredReport, StoredResult
 from insdvl_replay.core.words import ChangeWord, Severity
 
 

@@ -6,7 +6,7 @@ The comparison finds it out and shows it.
 from dataclasses import dataclass, field
 
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.tables import Cell
+from insdvl_replay.core.stored_report import Cell
 from insdvl_replay.core.words import ChangeWord, MatchedBy
 
 Counts = dict[ChangeWord, int]

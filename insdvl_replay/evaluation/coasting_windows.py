@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import NS_PER_S, TimeNs, is_new
-from insdvl_replay.core.tables import COASTING_WINDOWS_S
+from insdvl_replay.core.quantities import COASTING_WINDOWS_S
 
 WINDOWS_S: Final = tuple(map(int, COASTING_WINDOWS_S))
 BURN_IN_S: Final = 100

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from insdvl_replay.core.columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.tables import AXES, ConsistencyRow, axis_of
+from insdvl_replay.core.quantities import AXES, axis_of
+from insdvl_replay.core.rows import ConsistencyRow
 from insdvl_replay.core.words import Consistency, Severity, Whiteness
 from insdvl_replay.evaluation.chi_square import mean_interval, verdict
 

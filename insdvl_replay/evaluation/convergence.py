@@ -8,8 +8,8 @@ import numpy as np
 
 from insdvl_replay.core.columns import Floats, seconds
 from insdvl_replay.core.history import History
+from insdvl_replay.core.rows import ConvergenceRow
 from insdvl_replay.core.states import STATES
-from insdvl_replay.core.tables import ConvergenceRow
 from insdvl_replay.core.words import ConvergenceStatus
 from insdvl_replay.evaluation.believed import final_sd, improvement_pct
 from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence

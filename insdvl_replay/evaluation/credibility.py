@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from scipy.special import betainc, chdtr
 
 from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.quantities import CREDIBILITY_QUANTITIES, JOINT
+from insdvl_replay.core.rows import CredibilityRow
 from insdvl_replay.core.states import BA, PHI
-from insdvl_replay.core.tables import CREDIBILITY_QUANTITIES, JOINT, CredibilityRow
 from insdvl_replay.core.words import Consistency
 from insdvl_replay.evaluation.chi_square import (
     CONFIDENCE,

@@ -14,16 +14,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from insdvl_replay.core.columns import Floats
-from insdvl_replay.core.tables import (
-    COASTING_WINDOWS_S,
-    JOINT,
-    VERDICTS_BEST_FIRST,
-    ConsistencyRow,
-    CredibilityRow,
-    EvidenceRow,
-    finite,
-    is_whole,
-)
+from insdvl_replay.core.quantities import COASTING_WINDOWS_S, JOINT, VERDICTS_BEST_FIRST, is_whole
+from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow, finite
 from insdvl_replay.core.words import Consistency, EvidenceWord
 from insdvl_replay.evaluation.consistency import NORMAL_95
 from insdvl_replay.evaluation.losses import Losses

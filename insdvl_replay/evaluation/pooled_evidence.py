@@ -8,8 +8,8 @@ import numpy as np
 from msgspec import Struct
 
 from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.rows import EvidenceRow, Number, finite
 from insdvl_replay.core.table_layout import Column
-from insdvl_replay.core.tables import EvidenceRow, Number, finite
 from insdvl_replay.core.words import EvidenceWord, Judgement
 from insdvl_replay.evaluation.evidence import DECIDING_TOGETHER, HONESTY
 from insdvl_replay.evaluation.over_dives import Pooled, pooled_ratio

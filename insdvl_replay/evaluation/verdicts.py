@@ -11,18 +11,9 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.tables import (
-    JOINT,
-    VERDICTS_BEST_FIRST,
-    Candidate,
-    ConsistencyRow,
-    CredibilityRow,
-    EvidenceRow,
-    Number,
-    Tables,
-    finite,
-    is_whole,
-)
+from insdvl_replay.core.quantities import JOINT, VERDICTS_BEST_FIRST, is_whole
+from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow, Number, finite
+from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.evaluation.evidence import DECIDING, HONESTY, NAMES

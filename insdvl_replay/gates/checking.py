@@ -8,7 +8,7 @@ import msgspec
 
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ConfigError, ResultError, UserError, looked_for
-from insdvl_replay.core.tables import StoredReport, StoredResult
+from insdvl_replay.core.stored_report import StoredReport, StoredResult
 from insdvl_replay.core.words import GateLevel, GateStatus
 from insdvl_replay.gates.findings import gate_findings
 from insdvl_replay.gates.gate_file import Gates

@@ -5,8 +5,9 @@ import math
 from collections.abc import Iterator
 from typing import TypeGuard
 
+from insdvl_replay.core.stored_report import Cell, Row, StoredReport
 from insdvl_replay.core.table_layout import PERCENTAGE, TableLayout
-from insdvl_replay.core.tables import CANDIDATES, TABLES, Cell, Row, StoredReport
+from insdvl_replay.core.tables import CANDIDATES, TABLES
 from insdvl_replay.core.words import Judgement, ReferenceStatus
 from insdvl_replay.evaluation.row_changes import agree, rounding, rounding_pct, rows_of, size, size_change_pct, within
 from insdvl_replay.gates.model import ANY, Finding, Gate

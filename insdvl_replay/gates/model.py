@@ -4,7 +4,7 @@ from typing import Annotated, Final
 
 from msgspec import Meta, Struct
 
-from insdvl_replay.core.tables import Cell
+from insdvl_replay.core.stored_report import Cell
 from insdvl_replay.core.words import GateLevel, GateStatus
 
 ANY: Final = "*"

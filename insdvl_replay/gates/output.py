@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 from msgspec import Meta, Struct
 
 from insdvl_replay.core.plain_text import visible, visible_lines
-from insdvl_replay.core.tables import Cell
+from insdvl_replay.core.stored_report import Cell
 from insdvl_replay.core.words import GateStatus
 from insdvl_replay.gates.model import CheckResult, Finding, Judgement
 from insdvl_replay.report.document import MISSING, DisplayTable, Part, Title, counted

@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, Protocol, TypeVar
 
-from insdvl_replay.core.tables import (
+from insdvl_replay.core.quantities import is_whole
+from insdvl_replay.core.rows import (
     CoastingRow,
     ConsistencyRow,
     ConvergenceRow,
@@ -11,7 +12,6 @@ from insdvl_replay.core.tables import (
     EvidenceRow,
     ImprovementRow,
     ReferenceErrorRow,
-    is_whole,
 )
 from insdvl_replay.core.words import Judgement, ReferenceStatus
 from insdvl_replay.evaluation.evidence import HONESTY, NAMES

@@ -10,8 +10,9 @@ from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.history import History
 from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.quantities import is_whole
 from insdvl_replay.core.runtime import begin
-from insdvl_replay.core.tables import each_table, is_whole
+from insdvl_replay.core.tables import each_table
 from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
 from insdvl_replay.replay import Replay
 from insdvl_replay.report.csv_tables import structs_csv

@@ -9,7 +9,8 @@ import msgspec
 
 from insdvl_replay import __version__
 from insdvl_replay.core.errors import ConfigError, Note, ResultError, looked_for
-from insdvl_replay.core.tables import TABLES, StoredReport, StoredResult
+from insdvl_replay.core.stored_report import StoredReport, StoredResult
+from insdvl_replay.core.tables import TABLES
 from insdvl_replay.results.folder import COMPLETE, NOT_JSON
 
 

@@ -12,8 +12,8 @@ from scipy import signal, stats
 
 from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.quantities import CREDIBILITY_QUANTITIES
 from insdvl_replay.core.states import BA, DEG, PHI, STATES
-from insdvl_replay.core.tables import CREDIBILITY_QUANTITIES
 from insdvl_replay.evaluation.chi_square import effective_samples, mean_interval
 from insdvl_replay.evaluation.credibility import (
     FAR_SMALLER,

@@ -12,7 +12,7 @@ from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.tables import REFERENCE_QUANTITIES
+from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.evaluation.coverage import covered_share
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.preparation.prepared import with_reference_at_imu

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.columns import Floats, ReferenceColumns
 from insdvl_replay.core.history import History
+from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.core.states import DEG
-from insdvl_replay.core.tables import REFERENCE_QUANTITIES
 from insdvl_replay.evaluation.reference import (
     ReferenceErrors,
     attitude_error,

@@ -8,8 +8,8 @@ from frames import frame
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.rows import finite
 from insdvl_replay.core.states import NINE
-from insdvl_replay.core.tables import finite
 from insdvl_replay.replay import Replay, replay_log
 
 CONFIG = Path(__file__).parents[2] / "examples" / "snapir.toml"

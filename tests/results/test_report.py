@@ -18,9 +18,7 @@ from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import ConfigError, Note
-from insdvl_replay.core.states import NINE, STATES
-from insdvl_replay.core.tables import (
-    Candidate,
+from insdvl_replay.core.rows import (
     CoastingRow,
     ConsistencyRow,
     ConvergenceRow,
@@ -28,8 +26,9 @@ from insdvl_replay.core.tables import (
     EvidenceRow,
     ImprovementRow,
     ReferenceErrorRow,
-    Tables,
 )
+from insdvl_replay.core.states import NINE, STATES
+from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.report.csv_tables import structs_csv, table_csv
 from insdvl_replay.report.document import number, percent

@@ -1,0 +1,65 @@
+"""What the rows of the tables are about: the names of states and quantities, and which words are best."""
+
+from typing import Final
+
+from insdvl_replay.core.states import BA, STATES
+from insdvl_replay.core.words import Consistency
+
+VERDICTS_BEST_FIRST: Final = (
+    Consistency.CONSISTENT,
+    Consistency.OVER_CAUTIOUS,
+    Consistency.OVER_CONFIDENT,
+    Consistency.NOT_FINITE,
+)
+"""On a filter's consistency; ``too few`` says nothing of it and has no rank."""
+
+REFERENCE_QUANTITIES: Final = {
+    "velocity_n": "m/s",
+    "velocity_e": "m/s",
+    "velocity_d": "m/s",
+    "roll": "deg",
+    "pitch": "deg",
+    "heading": "deg",
+    "position_h": "m",
+    "depth": "m",
+    "position_h_pct": "%",
+}
+"""Rows of reference errors and their units; ``position_h_pct`` is of the distance travelled."""
+CREDIBILITY_QUANTITIES: Final = (
+    "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", *(state.id for state in STATES[BA.start :]),
+)  # fmt: skip
+"""Rows of credibility in the order of the error state; the attitude about the vehicle's level axes."""
+JOINT: Final = "all"
+"""The row of all compared states together."""
+AXES: Final = ("x", "y", "z")
+"""Axes of a measurement in b."""
+
+
+def axis_of(measurement: str, axis: str) -> str:
+    """Name the row that a measurement has for one of its axes."""
+    return f"{measurement}_{axis}"
+
+
+def is_whole(measurement: str) -> bool:
+    """Distinguish a whole measurement, which stands for a filter's verdict, from one of its axes, which say where."""
+    return not measurement.endswith(tuple(axis_of("", axis) for axis in AXES))
+
+
+MEASUREMENTS: Final = ("velocity", "acceleration")
+"""What filters are aided by."""
+
+ACCURACY: Final = (
+    "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "depth_60s", "level", "heading"
+)  # fmt: skip
+"""Errors against the reference, the one that decides first."""
+COASTING_WINDOWS_S: Final = ("30", "60", "120", "300")
+"""Lengths for which the DVL is withheld."""
+CONVERGED: Final = ("velocity", "level", "heading")
+EVIDENCE_QUANTITIES: Final = (
+    *ACCURACY,
+    *(f"coasting_{window}s" for window in COASTING_WINDOWS_S),
+    *(f"convergence_{name}" for name in CONVERGED),
+    "nis",
+    "nees",
+)
+"""Rows of evidence, each name once."""

@@ -1,0 +1,272 @@
+"""The rows of the tables, a type for each table, whose columns say what is known of them.
+
+Numbers that are missing are NaN as they are computed, and null, or None, in a report.
+"""
+
+import math
+from typing import Annotated, ClassVar, Final
+
+from msgspec import Struct
+
+from insdvl_replay.core.quantities import (
+    AXES,
+    COASTING_WINDOWS_S,
+    CREDIBILITY_QUANTITIES,
+    EVIDENCE_QUANTITIES,
+    JOINT,
+    MEASUREMENTS,
+    REFERENCE_QUANTITIES,
+    VERDICTS_BEST_FIRST,
+    axis_of,
+)
+from insdvl_replay.core.states import STATES
+from insdvl_replay.core.table_layout import Column
+from insdvl_replay.core.words import EvidenceWord, Whiteness
+
+Number = float | None
+_STATE: Final = Column(names=tuple(state.id for state in STATES))
+_REFERENCE_QUANTITY: Final = Column(names=tuple(REFERENCE_QUANTITIES))
+_MEASUREMENT: Final = Column(
+    names=tuple(row for name in MEASUREMENTS for row in (name, *(axis_of(name, axis) for axis in AXES)))
+)
+_EVIDENCE_QUANTITY: Final = Column(names=EVIDENCE_QUANTITIES)
+_CREDIBILITY_QUANTITY: Final = Column(names=(*CREDIBILITY_QUANTITIES, JOINT))
+
+
+def finite(number: Number) -> float:
+    """Return a number of a row, NaN where it is missing or not finite."""
+    return math.nan if number is None or not math.isfinite(number) else number
+
+
+class ImprovementRow(Struct, frozen=True):
+    """What a candidate believes of one state at the end of the dive, beside the baseline."""
+
+    about: ClassVar = (
+        "One state at the end of a dive: how much smaller the candidate's believed standard deviation is than the "
+        "baseline's."
+    )
+
+    log: Annotated[str, Column("Dive, candidate and state.")]
+    filter: str
+    state: Annotated[str, _STATE]
+    unit: Annotated[str, Column("Unit of the standard deviations.")]
+    baseline_sd: Annotated[Number, Column(better="lower")]
+    sd: Annotated[Number, Column(better="lower", primary=True)]
+    improvement_pct: Annotated[
+        Number, Column("(baseline - candidate) / baseline; NaN where there is none.", better="higher")
+    ]
+    status: Annotated[str, Column("improved, same, worse or not finite.")]
+
+
+class ConvergenceRow(Struct, frozen=True):
+    """When a candidate became, and stayed, as sure of one state as the baseline is at the end."""
+
+    about: ClassVar = (
+        "One state: how much sooner the candidate reaches for good the standard deviation that the baseline ends with."
+    )
+
+    log: Annotated[str, Column("Dive, candidate and state.")]
+    filter: str
+    state: Annotated[str, _STATE]
+    unit: Annotated[str, Column("Unit of the standard deviation to reach.")]
+    target_sd: Annotated[Number, Column(better="lower")]
+    baseline_s: Annotated[
+        Number,
+        Column("Times from the start at which the baseline and the candidate have it; NaN for never.", better="lower"),
+    ]
+    reached_s: Annotated[Number, Column(better="lower", primary=True)]
+    improvement_pct: Annotated[Number, Column(better="higher")]
+    status: Annotated[str, Column("reached, at_start or never.")]
+    measured_target: Annotated[
+        Number,
+        Column("Rms of the baseline's true errors at the end, over starts that are drawn from P0.", better="lower"),
+    ] = None
+    measured_baseline_s: Annotated[
+        Number,
+        Column(
+            "Times from which on the errors of the baseline and of the candidate stay there; NaN for never.",
+            better="lower",
+        ),
+    ] = None
+    measured_s: Annotated[Number, Column(better="lower")] = None
+    measured_status: Annotated[str, Column("reached, at_start, never or not measured.")] = ""
+
+
+class ReferenceErrorRow(Struct, frozen=True):
+    """How far a candidate is from the reference in one quantity, beside the baseline."""
+
+    about: ClassVar = "One quantity: errors of the baseline and of the candidate against the reference solution."
+
+    log: Annotated[str, Column("Dive, candidate and quantity.")]
+    filter: str
+    quantity: Annotated[str, _REFERENCE_QUANTITY]
+    unit: Annotated[str, Column("Unit of the errors.")]
+    baseline_rmse: Annotated[Number, Column("Root mean square over the dive.", better="lower")]
+    rmse: Annotated[Number, Column(better="lower", primary=True)]
+    improvement_pct: Annotated[Number, Column(better="higher")]
+    baseline_final: Annotated[Number, Column("At the last reference time, with its sign.", better="nearer zero")]
+    final: Annotated[Number, Column(better="nearer zero")]
+    samples: Annotated[int, Column("Reference times that were compared.")]
+    status: Annotated[
+        str, Column("compared, partly covered, no reference, not in reference, no distance or lost in gap.")
+    ]
+
+
+class ConsistencyRow(Struct, frozen=True):
+    """Whether a filter's innovations are as large as it says."""
+
+    about: ClassVar = (
+        "One kind of measurement or one of its axes: do the innovations of a filter have the size that the filter "
+        "expects?"
+    )
+    baseline_too: ClassVar = True
+
+    log: Annotated[str, Column("Dive, filter, and measurement such as velocity, or an axis of it such as velocity_x.")]
+    filter: str
+    measurement: Annotated[str, _MEASUREMENT]
+    dof: Annotated[int, Column("Degrees of freedom of one innovation.")]
+    used: int
+    rejected: Annotated[int, Column(better="lower")]
+    mean_nis: Annotated[
+        Number,
+        Column(
+            "Mean normalised innovation squared, and the interval in which 95 % of consistent filters have it.",
+            better="nearer dof",
+            primary=True,
+        ),
+    ]
+    low: Number
+    high: Number
+    verdict: Annotated[
+        str,
+        Column("consistent, over-confident, over-cautious, too few or not finite.", best_first=VERDICTS_BEST_FIRST),
+    ]
+    autocorrelation: Annotated[
+        Number,
+        Column(
+            "Correlation of each innovation with the one before, and what 95 % of white innovations stay below.",
+            better="nearer zero",
+        ),
+    ] = None
+    autocorrelation_limit: Number = None
+    whiteness: Annotated[
+        str,
+        Column("white, correlated, too few or not finite.", best_first=(Whiteness.WHITE, Whiteness.CORRELATED)),
+    ] = ""
+
+
+class CredibilityRow(Struct, frozen=True):
+    """Whether a filter's errors against the reference, or the truth, are as large as it says."""
+
+    about: ClassVar = (
+        "One quantity: are the errors of a filter against the reference, or the truth, as large as the filter expects?"
+    )
+    baseline_too: ClassVar = True
+
+    log: Annotated[str, Column("Dive, filter and quantity; the quantity all is every compared state together.")]
+    filter: str
+    quantity: Annotated[str, _CREDIBILITY_QUANTITY]
+    dof: Annotated[int, Column("Degrees of freedom of one error, and the times that were compared.")]
+    samples: int
+    mean_nees: Annotated[
+        Number,
+        Column(
+            "Mean normalised error squared, and the interval in which 95 % of consistent filters have it.",
+            better="nearer dof",
+            primary=True,
+        ),
+    ]
+    low: Number
+    high: Number
+    within_1sd_pct: Annotated[
+        Number,
+        Column("Share of the errors within one and three standard deviations; 68.3 % and 99.7 % are expected."),
+    ]
+    within_3sd_pct: Number
+    verdict: Annotated[
+        str,
+        Column(
+            "consistent, over-confident, over-cautious, too few, not finite, not in reference or no reference.",
+            best_first=VERDICTS_BEST_FIRST,
+        ),
+    ]
+    effective_samples: Annotated[Number, Column("How many independent samples the compared times are worth.")]
+
+
+class EvidenceRow(Struct, frozen=True):
+    """One piece of evidence: a candidate beside the baseline in one quantity, with its interval and a word."""
+
+    about: ClassVar = "One piece of evidence on a candidate beside the baseline: what was measured, and what it says."
+
+    log: Annotated[str, Column("Dive, candidate, kind of evidence and quantity.")]
+    filter: str
+    evidence: Annotated[str, Column("accuracy, coasting, convergence or honesty.")]
+    quantity: Annotated[str, _EVIDENCE_QUANTITY]
+    unit: Annotated[str, Column("Unit of the two values.")]
+    baseline: Annotated[
+        Number, Column("What the baseline and the candidate have: a root mean square, or a median.", better="lower")
+    ]
+    value: Annotated[Number, Column(better="lower")]
+    ratio: Annotated[
+        Number,
+        Column("Candidate over baseline, and the interval that holds it with 95 %.", better="lower", primary=True),
+    ]
+    low: Number
+    high: Number
+    effective_samples: Annotated[Number, Column("How many independent values the dive holds.")]
+    starts: Annotated[
+        int, Column("Starts that were replayed, and stretches of the dive or windows that were compared.")
+    ]
+    windows: int
+    word: Annotated[
+        str,
+        Column(
+            "better, worse, equivalent or undecided; empty where the filter is not judged.",
+            best_first=(EvidenceWord.BETTER, EvidenceWord.EQUIVALENT, EvidenceWord.UNDECIDED, EvidenceWord.WORSE),
+        ),
+    ]
+
+
+class CoastingRow(Struct, frozen=True):
+    """How far a filter drifts in some time without velocities, beside the baseline."""
+
+    about: ClassVar = (
+        "Windows of one length in which every velocity was withheld from a filter: how far it went astray by what the "
+        "withheld velocities say. Blind to heading, to the DVL's scale and to its mounting about down."
+    )
+    baseline_too: ClassVar = True
+
+    log: Annotated[str, Column("Dive, filter and length of the windows.")]
+    filter: str
+    window_s: Annotated[str, Column(names=COASTING_WINDOWS_S)]
+    windows: Annotated[int, Column("Windows that do not overlap, and those left out since DVL or IMU fell silent.")]
+    left_out: int
+    drift_median_m: Annotated[
+        Number,
+        Column(
+            "Horizontal drift at the end of a window: median, root mean square and 95th percentile, which of fewer "
+            "than 20 windows is nearly the largest.",
+            better="lower",
+            primary=True,
+        ),
+    ]
+    drift_rms_m: Annotated[Number, Column(better="lower")]
+    drift_p95_m: Annotated[Number, Column(better="lower")]
+    drift_of_distance_pct: Annotated[
+        Number, Column("Median over windows; NaN where the vehicle hardly moved.", better="lower")
+    ]
+    end_velocity_mps: Annotated[Number, Column("Median horizontal velocity error at the end.", better="lower")]
+    vertical_median_m: Annotated[Number, Column("Median vertical drift, either way.", better="lower")]
+    ratio_to_baseline: Annotated[
+        Number,
+        Column(
+            "Median ratio of the drifts in the same windows, with its 95 % interval; NaN for the baseline.",
+            better="lower",
+        ),
+    ]
+    ratio_low: Number
+    ratio_high: Number
+    windows_won_pct: Annotated[
+        Number, Column("Windows in which it drifts less than the baseline; a draw counts half.", better="higher")
+    ]
+    nis_per_dof: Annotated[Number, Column("Mean over windows, of the last withheld velocity; 1 is expected.")]
