@@ -4,22 +4,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from insdvl_replay.core.columns import Dive
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config import Config, Reference
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import begin, return_freed_memory
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.consistency import update_notes
-from insdvl_replay.evaluation.evidence import without_words
-from insdvl_replay.evaluation.judging import compared_filters, judged_times, reference_notes
+from insdvl_replay.evaluation.judging import compared_filters, judged_candidates, judged_times, reference_notes
 from insdvl_replay.evaluation.losses import ReferenceNoise
 from insdvl_replay.evaluation.reference import ReferenceErrors
-from insdvl_replay.evaluation.sound_filters import not_to_be_judged
-from insdvl_replay.evaluation.verdicts import verdicts
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.preparation.long_gaps import outage_notes
 from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
@@ -129,18 +125,18 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     dive = replace(dive, imu=dive.imu.times_only())
     return_freed_memory()
     begin("judging the filters")
-    own = config.reference
-    noise = ReferenceNoise(own.position_sd_m, own.velocity_sd_mps, own.attitude_sd_deg)
+    bridged_gaps, independent = len(start.gaps.start_ns) > 0, config.reference.independent
     errors, tables = compared_filters(
-        dive, histories, drawn, coasts, noise, start_ns=span[0], bridged_gaps=len(start.gaps.start_ns) > 0
+        dive, histories, drawn, coasts, _noise_of(config.reference), start_ns=span[0], bridged_gaps=bridged_gaps
     )
     notes = dive.notes + start.notes + outage_notes(start.velocities.time_ns, *span) + update_notes(histories)
-    notes += reference_notes(dive, *span, histories[0], judged_ns, independent=config.reference.independent)
-    names = [history.filter for history in histories]
-    unsound = not_to_be_judged(histories, tables, notes)
-    tables = msgspec.structs.replace(tables, evidence=without_words(tables.evidence, unsound))
-    judged = verdicts(tables, names[0], names[1:], unsound, independent=config.reference.independent)
+    notes += reference_notes(dive, *span, histories[0], judged_ns, independent=independent)
+    tables, judged = judged_candidates(histories, tables, notes, independent=independent)
     if not keep_cov:
         histories = tuple(history.without_cov() for history in histories)
     return_freed_memory()
     return Replay(dive, config, *span, start.velocities, histories, errors, tables, judged, notes)
+
+
+def _noise_of(reference: Reference) -> ReferenceNoise:
+    return ReferenceNoise(reference.position_sd_m, reference.velocity_sd_mps, reference.attitude_sd_deg)

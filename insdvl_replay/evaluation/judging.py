@@ -1,15 +1,16 @@
 """Filters that ran side by side, compared with the reference and with each other: all tables of a dive."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from insdvl_replay.core.columns import Dive, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
-from insdvl_replay.core.tables import Tables
+from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.believed import improvement_table
 from insdvl_replay.evaluation.coasting import Coasts, coasting_table, window_drifts
 from insdvl_replay.evaluation.consistency import consistency_table
@@ -17,12 +18,14 @@ from insdvl_replay.evaluation.convergence import convergence_table
 from insdvl_replay.evaluation.coverage import reference_coverage_notes, reference_rate_notes, truth_coverage_notes
 from insdvl_replay.evaluation.credibility import credibility_table
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors
-from insdvl_replay.evaluation.evidence import Measured, evidence_table
+from insdvl_replay.evaluation.evidence import Measured, evidence_table, without_words
 from insdvl_replay.evaluation.losses import Losses, ReferenceNoise, losses_of
 from insdvl_replay.evaluation.measured_convergence import measured_convergences
 from insdvl_replay.evaluation.paired_statistics import windows_ratio
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
+from insdvl_replay.evaluation.sound_filters import not_to_be_judged
 from insdvl_replay.evaluation.state_errors import state_errors
+from insdvl_replay.evaluation.verdicts import verdicts
 
 MOST_COVARIANCES: Final = 20_000
 """So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times."""
@@ -99,6 +102,33 @@ def _losses(
     if dive.reference is None:
         return {}
     return {of_one.filter: losses_of(of_one, dive.reference, noise, bridged_gaps=bridged_gaps) for of_one in drawn}
+
+
+def judged_candidates(
+    histories: tuple[History, ...], tables: Tables, notes: Iterable[Note], *, independent: bool
+) -> tuple[Tables, dict[str, Candidate]]:
+    """Judge each candidate by the evidence in the tables.
+
+    Parameters
+    ----------
+    histories : tuple of History
+        The first is the baseline.
+    notes : iterable of Note
+        Of the dive.
+    independent : bool
+        Whether the reference shares no sensors with the filters.
+
+    Returns
+    -------
+    Tables
+        Without words on candidates that are not judged.
+    dict of str to Candidate
+        What there is to say of each, by name.
+    """
+    baseline, *candidates = (history.filter for history in histories)
+    unsound = not_to_be_judged(histories, tables, notes)
+    tables = replace(tables, evidence=without_words(tables.evidence, unsound))
+    return tables, verdicts(tables, baseline, candidates, unsound, independent=independent)
 
 
 def reference_notes(

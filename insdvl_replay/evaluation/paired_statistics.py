@@ -7,12 +7,13 @@ observations", 1989, for moving blocks; Diebold and Mariano, "Comparing predicti
 differential of losses; Satterthwaite, 1946, for the freedom of a sum of variances; Schuirmann, 1987, for equivalence.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
+from scipy.special import stdtrit
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.words import EvidenceWord
@@ -26,6 +27,12 @@ DRAWS: Final = 2000
 SEED: Final = 20_260_000
 WIDER_THAN_OPTIMAL: Final = 3
 """Blocks that estimate a variance best make its intervals too short: longer ones are noisier, and less biased."""
+FEWEST_CORRELATED: Final = 20
+"""Of fewer windows nothing tells how they are correlated. Each is a restart: over simulated dives they were not."""
+NORMAL_OVER_DEVIATION: Final = 1.4826
+"""Standard deviation of normal values over the median of their absolute deviations."""
+MEDIAN_WIDER: Final = math.sqrt(math.pi / 2.0)
+"""Standard deviation of the median of normal values over that of their mean."""
 MOST_VALUES: Final = 1000
 """Of a longer series neighbours are first averaged, so that hours at 10 Hz are drawn as fast as minutes."""
 TAILS: Final = (0.975, 0.95)
@@ -90,8 +97,8 @@ def paired_ratio(baseline_sq: Floats, candidate_sq: Floats, *, least_block: int 
 def windows_ratio(baseline: Floats, candidate: Floats) -> RatioInterval:
     """Return the median ratio of two filters' errors over windows of one dive, such as those of a coasting run.
 
-    Windows are redrawn in moving blocks. The quantiles of the median's logarithm are widened as Student's are against
-    the normal ones.
+    The interval of its logarithm is Student's, as wide as that of a median of normal values with the same median
+    deviation, which a window with hardly any drift does not widen.
 
     Parameters
     ----------
@@ -103,16 +110,11 @@ def windows_ratio(baseline: Floats, candidate: Floats) -> RatioInterval:
     k = len(log_ratios)
     if k < 2:
         return NOTHING
-    block = _block(log_ratios, 1)
-    rows = (_first_of_blocks(k, block)[:, :, None] + np.arange(block)).reshape(DRAWS, -1)[:, :k]
-    middle, medians = float(np.median(log_ratios)), np.median(log_ratios[rows], axis=1)
-    freedom = max(k / block - 1.0, 1.0)
-    ends = [
-        middle + (np.quantile(medians, side) - middle) * _widening(freedom, tail)
-        for tail in TAILS
-        for side in (1.0 - tail, tail)
-    ]
-    return _interval(middle, ends, effective_samples(log_ratios))
+    samples = float(k) if k < FEWEST_CORRELATED else effective_samples(log_ratios)
+    middle, freedom = float(np.median(log_ratios)), max(samples - 1.0, 1.0)
+    deviation = float(np.median(np.abs(log_ratios - middle))) * samples / freedom  # of few values it is too small
+    log_sd = MEDIAN_WIDER * NORMAL_OVER_DEVIATION * deviation / math.sqrt(samples)
+    return _student_interval(middle, log_sd, freedom, samples)
 
 
 def word_of(interval: RatioInterval, margin: float = MARGIN) -> EvidenceWord:
@@ -187,10 +189,6 @@ def _interval(log_ratio: float, log_ends: Sequence[float], effective: float) -> 
     with np.errstate(over="ignore", invalid="ignore"):
         low, high, low90, high90 = np.exp(log_ends).tolist()
     return RatioInterval(float(np.exp(log_ratio)), low, high, low90, high90, effective)
-
-
-def _widening(freedom: float, tail: float) -> float:
-    return float(stdtrit(freedom, tail) / ndtri(tail) * np.sqrt((freedom + 1.0) / freedom))
 
 
 def _effective_over_starts(differential: Floats) -> float:

@@ -4,9 +4,11 @@ The compiled filter leaves the interpreter to others while it runs; on long dive
 """
 
 import math
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +25,8 @@ from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.prepared import Prepared
+
+T = TypeVar("T")
 
 WORTH_A_THREAD = 20_000
 """IMU samples from which filters run beside each other; with fewer, to start threads takes what it saves."""
@@ -52,10 +56,15 @@ def run_filters(start: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = 
     begin("running the filters")
     return_freed_memory()
     run = partial(run_one, start=start, timeline=timeline, cov_ns=cov_ns)
+    return _side_by_side(timeline, run, start.filters)
+
+
+def _side_by_side(timeline: Timeline, work: Callable[..., T], *of_filters: Sequence[Any]) -> tuple[T, ...]:
+    """Do something for every filter, on a long dive for each in a thread of its own."""
     if len(timeline.sample_ns) < WORTH_A_THREAD:
-        return tuple(map(run, start.filters))
+        return tuple(map(work, *of_filters))
     with ThreadPoolExecutor() as threads:
-        return tuple(threads.map(run, start.filters))
+        return tuple(threads.map(work, *of_filters))
 
 
 def run_one(filter_: ResolvedFilter, start: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> History:
@@ -88,7 +97,7 @@ def coasting_plan(start: Prepared) -> CoastingPlan:
 
 
 def coasting_of(start: Prepared, timeline: Timeline, histories: tuple[History, ...], plan: CoastingPlan) -> Coasts:
-    """Let every filter coast through the windows of a plan, on a long dive each filter in a thread of its own.
+    """Let every filter coast through the windows of a plan.
 
     Parameters
     ----------
@@ -99,11 +108,7 @@ def coasting_of(start: Prepared, timeline: Timeline, histories: tuple[History, .
     """
     begin("coasting without velocities")
     coasts = partial(_coasts_of_one, start=start, timeline=timeline, plan=plan)
-    if len(timeline.sample_ns) < WORTH_A_THREAD:
-        runs = list(map(coasts, start.filters, histories))
-    else:
-        with ThreadPoolExecutor() as threads:
-            runs = list(threads.map(coasts, start.filters, histories))
+    runs = _side_by_side(timeline, coasts, start.filters, histories)
     distance_m = distance_along_m(start.velocities.time_ns, start.velocities.velocity_b)
     return Coasts(plan, distance_m, {history.filter: of_one for history, of_one in zip(histories, runs, strict=True)})
 

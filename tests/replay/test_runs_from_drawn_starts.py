@@ -24,6 +24,8 @@ from insdvl_replay.studies.simulated_run import matched_errors
 SNAPIR = Path(__file__).parents[2] / "examples" / "snapir.toml"
 STRAIGHT = "snapir_12"
 WORLDS = 60
+STARTS = 121
+"""So many that the draws decide nothing: with other seeds, medians over dives move by 2 %."""
 
 
 def config_with(**filters: Filter) -> Config:
@@ -145,7 +147,7 @@ def dives(snapir: Path) -> dict[str, tuple[DrawnErrors, ...]]:
     found = {}
     for path in sorted(snapir.glob("*.mcap")):
         dive = with_reference_at_imu(read_checked_dive(path, config), config)
-        found[path.stem] = run_from_drawn_starts(dive, prepare_dive(dive, config), 11, seed=1)
+        found[path.stem] = run_from_drawn_starts(dive, prepare_dive(dive, config), STARTS, seed=1)
     return found
 
 
@@ -165,14 +167,14 @@ def ratios(dives: dict[str, tuple[DrawnErrors, ...]], quantity: str, starts: sli
 
 @pytest.mark.parametrize(
     ("quantity", "lowest", "highest"),
-    [("position_h", 0.85, 0.96), ("velocity_h", 0.93, 0.995), ("roll", 0.70, 0.93), ("pitch", 0.70, 0.93)],
+    [("position_h", 0.86, 0.90), ("velocity_h", 0.955, 0.98), ("roll", 0.82, 0.87), ("pitch", 0.83, 0.87)],
 )
 def test_accelerations_help_where_the_start_errs(
     dives: dict[str, tuple[DrawnErrors, ...]], quantity: str, lowest: float, highest: float
 ) -> None:
-    """Under the paper's settings, which are far too cautious for these sensors, on nearly all of eight dives."""
+    """Under the paper's settings, which are far too cautious for these sensors, on all of eight dives."""
     found = ratios(dives, quantity, slice(1, None))
-    assert np.sum(found < 1.0) >= 6
+    assert (found < 1.0).all()
     assert lowest < np.median(found) < highest
 
 
@@ -190,5 +192,5 @@ def test_level_is_found_sooner_where_a_dive_turns(dives: dict[str, tuple[DrawnEr
         if name == STRAIGHT:
             assert level.status == "at_start"
         else:
-            assert level.ratio < 1.0
-            assert level.baseline_s > 200.0
+            assert level.high < 1.0
+            assert level.baseline_s > 250.0
