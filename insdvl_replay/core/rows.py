@@ -204,7 +204,10 @@ class EvidenceRow(Struct, frozen=True):
     quantity: Annotated[str, _EVIDENCE_QUANTITY]
     unit: Annotated[str, Column("Unit of the two values.")]
     baseline: Annotated[
-        Number, Column("What the baseline and the candidate have: a root mean square, or a median.", better="lower")
+        Number,
+        Column(
+            "What the baseline and the candidate have: a root mean square, or the time of convergence.", better="lower"
+        ),
     ]
     value: Annotated[Number, Column(better="lower")]
     ratio: Annotated[
@@ -260,7 +263,7 @@ class CoastingRow(Struct, frozen=True):
     ratio_to_baseline: Annotated[
         Number,
         Column(
-            "Median ratio of the drifts in the same windows, with its 95 % interval; NaN for the baseline.",
+            "Ratio of the root mean squares over the same windows, with its 95 % interval; NaN for the baseline.",
             better="lower",
         ),
     ]

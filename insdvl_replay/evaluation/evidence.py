@@ -170,7 +170,7 @@ def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[Evid
         if not len(before):
             continue
         interval = windows_ratio(before, after)
-        values = float(np.median(before)), float(np.median(after))
+        values = _rms(before**2), _rms(after**2)
         quantity, word = f"coasting_{window}", word_of(interval)
         yield EvidenceRow(*named, "coasting", quantity, "m", *values, *_ends(interval), 1, len(before), word)
 

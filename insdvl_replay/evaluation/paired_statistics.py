@@ -7,7 +7,6 @@ observations", 1989, for moving blocks; Diebold and Mariano, "Comparing predicti
 differential of losses; Satterthwaite, 1946, for the freedom of a sum of variances; Schuirmann, 1987, for equivalence.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -28,11 +27,7 @@ SEED: Final = 20_260_000
 WIDER_THAN_OPTIMAL: Final = 3
 """Blocks that estimate a variance best make its intervals too short: longer ones are noisier, and less biased."""
 FEWEST_CORRELATED: Final = 20
-"""Of fewer windows nothing tells how they are correlated. Each is a restart: over simulated dives they were not."""
-NORMAL_OVER_DEVIATION: Final = 1.4826
-"""Standard deviation of normal values over the median of their absolute deviations."""
-MEDIAN_WIDER: Final = math.sqrt(math.pi / 2.0)
-"""Standard deviation of the median of normal values over that of their mean."""
+"""Of fewer windows nothing tells how they are correlated. Each is a restart: over simulated dives they are not."""
 MOST_VALUES: Final = 1000
 """Of a longer series neighbours are first averaged, so that hours at 10 Hz are drawn as fast as minutes."""
 TAILS: Final = (0.975, 0.95)
@@ -57,7 +52,9 @@ NAN: Final = float("nan")
 NOTHING: Final = RatioInterval(NAN, NAN, NAN, NAN, NAN, 0.0)
 
 
-def paired_ratio(baseline_sq: Floats, candidate_sq: Floats, *, least_block: int = 1) -> RatioInterval:
+def paired_ratio(
+    baseline_sq: Floats, candidate_sq: Floats, *, least_block: int = 1, is_correlated: bool = True
+) -> RatioInterval:
     """Return the ratio of root mean squares of two filters' errors over the same times of one dive.
 
     The standard deviation of its logarithm is that over moving blocks of time, drawn alike for both filters and all
@@ -71,6 +68,8 @@ def paired_ratio(baseline_sq: Floats, candidate_sq: Floats, *, least_block: int 
         of them is not finite is left out.
     least_block : int
         How many values a loss overlaps with, such as the length of a segment in steps.
+    is_correlated : bool
+        Whether neighbours may tell the same, so that their correlation is looked for.
 
     Returns
     -------
@@ -86,35 +85,33 @@ def paired_ratio(baseline_sq: Floats, candidate_sq: Floats, *, least_block: int 
     together = -(-baseline.shape[1] // MOST_VALUES)
     baseline, candidate = _averaged(baseline, together), _averaged(candidate, together)
     differential = 0.5 * (candidate / candidate.mean() - baseline / baseline.mean())
-    block = _block(differential.mean(axis=0), -(-least_block // together))
+    block = _block(differential.mean(axis=0), -(-least_block // together)) if is_correlated else 1
     time_variance = _block_variance(baseline.mean(axis=0), candidate.mean(axis=0), block)
     start_variance = _block_variance(baseline.mean(axis=1), candidate.mean(axis=1), 1) if len(baseline) > 1 else 0.0
     freedom = _freedom(time_variance, baseline.shape[1] / block - 1.0, start_variance, len(baseline) - 1.0)
     log_sd = float(np.sqrt(time_variance + start_variance))
-    return _student_interval(log_ratio, log_sd, freedom, _effective_over_starts(differential))
+    samples = _effective_over_starts(differential) if is_correlated else float(differential.size)
+    return _student_interval(log_ratio, log_sd, freedom, samples)
 
 
 def windows_ratio(baseline: Floats, candidate: Floats) -> RatioInterval:
-    """Return the median ratio of two filters' errors over windows of one dive, such as those of a coasting run.
-
-    The interval of its logarithm is Student's, as wide as that of a median of normal values with the same median
-    deviation, which a window with hardly any drift does not widen.
+    """Return the ratio of root mean squares of two filters' errors over windows of one dive, such as coasting drifts.
 
     Parameters
     ----------
     baseline, candidate : ndarray, shape (k,)
-        Errors, in the order of time. A window in which one of them is not finite and positive is left out.
+        Errors, in the order of time. A window in which one of them is not finite is left out.
     """
-    usable = np.isfinite(baseline) & np.isfinite(candidate) & (baseline > 0.0) & (candidate > 0.0)
-    log_ratios = np.log(candidate[usable] / baseline[usable])
-    k = len(log_ratios)
-    if k < 2:
+    usable = np.isfinite(baseline) & np.isfinite(candidate)
+    before, after = baseline[usable], candidate[usable]
+    if len(before) < 2 or not (before.any() and after.any()):
         return NOTHING
-    samples = float(k) if k < FEWEST_CORRELATED else effective_samples(log_ratios)
-    middle, freedom = float(np.median(log_ratios)), max(samples - 1.0, 1.0)
-    deviation = float(np.median(np.abs(log_ratios - middle))) * samples / freedom  # of few values it is too small
-    log_sd = MEDIAN_WIDER * NORMAL_OVER_DEVIATION * deviation / math.sqrt(samples)
-    return _student_interval(middle, log_sd, freedom, samples)
+    # Drifts of a filter that broke down have squares beyond all numbers.
+    scale = float(after.max() / before.max())
+    found = paired_ratio(
+        (before / before.max()) ** 2, (after / after.max()) ** 2, is_correlated=len(before) >= FEWEST_CORRELATED
+    )
+    return found._replace(**{end: getattr(found, end) * scale for end in ("ratio", "low", "high", "low90", "high90")})
 
 
 def word_of(interval: RatioInterval, margin: float = MARGIN) -> EvidenceWord:

@@ -187,8 +187,6 @@ def _in_words(row: EvidenceRow) -> str:
     if not np.isfinite(ratio):
         return changed(row.quantity, ratio)
     values = f"{finite(row.baseline):.3g} {row.unit}, now {finite(row.value):.3g} {row.unit}"
-    if row.evidence == "coasting":  # the median of ratios is not the ratio of medians
-        values = f"median of {row.windows} windows; drifts {values}"
     return f"{changed(row.quantity, ratio)} ({values}; 95 %: {interval_in_words(row.ratio, row.low, row.high)})"
 
 
