@@ -1,0 +1,145 @@
+"""Words on pieces of evidence: tried like a detector, on losses of which it is known which filter is better."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.rows import ConsistencyRow, EvidenceRow
+from insdvl_replay.core.words import ConvergenceStatus
+from insdvl_replay.evaluation.evidence import Measured, evidence_table
+from insdvl_replay.evaluation.losses import Losses
+from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
+
+TIMES, STARTS = 300, 16
+PIECES = ("drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "level", "heading")
+
+
+def errors(rng: np.random.Generator, rho: float = 0.5, starts: int = STARTS) -> Floats:
+    """Errors that go on from time to time, of unit variance, shape (starts, times)."""
+    drawn = rng.standard_normal((starts, TIMES))
+    for k in range(1, TIMES):
+        drawn[:, k] = rho * drawn[:, k - 1] + np.sqrt(1.0 - rho**2) * drawn[:, k]
+    return drawn
+
+
+def losses(of_one: Floats, floor: float = 0.0) -> Losses:
+    return Losses("m", of_one**2, 1, floor)
+
+
+def evidence(
+    accuracy: Mapping[str, tuple[Losses, Losses]] | None = None,
+    coasting: Mapping[str, tuple[Sequence[float], Sequence[float]]] | None = None,
+    convergence: Mapping[str, MeasuredConvergence] | None = None,
+    nis: tuple[ConsistencyRow, ...] = (),
+) -> dict[str, EvidenceRow]:
+    """Hold one candidate against the baseline; rows by quantity."""
+    by_filter = [{name: pair[i] for name, pair in (accuracy or {}).items()} for i in range(2)]
+    windows = [{name: np.array(pair[i]) for name, pair in (coasting or {}).items()} for i in range(2)]
+    measured = Measured(
+        dict(zip(("baseline", "aided"), by_filter, strict=True)),
+        dict(zip(("baseline", "aided"), windows, strict=True)),
+        {"aided": convergence or {}},
+    )
+    return {row.quantity: row for row in evidence_table("dive", "baseline", ["aided"], measured, nis, ())}
+
+
+def test_gain_and_loss_are_told_with_their_numbers() -> None:
+    rng = np.random.default_rng(1)
+    common = errors(rng)
+    rows = evidence(
+        {
+            "drift_30s": (losses(common), losses(0.5 * errors(rng))),
+            "velocity_along": (losses(common), losses(2.0 * errors(rng))),
+            "level": (losses(common), losses(1.01 * common)),
+        }
+    )
+    assert [(row.quantity, row.word) for row in rows.values()] == [
+        ("drift_30s", "better"),
+        ("velocity_along", "worse"),
+        ("level", "equivalent"),
+    ]
+    first = rows["drift_30s"]
+    assert (first.log, first.filter, first.evidence, first.unit) == ("dive", "aided", "accuracy", "m")
+    assert (first.starts, first.windows) == (STARTS, TIMES)
+    assert first.baseline == pytest.approx(np.sqrt(np.mean(common**2)))
+    assert first.ratio == pytest.approx(first.value / first.baseline)
+
+
+@pytest.mark.parametrize(("floor", "word"), [(0.9, "better"), (1.2, "undecided")])
+def test_differences_below_what_the_reference_errs_by_are_none(floor: float, word: str) -> None:
+    rng = np.random.default_rng(2)
+    assert (
+        evidence({"drift_30s": (losses(errors(rng), floor), losses(0.5 * errors(rng), floor))})["drift_30s"].word
+        == word
+    )
+
+
+def equal_filters(rng: np.random.Generator) -> dict[str, tuple[Losses, Losses]]:
+    return {quantity: (losses(errors(rng)), losses(errors(rng))) for quantity in PIECES}
+
+
+def test_of_many_pieces_on_equal_filters_none_is_better_or_worse_by_chance() -> None:
+    """Seven pieces a dive, each with independent errors: with words of 5 % each, every third dive would have one."""
+    rng = np.random.default_rng(3)
+    dives = [evidence(equal_filters(rng)) for _ in range(150)]
+    decided = [any(row.word in {"better", "worse"} for row in rows.values()) for rows in dives]
+    assert np.mean(decided) <= 0.05
+    assert all(len(rows) == len(PIECES) for rows in dives)
+
+
+def test_pieces_behind_the_first_have_to_be_far() -> None:
+    rng = np.random.default_rng(4)
+    near = {quantity: (losses(common), losses(0.93 * common + 0.02 * errors(rng)))
+            for quantity in PIECES[:3] for common in [errors(rng)]}  # fmt: skip
+    assert [row.word for row in evidence(near).values()] == ["better", "undecided", "undecided"]
+
+
+def test_coasting_is_compared_window_by_window() -> None:
+    drifts = [0.3, 0.5, 0.2, 0.4, 0.6, 0.3]
+    rows = evidence(
+        coasting={
+            "30s": (drifts, [10.0 * drift for drift in drifts]),
+            "60s": (drifts[:3], drifts[:3]),
+            "120s": ([], []),
+        }
+    )
+    assert list(rows) == ["coasting_30s", "coasting_60s"]
+    far, few = rows.values()
+    assert (far.evidence, far.unit, far.starts, far.windows, far.word) == ("coasting", "m", 1, 6, "worse")
+    assert far.ratio == pytest.approx(10.0)
+    assert far.baseline == pytest.approx(np.sqrt(np.mean(np.square(drifts))))
+    assert few.word == "undecided"
+
+
+def converged(ratio: float) -> MeasuredConvergence:
+    ends = ratio, 0.9 * ratio, 1.1 * ratio, 0.92 * ratio, 1.08 * ratio
+    return MeasuredConvergence(0.01, 100.0, 100.0 * ratio, ConvergenceStatus.REACHED, *ends, 15)
+
+
+@pytest.mark.parametrize(("ratio", "word"), [(0.5, "better"), (0.85, "undecided"), (1.2, "undecided"), (1.6, "worse")])
+def test_convergence_has_to_differ_by_more_than_the_sensors_of_one_dive(ratio: float, word: str) -> None:
+    row = evidence(convergence={"level": converged(ratio)})["convergence_level"]
+    assert (row.evidence, row.unit, row.word, row.starts) == ("convergence", "s", word, 15)
+
+
+def nis(filter_: str, mean: float, verdict: str) -> ConsistencyRow:
+    return ConsistencyRow("dive", filter_, "velocity", 3, 99, 0, 3.0 * mean, 2.9, 3.1, verdict)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "word"),
+    [
+        ((10.0, "over-confident"), (1.05, "consistent"), "better"),
+        ((1.0, "consistent"), (4.0, "over-confident"), "worse"),
+        ((0.1, "over-cautious"), (0.2, "over-cautious"), "better"),
+        ((0.5, "over-cautious"), (0.5, "over-cautious"), "equivalent"),
+        ((0.1, "over-cautious"), (2.0, "over-confident"), "worse"),
+    ],
+)
+def test_honest_is_who_is_nearer_and_not_over_confident_instead(before: Any, after: Any, word: str) -> None:
+    row = evidence(nis=(nis("baseline", *before), nis("aided", *after)))["nis"]
+    assert (row.evidence, row.word) == ("honesty", word)
+    assert (row.baseline, row.value) == pytest.approx((before[0], after[0]))
