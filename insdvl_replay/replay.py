@@ -13,6 +13,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import begin, return_freed_memory
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.consistency import update_notes
+from insdvl_replay.evaluation.curves import Curves, curves_of
 from insdvl_replay.evaluation.judging import compared_filters, judged_candidates, judged_times, reference_notes
 from insdvl_replay.evaluation.losses import ReferenceNoise
 from insdvl_replay.evaluation.reference import ReferenceErrors
@@ -51,6 +52,8 @@ class Replay:
         Believed, against the reference, consistent, credible: a row a filter and state.
     verdicts : dict of str to Candidate
         What there is to say of each candidate, by name.
+    curves : Curves
+        What of the evidence is drawn over time.
     notes : tuple of Note
         What was dropped, assumed or found odd.
     """
@@ -64,6 +67,7 @@ class Replay:
     errors: dict[str, ReferenceErrors]
     tables: Tables
     verdicts: dict[str, Candidate]
+    curves: Curves
     notes: tuple[Note, ...]
 
 
@@ -129,13 +133,14 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     errors, tables = compared_filters(
         dive, histories, drawn, coasts, _noise_of(config.reference), start_ns=span[0], bridged_gaps=bridged_gaps
     )
+    curves = curves_of(drawn, coasts)
     notes = dive.notes + start.notes + outage_notes(start.velocities.time_ns, *span) + update_notes(histories)
     notes += reference_notes(dive, *span, histories[0], judged_ns, independent=independent)
     tables, judged = judged_candidates(histories, tables, notes, independent=independent)
     if not keep_cov:
         histories = tuple(history.without_cov() for history in histories)
     return_freed_memory()
-    return Replay(dive, config, *span, start.velocities, histories, errors, tables, judged, notes)
+    return Replay(dive, config, *span, start.velocities, histories, errors, tables, judged, curves, notes)
 
 
 def _noise_of(reference: Reference) -> ReferenceNoise:

@@ -11,7 +11,7 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
     """A report.json of one candidate with two states, a quantity and a measurement.
 
     `changes` go to the cells of their name: ``sd``, ``rmse``, ``final``, ``mean_nis``, ``reached_s``, ``verdict``,
-    ``filter``, ``sha256`` and ``window``; ``ba_x_sd`` goes to one row alone.
+    ``filter``, ``sha256``, ``window``, ``improvement``, ``belief`` and ``word``; ``ba_x_sd`` goes to one row alone.
     """
     filter_ = changes.get("filter", "aided")
     row = {"log": name, "filter": filter_}
@@ -35,6 +35,11 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
         {**row, "measurement": "velocity", "dof": 3, "used": 300, "rejected": changes.get("rejected", 0),
          "mean_nis": changes.get("mean_nis", 3.1), "low": 2.7, "high": 3.3, "verdict": verdict}
     ]  # fmt: skip
+    evidence = [
+        {**row, "evidence": "accuracy", "quantity": "drift_30s", "unit": "m", "baseline": 1.0, "value": 0.8,
+         "ratio": 0.8, "low": 0.7, "high": 0.9, "effective_samples": 20.0, "starts": 16, "windows": 70,
+         "word": changes.get("word", "better")}
+    ]  # fmt: skip
     return {
         "tool": {"name": "insdvl-replay", "version": "0.1.0", "started_at": "2026-01-01T00:00:00+00:00"},
         "versions": {"numpy": "2.4.0"},
@@ -42,11 +47,12 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
                 "duration_s": 1.0, "channels": [{"topic": "/imu", "type_name": "sensor_msgs/msg/Imu",
                 "encoding": "cdr", "role": "imu", "messages": 100}]},
         "baseline": "baseline",
-        "filters": {filter_: {"verdict": "a sentence", "improvement": changes.get("improvement", "borne out"),
+        "filters": {filter_: {"verdict": "a sentence", "improvement": changes.get("improvement", "better"),
+                              "belief": changes.get("belief", "borne out"),
                               "consistency": verdict, "mean_improvement_pct": 50.0,
                               "mean_convergence_improvement_pct": 60.0, "reference_improvement_pct": 20.0}},
         "tables": {"improvement": improvement, "convergence": convergence, "reference_error": errors,
-                   "consistency": consistency},
+                   "consistency": consistency, "evidence": evidence},
         "notes": [],
         "config": {"dvl": {"scale": 1.0}, "filters": {filter_: {"window": changes.get("window", 3)}}},
     }  # fmt: skip

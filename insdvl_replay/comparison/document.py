@@ -15,6 +15,7 @@ from insdvl_replay.core.changes import (
     Tally,
     Violation,
 )
+from insdvl_replay.core.tables import CANDIDATES
 from insdvl_replay.core.words import ChangeWord
 from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import MISSING, Callout, DisplayTable, Only, Part, Sentences, Title, counted
@@ -37,7 +38,7 @@ def comparison_document(comparison: Comparison) -> list[Part]:
 
 
 def opening_lines(comparison: Comparison) -> list[str]:
-    """State how many values moved, and which of them most."""
+    """State which verdicts changed, how many values moved, and which of them most."""
     counts = comparison.total.counts
     number = sum(counts.values())
     words = ", ".join(f"{counts[word]} {word}" for word in ChangeWord if counts[word] and word != ChangeWord.SAME)
@@ -48,7 +49,25 @@ def opening_lines(comparison: Comparison) -> list[str]:
             lines.append(f"{name}: {described(change)}")
     if not comparison.differences:
         lines.append("tool, settings and log do not differ")
-    return lines
+    return [*_changed_verdicts(comparison), *lines]
+
+
+_JUDGED: Final = {"improvement": "{} is now {}, was {}", "belief": "what {} believes is now {}, was {}"}
+"""By column of the candidates what is said where its word changed."""
+
+
+def _changed_verdicts(comparison: Comparison) -> Iterator[str]:
+    """State which judgements and beliefs changed, the judgements first, each once with its dives."""
+    dives: dict[tuple[str, str, str, str], list[str]] = {}
+    for change in comparison.changes:
+        of_word = change.table == CANDIDATES.name and change.column in _JUDGED
+        if of_word and change.old and change.new and change.old != change.new:
+            key = change.column, change.filter, str(change.new), str(change.old)
+            dives.setdefault(key, []).append(change.log)
+    matched = len(_matched(comparison))
+    for (column, *named), of_change in sorted(dives.items(), key=lambda found: list(_JUDGED).index(found[0][0])):
+        where = f" ({_where(of_change, matched)})" if matched > 1 else ""
+        yield f"{_JUDGED[column].format(*named)}{where}"
 
 
 def comparison_tables(comparison: Comparison) -> list[DisplayTable]:

@@ -52,6 +52,16 @@ ACCURACY: Final = (
     "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "depth_60s", "level", "heading"
 )  # fmt: skip
 """Errors against the reference, the one that decides first."""
+DRIFT_QUANTITIES: Final = {
+    "position_h": "m",
+    "drift_60s": "m",
+    "drift_100m": "m",
+    "velocity_along": "m/s",
+    "velocity_across": "m/s",
+}
+"""Rows of drift and their units: the horizontal position, what it drifts by over stretches, and the velocity."""
+TRACK_FIT_QUANTITIES: Final = {"scale": "%", "turn": "deg"}
+"""Rows of the track fit and their units."""
 COASTING_WINDOWS_S: Final = ("30", "60", "120", "300")
 """Lengths for which the DVL is withheld."""
 CONVERGED: Final = ("velocity", "level", "heading")

@@ -12,10 +12,12 @@ from insdvl_replay.core.quantities import (
     AXES,
     COASTING_WINDOWS_S,
     CREDIBILITY_QUANTITIES,
+    DRIFT_QUANTITIES,
     EVIDENCE_QUANTITIES,
     JOINT,
     MEASUREMENTS,
     REFERENCE_QUANTITIES,
+    TRACK_FIT_QUANTITIES,
     VERDICTS_BEST_FIRST,
     axis_of,
 )
@@ -273,3 +275,46 @@ class CoastingRow(Struct, frozen=True):
         Number, Column("Windows in which it drifts less than the baseline; a draw counts half.", better="higher")
     ]
     nis_per_dof: Annotated[Number, Column("Mean over windows, of the last withheld velocity; 1 is expected.")]
+
+
+class DriftRow(Struct, frozen=True):
+    """How far one filter is from the reference: half of the time, nearly always, and at worst."""
+
+    about: ClassVar = "One quantity: the errors of a filter against the reference half of the time, mostly, at worst."
+    baseline_too: ClassVar = True
+
+    log: Annotated[str, Column("Dive, filter and quantity: the position, its drift over stretches, or the velocity.")]
+    filter: str
+    quantity: Annotated[str, Column(names=tuple(DRIFT_QUANTITIES))]
+    unit: Annotated[str, Column("Unit of the errors.")]
+    samples: Annotated[int, Column("Times, or stretches, which overlap, that were compared.")]
+    p50: Annotated[
+        Number,
+        Column(
+            "What half and 95 % of the sizes stay below, of the position CEP50 and CEP95; and the root mean square.",
+            better="lower",
+            primary=True,
+        ),
+    ]
+    p95: Annotated[Number, Column(better="lower")]
+    rms: Annotated[Number, Column(better="lower")]
+    worst: Annotated[Number, Column("The largest size.", better="lower")]
+    worst_from_s: Annotated[Number, Column("Where it begins and ends, from the start; of the others than drift once.")]
+    worst_to_s: Number
+
+
+class TrackFitRow(Struct, frozen=True):
+    """What would lay a filter's track on the reference's."""
+
+    about: ClassVar = "The scale or the turn that would lay a filter's track on the reference's, with standard error."
+    baseline_too: ClassVar = True
+
+    log: Annotated[str, Column("Dive, filter, and scale or turn.")]
+    filter: str
+    quantity: Annotated[str, Column(names=tuple(TRACK_FIT_QUANTITIES))]
+    unit: Annotated[str, Column("Unit of the two numbers.")]
+    fitted: Annotated[
+        Number,
+        Column("Scale: positive where its track is too small. Turn: clockwise.", better="nearer zero", primary=True),
+    ]
+    fitted_sd: Annotated[Number, Column("Standard error by noise, without a heading that drifts; NaN of a short dive.")]

@@ -11,17 +11,19 @@ from insdvl_replay.core.rows import (
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
+    DriftRow,
     EvidenceRow,
     ImprovementRow,
     Number,
     ReferenceErrorRow,
+    TrackFitRow,
 )
 from insdvl_replay.core.table_layout import Column, TableLayout, layout_of
 from insdvl_replay.core.words import Belief, Judgement
 
 
 class Tables(Struct, frozen=True):
-    """The tables, row for row as in the CSV files; null for what is missing. Early reports lack the last three."""
+    """The tables, row for row as in the CSV files; null for what is missing. Early reports lack the last five."""
 
     improvement: list[ImprovementRow]
     convergence: list[ConvergenceRow]
@@ -30,6 +32,8 @@ class Tables(Struct, frozen=True):
     credibility: list[CredibilityRow] = []
     evidence: list[EvidenceRow] = []
     coasting: list[CoastingRow] = []
+    drift: list[DriftRow] = []
+    track_fit: list[TrackFitRow] = []
 
 
 class Candidate(Struct, frozen=True):

@@ -230,8 +230,11 @@ def drift_over_time(coasts: Coasts, name: str) -> DriftOverTime:
     runs = [coasts.runs[name][row] for row in rows]
     with np.errstate(over="ignore", invalid="ignore"):
         drift_m = [np.interp(at_s, run.time_s, _horizontal(run.drift_n)) for run in runs]
-        columns = np.array(drift_m).reshape(-1, len(at_s)).T
-        return DriftOverTime(at_s, *(np.array([_quantile(column, q) for column in columns]) for q in (0.5, 0.95)))
+        columns = np.array(drift_m).reshape(-1, len(at_s))
+    quantiles, finite = np.full((2, len(at_s)), np.nan), np.isfinite(columns).all(axis=0)
+    if len(columns) and finite.any():
+        quantiles[:, finite] = np.quantile(columns[:, finite], [0.5, 0.95], axis=0)
+    return DriftOverTime(at_s, *quantiles)
 
 
 def _horizontal(vector_n: Floats) -> Floats:

@@ -53,15 +53,6 @@ class Segments:
 
 
 @dataclass(frozen=True)
-class WorstSegment:
-    """Where a filter drifts furthest."""
-
-    start_ns: int
-    end_ns: int
-    horizontal_m: float
-
-
-@dataclass(frozen=True)
 class Drift:
     """How much a filter's position error changes over each segment.
 
@@ -77,15 +68,6 @@ class Drift:
     horizontal_m: Floats
     down_m: Floats
 
-    @property
-    def worst(self) -> WorstSegment | None:
-        """The segment with the largest horizontal drift, or None where there is no segment with a number."""
-        if not np.isfinite(self.horizontal_m).any():
-            return None
-        row = int(np.nanargmax(self.horizontal_m))
-        start_ns, end_ns = int(self.segments.start_ns[row]), int(self.segments.end_ns[row])
-        return WorstSegment(start_ns, end_ns, float(self.horizontal_m[row]))
-
 
 @dataclass(frozen=True)
 class CourseErrors:
@@ -99,14 +81,6 @@ class CourseErrors:
 
     along_mps: Floats
     across_mps: Floats
-
-
-@dataclass(frozen=True)
-class CircularError:
-    """Radii that hold one half, and 95 %, of the horizontal position errors, m; NaN without a position."""
-
-    cep50_m: float
-    cep95_m: float
 
 
 def time_segments(time_ns: TimeNs, length_s: float = SEGMENT_S) -> Segments:
@@ -184,15 +158,6 @@ def course_errors(errors: ReferenceErrors, reference: ReferenceColumns) -> Cours
     return CourseErrors(
         course[:, 0] * north_mps + course[:, 1] * east_mps, course[:, 0] * east_mps - course[:, 1] * north_mps
     )
-
-
-def circular_error(errors: ReferenceErrors) -> CircularError:
-    """Return the radii that hold one half and 95 % of the horizontal position errors."""
-    horizontal_m = np.hypot(errors.position_error_ned_m[:, 0], errors.position_error_ned_m[:, 1])
-    known = horizontal_m[np.isfinite(horizontal_m)]
-    if not len(known):
-        return CircularError(float("nan"), float("nan"))
-    return CircularError(*np.quantile(known, [0.5, 0.95]).tolist())
 
 
 def _segments(time_ns: TimeNs, travelled: Floats, length: float) -> Segments:

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from insdvl_replay.core.columns import Dive, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
+from insdvl_replay.core.rows import DriftRow, TrackFitRow
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.believed import improvement_table
 from insdvl_replay.evaluation.coasting import Coasts, coasting_table, window_drifts
@@ -18,6 +19,7 @@ from insdvl_replay.evaluation.convergence import convergence_table
 from insdvl_replay.evaluation.coverage import reference_coverage_notes, reference_rate_notes, truth_coverage_notes
 from insdvl_replay.evaluation.credibility import credibility_table
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors
+from insdvl_replay.evaluation.drift_table import drift_table, track_fit_table
 from insdvl_replay.evaluation.evidence import Measured, evidence_table, without_words
 from insdvl_replay.evaluation.losses import Losses, ReferenceNoise, losses_of
 from insdvl_replay.evaluation.measured_convergence import measured_convergences
@@ -93,7 +95,17 @@ def compared_filters(
         credibility,
         evidence_table(dive.name, names[0], names[1:], measured, consistency, credibility),
         coasting_table(dive.name, coasts, windows_ratio),
+        *_drift(dive, errors, start_ns, bridged_gaps=bridged_gaps),
     )
+
+
+def _drift(
+    dive: Dive, errors: dict[str, ReferenceErrors], start_ns: int, *, bridged_gaps: bool
+) -> tuple[list[DriftRow], list[TrackFitRow]]:
+    if dive.reference is None:
+        return [], []
+    fits = [] if bridged_gaps else track_fit_table(dive.name, errors, dive.reference)
+    return drift_table(dive.name, errors, dive.reference, start_ns, bridged_gaps=bridged_gaps), fits
 
 
 def _losses(

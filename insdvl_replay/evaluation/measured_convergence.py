@@ -5,7 +5,8 @@ errors over the starts, and at each time over the last tenth of what has passed,
 as an hour, and the end of the dive is its last tenth.
 """
 
-from typing import Final, NamedTuple
+import math
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ STEP: Final = 0.02
 """Each time at which the rms is looked at is so much of itself before the next."""
 RESAMPLES: Final = 1000
 SEED: Final = 1
+V = TypeVar("V", float, Floats)
 BEYOND: Final = 1e200
 """Stands for a square that is larger, or not finite: no filter comes back from there."""
 
@@ -102,7 +104,7 @@ def measured_convergence(baseline_sq: Floats, candidate_sq: Floats, time_s: Floa
         After the start, increasing.
     """
     known = np.isfinite(baseline_sq).any(axis=0) & np.isfinite(candidate_sq).any(axis=0)
-    at_s, before, after = _over_last_part(time_s[known], baseline_sq[:, known], candidate_sq[:, known])
+    at_s, before, after = over_last_part(time_s[known], baseline_sq[:, known], candidate_sq[:, known])
     starts = len(before)
     (baseline_s,), (candidate_s,) = _reached_s(at_s, np.full((1, starts), 1.0 / starts), before, after)
     bounds, falls = np.full(4, np.nan), _status(baseline_s) == ConvergenceStatus.REACHED
@@ -119,8 +121,22 @@ def measured_convergence(baseline_sq: Floats, candidate_sq: Floats, time_s: Floa
     return MeasuredConvergence(target, baseline_s, candidate_s, status, ratio, low, high, low90, high90, starts)
 
 
-def _over_last_part(time_s: Floats, *squares: Floats) -> tuple[Floats, ...]:
-    """Return times, and the means of squares over the last part of what has passed at each, shape (s, g)."""
+def over_last_part(time_s: Floats, *squares: Floats) -> tuple[Floats, ...]:
+    """Take means over the last part of what has passed, at times that lie ever further apart.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (k,)
+        After the start, increasing.
+    squares : ndarray, shape (s, k)
+
+    Returns
+    -------
+    ndarray, shape (g,)
+        The times.
+    ndarray, shape (s, g)
+        Of each of the squares, the means.
+    """
     steps = np.arange(np.log(time_s[0] / time_s[-1]) // np.log(1.0 - STEP), -1.0, -1.0)
     at_s = np.maximum(time_s[-1] * (1.0 - STEP) ** steps, time_s[0])
     last = np.searchsorted(time_s, at_s, side="right")
@@ -133,6 +149,11 @@ def _over_last_part(time_s: Floats, *squares: Floats) -> tuple[Floats, ...]:
 
 def _bounded(squares: Floats) -> Floats:
     return np.fmin(squares, BEYOND)
+
+
+def limit_of(rms: V, starts: int) -> V:
+    """Return up to where a filter is as good as an rms over so many starts, which has a standard error of its own."""
+    return rms * (1.0 + 1.0 / math.sqrt(2.0 * starts))
 
 
 def _reached_s(at_s: Floats, weights: Floats, before: Floats, after: Floats) -> tuple[Floats, Floats]:
@@ -151,7 +172,7 @@ def _reached_s(at_s: Floats, weights: Floats, before: Floats, after: Floats) -> 
     tuple of ndarray, shape (r,)
     """
     baseline_sq = weights @ before
-    limit_sq = baseline_sq[:, -1] * (1.0 + 1.0 / np.sqrt(2.0 * len(before))) ** 2
+    limit_sq = limit_of(np.sqrt(baseline_sq[:, -1]), len(before)) ** 2
     return _stays_below_s(at_s, baseline_sq, limit_sq), _stays_below_s(at_s, weights @ after, limit_sq)
 
 

@@ -118,7 +118,7 @@ def _verdict(tables: Tables, baseline: str, candidate: str, unsound: Mapping[str
         f"{candidate} is NOT JUDGED against {baseline}: {wrong}; settle that first"
         if wrong
         else f"{_measured(candidate, baseline, judgement, evidence)}. "
-        f"It {_believes(believed_pct, baseline)}{_of_belief(believed_pct, belief, evidence)}"
+        f"It {_believes(believed_pct, baseline)}{_of_belief(believed_pct, belief, tables, evidence)}"
     )
     trust = _on_trust(_trust(consistency, credibility), _trust(*of_baseline), candidate, baseline)
     shared = "" if independent or not _has_reference(tables) else f" {SHARED}"
@@ -220,11 +220,12 @@ def _believes(believed_pct: float, baseline: str) -> str:
     return f"believes in {abs(believed_pct):.1f} % {'smaller' if believed_pct > 0 else 'larger'} errors"
 
 
-def _of_belief(believed_pct: float, belief: Belief, evidence: Sequence[EvidenceRow]) -> str:
-    if not believed_pct >= NOTABLE_PCT:
+def _of_belief(believed_pct: float, belief: Belief, tables: Tables, evidence: Sequence[EvidenceRow]) -> str:
+    """State whether what is believed is borne out; that there is no reference is said of the dive, once."""
+    if not believed_pct >= NOTABLE_PCT or not _has_reference(tables):
         return ""
     if not any(row.evidence == "accuracy" for row in evidence):
-        return ", and no reference tells whether that is so"
+        return ", and the reference does not tell whether that is so"
     return {
         Belief.BORNE_OUT: ", and that is borne out",
         Belief.NOT_BORNE_OUT: ", and that is NOT borne out",

@@ -3,7 +3,7 @@
 import difflib
 import math
 from collections.abc import Iterator
-from typing import TypeGuard
+from typing import Final, TypeGuard
 
 from insdvl_replay.core.stored_report import Cell, Row, StoredReport
 from insdvl_replay.core.table_layout import PERCENTAGE, TableLayout
@@ -13,6 +13,17 @@ from insdvl_replay.evaluation.row_changes import agree, rounding, rounding_pct, 
 from insdvl_replay.gates.model import ANY, Finding, Gate
 
 LAYOUTS = (*TABLES, CANDIDATES)
+OF_GAIN: Final = frozenset(
+    (
+        ("filters", "belief"),
+        ("evidence", "word"),
+        ("coasting", "ratio_to_baseline"),
+        ("coasting", "ratio_low"),
+        ("coasting", "ratio_high"),
+        ("coasting", "windows_won_pct"),
+    )
+)
+"""Cells beside those that can be better or worse, and those of filters by themselves, that speak of gain or loss."""
 _Named = dict[tuple[str, str], Row]
 """Rows by filter and key."""
 
@@ -74,7 +85,8 @@ def _is_meant(gate: Gate, layout: TableLayout, row: Row) -> bool:
 def _is_unjudged(layout: TableLayout, row: Row, gate: Gate, report: StoredReport) -> bool:
     """Return whether a cell speaks of what a filter gains where nothing can be said of that; the verdict itself can."""
     candidate = report.filters.get(str(row["filter"]), {})
-    of_gain = not layout.baseline_too and gate.column in layout.better and gate.column != "improvement"
+    held_against = not layout.baseline_too or layout.name == "drift"
+    of_gain = (layout.name, gate.column) in OF_GAIN or (held_against and gate.column in layout.better)
     return of_gain and candidate.get("improvement") == Judgement.NOT_JUDGED
 
 
@@ -85,7 +97,7 @@ def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None, unjud
         return f"is {value_text(value)}, and the filter is {Judgement.NOT_JUDGED}"
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and gate.column in layout.better:
         return f"is {value_text(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+    if value in (None, "") or (isinstance(value, float) and not math.isfinite(value)):
         word = row.get("status") or row.get("verdict")
         return f"is empty{f' ({word})' if word else ''}"
     complaints = [

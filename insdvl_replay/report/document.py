@@ -115,6 +115,8 @@ def percent(value: float | None) -> str:
 Format = Literal["terminal", "markdown", "latex", "html"]
 PRINTED: Final[tuple[Format, ...]] = ("terminal", "markdown", "latex")
 PAGE: Final[tuple[Format, ...]] = ("html",)
+LONG: Final[tuple[Format, ...]] = ("markdown", "latex", "html")
+"""What is too long for a terminal."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from insdvl_replay.core.tables import Candidate, each_table
 from insdvl_replay.core.words import Belief, Judgement, ReferenceStatus
 from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import (
+    LONG,
     PAGE,
     PRINTED,
     Callout,
@@ -29,8 +30,9 @@ from insdvl_replay.report.document import (
 )
 from insdvl_replay.report.page import page
 from insdvl_replay.report.plots.panel import Figure
-from insdvl_replay.results.dive_tables import TONES, display_tables, glance_table
+from insdvl_replay.results.dive_tables import TONES, evidence_tables, filter_tables, glance_table
 from insdvl_replay.results.json_report import Report
+from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference, reference_tables, track_fit_line
 
 _LOUD: Final = (Judgement.WORSE, Judgement.NOT_JUDGED)
 _SAME: Final = {"dv_n": "velocity_n", "dv_e": "velocity_e", "dv_d": "velocity_d", "phi_d": "heading"}
@@ -39,13 +41,15 @@ _FULL_PCT: Final = 100.0
 """Longer bars end at the edge; the number beside them says it all."""
 
 
-def dive_document(report: Report, behind: Sequence[Part] = ()) -> list[Part]:
-    """Lay out a report.
+def dive_document(report: Report, figures: Sequence[Part] = (), behind: Sequence[Part] = ()) -> list[Part]:
+    """Lay out a report: what was measured, then what the filters say of themselves.
 
     Parameters
     ----------
+    figures : sequence of Part
+        What stands behind the evidence.
     behind : sequence of Part
-        What stands behind the tables.
+        What stands behind all tables.
     """
     glance = [LinkedTable(glance_table(report), ())] if report.filters else []
     return [
@@ -53,8 +57,14 @@ def dive_document(report: Report, behind: Sequence[Part] = ()) -> list[Part]:
         Only(PAGE, (Title(_replayed(report)),)),
         *(Callout(candidate.verdict, TONES.get(candidate.improvement, "")) for candidate in report.filters.values()),
         *glance,
+        *track_fit_line(report),
+        *([] if has_reference(report) else [NO_REFERENCE]),
+        Heading("Evidence"),
+        *evidence_tables(report),
+        Only(LONG, tuple(reference_tables(report))),
+        *figures,
         Heading("Tables"),
-        *display_tables(report),
+        *filter_tables(report),
         Only(PRINTED, (Sentences(closing_lines(report)),)),
         *behind,
     ]
@@ -62,7 +72,7 @@ def dive_document(report: Report, behind: Sequence[Part] = ()) -> list[Part]:
 
 def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: str) -> bytes:
     """Write the page of a replay; the same replay gives the same bytes."""
-    behind: list[Part] = [
+    drawn: list[Part] = [
         Heading("Figures"),
         _bars(report),
         *figures,
@@ -72,13 +82,15 @@ def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: 
             "missing.",
             strips,
         ),
+    ]
+    behind: list[Part] = [
         Heading("What was lost or assumed"),
         losses(report.notes),
         Heading("Provenance"),
         *_provenance(report),
         settings_details(settings),
     ]
-    return page(dive_document(report, behind))
+    return page(dive_document(report, drawn, behind))
 
 
 def report_csv(report: Report) -> str:
@@ -110,9 +122,10 @@ def _in_short(candidate: Candidate) -> str:
 
 def closing_lines(report: Report) -> tuple[str, ...]:
     """State for each candidate what its mean improvement is, and whose opinion that is."""
+    trust = "reference error and consistency" if has_reference(report) else "coasting and consistency"
     return tuple(
         f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (believed by the filter's "
-        "own covariance; see reference error and consistency), "
+        f"own covariance; see {trust}), "
         f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner"
         for name, means in report.filters.items()
         if means.improvement != Judgement.NOT_JUDGED
@@ -145,21 +158,29 @@ def _figure(title: str, caption: str, content: str) -> Html:
 
 
 def _bars(report: Report) -> Html:
-    """Draw what each candidate believes to have gained over the baseline, and what it has gained."""
+    """Draw what each candidate believes to have gained over the baseline and, with a reference, what it has gained."""
+    upper = "what a filter believes to have gained, by its own covariance."
+    title, caption = (
+        (
+            "Believed against actual: how much smaller the errors are",
+            f"Upper bars, blue: {upper} Lower bars: what it has gained against the reference.",
+        )
+        if has_reference(report)
+        else ("Believed: how much smaller the errors are", f"Bars: {upper}")
+    )
     return _figure(
-        "Believed against actual: how much smaller the errors are",
-        "Upper bars, blue: what a filter believes to have gained, by its own covariance. Lower bars: what it has "
-        "gained against the reference.",
-        f'<div class="tables">{"".join(_bars_of(report, name) for name in report.filters)}</div>',
+        title, caption, f'<div class="tables">{"".join(_bars_of(report, name) for name in report.filters)}</div>'
     )
 
 
 def _bars_of(report: Report, name: str) -> str:
-    rows = "".join(_gain_row(label, believed, actual) for label, believed, actual in _gains(report, name))
+    known = has_reference(report)
+    rows = "".join(_gain_row(*gain, known=known) for gain in _gains(report, name))
     title = f"{name} against {report.baseline}"
+    actual = '<th class="r">actual</th>' if known else ""
     return (
         f'<section><h3><b>{escape(title)}</b></h3><table class="bars"><thead><tr><th>quantity</th>'
-        '<th class="r">believed</th><th class="r">actual</th><th class="axis"><span>&minus;100 %</span><span>0</span>'
+        f'<th class="r">believed</th>{actual}<th class="axis"><span>&minus;100 %</span><span>0</span>'
         f"<span>100 %</span></th></tr></thead><tbody>{rows}</tbody></table></section>"
     )
 
@@ -167,7 +188,12 @@ def _bars_of(report: Report, name: str) -> str:
 def _gains(report: Report, name: str) -> Iterator[tuple[str, float | None, float | None]]:
     """Yield label, believed and actual improvement in percent: the means, the states, and what has no state."""
     means = report.filters[name]
-    yield "mean of nine states, median of the errors", means.mean_improvement_pct, means.reference_improvement_pct
+    known = has_reference(report)
+    yield (
+        "mean of nine states" + (", median of the errors" if known else ""),
+        means.mean_improvement_pct,
+        means.reference_improvement_pct,
+    )
     actual: dict[str, float | None] = {
         row.quantity: row.improvement_pct
         for row in report.tables.reference_error
@@ -178,17 +204,18 @@ def _gains(report: Report, name: str) -> Iterator[tuple[str, float | None, float
     }
     for state, improvement_pct in believed.items():
         quantity = _SAME.get(state, "")
-        label = row_label(state) + (" / heading" if quantity == "heading" else "")
+        label = row_label(state) + (" / heading" if known and quantity == "heading" else "")
         yield label, improvement_pct, actual.pop(quantity, None)
     for quantity, improvement_pct in actual.items():
         yield row_label(quantity), None, improvement_pct
 
 
-def _gain_row(label: str, believed_pct: float | None, actual_pct: float | None) -> str:
+def _gain_row(label: str, believed_pct: float | None, actual_pct: float | None, *, known: bool) -> str:
     bars = _bar("believed", believed_pct, 1) + _bar("actual", actual_pct, 9)
+    actual = f'<td class="r">{percent(actual_pct)}</td>' if known else ""
     return (
         f'<tr><th scope="row">{escape(label)}</th><td class="r">{percent(believed_pct)}</td>'
-        f'<td class="r">{percent(actual_pct)}</td><td class="axis"><svg viewBox="-100 0 200 16" '
+        f'{actual}<td class="axis"><svg viewBox="-100 0 200 16" '
         f'preserveAspectRatio="none"><path class="zero" d="M0 0V16"/>{bars}</svg></td></tr>'
     )
 

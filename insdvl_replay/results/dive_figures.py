@@ -17,6 +17,7 @@ from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat, wrap_
 from insdvl_replay.replay import Replay
 from insdvl_replay.report.plots.panel import REFERENCE, Curve, Figure, Panel, dashes_on_top, filter_style
 from insdvl_replay.results.coverage import Source, coverage_strips
+from insdvl_replay.results.evidence_figures import coasting_figure, convergence_figure
 from insdvl_replay.results.filter_figures import Clock, FilterErrors, error_figure, nis_figure, sigma_figure
 
 _FEWEST_BEAMS = 3
@@ -43,11 +44,13 @@ class Track:
 
 
 def replay_figures(replay: Replay) -> tuple[Figure, ...]:
-    """Draw all figures of a replay."""
+    """Draw all figures of a replay: what was measured, then what the filters believe."""
     clock = Clock(replay.start_ns, replay.end_ns)
     return (
-        sigma_figure(replay.histories, clock),
         *_errors(replay, clock),
+        *coasting_figure(replay.curves.coasting, clock),
+        *convergence_figure(replay.curves.convergence, replay.tables.evidence),
+        sigma_figure(replay.histories, clock),
         nis_figure(replay.histories, clock, lambda dof: mean_interval(dof, 1)),
         motion_figure(list(_tracks(replay)), replay.histories[0], clock),
         *_acceleration_figure(replay, clock),
@@ -200,8 +203,9 @@ def acceleration_figure(
     legend = [(DERIVED, "slope of the DVL's velocities")]
     if reference_b is not None:
         legend.append((REFERENCE, "derivative of the reference's velocity"))
+    beside = "" if reference_b is None else ", beside the reference"
     return Figure(
-        "What the acceleration is worth: from the DVL, beside the reference",
+        f"What the acceleration is worth: from the DVL{beside}",
         f"Rates of the velocity's components in body axes, at the middle of their windows.{swing}",
         tuple(_acceleration_panel(axis, time_ns, derived_b, reference_b, clock) for axis in range(3)),
         tuple(legend),

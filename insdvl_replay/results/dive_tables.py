@@ -13,6 +13,7 @@ from insdvl_replay.core.rows import (
     ImprovementRow,
     ReferenceErrorRow,
 )
+from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Judgement, ReferenceStatus
 from insdvl_replay.evaluation.evidence import HONESTY, NAMES
 from insdvl_replay.evaluation.pooled_evidence import PooledCandidate, PooledRow
@@ -27,12 +28,15 @@ from insdvl_replay.report.document import (
     table_of,
 )
 from insdvl_replay.results.json_report import Report
+from insdvl_replay.results.reference_tables import has_reference
 
 MEANS: Final = (
     "measured: how much smaller the error is by the first evidence, drift in 30 s against the reference or while the "
     "DVL is withheld; believed: mean over nine states, by the filter's own covariance"
 )
 """What stands in the columns of candidates."""
+BLIND: Final = "Blind to heading, scale and a constant turn of the mounting, which the DVL itself shares."
+"""What withheld velocities cannot tell."""
 TONES: Final[dict[str, str]] = {
     Judgement.BETTER: "good",
     Judgement.MIXED: "bad",
@@ -50,23 +54,21 @@ class _OfFilter(Protocol):
 Row = TypeVar("Row", bound=_OfFilter)
 
 
-def display_tables(report: Report) -> list[DisplayTable]:
-    """Lay out three tables for each candidate and three on how far to trust each filter, those that have rows."""
-    return list(_tables(report))
-
-
 def glance_table(report: Report) -> DisplayTable:
-    """Lay each candidate's verdicts and its measured and believed improvement beside each other."""
-    return DisplayTable(
-        "At a glance",
-        ("filter", "judgement", "measured", "believed", "belief", "innovations", "errors"),
-        "llrrlll",
-        tuple(
-            (name, *gain_cells(report, name), candidate.consistency, candidate.credibility or MISSING)
-            for name, candidate in report.filters.items()
-        ),
-        f"{MEANS}; innovations and errors: whether they are as large as the filter says",
-    )
+    """Lay each candidate's verdicts and its measured and believed improvement beside each other, as far as known."""
+    known = has_reference(report)
+    columns: list[Column[tuple[str, Candidate]]] = [
+        ("filter", "l", lambda one: one[0]),
+        ("judgement", "l", lambda one: gain_cells(report, one[0])[0]),
+        ("measured", "r", lambda one: gain_cells(report, one[0])[1]),
+        ("believed", "r", lambda one: gain_cells(report, one[0])[2]),
+        *([("belief", "l", lambda one: gain_cells(report, one[0])[3])] if known else []),
+        ("innovations", "l", lambda one: one[1].consistency),
+        *([("errors", "l", lambda one: one[1].credibility or MISSING)] if known else []),
+    ]
+    words = "innovations and errors" if known else "innovations"
+    footnote = f"{MEANS}; {words}: whether they are as large as the filter says"
+    return table_of("At a glance", list(report.filters.items()), columns, footnote)
 
 
 def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
@@ -79,11 +81,16 @@ def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
     return candidate.improvement, measured, percent(candidate.mean_improvement_pct), candidate.belief or MISSING
 
 
-def _tables(report: Report) -> Iterator[DisplayTable]:
-    tables = report.tables
+def evidence_tables(report: Report) -> Iterator[DisplayTable]:
+    """Lay out what was measured of each candidate, and how all filters coast, where there are rows."""
     for name in report.filters:
-        yield from _evidence(report.baseline, name, _of(name, tables.evidence))
-    yield from _coasting(tables.coasting)
+        yield from _evidence(report.baseline, name, _of(name, report.tables.evidence))
+    yield from _coasting(report.tables.coasting)
+
+
+def filter_tables(report: Report) -> Iterator[DisplayTable]:
+    """Lay out three tables for each candidate and three on how far to trust each filter, those that have rows."""
+    tables = report.tables
     for name in report.filters:
         yield from _improvement(report.baseline, name, _of(name, tables.improvement))
         yield from _convergence(report.baseline, name, _of(name, tables.convergence))
@@ -154,13 +161,13 @@ def _coasting(rows: Sequence[CoastingRow]) -> Iterator[DisplayTable]:
             ("down\n[m]", "r", lambda row: number(row.vertical_median_m)),
             ("ratio", "r", lambda row: decimal(row.ratio_to_baseline, 2)),
             ("won\n[%]", "r", lambda row: decimal(row.windows_won_pct, 0)),
-            ("NIS/dof", "r", lambda row: decimal(row.nis_per_dof, 2)),
+            ("NIS\n/ dof", "r", lambda row: decimal(row.nis_per_dof, 2)),
         ]
         yield table_of(
             "Coasting: drift while the DVL is withheld",
             rows,
             columns,
-            "Blind to heading, scale and a constant turn of the mounting, which the DVL itself shares.",
+            BLIND,
         )
 
 
@@ -192,7 +199,8 @@ def _convergence(baseline: str, name: str, rows: Sequence[ConvergenceRow]) -> It
 
 
 def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]) -> Iterator[DisplayTable]:
-    if rows:
+    compared = [row for row in rows if row.samples]
+    if compared:
         columns: list[Column[ReferenceErrorRow]] = [
             ("quantity", "l", lambda row: row_label(row.quantity)),
             ("unit", "l", lambda row: row.unit),
@@ -203,7 +211,7 @@ def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]
             (f"{name}\nfinal", "r", lambda row: number(row.final)),
         ]
         title = f"Reference error: distance from the reference, {name} against {baseline}"
-        yield table_of(title, rows, columns, _not_compared(rows))
+        yield table_of(title, compared, columns, _not_compared(rows))
 
 
 def _not_compared(rows: Sequence[ReferenceErrorRow]) -> str:

@@ -32,6 +32,8 @@ _AIR: Final = 1.15
 _MISSING: Final = 2.5
 """Pings are missing where none came for this many of the usual steps."""
 SIGMAS: Final = 3.0
+_WIDEST: Final = 4.0
+"""So many times the largest error a panel shows of a band: more would make a flat line of the error."""
 _AXES: Final = ("north", "east", "down")
 Interval = Callable[[int], tuple[float, float]]
 """From degrees of freedom to the interval in which 95 % of the values of a consistent filter lie."""
@@ -161,7 +163,8 @@ def error_figure(errors: Sequence[FilterErrors], clock: Clock) -> Figure:
     return Figure(
         "How wrong they are: errors against the reference",
         "Shaded: three standard deviations to either side, as each filter believes them. An honest filter stays "
-        "inside, and fills a good part of it. The position is no state of these filters and has no band.",
+        "inside, and fills a good part of it; a band that is much wider than the errors leaves the panel. The position "
+        "is no state of these filters and has no band.",
         tuple(panel for panel in (*states, *positions) if _any(panel)),
         filter_legend([of_filter.filter for of_filter in errors]),
     )
@@ -174,7 +177,7 @@ def _state_panel(state: State, errors: Sequence[FilterErrors], clock: Clock) -> 
         error, sd = (column[:, state.index] / state.factor for column in (of_filter.state_error, of_filter.state_sd))
         curves.append(Curve(time, error, filter_style(number)))
         bands.append(Band(time, -SIGMAS * sd, SIGMAS * sd, filter_style(number)))
-        height = SIGMAS * settled_height(sd[clock.settled(of_filter.time_ns)])
+        height = min(SIGMAS * settled_height(sd[clock.settled(of_filter.time_ns)]), _WIDEST * _largest(error))
         shown += [error, np.array([-height, height])]
     title = f"{state.label} [{state.unit}]"
     return Panel(title, clock.label, dashes_on_top(curves), tuple(bands), y_limits=limits(np.concatenate(shown)))
@@ -186,6 +189,11 @@ def _position_panel(axis: int, errors: Sequence[FilterErrors], clock: Clock) -> 
         for number, of_filter in enumerate(errors)
     ]
     return Panel(f"position error, {_AXES[axis]} [m]", clock.label, dashes_on_top(curves))
+
+
+def _largest(error: Floats) -> float:
+    """Return the largest size of an error; infinite where none is known, or all are zero."""
+    return float(np.max(np.abs(error), where=np.isfinite(error), initial=0.0)) or np.inf
 
 
 def _any(panel: Panel) -> bool:

@@ -21,6 +21,7 @@ from insdvl_replay.report.page import page
 from insdvl_replay.results.dive_tables import MEANS, TONES, gain_cells, pooled_table
 from insdvl_replay.results.folder import PAGE
 from insdvl_replay.results.json_report import Report
+from insdvl_replay.results.reference_tables import has_reference
 
 COLUMNS: Final = (
     "log", "filter", "mean_improvement_pct", "mean_convergence_improvement_pct", "position_h_baseline_rmse_m",
@@ -32,6 +33,8 @@ _HEADER: Final = (
     "candidate\nposition [m]", "consistency", "warnings", "failed because",
 )  # fmt: skip
 _ALIGNMENT: Final = "lllrrlrrlrl"
+_OF_REFERENCE: Final = ("belief", "baseline\nposition [m]", "candidate\nposition [m]")
+"""Columns of which dives without a reference have nothing to say."""
 
 
 @dataclass(frozen=True)
@@ -146,13 +149,15 @@ def index_page(outcomes: Sequence[Report | Failure]) -> bytes:
     """
     rows = [row for outcome in outcomes for row in _index_rows(outcome)]
     failed = sum(isinstance(outcome, Failure) for outcome in outcomes)
-    columns = len(_HEADER) if failed else len(_HEADER) - 1
+    known = any(isinstance(outcome, Report) and has_reference(outcome) for outcome in outcomes)
+    left_out = {*(() if known else _OF_REFERENCE), *(() if failed else _HEADER[-1:])}
+    shown = [place for place, name in enumerate(_HEADER) if name not in left_out]
     table = DisplayTable(
         "Each candidate against its baseline",
-        _HEADER[:columns],
-        _ALIGNMENT[:columns],
-        tuple(cells[:columns] for cells, _ in rows),
-        f"{MEANS}; position: rms of the horizontal error",
+        tuple(_HEADER[place] for place in shown),
+        "".join(_ALIGNMENT[place] for place in shown),
+        tuple(tuple(cells[place] for place in shown) for cells, _ in rows),
+        f"{MEANS}; position: rms of the horizontal error" if known else MEANS,
     )
     words = f"{len(outcomes)} dives" + (f", {failed} of them failed" if failed else "")
     script = files("insdvl_replay.report").joinpath("sorting.js").read_text("utf-8")

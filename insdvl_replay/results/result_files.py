@@ -20,6 +20,7 @@ from insdvl_replay.results.dive_document import dive_page
 from insdvl_replay.results.dive_figures import replay_coverage, replay_figures
 from insdvl_replay.results.folder import PAGE, REFERENCE_TRAJECTORY, trajectory_file
 from insdvl_replay.results.json_report import Report, build_report, encode_report, this_tool
+from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference
 
 
 def save_trajectories(replay: Replay, folder: Path) -> None:
@@ -143,6 +144,8 @@ def _log_lines(report: Report) -> Iterator[str]:
             yield f"filter {row.filter}: {row.used} {row.measurement} updates, {row.rejected} rejected by the gate"
     for candidate in report.filters.values():
         yield candidate.verdict
+    if not has_reference(report):
+        yield NO_REFERENCE
     for note in report.notes:
         hint = f" (hint: {note.hint})" if note.hint else ""
         yield f"{note.severity} {note.code} [{note.count}]: {note.text}{hint}"

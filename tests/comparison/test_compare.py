@@ -453,8 +453,9 @@ def test_json_is_read_back_as_the_comparison(tmp_path: Path) -> None:
     comparison = compare_results(*two_sets(tmp_path))
     assert msgspec.json.decode(as_json(comparison), type=Comparison) == comparison
     document = json.loads(as_json(comparison))
-    # Of each dive 5 cells of the candidate, 2 x 3 of improvement, 2 x 4 of convergence, 5 of errors, 3 of consistency.
-    assert document["total"]["counts"] == {"better": 1, "worse": 2, "same": 78, "changed": 0, "new": 0, "gone": 0}
+    # Of each dive 6 cells of the candidate, 2 x 3 of improvement, 2 x 4 of convergence, 5 of errors, 3 of
+    # consistency, 4 of evidence.
+    assert document["total"]["counts"] == {"better": 1, "worse": 2, "same": 93, "changed": 0, "new": 0, "gone": 0}
 
 
 def test_csv_has_four_parts_and_numbers_in_full(tmp_path: Path) -> None:
@@ -525,3 +526,35 @@ def test_what_is_new_is_no_gain(tmp_path: Path) -> None:
     total = compared(tmp_path, old, content()).total
     assert total.counts["new"] > 0
     assert (total.worst, total.best) == (None, None)
+
+
+# --- Verdicts that changed.
+
+
+def test_changed_verdicts_are_said_first(tmp_path: Path) -> None:
+    old, new = content(improvement="undecided", belief="undecided"), content(improvement="better", belief="borne out")
+    first, second, *rest = opening_lines(compared(tmp_path, old, new))
+    assert first == "aided is now better, was undecided"
+    assert second == "what aided believes is now borne out, was undecided"
+    assert not any("now" in line for line in rest)
+    unchanged = compared(tmp_path / "same", content(), content(rmse=0.5))
+    assert not any("is now" in line for line in opening_lines(unchanged))
+
+
+def test_changed_verdicts_of_several_dives_are_said_once_with_their_dives(tmp_path: Path) -> None:
+    for name, word in (("one", "worse"), ("two", "worse"), ("three", "better")):
+        write(tmp_path / "old" / name, content(name))
+        write(tmp_path / "new" / name, content(name, improvement=word, belief="undecided"))
+    write(tmp_path / "old" / "four", content("four", belief="undecided"))
+    write(tmp_path / "new" / "four", content("four", belief="undecided"))
+    comparison = in_order(compare_results(tmp_path / "old", tmp_path / "new"), "table", only_changed=True)
+    assert opening_lines(comparison)[:2] == [
+        "aided is now worse, was better (one, two)",
+        "what aided believes is now undecided, was borne out (3 of 4)",
+    ]
+
+
+def test_a_verdict_that_an_early_report_lacks_has_not_changed(tmp_path: Path) -> None:
+    early = content()
+    del early["filters"]["aided"]["belief"]
+    assert not any("is now" in line for line in opening_lines(compared(tmp_path, early, content())))

@@ -26,6 +26,8 @@ def test_the_tables_have_these_names_keys_and_primary_columns() -> None:
         ("credibility", "quantity", "mean_nees"),
         ("evidence", "quantity", "ratio"),
         ("coasting", "window_s", "drift_median_m"),
+        ("drift", "quantity", "p50"),
+        ("track_fit", "quantity", "fitted"),
     ]
 
 

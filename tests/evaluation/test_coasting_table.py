@@ -18,6 +18,7 @@ from insdvl_replay.evaluation.coasting import (
     drift_over_time,
 )
 from insdvl_replay.evaluation.coasting_windows import CoastingPlan, plan_coasting
+from insdvl_replay.evaluation.curves import coasting_curves
 
 START_NS = 1_704_067_200_000_000_000
 FIRST_PING_S = 0.3717
@@ -255,6 +256,19 @@ def test_drift_over_time_is_the_middle_and_the_edge_of_all_windows() -> None:
     np.testing.assert_allclose(shown.time_s, np.arange(61.0))
     np.testing.assert_allclose(shown.median_m, 0.5 * np.median(accel) * shown.time_s**2, atol=1e-12)
     np.testing.assert_allclose(shown.p95_m, 0.5 * np.quantile(accel, 0.95) * shown.time_s**2, atol=1e-12)
+
+
+def test_curves_say_where_in_the_dive_each_window_lies() -> None:
+    coasts = coasts_that_drift(baseline=0.001, aided=0.0005)
+    found = coasting_curves(coasts)
+    assert starts_s(coasts.plan, coasts.plan.shown.first) == [
+        round((ns - START_NS) / 1e9) for ns in found["aided"].begin_ns
+    ]
+    np.testing.assert_allclose(found["baseline"].drift_m, 1.8)
+    np.testing.assert_allclose(found["aided"].drift_m, 0.9)
+    np.testing.assert_allclose(found["aided"].over_time.p95_m[-1], 0.9)
+    short = plan_of(pings(150.0), 150.0)
+    assert coasting_curves(Coasts(short, np.arange(150.0), {"baseline": (), "aided": ()})) == {}
 
 
 def test_the_row_type_is_a_table() -> None:

@@ -1,4 +1,4 @@
-"""Drift, course errors and circles of worlds whose answer is known."""
+"""Drift and course errors of worlds whose answer is known, and the table of both."""
 
 from dataclasses import replace
 
@@ -7,14 +7,16 @@ import pytest
 from scipy.stats import chi2
 
 from insdvl_replay.core.columns import Floats, ReferenceColumns
+from insdvl_replay.core.quantities import DRIFT_QUANTITIES, TRACK_FIT_QUANTITIES
+from insdvl_replay.core.rows import DriftRow
 from insdvl_replay.evaluation.drift import (
-    circular_error,
     course_errors,
     distance_segments,
     reference_distance_m,
     segment_drift,
     time_segments,
 )
+from insdvl_replay.evaluation.drift_table import drift_table, track_fit_table
 from insdvl_replay.evaluation.paired_statistics import paired_ratio
 from insdvl_replay.evaluation.reference import ReferenceErrors
 from insdvl_replay.geometry.frames import moved_position
@@ -79,10 +81,13 @@ def test_worst_segment_is_found_with_its_time() -> None:
     position_m[150:, 0] = 5.0
     position_m[150:155, 0] = 6.0
     errors = errors_of(position_m)
-    worst = segment_drift(errors, time_segments(errors.time_ns)).worst
-    assert worst is not None
-    assert worst.horizontal_m == pytest.approx(6.0)
-    assert worst.start_ns < errors.time_ns[150] <= worst.end_ns < errors.time_ns[155]
+    start_ns = int(errors.time_ns[0]) - SECOND
+    rows = drift_table("dive", {"aided": errors}, going(300, np.array([2.0, 0.0, 0.0])), start_ns)
+    (worst,) = (row for row in rows if row.quantity == "drift_60s")
+    assert worst.worst == pytest.approx(6.0)
+    assert worst.worst_from_s is not None
+    assert worst.worst_to_s == pytest.approx(worst.worst_from_s + 60.0)
+    assert worst.worst_from_s < 151.0 <= worst.worst_to_s < 156.0
 
 
 @pytest.mark.parametrize("k", [0, 1, 2, 50])
@@ -90,7 +95,6 @@ def test_dive_shorter_than_a_segment_has_none(k: int) -> None:
     errors = errors_of(np.zeros((k, 3)))
     drift = segment_drift(errors, time_segments(errors.time_ns))
     assert drift.horizontal_m.shape == (0,)
-    assert drift.worst is None
 
 
 def test_segments_do_not_reach_across_a_hole_where_they_end() -> None:
@@ -123,8 +127,6 @@ def test_what_is_not_known_stays_in_its_place() -> None:
     assert np.isnan(drift.horizontal_m[:8]).all()
     assert np.isfinite(drift.horizontal_m[8:]).all()
     assert paired_ratio(drift.horizontal_m**2, other.horizontal_m**2).ratio == pytest.approx(2.0)
-    nothing = segment_drift(errors_of(np.full((200, 3), np.nan)), segments)
-    assert nothing.worst is None
 
 
 # --- Distance.
@@ -184,16 +186,65 @@ def test_vehicle_at_rest_has_no_course() -> None:
     np.testing.assert_array_equal(np.isnan(found.along_mps), np.isnan(found.across_mps))
 
 
-# --- Circles.
+# --- The table.
+
+
+def table(reference: ReferenceColumns, *, bridged_gaps: bool = False, **errors: ReferenceErrors) -> list[DriftRow]:
+    start_ns = int(reference.time_ns[0]) - SECOND
+    return drift_table("dive", errors, reference, start_ns, bridged_gaps=bridged_gaps)
+
+
+def row_of(rows: list[DriftRow], name: str, quantity: str) -> DriftRow:
+    (found,) = (row for row in rows if (row.filter, row.quantity) == (name, quantity))
+    return found
 
 
 def test_circles_of_a_normal_error_have_the_radii_of_rayleigh() -> None:
-    position_m = 2.0 * np.random.default_rng(3).standard_normal((200_000, 3))
-    circle = circular_error(errors_of(position_m))
-    assert circle.cep50_m == pytest.approx(2.0 * np.sqrt(chi2.ppf(0.50, 2)), rel=0.01)
-    assert circle.cep95_m == pytest.approx(2.0 * np.sqrt(chi2.ppf(0.95, 2)), rel=0.01)
+    position_m = 2.0 * np.random.default_rng(3).standard_normal((20_000, 3))
+    row = row_of(table(going(20_000, np.array([1.0, 0.0, 0.0])), aided=errors_of(position_m)), "aided", "position_h")
+    assert row.p50 == pytest.approx(2.0 * np.sqrt(chi2.ppf(0.50, 2)), rel=0.02)
+    assert row.p95 == pytest.approx(2.0 * np.sqrt(chi2.ppf(0.95, 2)), rel=0.02)
+    assert row.rms == pytest.approx(2.0 * np.sqrt(2.0), rel=0.02)
+    largest_m = np.hypot(position_m[:, 0], position_m[:, 1])
+    assert (row.samples, row.worst, row.worst_from_s) == (20_000, largest_m.max(), float(np.argmax(largest_m) + 1))
 
 
-def test_no_position_has_no_circle() -> None:
-    circle = circular_error(errors_of(np.full((5, 3), np.nan)))
-    assert np.isnan([circle.cep50_m, circle.cep95_m]).all()
+def test_each_filter_has_a_row_of_each_quantity_that_is_known() -> None:
+    reference = going(400, np.array([0.0, 2.0, 0.0]))
+    steady = errors_of(growing(400, (0.03, -0.04, 0.0)), np.tile([0.01, -0.03, 0.0], (400, 1)))
+    rows = table(reference, baseline=steady, aided=errors_of(np.full((400, 3), np.nan), np.full((400, 3), np.nan)))
+    assert [(row.filter, row.quantity) for row in rows] == [
+        (name, quantity) for name in ("baseline", "aided") for quantity in DRIFT_QUANTITIES
+    ]
+    assert row_of(rows, "baseline", "drift_60s").p50 == pytest.approx(3.0)
+    assert row_of(rows, "baseline", "drift_100m").p95 == pytest.approx(2.5), "50 s at 2 m/s"
+    assert row_of(rows, "baseline", "velocity_along").p50 == pytest.approx(0.03), "sizes, whichever way"
+    assert row_of(rows, "baseline", "velocity_across").worst == pytest.approx(0.01)
+    dead = row_of(rows, "aided", "position_h")
+    assert dead.samples == 0
+    assert np.isnan([dead.p50, dead.p95, dead.rms, dead.worst, dead.worst_from_s]).all()
+
+
+def test_what_the_reference_or_a_gap_leaves_unknown_has_no_row() -> None:
+    reference, errors = going(400, np.array([1.0, 0.0, 0.0])), errors_of(growing(400, (0.1, 0.0, 0.0)))
+    unlocated = replace(reference, position=np.full((400, 3), np.nan))
+    of_velocity = ["velocity_along", "velocity_across"]
+    blind = replace(errors, position_error_ned_m=np.full((400, 3), np.nan))
+    assert [row.quantity for row in table(unlocated, aided=blind)] == of_velocity
+    assert [row.quantity for row in table(reference, aided=errors, bridged_gaps=True)] == of_velocity
+    short = table(going(30, np.array([1.0, 0.0, 0.0])), aided=errors_of(growing(30, (0.1, 0.0, 0.0))))
+    assert [row.quantity for row in short] == ["position_h", *of_velocity]
+
+
+def test_track_fit_of_each_filter_is_two_rows_and_none_where_nothing_moves() -> None:
+    velocity_n = np.array([1.0, 0.5, 0.0])
+    reference, small = going(400, velocity_n), errors_of(growing(400, (-0.02, -0.01, 0.0)))
+    rows = track_fit_table("dive", {"baseline": small, "aided": errors_of(np.zeros((400, 3)))}, reference)
+    assert [(row.filter, row.quantity, row.unit) for row in rows] == [
+        (name, *unit) for name in ("baseline", "aided") for unit in TRACK_FIT_QUANTITIES.items()
+    ]
+    values = [row.fitted for row in rows]
+    assert values == pytest.approx([100.0 / 0.98 - 100.0, 0.0, 0.0, 0.0], abs=1e-3)
+    far = errors_of(np.full((400, 3), 1e300))
+    assert track_fit_table("dive", {"baseline": far}, reference) == []
+    assert track_fit_table("dive", {"baseline": small}, going(400, np.zeros(3))) == []

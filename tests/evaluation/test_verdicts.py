@@ -33,6 +33,7 @@ def judged(
     honesty: str = "equivalent",
     independent: bool = True,
     kind: str = "accuracy",
+    samples: int = 9,
 ) -> Candidate:
     """Judge a candidate whose states all improved alike, by pieces of evidence that say these words."""
     row = "dive", "aided"
@@ -45,7 +46,7 @@ def judged(
         [ImprovementRow(*row, state.id, state.unit, 1.0, 1.0, believed_pct, "improved") for state in STATES],
         [ConvergenceRow(*row, state.id, state.unit, 1.0, 9.0, 9.0, 0.0, "reached") for state in STATES],
         [
-            ReferenceErrorRow(*row, quantity, unit, 2.0, 1.6, 20.0, 0.0, 0.0, 9, "compared")
+            ReferenceErrorRow(*row, quantity, unit, 2.0, 1.6, 20.0, 0.0, 0.0, samples, "compared")
             for quantity, unit in REFERENCE_QUANTITIES.items()
         ],
         [
@@ -131,9 +132,15 @@ def test_better_and_more_honest_and_better_than_believed_can_be_said() -> None:
     assert "It believes in 30.0 % larger errors. " in judged(["better"], -30.0).verdict
 
 
-def test_sentence_without_a_reference_says_so() -> None:
+def test_sentence_says_that_a_reference_tells_nothing_of_what_is_believed() -> None:
     sentence = judged(["better"], kind="coasting").verdict
-    assert "It believes in 40.0 % smaller errors, and no reference tells whether that is so." in sentence
+    assert "It believes in 40.0 % smaller errors, and the reference does not tell whether that is so." in sentence
+
+
+def test_without_a_reference_nothing_is_said_of_what_is_believed() -> None:
+    """That there is none is said of the dive, and not of each candidate again."""
+    sentence = judged(["better"], kind="coasting", samples=0).verdict
+    assert "It believes in 40.0 % smaller errors. Both" in sentence
 
 
 def test_a_reference_that_shares_sensors_is_part_of_the_sentence() -> None:

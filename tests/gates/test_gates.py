@@ -373,3 +373,61 @@ def test_an_allowance_may_be_used_up_but_for_digits_that_differ_between_processo
 ) -> None:
     assert passes(gate(row="ba_x", baseline="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-10)), stored())
     assert not passes(gate(row="ba_x", baseline="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-8)), stored())
+
+
+# --- Words of the judgement.
+
+
+@pytest.mark.parametrize(
+    ("word", "wanted", "passed"),
+    [
+        ("better", "better", True),
+        ("equivalent", ["better", "equivalent"], True),
+        ("undecided", ["better", "equivalent"], False),
+        ("worse", ["better", "equivalent", "undecided"], False),
+        ("", ["better", "equivalent", "undecided", ""], False),
+    ],
+)
+def test_a_gate_on_evidence_wants_a_word(word: str, wanted: str | list[str], passed: bool) -> None:
+    keys = {"table": "evidence", "row": "drift_30s", "column": "word", "equals": wanted}
+    assert passes(gate(**keys), stored(word=word)) is passed
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"table": "evidence", "column": "word", "equals": ["better", "equivalent", "undecided", "worse", ""]},
+        {"table": "evidence", "column": "ratio", "max": 1e9},
+        {"table": "filters", "column": "belief", "equals": ["borne out", "undecided", "not borne out"]},
+        {
+            "table": "filters",
+            "column": "improvement",
+            "equals": ["better", "mixed", "equivalent", "undecided", "worse"],
+        },
+        {"table": "coasting", "column": "ratio_to_baseline", "max": 1e9},
+        {"table": "coasting", "column": "windows_won_pct", "min": 0.0},
+        {"table": "drift", "column": "p95", "max": 1e9},
+    ],
+    ids=lambda keys: f"{keys['table']}-{keys['column']}",
+)
+@pytest.mark.parametrize("word", ["better", ""])
+def test_nothing_that_speaks_of_gain_passes_for_a_filter_that_is_not_judged(keys: dict[str, Any], word: str) -> None:
+    """Even where a report of another version has left a word beside it."""
+    report = stored(improvement="not judged", belief="undecided", word=word)
+    row = {"log": "dive", "filter": "aided"}
+    report.tables["coasting"] = [row | {"window_s": "30", "ratio_to_baseline": 0.8, "windows_won_pct": 90.0}]
+    report.tables["drift"] = [row | {"quantity": "drift_60s", "unit": "m", "p95": 0.5}]
+    assert not passes(gate(**keys), report)
+    report.filters["aided"]["improvement"] = "better"
+    assert passes(gate(**keys), report) is (word != "" or keys["column"] != "word")
+
+
+def test_the_baseline_has_a_drift_of_its_own_whatever_becomes_of_a_candidate() -> None:
+    report = stored(improvement="not judged")
+    report.tables["drift"] = [{"log": "dive", "filter": "baseline", "quantity": "drift_60s", "unit": "m", "p95": 0.5}]
+    assert passes(gate(table="drift", filter="baseline", row="drift_60s", column="p95", max=1.0), report)
+    report.tables["track_fit"] = [
+        {"log": "dive", "filter": "baseline", "quantity": "scale", "unit": "%", "fitted": 0.3, "fitted_sd": 0.02}
+    ]
+    limit = gate(table="track_fit", row="scale", column="fitted", min=-0.2, max=0.2)
+    assert why(limit, report) == "track_fit baseline scale: fitted is 0.3 %, at most 0.2 is wanted"

@@ -27,7 +27,8 @@ NOISE = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=2e-6)
 VELOCITY = Filter(aiding=("velocity",))
 Rows = Callable[[Floats], NDArray[np.bool_]]
 """Chooses rows by their seconds from the start of the dive."""
-TABLES = ("improvement", "convergence", "reference_error", "consistency", "credibility", "evidence", "coasting")
+TABLES = ("improvement", "convergence", "reference_error", "consistency", "credibility", "evidence", "coasting",
+          "drift", "track_fit")  # fmt: skip
 
 
 def aided(**settings: object) -> Filter:

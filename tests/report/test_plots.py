@@ -168,3 +168,11 @@ def test_the_same_panel_gives_the_same_characters() -> None:
 def test_six_filters_have_styles_of_their_own() -> None:
     assert len({filter_style(number) for number in range(6)}) == 6
     assert filter_style(6) == filter_style(0)
+
+
+def test_a_logarithmic_time_axis_ends_with_its_values_and_gives_each_decade_the_same_room() -> None:
+    x = np.array([2.0, 20.0, 200.0])
+    [places] = lines(Panel("title", "x", (Curve(x, x, "filter0"),), x_scale="log"))
+    assert places[:, 0] == pytest.approx([48.0, 199.0, 350.0], abs=0.1)
+    labels = [text.text for text in drawn(Panel("", "", (Curve(x, x, "filter0"),), x_scale="log")).iter(f"{SVG}text")]
+    assert labels[1:3] == ["10", "100"]

@@ -103,7 +103,7 @@ def test_dark_and_light_differ(pages: dict[str, Path], browser: Browser) -> None
 
 def test_every_plot_of_a_dive_is_drawn(pages: dict[str, Path], browser: Browser) -> None:
     browser.open(pages["lawnmower"], 1280)
-    assert browser.value('document.querySelectorAll("svg.panel").length') == 12 + 9 + 5 + 4 + 3
+    assert browser.value('document.querySelectorAll("svg.panel").length') == 12 + 9 + 3 + 5 + 4 + 3
     assert browser.value('document.querySelectorAll("svg.strip").length') == 7
     lines = "e => e.getBoundingClientRect().width > 100"
     drawn = (

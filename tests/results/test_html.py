@@ -1,23 +1,28 @@
 """The page of a dive: all of it in one file, small, and honest about what is missing."""
 
+import io
 import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from taken_apart import Document
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import STATES
 from insdvl_replay.replay import Replay, replay_dive, replay_log
-from insdvl_replay.report.document import Callout, DisplayTable, Heading, Html, Title
+from insdvl_replay.report.document import Callout, DisplayTable, Heading, Html, Title, parts_for
 from insdvl_replay.report.page import page
+from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.coverage import Source, covered_shares
-from insdvl_replay.results.dive_tables import display_tables, glance_table
+from insdvl_replay.results.dive_document import dive_document
+from insdvl_replay.results.dive_tables import glance_table
 from insdvl_replay.results.filter_figures import Clock
 from insdvl_replay.results.json_report import Report, decode_report
+from insdvl_replay.results.reference_tables import NO_REFERENCE
 from insdvl_replay.results.result_files import save_replay
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -31,6 +36,11 @@ def saved(replay: Replay, folder: Path) -> tuple[Document, Report, bytes]:
     save_replay(replay, folder)
     data = (folder / "report.html").read_bytes()
     return Document(data.decode()), decode_report((folder / "report.json").read_bytes()), data
+
+
+def page_tables(report: Report) -> list[DisplayTable]:
+    """The tables of a page behind the one that gives all at a glance."""
+    return [part for part in parts_for("html", dive_document(report)) if isinstance(part, DisplayTable)]
 
 
 @pytest.fixture(scope="module")
@@ -47,24 +57,28 @@ def test_verdict_comes_first_and_every_cell_of_every_table_is_there(result: tupl
     document, report, _ = result
     assert document.texts["p"][0] == report.filters["aided"].verdict
     assert tuple(document.texts["td"][:7]) == glance_table(report).rows[0]
-    for table in display_tables(report):
+    for table in page_tables(report):
         assert table.title in document.texts["h3"]
         for row in table.rows:
             assert set(row) <= {cell.strip() for cell in document.texts["td"]}
     assert document.texts["h2"] == [
-        "Tables", "Figures", "What was lost or assumed", "Provenance"
+        "Evidence", "Figures", "Tables", "What was lost or assumed", "Provenance"
     ]  # fmt: skip
 
 
 def test_every_plot_is_there_with_a_line_for_each_filter(result: tuple[Document, Report, bytes]) -> None:
     document, _, _ = result
     titles = [attributes["aria-label"] for tag, attributes in document.elements if "aria-label" in attributes]
-    assert [f"{state.label} [{state.unit}]" for state in STATES] == titles[:12]
+    assert [f"{state.label} [{state.unit}]" for state in STATES] == titles[14:26]
+    assert titles[9:14] == [
+        "horizontal drift [m]", "drift in 60 s, by where they begin [m]",
+        "level: roll and pitch [deg]", "heading [deg]", "horizontal velocity [m/s]",
+    ]  # fmt: skip
     assert len([title for title in titles if "position error" in title]) == 3
     assert [title for title in titles if "NIS" in title] == [
         "baseline: NIS of the velocity", "aided: NIS of the velocity", "aided: NIS of the acceleration",
     ]  # fmt: skip
-    assert len(titles) == 12 + 9 + 3 + 4 + 3
+    assert len(titles) == 9 + 2 + 3 + 12 + 3 + 4 + 3
     assert document.count("path", "line") > 2 * 12 + 2 * 9
     assert document.count("svg", "strip") == 7
     paths = [attributes["d"] for tag, attributes in document.elements if tag == "path"]
@@ -73,7 +87,7 @@ def test_every_plot_is_there_with_a_line_for_each_filter(result: tuple[Document,
 
 def test_believed_stands_beside_actual(result: tuple[Document, Report, bytes]) -> None:
     document, report, _ = result
-    bars = document.texts["table"][1 + len(display_tables(report))]
+    (bars,) = (text for text in document.texts["table"] if text.startswith("quantitybelievedactual"))
     aided = report.filters["aided"]
     assert f"{aided.mean_improvement_pct:.1f} %{aided.reference_improvement_pct:.1f} %" in bars
     assert document.count("rect", "believed") == 1 + 12
@@ -119,8 +133,46 @@ def test_four_filters_without_a_reference_and_a_dive_without_accelerations(tmp_p
     assert list(report.filters) == ["aided", "third"]
     titles = [attributes["aria-label"] for tag, attributes in document.elements if "aria-label" in attributes]
     assert len(titles) == 12 + 3 + 4
-    assert "no reference" in document.texts["p"]
+    assert NO_REFERENCE in document.texts["p"]
     assert document.count("rect", "actual") == 0
+
+
+@pytest.fixture(scope="module")
+def alone() -> Replay:
+    """A dive of which neither reference nor truth is known."""
+    dive = replace(simulate_dive("figure-eight", seed=0, duration_s=230.0), reference=None, truth=None)
+    return replay_dive(dive, load_config(overrides=[
+        "initial.source=level", "initial.heading_deg=30", "initial.latitude_deg=32.8"
+    ]))  # fmt: skip
+
+
+def test_a_dive_without_a_reference_has_a_page_of_coasting_honesty_and_belief(alone: Replay, tmp_path: Path) -> None:
+    document, report, data = saved(alone, tmp_path / "alone")
+    titles = [attributes["aria-label"] for tag, attributes in document.elements if "aria-label" in attributes]
+    assert titles[:2] == ["horizontal drift [m]", "drift in 60 s, by where they begin [m]"]
+    assert not {title for title in titles if title.startswith(("position error", "level"))}
+    assert data.decode().count(NO_REFERENCE) == 1
+    assert data.decode().lower().count("no reference") == 1
+    assert "no reference" not in report.filters["aided"].verdict
+    (bars,) = (text for text in document.texts["table"] if text.startswith("quantitybelieved"))
+    assert "actual" not in bars
+    assert "-" not in document.texts["td"][:5], "at a glance"
+    assert document.texts["strong"][0] == "Believed: how much smaller the errors are"
+    assert report.tables.drift == report.tables.track_fit == []
+
+
+def test_a_dive_without_a_reference_fits_a_terminal(alone: Replay, tmp_path: Path) -> None:
+    _, report, _ = saved(alone, tmp_path / "screen")
+    for width in (80, 10_000):
+        console = Console(width=width, record=True, file=io.StringIO())
+        console.print(for_terminal(dive_document(report)))
+        lines = console.export_text().split("\n")
+        assert max(len(line.rstrip()) for line in lines) <= width
+        words = " ".join(" ".join(lines).split())
+        assert words.count(NO_REFERENCE) == 1
+        assert words.lower().count("no reference") == 1
+        assert any(line.split()[:2] == ["filter", "withheld"] for line in lines), "no word is folded"
+        assert "Reference error" not in words
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 from taken_apart import Document
-from test_report import report
+from test_report import report, tables, unreferenced
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
@@ -42,6 +42,14 @@ def test_index_leads_to_every_dive_and_says_why_one_failed() -> None:
     assert document.texts["h1"] == ["3 dives, 1 of them failed"]
     assert "three.mcap: is empty" in document.texts["td"]
     assert document.texts["td"][:4] == ["a b", "aided", "better", "20.0 %"]
+
+
+def test_index_has_no_columns_of_which_no_dive_can_say_anything() -> None:
+    alone = report(used=unreferenced(tables()))
+    heads = [Document(index_page(outcomes).decode()).texts["tr"][0] for outcomes in ([alone], [alone, report("two")])]
+    assert "measured" in heads[0]
+    assert "position" not in heads[0]
+    assert "position" in heads[1], "one dive with a reference is enough"
 
 
 def test_index_allows_its_own_script_alone() -> None:

@@ -23,9 +23,11 @@ from insdvl_replay.core.rows import (
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
+    DriftRow,
     EvidenceRow,
     ImprovementRow,
     ReferenceErrorRow,
+    TrackFitRow,
 )
 from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.core.tables import Candidate, Tables
@@ -34,12 +36,14 @@ from insdvl_replay.report.csv_tables import structs_csv, table_csv
 from insdvl_replay.report.document import number, percent
 from insdvl_replay.report.latex import as_latex
 from insdvl_replay.report.markdown import as_markdown
+from insdvl_replay.report.page import page
 from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.dive_document import closing_lines, dive_document, heading, report_csv
 from insdvl_replay.results.dive_tables import glance_table
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.json_report import Report, Tool, build_report, decode_report, encode_report
 from insdvl_replay.results.overviews import Failure, summary_csv
+from insdvl_replay.results.reference_tables import NO_REFERENCE, track_fit_line
 from insdvl_replay.results.result_files import run_log
 
 NAN = float("nan")
@@ -60,6 +64,8 @@ HEADERS = {
     ),
     "coasting": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
     "end_velocity_mps,vertical_median_m,ratio_to_baseline,ratio_low,ratio_high,windows_won_pct,nis_per_dof",
+    "drift": "log,filter,quantity,unit,samples,p50,p95,rms,worst,worst_from_s,worst_to_s",
+    "track_fit": "log,filter,quantity,unit,fitted,fitted_sd",
 }
 """What other people's scripts rely on."""
 SCHEMA_FOLDER = Path(__file__).resolve().parents[2] / "schemas"
@@ -99,6 +105,16 @@ def tables() -> Tables:
         ("dive", "baseline", "30", 9, 0, 0.5, 0.6, 1.1, 2.0, 0.04, 0.1, NAN, NAN, NAN, NAN, 1.1),
         ("dive", "aided", "30", 9, 0, 0.4, 0.5, 0.9, 1.5, 0.03, 0.1, 0.8, 0.7, 0.95, 66.7, 1.0),
     ]
+    drift = [
+        ("baseline", "position_h", "m", 424, 1.0, 2.0, 1.25, 2.5, 400.0, 400.0),
+        ("aided", "drift_60s", "m", 60, 0.2, 0.4, 0.3, 0.5, 155.2, 215.2),
+    ]
+    track_fit = [
+        ("baseline", "scale", "%", 0.1834, 0.0213),
+        ("baseline", "turn", "deg", -0.3111, 0.0049),
+        ("aided", "scale", "%", 0.18, NAN),
+        ("aided", "turn", "deg", -0.31, NAN),
+    ]
     return Tables(
         [ImprovementRow(*row) for row in improvement],
         [ConvergenceRow(*row) for row in convergence],
@@ -107,6 +123,8 @@ def tables() -> Tables:
         [CredibilityRow(*row) for row in credibility],
         [EvidenceRow("dive", "aided", *row) for row in evidence],
         [CoastingRow(*row) for row in coasting],
+        [DriftRow("dive", *row) for row in drift],
+        [TrackFitRow("dive", *row) for row in track_fit],
     )
 
 
@@ -199,6 +217,7 @@ def test_report_from_before_there_were_these_columns_is_still_read() -> None:
     assert early.tables.consistency[0].verdict == "consistent"
     assert "Consistency" in as_markdown(dive_document(early))
     assert "Innovations" not in as_markdown(dive_document(early))
+    assert NO_REFERENCE not in as_markdown(dive_document(early))
     assert b"velocity consistent; acceleration over-confident," in summary_csv([early])
 
 
@@ -239,16 +258,60 @@ def test_no_gain_stands_beside_a_filter_that_is_not_judged() -> None:
     assert (len(closing_lines(judged)), len(closing_lines(unjudged))) == (1, 0)
 
 
+def test_track_fit_is_one_line_with_as_many_digits_as_its_standard_errors_bear() -> None:
+    assert list(track_fit_line(report())) == ["track fit: scale +0.18 ± 0.02 %, turn -0.311 ± 0.005 deg"]
+    of_aided = replace(tables(), track_fit=[replace(row, filter="baseline") for row in tables().track_fit[2:]])
+    assert list(track_fit_line(report(used=of_aided))) == ["track fit: scale +0.18 %, turn -0.31 deg"]
+    assert list(track_fit_line(report(used=replace(tables(), track_fit=[])))) == []
+
+
+def test_screen_has_the_track_fit_and_leaves_its_table_to_the_page() -> None:
+    document = dive_document(report())
+    console = Console(width=80, file=io.StringIO(), record=True)
+    console.print(for_terminal(document))
+    text = console.export_text()
+    assert text.count("track fit: scale +0.18 ± 0.02 %, turn -0.311 ± 0.005 deg\n") == 1
+    assert "Track fit" not in text
+    assert "Drift: how far" not in text
+    assert "| drift in 60 s | aided | m | 0.2000 | 0.4000 | 0.3000 | 0.5000 | 155–215 |" in as_markdown(document)
+
+
+def unreferenced(used: Tables) -> Tables:
+    """Tables of the same dive, had it no reference."""
+    return replace(
+        used,
+        reference_error=[replace(row, samples=0, status="no reference") for row in used.reference_error],
+        credibility=[replace(row, samples=0, verdict="no reference") for row in used.credibility],
+        evidence=[row for row in used.evidence if row.evidence in ("coasting", "honesty")],
+        drift=[],
+        track_fit=[],
+    )
+
+
+def test_what_a_dive_without_a_reference_cannot_say_is_said_once_and_nothing_is_left_empty() -> None:
+    alone = report(used=unreferenced(tables()))
+    for text in (as_markdown(dive_document(alone)), page(dive_document(alone)).decode()):
+        assert text.count(NO_REFERENCE) == 1
+        assert text.lower().count("no reference") == 1
+        assert "Reference error" not in text
+        assert "Credibility" not in text
+    assert glance_table(alone).header == ("filter", "judgement", "measured", "believed", "innovations")
+    assert run_log(alone).count(NO_REFERENCE) == 1
+    [closing] = closing_lines(alone)
+    assert "see coasting and consistency" in closing
+    assert NO_REFERENCE not in as_markdown(dive_document(report()))
+
+
 def test_markdown_tables_have_one_cell_per_column() -> None:
     lines = [line for line in as_markdown(dive_document(report())).split("\n") if line.startswith("|")]
-    assert len(lines) == 3 + 2 + 12 + 12 + 3 + 3 + 4 + 3 + 8 * 2
-    assert {line.count("|") for line in lines} == {7, 8, 9, 10, 11}
+    assert len(lines) == 3 + 2 + 2 + 2 + 12 + 12 + 2 + 3 + 4 + 3 + 10 * 2
+    assert {line.count("|") for line in lines} == {4, 7, 8, 9, 10, 11}
     assert "| accelerometer bias, z | mg | 1.000 | 0.8000 | - | improved |" in lines
 
 
 def test_latex_escapes_what_latex_would_read() -> None:
     text = as_latex(dive_document(report()))
-    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 8
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 10
     assert r"20.0 \% & improved \\" in text
     assert r"m/s & 1.000" in text
 

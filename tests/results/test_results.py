@@ -19,8 +19,8 @@ from insdvl_replay.results.result_files import save_replay
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "figure_eight.mcap"
 FILES = {
     "improvement.csv", "convergence.csv", "reference_error.csv", "consistency.csv",
-    "credibility.csv", "evidence.csv", "coasting.csv", "report.json", "report.html", "replay.mcap", "config.toml",
-    "run.log",
+    "credibility.csv", "evidence.csv", "coasting.csv", "drift.csv", "track_fit.csv",
+    "report.json", "report.html", "replay.mcap", "config.toml", "run.log",
 }  # fmt: skip
 
 

@@ -13,6 +13,8 @@ Scale = Literal["linear", "log"]
 REFERENCE: Final = "reference"
 LIMIT: Final = "limit"
 REJECTED: Final = "rejected"
+BELIEVED: Final = "sigma"
+"""Beside the style of a filter: finely dotted."""
 _FILTER_STYLES: Final = 6
 
 
@@ -79,7 +81,7 @@ class Panel:
         Below the curves.
     levels : tuple of float
         Horizontal lines, drawn as limits.
-    y_scale : {'linear', 'log'}
+    x_scale, y_scale : {'linear', 'log'}
         On a logarithmic axis, what is not positive is missing.
     y_limits : tuple of float, optional
         Left out: as much as the curves need.
@@ -98,6 +100,7 @@ class Panel:
     y_limits: tuple[float, float] | None = None
     equal: bool = False
     x_whole: bool = False
+    x_scale: Scale = "linear"
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ def _draw(axes: "Axes", panel: Panel) -> None:
     for level in panel.levels:
         axes.axhline(level, **_look("limit"))
     axes.set_title(panel.title, fontsize="medium")
-    axes.set(xlabel=panel.x_label, yscale=panel.y_scale, ylim=panel.y_limits)
+    axes.set(xlabel=panel.x_label, xscale=panel.x_scale, yscale=panel.y_scale, ylim=panel.y_limits)
     if panel.x_whole:
         axes.locator_params(axis="x", integer=True)
 

@@ -100,14 +100,23 @@ def _axes(panel: Panel, height: float) -> tuple[Axis, Axis]:
     x_all = [curve.x for curve in panel.curves] + [band.x for band in panel.bands]
     y_all = [curve.y for curve in panel.curves] + [edge for band in panel.bands for edge in (band.low, band.high)]
     y_all.append(np.array(panel.levels))
-    x_low, x_high = limits(np.concatenate([np.empty(0), *x_all]))
+    x_low, x_high = _x_limits(panel, np.concatenate([np.empty(0), *x_all]))
     y_low, y_high = panel.y_limits or limits(np.concatenate(y_all), panel.y_scale)
     right, bottom = WIDTH - _RIGHT, height - _BOTTOM
     if panel.equal:
         unit = max((x_high - x_low) / (right - _LEFT), (y_high - y_low) / (bottom - _TOP))
         x_low, x_high = _widened(x_low, x_high, unit * (right - _LEFT))
         y_low, y_high = _widened(y_low, y_high, unit * (bottom - _TOP))
-    return Axis(x_low, x_high, _LEFT, right, whole=panel.x_whole), Axis(y_low, y_high, bottom, _TOP, panel.y_scale)
+    x_axis = Axis(x_low, x_high, _LEFT, right, panel.x_scale, whole=panel.x_whole)
+    return x_axis, Axis(y_low, y_high, bottom, _TOP, panel.y_scale)
+
+
+def _x_limits(panel: Panel, x: Floats) -> tuple[float, float]:
+    """Find what the horizontal axis shows; a logarithmic one ends with its values, or half of it would be empty."""
+    known = x[np.isfinite(x) & (x > 0.0)]
+    if panel.x_scale == "log" and len(known) and known.min() < known.max():
+        return float(known.min()), float(known.max())
+    return limits(x, panel.x_scale)
 
 
 def _widened(low: float, high: float, span: float) -> tuple[float, float]:

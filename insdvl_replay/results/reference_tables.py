@@ -1,0 +1,87 @@
+"""What the reference says of single filters, for people: how large their errors are, and how their tracks would fit."""
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from insdvl_replay.core.rows import DriftRow, TrackFitRow, finite
+from insdvl_replay.core.words import ReferenceStatus
+from insdvl_replay.evaluation.evidence import NAMES
+from insdvl_replay.report.document import MISSING, Column, DisplayTable, number, row_label, table_of
+from insdvl_replay.results.json_report import Report
+
+NO_REFERENCE: Final = (
+    "There is no reference: how far the filters are off, how fast they really converge, whether their errors are as "
+    "large as they say, and whether they gain what they believe cannot be told."
+)
+_SIGN: Final = "\N{PLUS-MINUS SIGN}"
+_FEWEST_DIGITS, _MOST_DIGITS = 2, 5
+
+
+def has_reference(report: Report) -> bool:
+    """Return whether the dive has a reference to compare with; early reports lack one of the tables that say so."""
+    found = [row.verdict for row in report.tables.credibility] + [row.status for row in report.tables.reference_error]
+    return any(word != ReferenceStatus.NO_REFERENCE for word in found)
+
+
+def track_fit_line(report: Report) -> Iterator[str]:
+    """State in a line what would lay the baseline's track on the reference's, where that is known."""
+    fit = {row.quantity: row for row in report.tables.track_fit if row.filter == report.baseline}
+    if fit:
+        scale, turn = (f"{quantity} {_with_sd(fit[quantity])} {fit[quantity].unit}" for quantity in ("scale", "turn"))
+        yield f"track fit: {scale}, {turn}"
+
+
+def _with_sd(row: TrackFitRow) -> str:
+    """Write a number with its standard error, to the first digit of that at least."""
+    digits = next((n for n in range(_FEWEST_DIGITS, _MOST_DIGITS) if finite(row.fitted_sd) >= 10.0**-n), _FEWEST_DIGITS)
+    sd = "" if row.fitted_sd is None else f" {_SIGN} {row.fitted_sd:.{digits}f}"
+    return f"{finite(row.fitted):+.{digits}f}{sd}"
+
+
+def reference_tables(report: Report) -> list[DisplayTable]:
+    """Lay out how far each filter is from the reference; nothing without one."""
+    return [*_drift(report.tables.drift), *_track_fit(report.tables.track_fit)]
+
+
+def _drift(rows: Sequence[DriftRow]) -> Iterator[DisplayTable]:
+    if rows:
+        columns: list[Column[DriftRow]] = [
+            ("quantity", "l", lambda row: NAMES.get(row.quantity) or row_label(row.quantity)),
+            ("filter", "l", lambda row: row.filter),
+            ("unit", "l", lambda row: row.unit),
+            ("50 %", "r", lambda row: number(row.p50)),
+            ("95 %", "r", lambda row: number(row.p95)),
+            ("rms", "r", lambda row: number(row.rms)),
+            ("worst", "r", lambda row: number(row.worst)),
+            ("at [s]", "r", _when),
+        ]
+        by_quantity = dict.fromkeys(row.quantity for row in rows)
+        in_order = [row for quantity in by_quantity for row in rows if row.quantity == quantity]
+        yield table_of(
+            "Drift: how far each filter is from the reference",
+            in_order,
+            columns,
+            "50 % and 95 % of the sizes stay below; of the position these are CEP50 and CEP95. Drift: what the "
+            "horizontal position error changes by over a stretch.",
+        )
+
+
+def _when(row: DriftRow) -> str:
+    begin, end = row.worst_from_s, row.worst_to_s
+    if begin is None or end is None:
+        return MISSING
+    return f"{begin:.0f}" if begin == end else f"{begin:.0f}\N{EN DASH}{end:.0f}"
+
+
+def _track_fit(rows: Sequence[TrackFitRow]) -> Iterator[DisplayTable]:
+    if rows:
+        header = dict.fromkeys(f"{row.quantity} [{row.unit}]" for row in rows)
+        by_filter = dict.fromkeys(row.filter for row in rows)
+        yield DisplayTable(
+            "Track fit: what would lay each track on the reference's",
+            ("filter", *header),
+            f"l{'r' * len(header)}",
+            tuple((name, *(_with_sd(row) for row in rows if row.filter == name)) for name in by_filter),
+            "Scale: positive where the filter's track is too small. Turn: clockwise from above. Standard errors allow "
+            "for noise, and not for a heading that drifts.",
+        )
