@@ -41,6 +41,7 @@ bench: .venv/bench.stamp
 	PYTHONPATH=tests $(BIN)/python benchmarks/filtering.py
 	PYTHONPATH=tests $(BIN)/python benchmarks/work.py
 	$(BIN)/python benchmarks/outages.py
+	$(BIN)/python benchmarks/nees_intervals.py
 	$(BIN)/python benchmarks/batch.py
 	$(BIN)/python benchmarks/whole_run.py
 

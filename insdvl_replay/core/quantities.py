@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from insdvl_replay.core.states import BA, STATES
+from insdvl_replay.core.states import BA, BG, DV, PHI, STATES
 from insdvl_replay.core.words import Consistency
 
 VERDICTS_BEST_FIRST: Final = (
@@ -29,8 +29,10 @@ CREDIBILITY_QUANTITIES: Final = (
     "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", *(state.id for state in STATES[BA.start :]),
 )  # fmt: skip
 """Rows of credibility in the order of the error state; the attitude about the vehicle's level axes."""
+CREDIBILITY_GROUPS: Final = {"velocity": DV, "attitude": PHI, "accelerometer_bias": BA, "gyro_bias": BG}
+"""Rows of states that are judged together, with their block of P; the gravest of them stands for the filter."""
 JOINT: Final = "all"
-"""The row of all compared states together."""
+"""The row of all compared states together, in which small errors of some may hide large ones of others."""
 AXES: Final = ("x", "y", "z")
 """Axes of a measurement in b."""
 
@@ -48,8 +50,10 @@ def is_whole(measurement: str) -> bool:
 MEASUREMENTS: Final = ("velocity", "acceleration")
 """What filters are aided by."""
 
+DEPTH: Final = "depth_60s"
+"""Decides nothing: a pressure gauge tells it."""
 ACCURACY: Final = (
-    "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "depth_60s", "level", "heading"
+    "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", DEPTH, "level", "heading"
 )  # fmt: skip
 """Errors against the reference, the one that decides first."""
 DRIFT_QUANTITIES: Final = {
@@ -64,12 +68,13 @@ TRACK_FIT_QUANTITIES: Final = {"scale": "%", "turn": "deg"}
 """Rows of the track fit and their units."""
 COASTING_WINDOWS_S: Final = ("30", "60", "120", "300")
 """Lengths for which the DVL is withheld."""
-CONVERGED: Final = ("velocity", "level", "heading")
-EVIDENCE_QUANTITIES: Final = (
-    *ACCURACY,
-    *(f"coasting_{window}s" for window in COASTING_WINDOWS_S),
-    *(f"convergence_{name}" for name in CONVERGED),
-    "nis",
-    "nees",
-)
+_COASTING: Final = tuple(f"coasting_{window}s" for window in COASTING_WINDOWS_S)
+CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_d"}
+"""Errors whose convergence is measured, and how `drawn_errors.squared_errors` names them."""
+_CONVERGENCE: Final = tuple(f"convergence_{name}" for name in CONVERGED)
+DECIDING: Final = (*(name for name in ACCURACY if name != DEPTH), *_COASTING)
+"""Quantities by which a candidate is better or worse."""
+DECIDING_TOGETHER: Final = (*DECIDING, *_CONVERGENCE)
+"""Those by which several dives decide. Of one dive, convergence knows how the starts scatter, but not the sensors."""
+EVIDENCE_QUANTITIES: Final = (*ACCURACY, *_COASTING, *_CONVERGENCE, "nis", "nees")
 """Rows of evidence, each name once."""

@@ -11,6 +11,7 @@ from msgspec import Struct
 from insdvl_replay.core.quantities import (
     AXES,
     COASTING_WINDOWS_S,
+    CREDIBILITY_GROUPS,
     CREDIBILITY_QUANTITIES,
     DRIFT_QUANTITIES,
     EVIDENCE_QUANTITIES,
@@ -26,13 +27,14 @@ from insdvl_replay.core.table_layout import Column
 from insdvl_replay.core.words import EvidenceWord, Whiteness
 
 Number = float | None
+_WHY: Final = Column("Why the verdict is not what the interval says, if it is not.")
 _STATE: Final = Column(names=tuple(state.id for state in STATES))
 _REFERENCE_QUANTITY: Final = Column(names=tuple(REFERENCE_QUANTITIES))
 _MEASUREMENT: Final = Column(
     names=tuple(row for name in MEASUREMENTS for row in (name, *(axis_of(name, axis) for axis in AXES)))
 )
 _EVIDENCE_QUANTITY: Final = Column(names=EVIDENCE_QUANTITIES)
-_CREDIBILITY_QUANTITY: Final = Column(names=(*CREDIBILITY_QUANTITIES, JOINT))
+_CREDIBILITY_QUANTITY: Final = Column(names=(*CREDIBILITY_QUANTITIES, *CREDIBILITY_GROUPS, JOINT))
 
 
 def finite(number: Number) -> float:
@@ -155,6 +157,7 @@ class ConsistencyRow(Struct, frozen=True):
         str,
         Column("white, correlated, too few or not finite.", best_first=(Whiteness.WHITE, Whiteness.CORRELATED)),
     ] = ""
+    why: Annotated[str, _WHY] = ""
 
 
 class CredibilityRow(Struct, frozen=True):
@@ -165,7 +168,7 @@ class CredibilityRow(Struct, frozen=True):
     )
     baseline_too: ClassVar = True
 
-    log: Annotated[str, Column("Dive, filter and quantity; the quantity all is every compared state together.")]
+    log: Annotated[str, Column("Dive, filter, and a quantity or group of them; all is every compared state together.")]
     filter: str
     quantity: Annotated[str, _CREDIBILITY_QUANTITY]
     dof: Annotated[int, Column("Degrees of freedom of one error, and the times that were compared.")]
@@ -193,6 +196,7 @@ class CredibilityRow(Struct, frozen=True):
         ),
     ]
     effective_samples: Annotated[Number, Column("How many independent samples the compared times are worth.")]
+    why: Annotated[str, _WHY] = ""
 
 
 class EvidenceRow(Struct, frozen=True):

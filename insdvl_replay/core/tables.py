@@ -61,7 +61,9 @@ class Candidate(Struct, frozen=True):
         Meta(description="actual; median over the compared quantities"),
         Column(better="higher", primary=True),
     ]
-    credibility: Annotated[str, Meta(description="the gravest verdict of its errors against the reference")] = ""
+    credibility: Annotated[
+        str, Meta(description="the gravest verdict of its errors against the reference, among the groups of states")
+    ] = ""
     belief: Annotated[
         str,
         Meta(description="whether what was measured bears out what it believes: borne out, not borne out, undecided"),

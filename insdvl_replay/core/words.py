@@ -15,6 +15,18 @@ class Consistency(StrEnum):
     NO_REFERENCE = "no reference"
 
 
+class Reason(StrEnum):
+    """Why a verdict of `Consistency` is not what the interval of the mean says."""
+
+    NONE = ""
+    NEAR = "within 10 %"
+    """Outside, but so near to what is expected that it does not matter."""
+    EXACT_START = "as from an exact start"
+    """Below: a filter that starts on the reference errs less than it allows for, for as long as it remembers that."""
+    BEYOND_3_SD = "many beyond 3 sd"
+    """Inside, but more errors than chance allows are beyond three standard deviations."""
+
+
 class Whiteness(StrEnum):
     """Whether innovations have used all that a measurement could tell."""
 

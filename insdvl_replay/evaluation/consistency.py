@@ -16,7 +16,7 @@ from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import AXES, axis_of
 from insdvl_replay.core.rows import ConsistencyRow
 from insdvl_replay.core.words import Consistency, Severity, Whiteness
-from insdvl_replay.evaluation.chi_square import mean_interval, verdict
+from insdvl_replay.evaluation.chi_square import mean_interval, reason, verdict
 
 FEWEST_UPDATES = 10
 """With fewer updates the verdict is ``too few``."""
@@ -47,7 +47,8 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> list[Consiste
         NIS is that of all innovations; what the gate rejected counts as much as the gate is, see
         `history.Innovations.weight`. Whiteness is that of the innovations that were used, autocorrelation that with the
         innovation before. After the row of a whole measurement, such as ``velocity``, stand those of its axes in b,
-        ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``.
+        ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``. Where a filter is consistent outside its
+        interval, ``why`` tells.
     """
     return [
         row
@@ -68,10 +69,9 @@ def _rows(log: str, filter_: str, innovations: Innovations) -> Iterator[Consiste
     for name, dof, nis, components in (whole, *axes):
         correlation = autocorrelation(components, innovations.used)
         mean_nis, low, high, word = _judged(nis * innovations.weight, dof)
-        counts = dof, int(innovations.used.sum()), rejected
-        yield ConsistencyRow(
-            *(log, filter_, name, *counts, mean_nis, low, high, word), *correlation, whiteness(*correlation)
-        )
+        counts, why = (dof, int(innovations.used.sum()), rejected), reason(word, mean_nis, low, high)
+        judged = *counts, mean_nis, low, high, word
+        yield ConsistencyRow(*(log, filter_, name, *judged), *correlation, whiteness(*correlation), why)
 
 
 def _judged(nis: Floats, dof: int) -> tuple[float, float, float, Consistency]:

@@ -1,33 +1,28 @@
 """Whether a filter's errors are as large as it says: errors against the reference in its own standard deviations.
 
 The reference is taken as exact: where it is no better than the filter, its own errors count as the filter's. Errors
-of neighbouring times are nearly the same number, and a mean over them is less sure than their count suggests. Sources:
-Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5;
-Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", 1946, for the
-variance of a mean of squares; Sokal, "Monte Carlo methods in statistical mechanics", 1997, for where to stop adding up.
+of neighbouring times are nearly the same number, and a mean over them is less sure than their count suggests. The
+gravest of the groups of states stands for a filter: all states together are consistent, too, where some err by far more
+than the filter says and others by far less. Source:
+Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betainc, chdtr
 
 from insdvl_replay.core.columns import Floats
-from insdvl_replay.core.quantities import CREDIBILITY_QUANTITIES, JOINT
+from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES, JOINT
 from insdvl_replay.core.rows import CredibilityRow
-from insdvl_replay.core.states import BA, PHI
-from insdvl_replay.core.words import Consistency
-from insdvl_replay.evaluation.chi_square import (
-    CONFIDENCE,
-    chi_square_quantile,
-    effective_samples,
-    mean_interval,
-    verdict,
-)
+from insdvl_replay.core.states import BA
+from insdvl_replay.core.words import Consistency, Reason
+from insdvl_replay.evaluation.chi_square import CONFIDENCE, chi_square_quantile, mean_interval, reason, verdict
 from insdvl_replay.evaluation.consistency import FEWEST_UPDATES
-from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
+from insdvl_replay.evaluation.effective_samples import samples_in_mean_square
+from insdvl_replay.evaluation.state_errors import StateErrors, about_vehicle, shared_variance, whitened
 
 FAR_SMALLER: Final = 0.25
 """Share of the expected NEES, half of the believed size, below which errors count as small. A filter starts at the
@@ -35,14 +30,27 @@ reference, so that for a while the errors of an honest one are smaller than it s
 MANY_FAR_OFF: Final = 0.01
 """A smaller share of errors beyond three standard deviations is near enough to the 0.3 % of a consistent filter."""
 
-_Judged = tuple[int, int, float, float, float, float, float, Consistency, float]
-"""A row from its degrees of freedom on."""
+
+class _Judged(NamedTuple):
+    """A row from its degrees of freedom on."""
+
+    dof: int
+    samples: int
+    mean_nees: float = float("nan")
+    low: float = float("nan")
+    high: float = float("nan")
+    within_1sd_pct: float = float("nan")
+    within_3sd_pct: float = float("nan")
+    verdict: Consistency = Consistency.NOT_FINITE
+    effective_samples: float = float("nan")
+    why: Reason = Reason.NONE
 
 
 def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, StateErrors]) -> list[CredibilityRow]:
     """Judge each filter by its errors against the reference.
 
-    The interval of a mean is that of its `effective_samples`.
+    The interval of a mean is that of its independent samples, as the errors repeat themselves and as P says that they
+    hang on those of slower states: of fast noise over a heading error, dives in which that is small show the noise.
 
     Parameters
     ----------
@@ -56,9 +64,10 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
     Returns
     -------
     list of CredibilityRow
-        For velocity and attitude, for the biases where the log carries the true ones, and for ``all`` of them with the
-        whole of P; of these the shares are those inside the ellipsoids with the probabilities of one and three standard
-        deviations. ``over-confident`` is also said where too many errors are beyond three of them.
+        For velocity and attitude, for the biases where the log carries the true ones; for the groups of these with
+        their block of P, and for ``all`` of them with the whole of P. The shares of these are those inside the
+        ellipsoids with the probabilities of one and three standard deviations. ``over-confident`` is also said where
+        too many errors are beyond three of them. Where the verdict is not what the interval says, ``why`` tells.
     """
     return [
         CredibilityRow(log, name, quantity, *judged)
@@ -68,86 +77,100 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
 
 
 def _missing() -> Iterator[tuple[str, _Judged]]:
-    for quantity in (*CREDIBILITY_QUANTITIES[: BA.start], JOINT):
-        yield quantity, _without_numbers(1, 0, Consistency.NO_REFERENCE)
-
-
-def _without_numbers(dof: int, samples: int, word: Consistency) -> _Judged:
-    nan = float("nan")
-    return dof, samples, nan, nan, nan, nan, nan, word, nan
+    motion = [name for name, states in CREDIBILITY_GROUPS.items() if states.stop <= BA.start]
+    for quantity in (*CREDIBILITY_QUANTITIES[: BA.start], *motion, JOINT):
+        yield quantity, _Judged(1, 0, verdict=Consistency.NO_REFERENCE)
 
 
 def _rows(errors: StateErrors) -> Iterator[tuple[str, _Judged]]:
-    known = np.isfinite(errors.error)
-    standardised = _standardised(errors)
-    for i, quantity in enumerate(CREDIBILITY_QUANTITIES):
-        if i < BA.start or known[:, i].any():
-            yield quantity, _judged(standardised[known[:, i], i : i + 1], _own_share(errors, i, known[:, i]))
-    yield JOINT, _joint(errors, known)
+    """Judge each state, with the attitude about the vehicle's level axes; then each group of them, and all."""
+    ever: NDArray[np.bool_] = np.any(np.isfinite(errors.error), axis=0)
+    of_vehicle = about_vehicle(errors)
+    of_each = _independent_of_each(of_vehicle)
+    for state, quantity in enumerate(CREDIBILITY_QUANTITIES):
+        if state < BA.start or ever[state]:
+            yield quantity, _judged(of_vehicle, np.array([state]), of_each)
+    # What stays the same in n turns with the vehicle from one of its axes to the other: a group would not show that.
+    of_each = _independent_of_each(errors)
+    for group, states in CREDIBILITY_GROUPS.items():
+        if states.stop <= BA.start or ever[states].any():
+            yield group, _judged(errors, np.arange(states.start, states.stop), of_each)
+    yield JOINT, _judged(errors, np.flatnonzero(ever), of_each)
 
 
-def _standardised(errors: StateErrors) -> Floats:
-    """Divide each error by its own standard deviation; misalignment turns from north and east to roll and pitch."""
-    error, var = errors.error.copy(), errors.sd**2
-    cos, sin = np.cos(errors.heading), np.sin(errors.heading)
-    north, east = error[:, PHI.start], error[:, PHI.start + 1]
-    var_north, var_east = var[:, PHI.start].copy(), var[:, PHI.start + 1].copy()
-    cov = errors.cov[:, PHI.start, PHI.start + 1]
-    error[:, PHI.start : PHI.stop - 1] = np.column_stack([cos * north + sin * east, cos * east - sin * north])
-    var[:, PHI.start] = cos**2 * var_north + sin**2 * var_east + 2.0 * cos * sin * cov
-    var[:, PHI.start + 1] = sin**2 * var_north + cos**2 * var_east - 2.0 * cos * sin * cov
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        return np.asarray(error / np.sqrt(var))
+def _standardised(errors: StateErrors, states: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Return errors of some states in standard deviations, uncorrelated if P is right, at the times that know them all.
 
-
-def _own_share(errors: StateErrors, state: int, times: NDArray[np.bool_]) -> float:
-    """Return the share of a variance that would be left if the attitude were known; 1 for the attitude itself.
-
-    A filter starts at the reference. The misalignment that it allows for is not there, nor is what hangs on it, such as
-    a velocity across the track or, on a straight line, a horizontal accelerometer bias.
+    Returns
+    -------
+    standardised : ndarray, shape (t, n)
+        Not finite where the filter broke down.
+    cov : ndarray, shape (t, 12, 12)
+        P at these times.
     """
-    if PHI.start <= state < PHI.stop or not times.any():
-        return 1.0
+    times = np.isfinite(errors.error[:, states]).all(axis=1) & bool(len(states))
     cov = errors.cov[times]
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        by_attitude = nees(cov[:, PHI, state], cov[:, PHI, PHI]) / errors.sd[times, state] ** 2
-    return float(np.mean(1.0 - np.nan_to_num(by_attitude, posinf=0.0)))
+    return whitened(errors.error[np.ix_(times, states)], cov[:, states[:, None], states]), cov
 
 
-def _joint(errors: StateErrors, known: NDArray[np.bool_]) -> _Judged:
-    """Judge all states that are ever compared, at the times when all of them are."""
-    states = np.flatnonzero(known.any(axis=0))
-    times = known[:, states].all(axis=1)
-    if not len(states):
-        return _without_numbers(0, 0, Consistency.NOT_IN_REFERENCE)
-    return _judged(whitened(errors.error[np.ix_(times, states)], errors.cov[np.ix_(times, states, states)]))
+def _independent_of_each(errors: StateErrors) -> Floats:
+    """Return how many samples the errors of each state are worth, shape (12,)."""
+    series = [_standardised(errors, np.array([state]))[0] for state in range(len(CREDIBILITY_QUANTITIES))]
+    known = [len(one) > 0 and bool(np.isfinite(one).all()) for one in series]
+    worth = [samples_in_mean_square(one) for one, is_known in zip(series, known, strict=True) if is_known]
+    # An unknown bias, which hardly changes, is as slow as the slowest that is known.
+    found = np.full(len(series), min(worth, default=1.0))
+    found[known] = worth
+    return found
 
 
-def _judged(standardised: Floats, own_share: float = 1.0) -> _Judged:
-    """Judge errors in standard deviations, shape (k, dof), that are uncorrelated in a consistent filter."""
+def _judged(errors: StateErrors, states: NDArray[np.int64], independent_of_each: Floats) -> _Judged:
+    """Judge the errors of some states together."""
+    standardised, cov = _standardised(errors, states)
     samples, dof = standardised.shape
     if not samples:
-        return _without_numbers(dof, 0, Consistency.NOT_IN_REFERENCE)
+        return _Judged(dof, 0, verdict=Consistency.NOT_IN_REFERENCE)
     if not np.isfinite(standardised).all():
-        return _without_numbers(dof, samples, Consistency.NOT_FINITE)
+        return _Judged(dof, samples, verdict=Consistency.NOT_FINITE)
     squared = np.sum(standardised**2, axis=1)
-    mean_nees, independent = float(squared.mean()), effective_samples(standardised)
-    low, high = mean_interval(dof, independent)
+    of_each, of_attitude = shared_variance(cov, states)
+    independent = _independent(samples_in_mean_square(standardised), of_each, independent_of_each, states)
+    mean_nees, (low, high) = float(squared.mean()), mean_interval(dof, independent)
     near_pct, far_pct = (100.0 * float(np.mean(squared <= _ellipsoid(sigmas, dof))) for sigmas in (1.0, 3.0))
-    word = _word(mean_nees, low, high, dof, independent, own_share)
-    if _many_far_off(1.0 - far_pct / 100.0, independent):
-        word = Consistency.OVER_CONFIDENT
-    return dof, samples, mean_nees, low, high, near_pct, far_pct, word, independent
+    word, why = _word(mean_nees, low, high, dof, independent, 1.0 - of_attitude)
+    if word != Consistency.OVER_CONFIDENT and _many_far_off(1.0 - far_pct / 100.0, independent):
+        word, why = Consistency.OVER_CONFIDENT, Reason.BEYOND_3_SD
+    return _Judged(dof, samples, mean_nees, low, high, near_pct, far_pct, word, independent, why)
 
 
-def _word(mean_nees: float, low: float, high: float, dof: int, independent: float, own_share: float) -> Consistency:
-    """Judge a mean NEES; few samples prove that errors are too large, but not that they are as they should be."""
+def _independent(own: float, of_each: Floats, independent_of_each: Floats, states: NDArray[np.int64]) -> float:
+    """Return how many samples errors are worth that hang on those of other states, which may be slower.
+
+    What a share s of the variance hangs on is the same in all of the dive, or in as much of it as makes one sample of
+    the other state: of squared correlations ``s^2`` are those of the other state, the rest those of the errors. What
+    hangs on it is said by P; how much the errors show of it depends on how large the other one happens to be.
+    """
+    share = of_each**2
+    share[states] = 0.0
+    repeated = share / independent_of_each + (1.0 - share) / own
+    return float(1.0 / np.max(repeated, where=np.isfinite(repeated), initial=1.0 / own))
+
+
+def _word(
+    mean_nees: float, low: float, high: float, dof: int, independent: float, own_share: float
+) -> tuple[Consistency, Reason]:
+    """Judge a mean NEES; few samples prove that errors are too large, but not that they are as they should be.
+
+    A filter starts on the reference: the misalignment that it allows for is not there, nor is what hangs on it, such as
+    a velocity across the track or, on a straight line, a horizontal accelerometer bias. Errors that are too small are
+    therefore held against the own share of a variance, which would be left if the attitude were known.
+    """
     word = verdict(mean_nees, low, high, dof)
-    if word == Consistency.OVER_CONFIDENT:
-        return word
-    if dof * independent < FEWEST_UPDATES:
-        return Consistency.TOO_FEW
-    return Consistency.CONSISTENT if mean_nees >= FAR_SMALLER * own_share * dof else word
+    if word != Consistency.OVER_CONFIDENT and dof * independent < FEWEST_UPDATES:
+        return Consistency.TOO_FEW, Reason.NONE
+    if word == Consistency.OVER_CAUTIOUS and mean_nees >= FAR_SMALLER * own_share * dof:
+        return Consistency.CONSISTENT, Reason.EXACT_START
+    return word, reason(word, mean_nees, low, high)
 
 
 def _many_far_off(share: float, independent: float) -> bool:

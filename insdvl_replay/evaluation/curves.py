@@ -10,10 +10,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from insdvl_replay.core.columns import Floats, TimeNs
+from insdvl_replay.core.quantities import CONVERGED
 from insdvl_replay.core.states import DV, PHI
 from insdvl_replay.evaluation.coasting import Coasts, DriftOverTime, drift_over_time, window_ends
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors, squared_errors
-from insdvl_replay.evaluation.evidence import CONVERGED
 from insdvl_replay.evaluation.measured_convergence import limit_of, over_last_part
 
 FEWEST_STARTS: Final = 3
@@ -67,7 +67,7 @@ class Curves:
     coasting : dict of str to CoastingCurve
         By filter; empty where the dive is too short.
     convergence : dict of str to ConvergenceCurves
-        By quantity of `evidence.CONVERGED`; empty without a reference or drawn starts.
+        By quantity of `quantities.CONVERGED`; empty without a reference or drawn starts.
     """
 
     coasting: Mapping[str, CoastingCurve]

@@ -9,7 +9,7 @@ import pandas as pd
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import Consistency
 from insdvl_replay.evaluation.believed import improvement_pct
-from insdvl_replay.evaluation.chi_square import mean_interval, verdict
+from insdvl_replay.evaluation.chi_square import mean_interval, reason, verdict
 from insdvl_replay.evaluation.consistency import FEWEST_UPDATES
 from insdvl_replay.evaluation.ensemble import Ensemble, RunErrors, Tally
 
@@ -71,7 +71,7 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     DataFrame
         Columns filter, runs, dof, mean_nees (over runs and pings), low, high (95 % interval at one time), inside_pct
         (share of pings inside it), final_nees, verdict (``consistent``, ``over-confident``, ``over-cautious``, ``too
-        few``, ``not finite``).
+        few``, ``not finite``), why (it is consistent outside the interval).
     """
     rows = []
     for ensemble in ensembles:
@@ -80,8 +80,9 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
         mean = float(at_pings.mean())
         inside_pct = 100.0 * float(np.mean((at_pings >= low) & (at_pings <= high)))
         word = Consistency.TOO_FEW if ensemble.runs < FEWEST_UPDATES else verdict(mean, low, high, DOF)
-        rows.append((ensemble.filter, ensemble.runs, DOF, mean, low, high, inside_pct, float(at_pings[-1]), word))
-    names = ["filter", "runs", "dof", "mean_nees", "low", "high", "inside_pct", "final_nees", "verdict"]
+        judged = inside_pct, float(at_pings[-1]), word, reason(word, mean, low, high)
+        rows.append((ensemble.filter, ensemble.runs, DOF, mean, low, high, *judged))
+    names = ["filter", "runs", "dof", "mean_nees", "low", "high", "inside_pct", "final_nees", "verdict", "why"]
     return pd.DataFrame(rows, columns=names)
 
 

@@ -6,7 +6,7 @@ reference, *coasting* while the DVL is withheld, *convergence* from starts that 
 """
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -14,7 +14,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from insdvl_replay.core.columns import Floats
-from insdvl_replay.core.quantities import COASTING_WINDOWS_S, JOINT, VERDICTS_BEST_FIRST, is_whole
+from insdvl_replay.core.quantities import (
+    COASTING_WINDOWS_S,
+    CONVERGED,
+    CREDIBILITY_GROUPS,
+    VERDICTS_BEST_FIRST,
+    is_whole,
+)
 from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow, finite
 from insdvl_replay.core.words import Consistency, EvidenceWord
 from insdvl_replay.evaluation.consistency import NORMAL_95
@@ -23,15 +29,6 @@ from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
 from insdvl_replay.evaluation.over_dives import holm
 from insdvl_replay.evaluation.paired_statistics import RatioInterval, paired_ratio, windows_ratio, word_of
 
-CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_d"}
-"""Rows of measured convergence, and how `drawn_errors.squared_errors` names them."""
-DECIDING: Final = (
-    "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "level", "heading",
-    *(f"coasting_{window}s" for window in COASTING_WINDOWS_S),
-)  # fmt: skip
-"""Quantities by which a candidate is better or worse. Depth is not among them, which a pressure gauge tells."""
-DECIDING_TOGETHER: Final = (*DECIDING, *(f"convergence_{quantity}" for quantity in CONVERGED))
-"""Those by which several dives decide. Of one dive, convergence knows how the starts scatter, but not the sensors."""
 HONESTY: Final = "honesty"
 NAMES: Final = {
     "drift_30s": "drift in 30 s",
@@ -205,16 +202,25 @@ def _rms(squared: Floats) -> float:
 def _honesty(
     named: _Named, consistency: Sequence[ConsistencyRow], credibility: Sequence[CredibilityRow], baseline: str
 ) -> Iterator[EvidenceRow]:
-    """Compare how far the mean NIS, and the mean NEES, is from what each filter expects."""
-    whole = [row for row in consistency if is_whole(row.measurement)]
-    joint = [row for row in credibility if row.quantity == JOINT]
-    sizes: dict[str, dict[str, _Size]] = {
-        "nis": {row.filter: _Size(_mean(row.mean_nis, row.dof), row.verdict) for row in _farthest_last(whole)},
-        "nees": {row.filter: _Size(_mean(row.mean_nees, row.dof), row.verdict) for row in joint},
+    """Compare how far the mean NIS, and the mean NEES, is from what each filter expects.
+
+    Of several measurements, and of the groups of states, the gravest stands for a filter.
+    """
+    sizes = {
+        "nis": [
+            (row.filter, _Size(_mean(row.mean_nis, row.dof), row.verdict))
+            for row in consistency
+            if is_whole(row.measurement)
+        ],
+        "nees": [
+            (row.filter, _Size(_mean(row.mean_nees, row.dof), row.verdict))
+            for row in credibility
+            if row.quantity in CREDIBILITY_GROUPS
+        ],
     }
     for quantity, found in sizes.items():
-        before, after = found.get(baseline), found.get(named[1])
-        if before is None or after is None or not (math.isfinite(before.mean) and math.isfinite(after.mean)):
+        before, after = (_gravest(size for name, size in found if name == one) for one in (baseline, named[1]))
+        if not (math.isfinite(before.mean) and math.isfinite(after.mean)):
             continue
         ratio, nan = math.exp(_off(after.mean) - _off(before.mean)), math.nan
         word = _more_honest(before, after, ratio)
@@ -230,6 +236,8 @@ class _Size(NamedTuple):
 
 def _more_honest(before: _Size, after: _Size, ratio: float) -> EvidenceWord:
     """Judge whose mean is nearer to 1; a candidate is not the more honest for being over-confident instead."""
+    if Consistency.TOO_FEW in (before.verdict, after.verdict):
+        return EvidenceWord.UNDECIDED
     graver = _gravity(after) > _gravity(before)
     if ratio < 1.0 / NOTABLY and before.verdict != Consistency.CONSISTENT and not graver:
         return EvidenceWord.BETTER
@@ -239,11 +247,16 @@ def _more_honest(before: _Size, after: _Size, ratio: float) -> EvidenceWord:
 
 
 def _gravity(size: _Size) -> int:
-    return VERDICTS_BEST_FIRST.index(Consistency(size.verdict)) if size.verdict in VERDICTS_BEST_FIRST else 0
+    return VERDICTS_BEST_FIRST.index(Consistency(size.verdict)) if size.verdict in VERDICTS_BEST_FIRST else -1
 
 
-def _farthest_last(rows: Sequence[ConsistencyRow]) -> list[ConsistencyRow]:
-    return sorted(rows, key=lambda row: _off(_mean(row.mean_nis, row.dof)))
+def _gravest(sizes: Iterable[_Size]) -> _Size:
+    """Return the size with the gravest verdict, of those the largest; NaN without any.
+
+    Small ones say less: a filter starts on the reference, and what it keeps of that is as small as it happens to be.
+    """
+    ranks = ((_gravity(size), -1.0 if math.isnan(size.mean) else size.mean, size) for size in sizes)
+    return max(ranks, default=(-1, -1.0, _Size(math.nan, "")))[-1]
 
 
 def _mean(mean: float | None, dof: int) -> float:

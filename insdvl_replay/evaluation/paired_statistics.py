@@ -16,7 +16,7 @@ from scipy.special import stdtrit
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.words import EvidenceWord
-from insdvl_replay.evaluation.effective_samples import block_length, effective_samples, slow_part
+from insdvl_replay.evaluation.effective_samples import block_length, samples_in_mean, slow_part
 
 MARGIN: Final = 0.05
 """A difference of less than this share is none that matters."""
@@ -192,7 +192,7 @@ def _effective_over_starts(differential: Floats) -> float:
     """Return the variance of one value over that of the mean over times and starts."""
     starts = len(differential)
     over_time = differential.mean(axis=0)
-    samples = effective_samples(over_time)
+    samples = samples_in_mean(over_time)
     if starts == 1:
         return samples
     of_mean = over_time.var() / samples + differential.mean(axis=1).var(ddof=1) / starts

@@ -8,10 +8,11 @@ import numpy as np
 from msgspec import Struct
 
 from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.quantities import DECIDING_TOGETHER
 from insdvl_replay.core.rows import EvidenceRow, Number, finite
 from insdvl_replay.core.table_layout import Column
 from insdvl_replay.core.words import EvidenceWord, Judgement
-from insdvl_replay.evaluation.evidence import DECIDING_TOGETHER, HONESTY
+from insdvl_replay.evaluation.evidence import HONESTY
 from insdvl_replay.evaluation.over_dives import Pooled, pooled_ratio
 from insdvl_replay.evaluation.paired_statistics import word_of
 from insdvl_replay.evaluation.verdicts import AGAINST, changed, interval_in_words, judgement_of, spoken_of

@@ -3,9 +3,10 @@
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, TruthColumns
 from insdvl_replay.core.history import History
@@ -125,6 +126,45 @@ def motion_error(
     return velocity_error_n, misalignment_n
 
 
+def about_vehicle(errors: StateErrors) -> StateErrors:
+    """Turn misalignment from north and east to roll and pitch: about the vehicle's axes, made level."""
+    cos, sin = np.cos(errors.heading), np.sin(errors.heading)
+    level, turn = slice(PHI.start, PHI.stop - 1), np.moveaxis(np.array([[cos, sin], [-sin, cos]]), 2, 0)
+    error, cov = errors.error.copy(), errors.cov.copy()
+    error[:, level] = np.einsum("kij,kj->ki", turn, error[:, level])
+    with np.errstate(invalid="ignore", over="ignore"):
+        cov[:, level] = turn @ cov[:, level]
+        cov[:, :, level] = cov[:, :, level] @ np.swapaxes(turn, 1, 2)
+        sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    return replace(errors, error=error, cov=cov, sd=sd)
+
+
+def shared_variance(cov: Floats, states: NDArray[np.int64]) -> tuple[Floats, float]:
+    """Return what of the variance of some states would not be there if others were known, in the mean over time.
+
+    Parameters
+    ----------
+    cov : ndarray, shape (k, 12, 12)
+    states : ndarray, shape (n,)
+        Whitened, so that together they have a variance of n.
+
+    Returns
+    -------
+    of_each : ndarray, shape (12,)
+        The share that hangs on each state, as one of n whitened ones: root mean square over the dimensions.
+    of_attitude : float
+        The share that hangs on the whole attitude; 0 for states that are of the attitude themselves.
+    """
+    n, block = len(states), cov[:, states[:, None], states]
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        between = whitened(cov[:, states], block)
+        of_each = np.mean(np.sum(between**2, axis=1) / np.diagonal(cov, axis1=1, axis2=2), axis=0) / np.sqrt(n)
+        both = whitened(np.swapaxes(between[:, :, PHI], 1, 2), cov[:, PHI, PHI])
+        of_attitude = np.mean(np.sum(both**2, axis=(1, 2)))
+    own = np.any((states >= PHI.start) & (states < PHI.stop))
+    return of_each, 0.0 if own else float(np.nan_to_num(of_attitude / n))
+
+
 def nees(error: Floats, cov: Floats) -> Floats:
     """Return the normalised estimation error squared, ``x' P^-1 x``.
 
@@ -149,12 +189,13 @@ def whitened(error: Floats, cov: Floats) -> Floats:
 
     Parameters
     ----------
-    error : ndarray, shape (k, n)
+    error : ndarray, shape (k, n) or (k, n, m)
+        One error for each P, or m of them.
     cov : ndarray, shape (k, n, n)
 
     Returns
     -------
-    ndarray, shape (k, n)
+    ndarray, of the shape of the errors
         All NaN if one of the P is not positive definite: a filter that broke down has no better rows.
     """
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -164,4 +205,5 @@ def whitened(error: Floats, cov: Floats) -> Floats:
             factor = np.linalg.cholesky(correlation)
         except np.linalg.LinAlgError:
             return np.full_like(error, np.nan)
-        return np.asarray(np.linalg.solve(factor, (error / sd)[..., None])[..., 0])
+        columns = (error if error.ndim == 3 else error[..., None]) / sd[..., None]
+        return np.asarray(np.linalg.solve(factor, columns).reshape(error.shape))

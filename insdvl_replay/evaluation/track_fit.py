@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, nanoseconds
 from insdvl_replay.core.states import DEG
-from insdvl_replay.evaluation.effective_samples import effective_samples
+from insdvl_replay.evaluation.effective_samples import samples_in_mean
 from insdvl_replay.evaluation.reference import SHORTEST_M, ReferenceErrors
 from insdvl_replay.geometry.frames import north_east_m
 
@@ -106,4 +106,4 @@ def _standard_error(parts: Floats) -> float:
     n = len(parts)
     if n < FEWEST_AVERAGES:
         return float("nan")
-    return float(np.sqrt(np.sum(parts**2) * n / effective_samples(parts)))
+    return float(np.sqrt(np.sum(parts**2) * n / samples_in_mean(parts)))

@@ -11,12 +11,12 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.quantities import JOINT, VERDICTS_BEST_FIRST, is_whole
+from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, DECIDING, VERDICTS_BEST_FIRST, is_whole
 from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow, Number, finite
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.evaluation.evidence import DECIDING, HONESTY, NAMES
+from insdvl_replay.evaluation.evidence import HONESTY, NAMES
 
 NOTABLE_PCT: Final = 5.0
 """A smaller gain is not spoken of as one that somebody believes in."""
@@ -95,8 +95,17 @@ def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
 
 
 def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
-    """Return the verdict of a filter's errors against the reference, of all states together."""
-    return next(row.verdict for row in table if (row.filter, row.quantity) == (filter_name, JOINT))
+    """Return the gravest verdict among the groups of states, of errors against the reference.
+
+    All states together may be consistent with roll and pitch far off, below velocities that hardly err. Where no group
+    could be compared, what the first says of that is returned.
+    """
+    words = [row.verdict for row in _groups(table, filter_name)]
+    return _gravest(words) if set(words) & set(GRAVEST_FIRST) else words[0]
+
+
+def _groups(table: Sequence[CredibilityRow], filter_name: str) -> list[CredibilityRow]:
+    return [row for row in table if row.filter == filter_name and row.quantity in CREDIBILITY_GROUPS]
 
 
 def _gravest(words: Iterable[str]) -> str:
@@ -110,26 +119,22 @@ def _verdict(tables: Tables, baseline: str, candidate: str, unsound: Mapping[str
     wrong = unsound.get(candidate, "")
     judgement = Judgement.NOT_JUDGED if wrong else judgement_of(evidence)
     belief = Belief.UNDECIDED if wrong else belief_of(believed_pct, evidence)
-    (consistency, credibility), of_baseline = (
-        (consistency_of(tables.consistency, name), credibility_of(tables.credibility, name))
-        for name in (candidate, baseline)
-    )
     measured = (
         f"{candidate} is NOT JUDGED against {baseline}: {wrong}; settle that first"
         if wrong
         else f"{_measured(candidate, baseline, judgement, evidence)}. "
         f"It {_believes(believed_pct, baseline)}{_of_belief(believed_pct, belief, tables, evidence)}"
     )
-    trust = _on_trust(_trust(consistency, credibility), _trust(*of_baseline), candidate, baseline)
+    trust = _on_trust(_trust(tables, candidate), _trust(tables, baseline), candidate, baseline)
     shared = "" if independent or not _has_reference(tables) else f" {SHARED}"
     return Candidate(
         verdict=f"{measured}. {trust}{shared}",
         improvement=judgement,
-        consistency=consistency,
+        consistency=consistency_of(tables.consistency, candidate),
         mean_improvement_pct=believed_pct,
         mean_convergence_improvement_pct=mean_over_nine(tables.convergence, candidate),
         reference_improvement_pct=_median_pct(tables, candidate),
-        credibility=credibility,
+        credibility=credibility_of(tables.credibility, candidate),
         belief=belief,
     )
 
@@ -233,13 +238,24 @@ def _of_belief(believed_pct: float, belief: Belief, tables: Tables, evidence: Se
     }[belief]
 
 
-def _trust(consistency: str, credibility: str) -> str:
+def _trust(tables: Tables, name: str) -> str:
     """Join what innovations and errors say; the one word where they agree or only one of them speaks."""
-    if credibility in (consistency, Consistency.TOO_FEW) or credibility not in GRAVEST_FIRST:
+    consistency, credibility = consistency_of(tables.consistency, name), credibility_of(tables.credibility, name)
+    if credibility == Consistency.TOO_FEW or credibility not in GRAVEST_FIRST:
         return consistency
+    where = _where(tables.credibility, name, credibility)
+    if consistency == credibility:
+        return f"{consistency} by the innovations, and{where} against the reference" if where else consistency
     if consistency == Consistency.TOO_FEW:
-        return f"{credibility} against the reference"
-    return f"{consistency} by the innovations and {credibility} against the reference"
+        return f"{credibility}{where} against the reference"
+    return f"{consistency} by the innovations and {credibility}{where} against the reference"
+
+
+def _where(table: Sequence[CredibilityRow], name: str, credibility: str) -> str:
+    """Name the groups of states that have the gravest verdict, where others have a better one."""
+    groups = [row for row in _groups(table, name) if row.verdict in VERDICTS_BEST_FIRST]
+    grave = [row.quantity.replace("_", " ") for row in groups if row.verdict == credibility]
+    return f" in {' and '.join(grave)}" if len(grave) < len(groups) else ""
 
 
 def _on_trust(trust: str, of_baseline: str, candidate: str, baseline: str) -> str:

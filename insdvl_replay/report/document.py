@@ -22,6 +22,8 @@ _QUANTITIES: Final = {
     "roll": "roll",
     "pitch": "pitch",
     "heading": "heading",
+    "accelerometer_bias": "accelerometer bias",
+    "gyro_bias": "gyro bias",
     "position_h": "position",
     "depth": "depth",
     "position_h_pct": "pos. / distance",

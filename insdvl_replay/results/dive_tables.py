@@ -237,7 +237,19 @@ def _consistency(rows: Sequence[ConsistencyRow]) -> Iterator[DisplayTable]:
             ("high", "r", lambda row: number(row.high)),
             ("verdict", "l", lambda row: row.verdict),
         ]
-        yield table_of("Consistency: mean NIS and where 95 % of consistent filters would have it", rows, columns)
+        title = "Consistency: mean NIS and where 95 % of consistent filters would have it"
+        names = [(f"{row.filter} {row.measurement}", row.why) for row in rows]
+        yield table_of(title, rows, columns, _in_spite(names))
+
+
+def _in_spite(names: Iterable[tuple[str, str]]) -> str:
+    """State why verdicts are not what the interval beside them says."""
+    reasons: dict[str, list[str]] = {}
+    for name, why in names:
+        reasons.setdefault(why, []).append(name)
+    reasons.pop("", None)
+    named = "; ".join(f"{why}: {', '.join(found)}" for why, found in reasons.items())
+    return f"In spite of the interval, {named}." if named else ""
 
 
 def _innovations(rows: Sequence[ConsistencyRow]) -> Iterator[DisplayTable]:
@@ -271,6 +283,7 @@ def _credibility(name: str, rows: Sequence[CredibilityRow]) -> Iterator[DisplayT
             f"Credibility: errors of {name} in its own standard deviations",
             compared,
             columns,
-            f"Expected: NEES 1, all together {compared[-1].dof}; 68.3 % and 99.7 %. The reference is taken as exact. "
-            "indep.: samples that do not repeat each other.",
+            f"Expected: NEES 1, of a group 3, all together {compared[-1].dof}; 68.3 % and 99.7 %. The "
+            "reference is taken as exact. indep.: samples that do not repeat each other. "
+            + _in_spite([(row_label(row.quantity), row.why) for row in compared]),
         )

@@ -31,7 +31,7 @@ def _verdict(row: Any) -> str:
     judged = (
         f"{row.filter}: too few runs to judge it"
         if row.verdict == Consistency.TOO_FEW
-        else f"{row.filter} is {row.verdict}"
+        else f"{row.filter} is {row.verdict}" + (f" ({row.why} of what is expected)" if row.why else "")
     )
     return (
         f"{judged}; mean NEES {row.mean_nees:.4g} over {row.runs} runs, where 95 % of consistent filters have "

@@ -12,7 +12,7 @@ from scipy import stats
 from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Noise
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.evaluation.chi_square import chi_square_quantile, mean_interval, verdict
+from insdvl_replay.evaluation.chi_square import SMALL_EXCESS, chi_square_quantile, mean_interval, verdict
 from insdvl_replay.evaluation.consistency import (
     FEWEST_UPDATES,
     consistency_table,
@@ -126,6 +126,17 @@ def test_verdict_asks_for_size_beside_significance(mean: float, word: str) -> No
 
 
 @pytest.mark.parametrize(
+    ("mean_nis", "why"), [(3.0, ""), (3.25, "within 10 %"), (2.75, "within 10 %"), (3.5, ""), (2.5, ""), (np.nan, "")]
+)
+def test_consistent_is_not_said_outside_the_interval_without_the_reason(mean_nis: float, why: str) -> None:
+    row = judged(np.full(1000, mean_nis))
+    outside = not row["low"] <= mean_nis <= row["high"]
+    assert row["why"] == why
+    assert (row["verdict"] == "consistent" and outside) == bool(why)
+    assert f"within {SMALL_EXCESS:.0%}".replace("%", " %") == "within 10 %"
+
+
+@pytest.mark.parametrize(
     ("mean_nis", "word"), [(3.0, "consistent"), (6.0, "over-confident"), (1.0, "over-cautious"), (np.nan, "not finite")]
 )
 def test_verdict_of_a_filter(mean_nis: float, word: str) -> None:
@@ -144,7 +155,7 @@ def test_every_filter_and_measurement_has_a_row() -> None:
     table = frame(consistency_table("dive", (baseline, aided)))
     assert table.columns.tolist() == [
         "log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict",
-        "autocorrelation", "autocorrelation_limit", "whiteness",
+        "autocorrelation", "autocorrelation_limit", "whiteness", "why",
     ]  # fmt: skip
     expected = [("baseline", "velocity", 20), ("aided", "velocity", 20), ("aided", "acceleration", 30)]
     assert table[["filter", "measurement", "used"]].to_numpy().tolist() == [

@@ -12,15 +12,16 @@ from scipy import signal, stats
 
 from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.quantities import CREDIBILITY_QUANTITIES
+from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES
 from insdvl_replay.core.states import BA, DEG, PHI, STATES
-from insdvl_replay.evaluation.chi_square import effective_samples, mean_interval
+from insdvl_replay.evaluation.chi_square import mean_interval
 from insdvl_replay.evaluation.credibility import (
     FAR_SMALLER,
     MANY_FAR_OFF,
     credibility_table,
     probability_of,
 )
+from insdvl_replay.evaluation.effective_samples import samples_in_mean_square
 from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
@@ -64,9 +65,9 @@ def without(errors: StateErrors, states: slice) -> StateErrors:
 
 def test_errors_drawn_from_p_are_credible_in_every_row() -> None:
     table = judged(drawn())
-    assert table.index.tolist() == [*CREDIBILITY_QUANTITIES, "all"]
+    assert table.index.tolist() == [*CREDIBILITY_QUANTITIES, *CREDIBILITY_GROUPS, "all"]
     assert (table["verdict"] == "consistent").all()
-    assert table["dof"].tolist() == [1] * 12 + [12]
+    assert table["dof"].tolist() == [1] * 12 + [3] * 4 + [12]
     # The mean of 4000 squares scatters by 2.2 %, shares of 4000 by 0.7 % and 0.1 %; five of these.
     np.testing.assert_allclose(table["mean_nees"] / table["dof"], 1.0, atol=0.11)
     np.testing.assert_allclose(table["within_1sd_pct"], 68.27, atol=3.7)
@@ -86,7 +87,7 @@ def test_errors_of_another_size_are_found_out_in_every_row(factor: float, word: 
 def test_columns_are_those_of_the_contract() -> None:
     assert frame(credibility_table("dive", ["aided"], {})).columns.tolist() == [
         "log", "filter", "quantity", "dof", "samples", "mean_nees", "low", "high", "within_1sd_pct",
-        "within_3sd_pct", "verdict", "effective_samples",
+        "within_3sd_pct", "verdict", "effective_samples", "why",
     ]  # fmt: skip
 
 
@@ -111,7 +112,7 @@ def test_interval_is_that_of_the_independent_samples() -> None:
 def test_error_that_stays_can_only_be_too_large(sigmas: float, word: str) -> None:
     """One sample within 1.5 sigma proves nothing, however often it is looked at; at 4 sigma it does."""
     table = judged(replace(drawn(), error=np.tile(sigmas * SD, (K, 1))))
-    assert (table["verdict"].drop(["roll", "pitch", "all"]) == word).all()
+    assert (table["verdict"].drop(["roll", "pitch", *CREDIBILITY_GROUPS, "all"]) == word).all()
 
 
 @pytest.mark.parametrize(("times", "word"), [(1.0, "consistent"), (10.0, "over-confident")])
@@ -140,7 +141,7 @@ def test_correlated_errors_drawn_from_p_are_seldom_called_far_off() -> None:
     for _ in range(runs):
         series = signal.lfilter([np.sqrt(1.0 - 0.98**2)], [1.0, -0.98], rng.standard_normal(1200))[200:]
         far_off = float(np.mean(np.abs(series) > 3.0))
-        flagged += far_off >= MANY_FAR_OFF and probability_of(far_off, effective_samples(series[:, None])) < 0.05
+        flagged += far_off >= MANY_FAR_OFF and probability_of(far_off, samples_in_mean_square(series[:, None])) < 0.05
     assert flagged / runs < 0.05
 
 
@@ -164,7 +165,9 @@ def test_velocity_that_hangs_on_the_heading_is_judged_by_what_is_its_own(sigmas:
 def test_what_the_reference_lacks_is_said_and_not_counted() -> None:
     velocity_alone = without(drawn(), slice(PHI.start, 12))
     table = judged(velocity_alone)
-    assert table.index.tolist() == [*CREDIBILITY_QUANTITIES[:6], "all"], "no biases without the truth"
+    assert table.index.tolist() == [*CREDIBILITY_QUANTITIES[:6], "velocity", "attitude", "all"], (
+        "no biases without the truth"
+    )
     assert table.loc["roll":"heading", "verdict"].tolist() == ["not in reference"] * 3
     assert table.loc["roll":"heading", ["mean_nees", "low", "high", "within_1sd_pct"]].isna().all(axis=None)
     assert table.loc["all", "dof"] == 3
@@ -178,12 +181,12 @@ def test_joint_row_takes_the_times_when_everything_is_known() -> None:
     errors = drawn()
     errors.error[::2, BA] = np.nan
     table = judged(errors)
-    assert table["samples"].tolist() == [K] * 6 + [K // 2] * 3 + [K] * 3 + [K // 2]
+    assert table["samples"].tolist() == [K] * 6 + [K // 2] * 3 + [K] * 3 + [K, K, K // 2, K, K // 2]
 
 
 def test_dive_without_a_reference_says_so() -> None:
     table = frame(credibility_table("dive", ["baseline", "aided"], {}))
-    assert table["quantity"].tolist() == [*CREDIBILITY_QUANTITIES[:6], "all"] * 2
+    assert table["quantity"].tolist() == [*CREDIBILITY_QUANTITIES[:6], "velocity", "attitude", "all"] * 2
     assert set(table["verdict"]) == {"no reference"}
     assert table["mean_nees"].isna().all()
 
@@ -192,8 +195,7 @@ def test_filter_that_broke_down_is_not_finite() -> None:
     errors = drawn()
     errors.cov[100, 0, 1] = errors.cov[100, 1, 0] = 2.0 * SD[0] * SD[1]
     assert judged(errors).loc["all", "verdict"] == "not finite"
-    errors.sd[100] = np.inf
-    errors.sd[101] = np.nan
+    errors.cov[100], errors.cov[101] = np.inf, np.nan
     assert set(judged(errors)["verdict"]) == {"not finite"}
 
 
@@ -208,6 +210,75 @@ def test_whitened_errors_have_scipys_mahalanobis_distance() -> None:
     expected = [e @ np.linalg.inv(errors.cov[0] / np.outer(SD, SD)) @ e for e in errors.error / SD]
     np.testing.assert_allclose(nees(errors.error, errors.cov), expected, rtol=1e-9)
     np.testing.assert_allclose(np.sum(whitened(errors.error, errors.cov) ** 2, axis=1), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("group", "states"), CREDIBILITY_GROUPS.items())
+def test_group_has_the_nees_of_its_block_of_p(group: str, states: slice) -> None:
+    errors = drawn()
+    inverse = np.linalg.inv(errors.cov[0, states, states] / np.outer(SD[states], SD[states]))
+    expected = [e @ inverse @ e for e in errors.error[:, states] / SD[states]]
+    row = judged(errors).loc[group]
+    assert (row["dof"], row["samples"]) == (3, K)
+    assert row["mean_nees"] == pytest.approx(np.mean(expected), rel=1e-9)
+
+
+def test_groups_show_what_all_states_together_hide() -> None:
+    """Velocities that hardly err, above an attitude that errs by half more than it says."""
+    cov, error = np.diag(SD**2), np.random.default_rng(9).normal(size=(K, 12)) * SD
+    error[:, :3] *= 0.1
+    error[:, 3:6] *= 1.4
+    table = judged(replace(drawn(), error=error, cov=np.tile(cov, (K, 1, 1))))
+    assert table.loc[["velocity", "attitude", "all"], "verdict"].tolist() == [
+        "over-cautious", "over-confident", "consistent",
+    ]  # fmt: skip
+    assert table.loc["all", "mean_nees"] == pytest.approx(3.0 * (0.1**2 + 1.4**2 + 2.0), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("factor", "why"),
+    [(1.0, ""), (0.97, "within 10 %"), (1.04, "within 10 %"), (0.8, "as from an exact start"), (0.2, ""), (1.2, "")],
+)
+def test_consistent_is_not_said_outside_the_interval_without_the_reason(factor: float, why: str) -> None:
+    row = judged(drawn(factor)).loc["all"]
+    outside = not row["low"] <= row["mean_nees"] <= row["high"]
+    assert row["why"] == why
+    assert (row["verdict"] == "consistent" and outside) == bool(why)
+
+
+def test_rare_large_errors_are_the_reason_for_over_confident_inside_the_interval() -> None:
+    errors = drawn()
+    error = errors.error * np.where(np.arange(K) % 20 == 0, 10.0, 1.0)[:, None]
+    row = judged(replace(errors, error=error * SD / np.sqrt(np.mean(error**2, axis=0)))).loc["velocity_d"]
+    assert row["low"] < row["mean_nees"] < row["high"]
+    assert (row["verdict"], row["why"]) == ("over-confident", "many beyond 3 sd")
+
+
+def on_a_slow_error(share: float, slow: float, seed: int) -> StateErrors:
+    """A velocity of which some share hangs on a heading error that stays; the rest, and all else, is white."""
+    correlation, rng = np.eye(12), np.random.default_rng(seed)
+    correlation[0, 5] = correlation[5, 0] = np.sqrt(share)
+    error = rng.normal(size=(K, 12))
+    error[:, 5] = slow
+    error[:, 0] = np.sqrt(share) * slow + np.sqrt(1.0 - share) * error[:, 0]
+    cov = correlation * np.outer(SD, SD)
+    return replace(drawn(), error=error * SD, cov=np.tile(cov, (K, 1, 1)))
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7])
+@pytest.mark.parametrize("slow", [0.05, 1.0])
+def test_velocity_on_a_slow_heading_error_is_worth_few_samples_however_small_that_is(share: float, slow: float) -> None:
+    """Its mean square varies with that of the heading error, which is one sample, by the square of the share."""
+    row = judged(on_a_slow_error(share, slow, 3)).loc["velocity_n"]
+    assert 0.45 / share**2 < row["effective_samples"] <= 1.05 / share**2
+
+
+def test_interval_holds_the_mean_of_velocities_on_a_slow_heading_error() -> None:
+    rng, inside = np.random.default_rng(10), 0
+    for seed in range(60):
+        row = judged(on_a_slow_error(0.6, rng.standard_normal(), seed)).loc["velocity_n"]
+        inside += row["low"] <= row["mean_nees"] <= row["high"]
+    # By the errors alone it would be 38.
+    assert inside >= 54
 
 
 # --- Filters on simulated dives.
@@ -245,7 +316,8 @@ def test_straight_line_gives_no_false_words_on_what_its_heading_hides() -> None:
     for seed in (1, 2, 5):
         table = rows(replay_dive(add_errors(straight, *matched_errors(alone), seed), alone)).loc["baseline"]
         assert table.loc["velocity_e", "mean_nees"] < FAR_SMALLER
-        assert table.loc["velocity_e", "verdict"] == "consistent"
+        assert table.loc["velocity_e", "verdict"] in {"consistent", "too few"}
+        assert table.loc["velocity", "verdict"] == "consistent"
 
 
 def test_settings_of_the_paper_are_over_cautious_for_a_fibre_optic_imu() -> None:
@@ -257,6 +329,8 @@ def test_biases_are_judged_where_the_truth_is_known(exact: Dive) -> None:
     dive = add_errors(exact, *matched_errors(SENSORS), 1)
     with_truth, without_truth = (rows(replay_dive(d, SENSORS)) for d in (dive, replace(dive, truth=None)))
     biases = [state.id for state in STATES[BA.start :]]
-    assert [quantity for name, quantity in with_truth.index if name == "baseline"] == [*CREDIBILITY_QUANTITIES, "all"]
+    assert [quantity for name, quantity in with_truth.index if name == "baseline"] == [
+        *CREDIBILITY_QUANTITIES, *CREDIBILITY_GROUPS, "all",
+    ]  # fmt: skip
     assert not set(biases) & {quantity for _, quantity in without_truth.index}
     assert without_truth.loc[("baseline", "all"), "dof"] == 6

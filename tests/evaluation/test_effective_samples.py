@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from insdvl_replay.core.columns import Floats
-from insdvl_replay.evaluation.chi_square import effective_samples
+from insdvl_replay.evaluation.effective_samples import samples_in_mean_square
 
 
 def autoregressive(rng: np.random.Generator, coefficient: float, runs: int, k: int) -> Floats:
@@ -20,28 +20,39 @@ def test_autoregressive_series_has_the_closed_form(coefficient: float) -> None:
     k = 20_000
     (series,) = autoregressive(np.random.default_rng(1), coefficient, 1, k)
     expected = k * (1.0 - coefficient**2) / (1.0 + coefficient**2)
-    assert effective_samples(series[:, None]) == pytest.approx(expected, rel=0.15)
+    assert samples_in_mean_square(series[:, None]) == pytest.approx(expected, rel=0.15)
 
 
 def test_mean_square_scatters_as_that_of_so_many_independent_samples() -> None:
     series = autoregressive(np.random.default_rng(2), 0.95, 400, 1000)
     # The mean of N independent squares has the variance 2 / N.
     scatter = 2.0 / np.var(np.mean(series**2, axis=1))
-    found = np.median([effective_samples(run[:, None]) for run in series])
+    found = np.median([samples_in_mean_square(run[:, None]) for run in series])
     assert found == pytest.approx(scatter, rel=0.25)
 
 
 @pytest.mark.parametrize("value", [3.0, 0.0])
 def test_error_that_stays_is_one_sample(value: float) -> None:
-    assert effective_samples(np.full((500, 1), value)) == pytest.approx(1.0, abs=1e-6)
+    assert samples_in_mean_square(np.full((500, 1), value)) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_error_that_swings_is_as_few_samples_as_one_that_stays() -> None:
     swing = np.sqrt(2.0) * np.cos(2.0 * np.pi * np.arange(1000) / 100.0)
-    assert effective_samples(swing[:, None]) < 4.0
+    assert samples_in_mean_square(swing[:, None]) < 4.0
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8])
+def test_slow_part_is_seen_below_fast_noise(share: float) -> None:
+    """White noise over an error that stays: the mean square scatters by the square of the share that stays."""
+    rng, k = np.random.default_rng(4), 1500
+    found = [
+        samples_in_mean_square((np.sqrt(share) + np.sqrt(1.0 - share) * rng.standard_normal(k))[:, None])
+        for _ in range(50)
+    ]
+    assert np.median(found) == pytest.approx(1.0 / share**2, rel=0.1)
 
 
 def test_components_count_by_the_mean_of_their_times() -> None:
     white = np.random.default_rng(3).standard_normal((2000, 1))
     both = np.hstack([white, np.ones((2000, 1))])
-    assert effective_samples(both) == pytest.approx(2.0, rel=0.05), "tau is (1 + 2000) / 2"
+    assert samples_in_mean_square(both) == pytest.approx(2.0, rel=0.05), "tau is (1 + 2000) / 2"

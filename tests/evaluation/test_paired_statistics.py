@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.words import EvidenceWord
-from insdvl_replay.evaluation.effective_samples import block_length, effective_samples
+from insdvl_replay.evaluation.effective_samples import block_length, samples_in_mean
 from insdvl_replay.evaluation.paired_statistics import (
     NOTHING,
     RatioInterval,
@@ -45,23 +45,23 @@ def segment_pairs(rng: np.random.Generator, runs: int, n: int, segment: int) -> 
 def test_effective_samples_of_an_autoregressive_series_have_the_closed_form(rho: float) -> None:
     n = 10_000
     series = autoregressive(np.random.default_rng(1), rho, 40, n)
-    found = np.median([effective_samples(run) for run in series])
+    found = np.median([samples_in_mean(run) for run in series])
     assert found == pytest.approx(n * (1.0 - rho) / (1.0 + rho), rel=0.1)
 
 
 def test_bias_of_short_series_is_taken_off() -> None:
     series = autoregressive(np.random.default_rng(2), 0.8, 400, 100)
-    found = np.median([effective_samples(run) for run in series])
+    found = np.median([samples_in_mean(run) for run in series])
     assert found == pytest.approx(100.0 / 9.0, rel=0.25)
 
 
 @pytest.mark.parametrize(("values", "worth"), [([], 0.0), ([3.0], 1.0), ([2.0] * 50, 1.0), ([1.0, -1.0] * 25, 50.0)])
 def test_effective_samples_at_the_edges(values: list[float], worth: float) -> None:
-    assert effective_samples(np.array(values)) == worth
+    assert samples_in_mean(np.array(values)) == worth
 
 
 def test_trend_is_worth_next_to_nothing() -> None:
-    assert effective_samples(np.arange(200.0)) < 6.0
+    assert samples_in_mean(np.arange(200.0)) < 6.0
 
 
 @pytest.mark.parametrize("rho", [0.3, 0.5, 0.8])

@@ -54,7 +54,11 @@ def judged(
             consistency("aided", "velocity", of_aided),
             consistency("aided", "acceleration", of_aided),
         ],
-        [credibility("baseline", "all", errors_of_baseline), credibility("aided", "all", errors_of_aided)],
+        [
+            row
+            for name, attitude in (("baseline", errors_of_baseline), ("aided", errors_of_aided))
+            for row in of_errors(name, attitude)
+        ],
         pieces,
     )
     return verdicts(tables, "baseline", ["aided"], unsound, independent=independent)["aided"]
@@ -62,6 +66,13 @@ def judged(
 
 def consistency(filter_: str, measurement: str, verdict: str) -> ConsistencyRow:
     return ConsistencyRow("dive", filter_, measurement, 3, 9, 0, 3.0, 2.0, 4.0, verdict)
+
+
+def of_errors(filter_: str, attitude: str) -> list[CredibilityRow]:
+    """Velocities that are consistent where the attitude could be judged, and all states together always."""
+    velocity = attitude if attitude in {"no reference", "too few"} else "consistent"
+    rows = ("heading", "too few"), ("velocity", velocity), ("attitude", attitude), ("all", "consistent")
+    return [credibility(filter_, *row) for row in rows]
 
 
 def credibility(filter_: str, quantity: str, verdict: str) -> CredibilityRow:
@@ -155,11 +166,21 @@ def test_a_reference_that_shares_sensors_is_part_of_the_sentence() -> None:
         (
             "consistent",
             "over-confident",
-            "aided is consistent by the innovations and over-confident against the reference, baseline consistent.",
+            "aided is consistent by the innovations and over-confident in attitude against the reference, baseline "
+            "consistent.",
         ),
         ("over-confident", "too few", "aided is over-confident, baseline consistent."),
         ("over-confident", "no reference", "aided is over-confident, baseline consistent."),
-        ("too few", "over-confident", "aided is over-confident against the reference, baseline consistent."),
+        (
+            "over-confident",
+            "over-confident",
+            "aided is over-confident by the innovations, and in attitude against the reference, baseline consistent.",
+        ),
+        (
+            "too few",
+            "over-confident",
+            "aided is over-confident in attitude against the reference, baseline consistent.",
+        ),
     ],
 )
 def test_sentence_says_whether_innovations_or_errors_speak(innovations: str, errors: str, words: str) -> None:
@@ -181,16 +202,37 @@ def test_gravest_verdict_of_the_measurements_stands_for_the_filter() -> None:
     assert [consistency_of(table, name) for name in "abcd"] == ["over-confident", "over-cautious", "too few", "too few"]
 
 
-def test_errors_of_all_states_together_stand_for_the_filter() -> None:
+def test_sentence_names_the_groups_where_others_are_better() -> None:
+    alike = {"of_aided": "over-cautious", "of_baseline": "over-cautious"}
+    verdict = judged(["undecided"], **alike, errors_of_aided="too few", errors_of_baseline="too few").verdict
+    assert verdict.endswith("Both filters are over-cautious.")
+    named = judged(["undecided"], **alike, errors_of_aided="over-confident", errors_of_baseline="too few").verdict
+    assert named.endswith(
+        "aided is over-cautious by the innovations and over-confident in attitude against the reference, baseline "
+        "over-cautious."
+    )
+
+
+def test_gravest_group_of_errors_stands_for_the_filter() -> None:
     rows = [
-        ("a", "velocity_n", "over-confident"),
+        ("a", "heading", "over-confident"),
+        ("a", "velocity", "over-cautious"),
+        ("a", "attitude", "consistent"),
         ("a", "all", "consistent"),
-        ("b", "velocity_n", "over-cautious"),
-        ("b", "heading", "too few"),
-        ("b", "all", "no reference"),
+        ("b", "velocity", "over-cautious"),
+        ("b", "attitude", "over-confident"),
+        ("b", "all", "consistent"),
+        ("c", "velocity", "consistent"),
+        ("c", "attitude", "not in reference"),
+        ("d", "velocity", "too few"),
+        ("d", "attitude", "not in reference"),
+        ("e", "velocity", "no reference"),
+        ("e", "attitude", "no reference"),
     ]
     table = [credibility(*row) for row in rows]
-    assert [credibility_of(table, name) for name in "ab"] == ["consistent", "no reference"]
+    assert [credibility_of(table, name) for name in "abcde"] == [
+        "over-cautious", "over-confident", "consistent", "too few", "no reference",
+    ]  # fmt: skip
 
 
 def test_evidence_on_a_candidate_that_is_not_judged_has_no_words() -> None:

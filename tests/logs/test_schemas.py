@@ -20,9 +20,9 @@ TABLES = {
     "ReferenceErrorRow": "log,filter,quantity,unit,baseline_rmse,rmse,improvement_pct,baseline_final,final,samples,"
     "status",
     "ConsistencyRow": "log,filter,measurement,dof,used,rejected,mean_nis,low,high,verdict,autocorrelation,"
-    "autocorrelation_limit,whiteness",
+    "autocorrelation_limit,whiteness,why",
     "CredibilityRow": "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,"
-    "effective_samples",
+    "effective_samples,why",
     "EvidenceRow": "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,"
     "word",
     "CoastingRow": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"

@@ -55,9 +55,9 @@ HEADERS = {
         "log,filter,quantity,unit,baseline_rmse,rmse,improvement_pct,baseline_final,final,samples,status"
     ),
     "consistency": "log,filter,measurement,dof,used,rejected,mean_nis,low,high,verdict,"
-    "autocorrelation,autocorrelation_limit,whiteness",
+    "autocorrelation,autocorrelation_limit,whiteness,why",
     "credibility": (
-        "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,effective_samples"
+        "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,effective_samples,why"
     ),
     "evidence": (
         "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,word"
@@ -247,6 +247,21 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped() -> None:
         assert cell in text
     assert "mean improvement over nine states 6.7 %" in text
     assert "believed by the filter's own covariance; see reference error and consistency" in text
+
+
+def test_tables_say_why_a_verdict_is_not_that_of_its_interval() -> None:
+    made = tables()
+    near, far = (
+        msgspec.structs.replace(row, why=why)
+        for row, why in zip(made.credibility[:2], ("within 10 %", ""), strict=True)
+    )
+    beyond = msgspec.structs.replace(made.credibility[2], why="many beyond 3 sd")
+    innovations = [msgspec.structs.replace(made.consistency[0], why="within 10 %"), *made.consistency[1:]]
+    told = msgspec.structs.replace(made, credibility=[near, far, beyond], consistency=innovations)
+    text = as_markdown(dive_document(report(used=told)))
+    assert "In spite of the interval, within 10 %: velocity, north; many beyond 3 sd: accelerometer bias, x." in text
+    assert "In spite of the interval, within 10 %: baseline velocity." in text
+    assert "In spite of" not in as_markdown(dive_document(report()))
 
 
 def test_no_gain_stands_beside_a_filter_that_is_not_judged() -> None:

@@ -155,6 +155,8 @@ def test_verdict_takes_significance_and_size(mean: float, runs: int, word: str) 
     ensemble = Ensemble("one", runs, np.arange(3.0), *(np.ones(shape) for _ in range(3)), np.full(3, mean))
     (row,) = verdict_table([ensemble]).itertuples()
     assert row.verdict == word
+    outside = not row.low <= mean <= row.high
+    assert row.why == ("within 10 %" if word == "consistent" and outside else "")
     assert row.low == pytest.approx(chi2(12 * runs).ppf(0.025) / runs)
     assert row.high == pytest.approx(chi2(12 * runs).ppf(0.975) / runs)
 

@@ -1,0 +1,71 @@
+"""Which filter is the more honest: by its gravest measurement and group of states, with what its gate rejected."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from test_consistency import GATE, history
+
+from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
+from insdvl_replay.evaluation.consistency import consistency_table
+from insdvl_replay.evaluation.evidence import Measured, evidence_table
+
+Group = tuple[str, float, str]
+"""Name, mean NEES over its degrees of freedom, and verdict."""
+
+
+def credibility(filter_: str, groups: Sequence[Group]) -> list[CredibilityRow]:
+    rows = [(name, 3, 3.0 * size, word) for name, size, word in groups]
+    return [
+        CredibilityRow("dive", filter_, name, dof, 9, mean, 0.5, 1.5, 68.0, 99.0, word, 9.0)
+        for name, dof, mean, word in (*rows, ("heading", 1, 50.0, "over-confident"), ("all", 12, 12.0, "consistent"))
+    ]
+
+
+def honesty(
+    consistency: Sequence[ConsistencyRow] = (), before: Sequence[Group] = (), after: Sequence[Group] = ()
+) -> dict[str, EvidenceRow]:
+    rows = [*credibility("baseline", before), *credibility("aided", after)]
+    return {
+        row.quantity: row
+        for row in evidence_table("dive", "baseline", ["aided"], Measured({}, {}, {}), consistency, rows)
+    }
+
+
+FINE = ("velocity", 1.0, "consistent")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "values", "word"),
+    [
+        ([("velocity", 0.01, "over-cautious"), ("attitude", 3.0, "over-confident")], [FINE], (3.0, 1.0), "better"),
+        ([FINE], [("velocity", 0.01, "over-cautious"), ("attitude", 1.5, "over-confident")], (1.0, 1.5), "worse"),
+        (
+            [FINE],
+            [FINE, ("attitude", 0.05, "over-cautious"), ("gyro_bias", 0.1, "over-cautious")],
+            (1.0, 0.1),
+            "worse",
+        ),
+        ([FINE, ("attitude", 9.0, "too few")], [FINE, ("attitude", 0.1, "too few")], (1.0, 1.0), "equivalent"),
+        ([("velocity", 9.0, "too few")], [FINE], (9.0, 1.0), "undecided"),
+    ],
+)
+def test_gravest_group_of_errors_decides(
+    before: list[Group], after: list[Group], values: tuple[float, float], word: str
+) -> None:
+    row = honesty(before=before, after=after)["nees"]
+    assert (row.baseline, row.value) == pytest.approx(values)
+    assert row.word == word
+
+
+def test_no_group_that_was_compared_gives_no_row() -> None:
+    assert not honesty(before=[("velocity", np.nan, "no reference")], after=[("velocity", np.nan, "no reference")])
+
+
+def test_rejected_pings_count_against_the_filter_that_rejects_them() -> None:
+    """A filter that is surprised by a third of the pings, and hears none of them, is not the more honest for that."""
+    surprised = np.where(np.arange(300) % 3 == 0, 1e4, 3.0)
+    gated = history("aided", surprised, surprised < GATE)
+    row = honesty(consistency_table("dive", (history("baseline", np.full(300, 3.0)), gated)))["nis"]
+    assert (row.baseline, row.value) == pytest.approx((1.0, (2.0 * 3.0 + GATE) / 9.0))
+    assert row.word == "worse"
