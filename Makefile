@@ -68,6 +68,7 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema inspection > schemas/inspection.schema.json
 	$(BIN)/insdvl-replay schema study > schemas/study.schema.json
 	$(BIN)/insdvl-replay schema comparison > schemas/comparison.schema.json
+	$(BIN)/insdvl-replay schema calibration > schemas/calibration.schema.json
 	$(BIN)/insdvl-replay schema check > schemas/check.schema.json
 	$(BIN)/python pages/row_messages.py
 

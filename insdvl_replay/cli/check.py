@@ -21,8 +21,11 @@ def check(
         Path, typer.Option("--results", metavar="DIR", help="Where each replayed dive gets a folder of its name.")
     ] = Path("checked"),
     config: Annotated[
-        Path | None, typer.Option("-c", "--config", metavar="FILE", help="Settings in place of those named in GATES.")
-    ] = None,
+        list[Path],
+        typer.Option(
+            "-c", "--config", metavar="FILE", help="Settings in place of those named in GATES. May be repeated."
+        ),
+    ] = [],  # noqa: B006
     settings: Settings = [],  # noqa: B006
     format_: Annotated[CheckFormat, typer.Option("--format", help="How it is told.")] = CheckFormat.TEXT,
     output: Annotated[

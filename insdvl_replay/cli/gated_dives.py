@@ -72,7 +72,7 @@ class CheckOptions:
 def check_dives(
     path: Path,
     dives: Sequence[str],
-    config: Path | None,
+    config: Sequence[Path],
     settings: Sequence[str],
     check: CheckOptions,
     output: OutputOptions,
@@ -112,15 +112,16 @@ def _require_own_names(output: OutputOptions, inputs: Sequence[Path]) -> None:
                 raise ConfigError(f"{path}: is what is checked", "give it another name")
 
 
-def _settings(gates: Gates, config: Path | None, settings: Sequence[str]) -> Config:
+def _settings(gates: Gates, config: Sequence[Path], settings: Sequence[str]) -> Config:
     named = gates.content.config
-    file = config if config or named is None else gates.path.parent / named
-    if file != config and file is not None:
+    if not config and named is not None:
+        file = gates.path.parent / named
         with looked_for(file):
             if not file.is_file():
                 found = f"{gates.path}: config names {file}, which is no file"
                 raise ConfigError(found, "paths are seen from the gate file")
-    return load_config(gates.content.preset, file, settings)
+        config = [file]
+    return load_config(gates.content.preset, config, settings)
 
 
 def _is_result(path: Path) -> bool:

@@ -1,12 +1,11 @@
 """``insdvl-replay inspect``."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from insdvl_replay.cli.messages import log_failure, write_stdout
-from insdvl_replay.cli.options import Format, Logs, OneDive, Preset, Settings, Verbose
+from insdvl_replay.cli.options import ConfigFiles, Format, Logs, OneDive, Preset, Settings, Verbose
 
 if TYPE_CHECKING:
     from insdvl_replay.inspection.inventory import Inventory
@@ -17,9 +16,7 @@ def inspect(
     deep: Annotated[
         bool, typer.Option("--deep", help="Read the messages of all roles whole, not only the first of each.")
     ] = False,
-    config: Annotated[
-        Path | None, typer.Option("-c", "--config", metavar="FILE", help="Settings as TOML, on top of the preset.")
-    ] = None,
+    config: ConfigFiles = [],  # noqa: B006
     preset: Preset = None,
     settings: Settings = [],  # noqa: B006
     format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,

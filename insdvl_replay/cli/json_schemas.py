@@ -4,6 +4,7 @@ from typing import Any, Final
 
 import msgspec
 
+from insdvl_replay.calibration.rows import CalibrationResult
 from insdvl_replay.core.changes import Comparison
 from insdvl_replay.core.config import Config
 from insdvl_replay.gates.output import CheckReport
@@ -17,6 +18,7 @@ SCHEMAS: Final[dict[str, type]] = {
     "inspection": Inventory,
     "study": StudyResult,
     "comparison": Comparison,
+    "calibration": CalibrationResult,
     "check": CheckReport,
 }
 """By the name that the command line and the files in schemas/ use: what `config` reads from TOML, `report.json` of a

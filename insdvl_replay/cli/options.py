@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -97,6 +98,12 @@ Scenario = Annotated[
 Settings = Annotated[
     list[str],
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting, such as dvl.scale=1.01. May be repeated."),
+]
+ConfigFiles = Annotated[
+    list[Path],
+    typer.Option(
+        "-c", "--config", metavar="FILE", help="Settings as TOML, on top of the preset; later ones on top of earlier."
+    ),
 ]
 Outages = Annotated[
     list[str],

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from insdvl_replay.cli.options import (
+    ConfigFiles,
     Force,
     Format,
     Jobs,
@@ -25,9 +26,7 @@ def run(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where each log gets a folder of its name.")
     ] = Path("replay"),
-    config: Annotated[
-        Path | None, typer.Option("-c", "--config", metavar="FILE", help="Settings as TOML, on top of the preset.")
-    ] = None,
+    config: ConfigFiles = [],  # noqa: B006
     preset: Preset = None,
     start: Annotated[
         float | None, typer.Option(metavar="T", help="Start here, in seconds from the first IMU sample.")

@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insdvl_replay.cli.options import Force, Format, Outages, Preset, Scenario, Settings, Verbose, outage_spans
+from insdvl_replay.cli.options import (
+    ConfigFiles,
+    Force,
+    Format,
+    Outages,
+    Preset,
+    Scenario,
+    Settings,
+    Verbose,
+    outage_spans,
+)
 
 if TYPE_CHECKING:
     from insdvl_replay.studies.study_report import StudyReport
@@ -14,9 +24,6 @@ study = typer.Typer(rich_markup_mode=None, no_args_is_help=True)
 
 StudyOutput = Annotated[
     Path, typer.Option("-o", "--output", metavar="DIR", help="Where the study gets a folder of its own.")
-]
-ConfigFile = Annotated[
-    Path | None, typer.Option("-c", "--config", metavar="FILE", help="Settings as TOML, on top of the preset.")
 ]
 StudyFormat = Annotated[Format, typer.Option("--format", help="How the tables are printed.")]
 
@@ -50,7 +57,7 @@ def montecarlo(
     ] = None,
     output: StudyOutput = Path("study"),
     png: Annotated[bool, typer.Option("--png", help="Draw the pictures as PNG, too.")] = False,
-    config: ConfigFile = None,
+    config: ConfigFiles = [],  # noqa: B006
     preset: Preset = None,
     settings: Settings = [],  # noqa: B006
     format_: StudyFormat = Format.TABLE,
@@ -108,7 +115,7 @@ def window(
     ] = 10,
     output: StudyOutput = Path("study"),
     png: Annotated[bool, typer.Option("--png", help="Draw the picture as PNG, too.")] = False,
-    config: ConfigFile = None,
+    config: ConfigFiles = [],  # noqa: B006
     preset: Preset = None,
     settings: Settings = [],  # noqa: B006
     format_: StudyFormat = Format.TABLE,
@@ -158,7 +165,7 @@ def observability(
     no_earth_rate: Annotated[bool, typer.Option("--no-earth-rate", help="Let the Earth be flat and at rest.")] = False,
     output: StudyOutput = Path("study"),
     png: Annotated[bool, typer.Option("--png", help="Draw the picture as PNG, too.")] = False,
-    config: ConfigFile = None,
+    config: ConfigFiles = [],  # noqa: B006
     preset: Preset = None,
     settings: Settings = [],  # noqa: B006
     format_: StudyFormat = Format.TABLE,

@@ -80,8 +80,9 @@ def _lost_beam(text: str) -> "LostBeam":
 def config(
     preset: Preset = None,
     file: Annotated[
-        Path | None, typer.Option("--from", metavar="FILE", help="Settings as TOML, on top of the preset.")
-    ] = None,
+        list[Path],
+        typer.Option("--from", metavar="FILE", help="Settings as TOML, on top of the preset. May be repeated."),
+    ] = [],  # noqa: B006
     settings: Settings = [],  # noqa: B006
     verbose: Verbose = 0,
 ) -> None:

@@ -1,6 +1,6 @@
 """Settings from TOML and back: strict, so that a mistyped key is an error that names the nearest known one.
 
-Precedence: defaults, then preset, then file, then command line.
+Precedence: defaults, then preset, then files in their order, then command line.
 """
 
 import math
@@ -25,15 +25,18 @@ LARGEST = 1e30
 PRESETS = ("levy-klein", "fog", "tactical", "mems")
 
 
-def load_config(preset: str | None = None, file: Path | None = None, overrides: Sequence[str] = ()) -> Config:
+def load_config(
+    preset: str | None = None, file: Path | Sequence[Path] | None = None, overrides: Sequence[str] = ()
+) -> Config:
     """Resolve the settings: defaults < preset < file < overrides.
 
     Parameters
     ----------
     preset : str, optional
         One of `PRESETS`.
-    file : Path, optional
-        TOML. A file with a ``[filters]`` section names all filters; other keys change one setting each.
+    file : Path or sequence of Path, optional
+        TOML; of several, later ones lie over earlier ones. A file with a ``[filters]`` section names all filters; other
+        keys change one setting each.
     overrides : sequence of str
         ``section.key=value`` with a TOML value; a bare word is taken as a string.
 
@@ -44,14 +47,15 @@ def load_config(preset: str | None = None, file: Path | None = None, overrides: 
     """
     source = _read_preset(preset or PRESETS[0])
     settings = _overlaid(msgspec.to_builtins(Config()), source)
-    if file is not None:
-        source = read_toml(
-            file,
+    for path in [file] if isinstance(file, Path) else file or ():
+        laid = read_toml(
+            path,
             _HINT,
             if_unreadable="check the path given to -c",
             if_invalid="`insdvl-replay config` prints a valid one",
         )
-        settings = _overlaid(settings, source)
+        settings = _overlaid(settings, laid)
+        source = laid if "filters" in laid.content else source
     config = _with_overrides(settings, [_parse_override(text) for text in overrides])
     _check_filters(config, source)
     return config

@@ -165,3 +165,14 @@ class MatchedBy(StrEnum):
     """Each side is a single result, so that the two were meant."""
     NOTHING = "nothing"
     """It has none."""
+
+
+class Estimated(StrEnum):
+    """What a calibration did with a parameter."""
+
+    ESTIMATED = "estimated"
+    HELD = "held"
+    """The dives do not show it: it stays as it was, to the bit."""
+    DOUBTFUL = "doubtful"
+    """What was found cannot be right, and is not proposed."""
+    NOT_ASKED = "not asked"

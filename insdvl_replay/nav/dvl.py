@@ -48,7 +48,10 @@ class DvlVelocities:
 
     def within(self, start_ns: int, end_ns: int) -> "DvlVelocities":
         """Keep the pings after the start and up to the end."""
-        keep = (self.time_ns > start_ns) & (self.time_ns <= end_ns)
+        return self.where((self.time_ns > start_ns) & (self.time_ns <= end_ns))
+
+    def where(self, keep: NDArray[np.bool_]) -> "DvlVelocities":
+        """Keep some of the pings."""
         return replace(
             self,
             time_ns=self.time_ns[keep],

@@ -37,6 +37,11 @@ DOCUMENTED = {
         "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
         "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "-v, --verbose", "--help",
     ],
+    "calibrate": [
+        "LOG...", "-o, --output FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--only NAMES",
+        "--delays <each|one>", "--mounting <known|unknown>", "--hold-out SHARE|DIVE",
+        "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose", "--help",
+    ],
     "simulate": [
         "SCENARIO", "-o, --output LOG", "--seed N", "--duration S", "--imu GRADE", "--outage START:END",
         "--lost-beam BEAM:START:END", "--force", "-v, --verbose", "--help",

@@ -58,7 +58,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "dives").mkdir()
     for number in ("1", "2"):
         log = str(folder / "dives" / f"{number}.mcap")
-        assert run_command_line(["simulate", "lawnmower", "-o", log, "--duration", "60", "--seed", number]) == 0
+        assert run_command_line(["simulate", "figure-eight", "-o", log, "--duration", "120", "--seed", number]) == 0
     written = Path(dive).read_bytes()
     write_part(folder / "sensors.mcap", lambda topic, _: topic != "/reference", log=written)
     write_part(folder / "gnss.mcap", lambda topic, _: topic == "/reference", log=written)
@@ -67,6 +67,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for results in ("before", "after", "replay"):
         assert run_command_line(["run", dive, "-o", str(folder / results)]) == 0
     (folder / "vehicle.toml").write_text("[dvl]\nvelocity_sd_mps = 0.03\n", "utf-8")
+    (folder / "calibrated.toml").write_text("[dvl]\nlatency_s = 0.01\n", "utf-8")
     return folder
 
 

@@ -1,0 +1,205 @@
+"""A vehicle calibrated from its dives: what was found, how sure it is, what is proposed and what is not."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.calibration.certainty import (
+    SEEN,
+    Certainty,
+    autocorrelation,
+    certainty_of,
+    correlations,
+    mean_change,
+    own_delays,
+)
+from insdvl_replay.calibration.fit import DELAY_STEP_S, Fit, Mask, fit, scatter_of
+from insdvl_replay.calibration.geometry import (
+    DELAY,
+    GROUPS,
+    PARAMETERS,
+    SCALE,
+    DvlGeometry,
+)
+from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
+from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.rows import Number
+from insdvl_replay.core.words import Estimated
+
+SCALE_SEEN: Final = 30.0
+"""Signal to noise from which the scale is moved: a DVL that smooths, or stamps that jitter, look like a smaller one."""
+BELIEVABLE_SDS: Final = 3.0
+"""An estimate further from the configuration, in sds of the prior, comes from something else."""
+BELIEVABLE_SCALE: Final = 0.05
+MANY_TIMES: Final = 3.0
+"""Birge ratio from which dives contradict each other."""
+WEAK: Final = 10.0
+"""Signal to noise below which what no model knows, such as the errors of single beams, may be as large."""
+CORRELATED: Final = 0.3
+INSEPARABLE: Final = 0.9
+TOO_LARGE: Final = 2.0
+"""Innovations that scatter by more, in their own sds, hold something that no geometry explains."""
+AXES: Final = ("forward", "starboard", "down")
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What several dives say of their vehicle.
+
+    Attributes
+    ----------
+    before, after : DvlGeometry
+        What the configuration says, and what is proposed.
+    change : ndarray, shape (8,)
+        What is proposed, of `geometry.PARAMETERS`; zero where nothing is.
+    rows : tuple of ParameterRow
+        In the order of the parameters.
+    doubts : tuple of str
+        What speaks against believing it.
+    """
+
+    before: DvlGeometry
+    after: DvlGeometry
+    change: Floats
+    rows: tuple[ParameterRow, ...]
+    dives: tuple[DiveRow, ...]
+    doubts: tuple[str, ...]
+    held_out: tuple[HeldOutRow, ...] = ()
+
+    def with_held_out(self, rows: Sequence[HeldOutRow]) -> "Calibration":
+        """Add how dives fare that were not fitted."""
+        return replace(self, held_out=tuple(rows))
+
+    @property
+    def estimated(self) -> tuple[ParameterRow, ...]:
+        """The parameters that are proposed."""
+        return tuple(row for row in self.rows if row.status == Estimated.ESTIMATED)
+
+
+def calibrate(
+    dives: Sequence[DiveInnovations], config: Config, groups: Collection[str] = GROUPS, *, one_delay: bool = False
+) -> Calibration:
+    """Estimate what the dives show, and leave the rest as it is.
+
+    Parameters
+    ----------
+    dives : sequence of DiveInnovations
+        Of one vehicle.
+    config : Config
+        With which they were read.
+    groups : collection of str
+        What may be estimated.
+    one_delay : bool
+        Whether all dives are late by the same.
+    """
+    asked = np.array([parameter.group in groups for parameter in PARAMETERS])
+    all_at_once = fit(dives, asked, one_delay=one_delay)
+    certainty = certainty_of(all_at_once)
+    refused = dict(_refused(certainty, mean_change(all_at_once), asked))
+    free = asked & np.array([row not in refused for row in range(len(PARAMETERS))])
+    # What is held has the last word on what is correlated with it; how sure the rest is was told with it free.
+    found = all_at_once if (free == asked).all() else fit(dives, free, one_delay=one_delay)
+    change = np.where(free, mean_change(found), 0.0)
+    before = DvlGeometry.of(config)
+    first = [dive.residuals(np.zeros(len(PARAMETERS))) for dive in dives]
+    rows = tuple(_rows(certainty, change, mean_change(all_at_once), asked, refused))
+    of_dives = tuple(_dive_rows(dives, found, first))
+    doubts = (*_doubts(all_at_once, certainty, free), *_doubts_of_dives(of_dives))
+    return Calibration(before, before.changed(change), change, rows, of_dives, doubts)
+
+
+def _refused(certainty: Certainty, change: Floats, asked: Mask) -> Iterator[tuple[int, tuple[Estimated, str]]]:
+    """Find what must stay as it is, and why."""
+    for row in np.flatnonzero(asked).tolist():
+        parameter, seen = PARAMETERS[row], certainty.signal_to_noise[row]
+        least = SCALE_SEEN if row == SCALE else SEEN
+        if seen < least:
+            yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
+        elif row == DELAY and abs(change[row]) > LATEST_S - DELAY_STEP_S:
+            yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
+        elif row == SCALE and abs(np.expm1(change[row])) > BELIEVABLE_SCALE:
+            yield row, (Estimated.DOUBTFUL, "no sound of speed is so wrong: does the DVL smooth, or the stamps jitter?")
+        elif abs(change[row]) > BELIEVABLE_SDS * parameter.prior_sd:
+            yield row, (Estimated.DOUBTFUL, "too far from the configuration: are the axes right?")
+
+
+def _rows(
+    certainty: Certainty, proposed: Floats, found: Floats, asked: Mask, refused: dict[int, tuple[Estimated, str]]
+) -> Iterator[ParameterRow]:
+    for row, parameter in enumerate(PARAMETERS):
+        if not asked[row]:
+            yield ParameterRow(parameter.name, parameter.unit, status=Estimated.NOT_ASKED)
+            continue
+        status, why = refused.get(row, (Estimated.ESTIMATED, parameter.shown_by))
+        change = {Estimated.HELD: 0.0, Estimated.DOUBTFUL: found[row]}.get(status, proposed[row])
+        shown = parameter.shown_as
+        yield ParameterRow(
+            parameter.name,
+            parameter.unit,
+            shown * float(change),
+            _number(shown * certainty.formal[row]),
+            _number(shown * certainty.correlated[row]),
+            _number(shown * certainty.between[row]),
+            _number(shown * certainty.sd[row]),
+            _number(certainty.signal_to_noise[row]),
+            _number(certainty.birge[row]),
+            status,
+            why,
+        )
+
+
+def _number(value: float) -> Number:
+    return float(value) if np.isfinite(value) else None
+
+
+def _dive_rows(dives: Sequence[DiveInnovations], found: Fit, first: Sequence[Floats]) -> Iterator[DiveRow]:
+    delays_s, sds_s = own_delays(found)
+    is_free = bool(found.unknowns.free[DELAY])
+    for i, (dive, near, before) in enumerate(zip(dives, found.dives, first, strict=True)):
+        yield DiveRow(
+            dive.name,
+            dive.count,
+            dive.left_out,
+            float(delays_s[i]) if is_free else None,
+            float(sds_s[i]) if is_free else None,
+            *(_triple(axes) for axes in (scatter_of(before), near.scatter, autocorrelation(near))),
+        )
+
+
+def _triple(axes: Floats) -> tuple[float, float, float]:
+    x, y, z = axes.tolist()
+    return x, y, z
+
+
+def _doubts(found: Fit, certainty: Certainty, free: Mask) -> Iterator[str]:
+    """State what the fit itself says against the answer."""
+    for row in np.flatnonzero(free & (np.nan_to_num(certainty.birge) > MANY_TIMES)):
+        yield (
+            f"the dives differ in {PARAMETERS[row].name} {certainty.birge[row]:.1f} times as much as each is sure: "
+            "was the DVL moved between them?"
+        )
+    if weak := [row for row in np.flatnonzero(free) if certainty.signal_to_noise[row] < WEAK]:
+        names = ", ".join(PARAMETERS[row].name for row in weak)
+        yield f"weakly seen, signal to noise below {WEAK:g}: {names}; try them on other dives (--hold-out)"
+    for one, other, correlation in correlations(found, INSEPARABLE):
+        yield f"{one} and {other} can hardly be told apart (correlation {correlation:+.2f})"
+
+
+def _doubts_of_dives(dives: Sequence[DiveRow]) -> Iterator[str]:
+    """State what the innovations that are left say against it."""
+    for dive in dives:
+        for axis, scatter, correlation in zip(AXES, dive.after, dive.autocorrelation, strict=True):
+            if scatter > TOO_LARGE:
+                yield (
+                    f"{dive.dive}: innovations {axis} still scatter by {scatter:.1f} of their standard deviations: "
+                    "wrong axes or units, or noise set too small"
+                )
+            elif correlation > CORRELATED:
+                yield (
+                    f"{dive.dive}: neighbouring innovations {axis} are alike ({correlation:.2f}): the DVL smooths, "
+                    "or the IMU's noise is set too small"
+                )

@@ -1,0 +1,128 @@
+"""Dives made ready for a calibration: read, prepared, and with their axes tried where nobody knows them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from insdvl_replay.calibration.fit import robust_cost
+from insdvl_replay.calibration.geometry import NAMES, DvlGeometry, moved_mounting, moved_pings
+from insdvl_replay.calibration.innovations import DiveInnovations, dive_innovations
+from insdvl_replay.calibration.rows import HeldOutRow
+from insdvl_replay.core.columns import Dive, Floats
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.states import DEG
+from insdvl_replay.evaluation.coasting import coasting_table
+from insdvl_replay.evaluation.paired_statistics import windows_ratio
+from insdvl_replay.geometry.rotation import rpy_from_mat
+from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
+from insdvl_replay.preparation.reading import read_checked_dive
+from insdvl_replay.preparation.running import coasting_of, coasting_plan, prepared_timeline, run_filters
+
+AXES: Final[tuple[Floats, ...]] = tuple(
+    turn
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+    for turn in [np.diag(signs)[:, order]]
+    if np.linalg.det(turn) > 0.0
+)
+"""The 24 ways in which right-handed axes can lie along others."""
+COASTED_S: Final = "60"
+
+
+@dataclass(frozen=True)
+class ReadDive:
+    """A dive with its configuration, from which it can be prepared for any geometry."""
+
+    dive: Dive
+    config: Config
+
+    def prepared(self, geometry: DvlGeometry | None = None) -> Prepared:
+        """Prepare it, with another mounting, arm and scale than configured; its pings keep their times."""
+        return prepare_dive(self.dive, self.config if geometry is None else with_geometry(self.config, geometry))
+
+    def innovations(self) -> DiveInnovations:
+        """Get it ready to be asked."""
+        return dive_innovations(self.dive, self.prepared())
+
+    def with_config(self, config: Config) -> "ReadDive":
+        """Take other settings for the same readings."""
+        return replace(self, config=config)
+
+
+def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> ReadDive:
+    """Read a dive and check it.
+
+    Raises
+    ------
+    LogError, ConfigError
+        As of `reading.read_checked_dive`.
+    """
+    dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
+    return ReadDive(with_reference_at_imu(dive, config), config)
+
+
+def with_geometry(config: Config, geometry: DvlGeometry) -> Config:
+    """Set what was calibrated in a configuration."""
+    dvl = msgspec.structs.replace(
+        config.dvl,
+        latency_s=geometry.latency_s,
+        lever_arm_m=geometry.lever_arm_m,
+        mounting_rpy_deg=geometry.mounting_rpy_deg,
+        scale=geometry.scale,
+    )
+    return msgspec.structs.replace(config, dvl=dvl)
+
+
+def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
+    """Try the 24 ways in which the DVL's axes can lie along the body's, and return the best as roll, pitch, heading."""
+
+    def cost(turn: Floats) -> float:
+        config = _turned(dives[0].config, turn)
+        found = [dive.with_config(config).innovations().residuals(np.zeros(len(NAMES))) for dive in dives]
+        return sum(robust_cost(residuals) for residuals in found)
+
+    return _turned(dives[0].config, min(AXES, key=cost)).dvl.mounting_rpy_deg
+
+
+def _turned(config: Config, turn: Floats) -> Config:
+    roll, pitch, heading = (rpy_from_mat(turn) / DEG).tolist()
+    return msgspec.structs.replace(
+        config, dvl=msgspec.structs.replace(config.dvl, mounting_rpy_deg=(roll, pitch, heading))
+    )
+
+
+def held_out_row(read: ReadDive, change: Floats) -> HeldOutRow:
+    """Say how a dive that was not fitted fares before and after a change, shape (8,)."""
+    asked = read.innovations()
+    before, after = (_nis_per_dof(asked, of) for of in (np.zeros(len(NAMES)), change))
+    windows, drift_before_m = _coasted(read, np.zeros(len(NAMES)))
+    _, drift_after_m = _coasted(read, change)
+    return HeldOutRow(asked.name, before, after, windows, drift_before_m, drift_after_m)
+
+
+def _nis_per_dof(asked: DiveInnovations, change: Floats) -> float:
+    return float(np.mean(asked.history(change).innovations[0].nis)) / 3.0
+
+
+def _coasted(read: ReadDive, change: Floats) -> tuple[int, float | None]:
+    """Let the baseline coast, and return in how many windows and how far in their median."""
+    config = msgspec.structs.replace(
+        read.config, filters={read.config.baseline: read.config.filters[read.config.baseline]}
+    )
+    prepared = prepare_dive(read.dive, config)
+    start_ns, end_ns = prepared.alignment.start_ns, prepared.end_ns
+    moved = replace(
+        prepared,
+        velocities=moved_pings(prepared.velocities, change).within(start_ns, end_ns),
+        mounting=moved_mounting(prepared.mounting, change),
+    )
+    plan, timeline = coasting_plan(moved), prepared_timeline(read.dive, moved)
+    histories = run_filters(moved, timeline, cov_ns=plan.start_ns)
+    rows = coasting_table(read.dive.name, coasting_of(moved, timeline, histories, plan), windows_ratio)
+    found = next((row for row in rows if row.window_s == COASTED_S), None)
+    return (0, None) if found is None else (found.windows, found.drift_median_m)

@@ -1,0 +1,129 @@
+"""A calibration for people."""
+
+from collections.abc import Iterator
+from typing import Final
+
+from insdvl_replay.calibration.calibration import AXES, Calibration
+from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow
+from insdvl_replay.core.words import Estimated
+from insdvl_replay.report.document import (
+    Callout,
+    DisplayTable,
+    Part,
+    Remark,
+    Sentences,
+    Title,
+    counted,
+    number,
+    table_of,
+)
+
+LABELS: Final = {
+    "delay": "delay",
+    **{f"{group}_{axis}": f"{group} {axis}" for group in ("mounting", "arm") for axis in "xyz"},
+    "scale": "scale",
+}
+
+
+def calibration_document(found: Calibration, written: str = "") -> list[Part]:
+    """Lay out a calibration: what is proposed first, then what it rests on, and what speaks against it.
+
+    Parameters
+    ----------
+    written : str
+        The file that holds the proposal, if there is one.
+    """
+    parts: list[Part] = [
+        Title(f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"),
+        Callout(_headline(found), "good" if found.estimated and not found.doubts else "bad"),
+        _parameters(found.rows),
+        _dives(found.dives),
+    ]
+    if found.held_out:
+        parts.append(_held_out(found.held_out))
+    if reasons := [*_reasons(found), *(Remark(doubt) for doubt in found.doubts)]:
+        parts.append(Sentences(tuple(reasons)))
+    return [*parts, *_what_now(found, written)]
+
+
+def _headline(found: Calibration) -> str:
+    if not found.estimated:
+        return "Nothing could be estimated: these dives hold no manoeuvre that would show it."
+    return f"Estimated: {_named(found, Estimated.ESTIMATED)}."
+
+
+def _named(found: Calibration, status: Estimated) -> str:
+    return ", ".join(LABELS[row.parameter] for row in found.rows if row.status == status)
+
+
+def _reasons(found: Calibration) -> Iterator[Remark]:
+    """State why parameters are not proposed, those with the same reason together."""
+    for status, said in ((Estimated.HELD, "held"), (Estimated.DOUBTFUL, "not proposed")):
+        rows = [row for row in found.rows if row.status == status]
+        for why in dict.fromkeys(row.why for row in rows):
+            names = ", ".join(LABELS[row.parameter] for row in rows if row.why == why)
+            yield Remark(f"{names}: {said}; {why}")
+
+
+def _what_now(found: Calibration, written: str) -> Iterator[Part]:
+    if written and found.estimated:
+        yield f"Nothing is applied by itself: `insdvl-replay run LOG -c ... -c {written}` uses it."
+
+
+def _parameters(rows: tuple[ParameterRow, ...]) -> DisplayTable:
+    return table_of(
+        "Change from what the configuration says; x forward, y starboard, z down",
+        [row for row in rows if row.status != Estimated.NOT_ASKED],
+        (
+            ("parameter", "l", lambda row: f"{LABELS[row.parameter]} [{row.unit}]"),
+            ("change", "r", _change),
+            ("sd", "r", lambda row: number(row.sd)),
+            ("formal", "r", lambda row: number(row.formal_sd)),
+            ("corre-\nlated", "r", lambda row: number(row.correlated_sd)),
+            ("between\ndives", "r", lambda row: number(row.between_dives_sd)),
+            ("signal /\nnoise", "r", lambda row: number(row.signal_to_noise)),
+        ),
+        "The sd is the largest of the three. What is below a signal to noise of 3 (the scale: 30) is held.",
+    )
+
+
+def _change(row: ParameterRow) -> str:
+    if row.status == Estimated.HELD or row.change is None:
+        return Estimated.HELD
+    sign, doubt = "-" if row.change < 0.0 else "+", "?" if row.status == Estimated.DOUBTFUL else ""
+    return f"{sign}{number(abs(row.change))}{doubt}"
+
+
+def _dives(rows: tuple[DiveRow, ...]) -> DisplayTable:
+    def axes(values: tuple[float, float, float]) -> str:
+        return " ".join(f"{value:.2f}" for value in values)
+
+    return table_of(
+        f"Innovations in their own standard deviations, {', '.join(AXES)}",
+        rows,
+        (
+            ("dive", "l", lambda row: row.dive),
+            ("pings", "r", lambda row: str(row.pings)),
+            ("left\nout", "r", lambda row: str(row.left_out)),
+            ("delay\n[s]", "r", lambda row: number(row.delay_s)),
+            ("before", "r", lambda row: axes(row.before)),
+            ("after", "r", lambda row: axes(row.after)),
+            ("alike", "r", lambda row: axes(row.autocorrelation)),
+        ),
+        "1 is what a filter expects that knows its noise; neighbours are alike by 0 where nothing is left to find.",
+    )
+
+
+def _held_out(rows: tuple[HeldOutRow, ...]) -> DisplayTable:
+    return table_of(
+        "Dives that were not fitted: NIS / dof, and drift in 60 s without velocities",
+        rows,
+        (
+            ("dive", "l", lambda row: row.dive),
+            ("NIS before", "r", lambda row: number(row.nis_per_dof_before)),
+            ("after", "r", lambda row: number(row.nis_per_dof_after)),
+            ("windows", "r", lambda row: str(row.windows)),
+            ("drift before\n[m]", "r", lambda row: number(row.drift_before_m)),
+            ("after\n[m]", "r", lambda row: number(row.drift_after_m)),
+        ),
+    )

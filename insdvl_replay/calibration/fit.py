@@ -1,0 +1,257 @@
+"""The geometry under which innovations are smallest: robust least squares over several dives, one vehicle.
+
+Each innovation is weighed by what the axis scatters by, far ones count less, and what the configuration says is a
+measurement, too, with the sds of `geometry.PARAMETERS`. Mounting, arm and scale are the vehicle's; the delay is each
+dive's, since clocks are set anew. Sources: Levenberg, 1944, and Marquardt, 1963, for the steps; Huber and Ronchetti,
+"Robust statistics", for weights from a scale that is estimated beside them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.calibration.geometry import DELAY, NAMES, PRIOR_SD
+from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
+from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.runtime import each
+
+SOFT: Final = 2.0
+"""Residuals, in what the axis scatters by, beyond which they count less and less."""
+SD_OF_DEVIATION: Final = 1.4826
+"""Standard deviation of normal values over the median of their absolute values."""
+DELAY_STEP_S: Final = 0.05
+MOST_ROUNDS: Final = 12
+SETTLED: Final = 0.05
+"""A step of less than so many of its standard deviations is the last."""
+STEEPER, FLATTER = 10.0, 0.1
+LARGEST_DAMPING: Final = 1e6
+OWN: Final = len(NAMES)
+SHARED: Final = np.array([i for i in range(OWN) if i != DELAY])
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Where the parameters of each dive stand among all: those of the vehicle first, then the delays.
+
+    Attributes
+    ----------
+    dives : int
+        How many.
+    one_delay : bool
+        Whether all dives share one, as those of one driver may.
+    free : ndarray of bool, shape (8,)
+        What is estimated at all.
+    """
+
+    dives: int
+    one_delay: bool
+    free: Mask
+
+    @property
+    def count(self) -> int:
+        """How many numbers there are."""
+        return OWN - 1 + (1 if self.one_delay else self.dives)
+
+    def rows(self, dive: int) -> NDArray[np.int64]:
+        """Where the eight parameters of a dive stand, shape (8,)."""
+        rows = np.empty(OWN, dtype=np.int64)
+        rows[SHARED] = np.arange(OWN - 1)
+        rows[DELAY] = OWN - 1 + (0 if self.one_delay else dive)
+        return rows
+
+    def of_dive(self, values: Floats, dive: int) -> Floats:
+        """Return the change of one dive, shape (8,)."""
+        return values[self.rows(dive)]
+
+    @property
+    def prior_sd(self) -> Floats:
+        """Of all numbers, shape (count,)."""
+        return np.concatenate([PRIOR_SD[SHARED], np.full(self.count - OWN + 1, PRIOR_SD[DELAY])])
+
+    @property
+    def is_free(self) -> Mask:
+        """Of all numbers, shape (count,)."""
+        return np.concatenate([self.free[SHARED], np.full(self.count - OWN + 1, self.free[DELAY])])
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """The residuals of one dive near an answer.
+
+    Attributes
+    ----------
+    residuals : ndarray, shape (k, 3)
+        In their own standard deviations.
+    scatter : ndarray, shape (3,)
+        What each axis scatters by, in the same; 1 where the filter knows its noise.
+    jacobian : ndarray, shape (k, 3, 8)
+        Of the residuals over the scatter.
+    """
+
+    residuals: Floats
+    scatter: Floats
+    jacobian: Floats
+
+    @property
+    def scaled(self) -> Floats:
+        """Residuals over the scatter, shape (k, 3)."""
+        return self.residuals / self.scatter
+
+    @property
+    def weights(self) -> Floats:
+        """How much each counts, shape (k, 3)."""
+        return weights_of(self.scaled)
+
+    @property
+    def information(self) -> Floats:
+        """The dive's own, shape (8, 8)."""
+        return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights, self.jacobian, self.jacobian))
+
+    @property
+    def scores(self) -> Floats:
+        """What each ping says, shape (k, 8): minus half the gradient of the cost."""
+        return -np.asarray(np.einsum("ka,ka,kai->ki", self.weights, self.scaled, self.jacobian))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An answer, and the dives linearised there.
+
+    Attributes
+    ----------
+    values : ndarray, shape (count,)
+        Changes, in the order of `Unknowns`.
+    dives : tuple of Linearised
+    """
+
+    unknowns: Unknowns
+    values: Floats
+    dives: tuple[Linearised, ...]
+
+    @property
+    def information(self) -> Floats:
+        """Of the dives and of the prior together, shape (count, count); what is held has the prior alone."""
+        return _information(self.unknowns, self.dives)
+
+    @property
+    def cov(self) -> Floats:
+        """Formal covariance, shape (count, count)."""
+        return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
+
+
+def weights_of(scaled: Floats) -> Floats:
+    """Return how much residuals count that are beyond what is usual (soft L1)."""
+    return 1.0 / np.sqrt(1.0 + (scaled / SOFT) ** 2)
+
+
+def robust_cost(scaled: Floats) -> float:
+    """Return the sum of soft L1 losses, which near zero are squares."""
+    return float(2.0 * SOFT**2 * np.sum(np.sqrt(1.0 + (scaled / SOFT) ** 2) - 1.0))
+
+
+def scatter_of(residuals: Floats) -> Floats:
+    """Return what each axis scatters by, shape (3,), by the median, which a few far pings do not move."""
+    scatter = SD_OF_DEVIATION * np.median(np.abs(residuals), axis=0)
+    return np.maximum(scatter, np.finfo(float).tiny)
+
+
+def fit(dives: Sequence[DiveInnovations], free: Mask, *, one_delay: bool = False) -> Fit:
+    """Find the changes under which the innovations of all dives are smallest.
+
+    Parameters
+    ----------
+    dives : sequence of DiveInnovations
+        At least one.
+    free : ndarray of bool, shape (8,)
+        What may change.
+    one_delay : bool
+        Whether all dives have the same.
+    """
+    unknowns = Unknowns(len(dives), one_delay, free)
+    values = _with_delays(unknowns, dives)
+    damping = 1e-3
+    linearised = _linearised(unknowns, dives, values)
+    for _ in range(MOST_ROUNDS):
+        information, gradient = _information(unknowns, linearised), _gradient(unknowns, linearised, values)
+        before = _cost(unknowns, dives, values, linearised)
+        while damping < LARGEST_DAMPING:
+            step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
+            step[~unknowns.is_free] = 0.0
+            late = values[OWN - 1 :] + step[OWN - 1 :]
+            step[OWN - 1 :] += np.clip(late, -LATEST_S, LATEST_S) - late
+            if _cost(unknowns, dives, values + step, linearised) <= before:
+                break
+            damping *= STEEPER
+        else:
+            break
+        values, damping = values + step, damping * FLATTER
+        linearised = _linearised(unknowns, dives, values)
+        sds = np.sqrt(np.diag(np.linalg.inv(information)))
+        if np.max(np.abs(step) / sds) < SETTLED:
+            break
+    return Fit(unknowns, values, linearised)
+
+
+def _with_delays(unknowns: Unknowns, dives: Sequence[DiveInnovations]) -> Floats:
+    """Begin at the delay of a coarse grid, so that the fit cannot stay in a side valley."""
+    values = np.zeros(unknowns.count)
+    if not unknowns.free[DELAY]:
+        return values
+    grid = np.arange(-LATEST_S, LATEST_S + DELAY_STEP_S / 2.0, DELAY_STEP_S)
+    costs = np.array([delay_profile(dive, np.zeros(OWN), grid) for dive in dives])
+    if unknowns.one_delay:
+        costs = costs.sum(axis=0, keepdims=True)
+    values[OWN - 1 :] = grid[np.argmin(costs, axis=1)]
+    return values
+
+
+def delay_profile(dive: DiveInnovations, change: Floats, delays_s: Floats) -> Floats:
+    """Return the robust cost of one dive over its delay, all else fixed, shape as the delays.
+
+    Each axis is weighed by what it scatters by where that is least, so that no axis hides the others.
+    """
+    at = [change + (delay_s - change[DELAY]) * (np.arange(OWN) == DELAY) for delay_s in delays_s]
+    residuals = list(each(dive.residuals, at))
+    scatter = np.min([scatter_of(of_one) for of_one in residuals], axis=0)
+    return np.array([robust_cost(of_one / scatter) for of_one in residuals])
+
+
+def _linearised(unknowns: Unknowns, dives: Sequence[DiveInnovations], values: Floats) -> tuple[Linearised, ...]:
+    found = []
+    for i, dive in enumerate(dives):
+        change = unknowns.of_dive(values, i)
+        residuals = dive.residuals(change)
+        scatter = scatter_of(residuals)
+        found.append(Linearised(residuals, scatter, dive.jacobian(change, unknowns.free) / scatter[:, None]))
+    return tuple(found)
+
+
+def _cost(
+    unknowns: Unknowns, dives: Sequence[DiveInnovations], values: Floats, linearised: Sequence[Linearised]
+) -> float:
+    """Return the cost of some values, each axis weighed by what it scattered by before."""
+    of_dives = (
+        robust_cost(dive.residuals(unknowns.of_dive(values, i)) / near.scatter)
+        for i, (dive, near) in enumerate(zip(dives, linearised, strict=True))
+    )
+    return float(sum(of_dives) + np.sum((values / unknowns.prior_sd) ** 2))
+
+
+def _information(unknowns: Unknowns, linearised: Sequence[Linearised]) -> Floats:
+    information = np.diag(unknowns.prior_sd**-2.0)
+    for i, near in enumerate(linearised):
+        rows = unknowns.rows(i)
+        information[np.ix_(rows, rows)] += near.information
+    return information
+
+
+def _gradient(unknowns: Unknowns, linearised: Sequence[Linearised], values: Floats) -> Floats:
+    gradient = -values / unknowns.prior_sd**2
+    for i, near in enumerate(linearised):
+        gradient[unknowns.rows(i)] += near.scores.sum(axis=0)
+    return gradient

@@ -1,0 +1,118 @@
+"""A calibration as a fragment of configuration, as JSON and as CSV."""
+
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from typing import Any, Final
+
+import msgspec
+from msgspec import Struct
+
+from insdvl_replay import __version__
+from insdvl_replay.calibration.calibration import Calibration
+from insdvl_replay.calibration.geometry import PARAMETERS, DvlGeometry
+from insdvl_replay.calibration.rows import CalibrationResult, ParameterRow, Settings
+from insdvl_replay.core.columns import NS_PER_S
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import toml_value
+from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.words import Estimated
+from insdvl_replay.report.csv_tables import blocks_csv
+from insdvl_replay.report.document import counted
+from insdvl_replay.results.json_report import as_json, package_versions, this_tool
+
+KEYS: Final = {
+    "delay": "latency_s",
+    "arm": "lever_arm_m",
+    "mounting": "mounting_rpy_deg",
+    "scale": "scale",
+}
+"""Key in ``[dvl]`` of each group of parameters."""
+DIGITS: Final = 6
+"""Decimals that are proposed; none of the numbers is known so well."""
+
+
+def calibration_json(found: Calibration, config: Config) -> bytes:
+    """Write a calibration as JSON. The same dives give the same bytes."""
+    return as_json(
+        CalibrationResult(
+            this_tool(),
+            package_versions(),
+            _settings(found.before),
+            _settings(found.after),
+            list(found.rows),
+            list(found.dives),
+            list(found.held_out),
+            list(found.doubts),
+            msgspec.to_builtins(config),
+        )
+    )
+
+
+def _settings(geometry: DvlGeometry) -> Settings:
+    return Settings(geometry.latency_s, geometry.lever_arm_m, geometry.mounting_rpy_deg, geometry.scale)
+
+
+def calibration_csv(found: Calibration) -> str:
+    """Write the parameters, the dives and those held out one after the other."""
+    tables: dict[str, Sequence[Struct]] = {
+        "parameters": found.rows,
+        "dives": found.dives,
+        "held_out": found.held_out,
+    }
+    return blocks_csv(
+        "table",
+        {
+            name: (list(rows[0].__struct_fields__), (msgspec.structs.astuple(row) for row in rows))
+            for name, rows in tables.items()
+            if rows
+        },
+    )
+
+
+def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
+    """Write what is proposed as settings that ``-c`` reads, each with how sure it is and why.
+
+    Parameters
+    ----------
+    started_ns : sequence of int
+        When the dives began, ns since 1970; on their own clocks.
+    """
+    days = sorted({datetime.fromtimestamp(start_ns / NS_PER_S, UTC).date().isoformat() for start_ns in started_ns})
+    names = ", ".join(visible(dive.dive) for dive in found.dives)
+    head = (
+        f"# insdvl-replay {__version__} calibrate: {counted(len(found.dives), 'dive')} of {days[0]}"
+        f"{f' to {days[-1]}' if len(days) > 1 else ''}: {names}"
+    )
+    return "\n".join([head, "[dvl]", *_lines(found), *(f"# doubt: {visible(doubt)}" for doubt in found.doubts)]) + "\n"
+
+
+def _lines(found: Calibration) -> Iterator[str]:
+    for group, key in KEYS.items():
+        rows = [row for row, parameter in zip(found.rows, PARAMETERS, strict=True) if parameter.group == group]
+        if all(row.status == Estimated.NOT_ASKED for row in rows):
+            continue
+        yield from (f"# {_in_words(row)}" for row in rows)
+        if any(row.status == Estimated.ESTIMATED for row in rows):
+            yield f"{key} = {toml_value(_rounded(getattr(found.before, key), getattr(found.after, key)))}"
+
+
+def _rounded(before: Any, after: Any) -> Any:
+    """Leave out digits that mean nothing; what has not moved stays to the bit."""
+    if isinstance(after, tuple):
+        return tuple(_rounded(*pair) for pair in zip(before, after, strict=True))
+    return after if after == before else round(after, DIGITS)
+
+
+def _in_words(row: ParameterRow) -> str:
+    match row.status:
+        case Estimated.NOT_ASKED:
+            return f"{row.parameter}: not asked"
+        case Estimated.HELD:
+            return f"{row.parameter}: as it was; {row.why}"
+        case Estimated.DOUBTFUL:
+            return f"{row.parameter}: {row.change:+.4g} {row.unit} was found and is not proposed: {row.why}"
+        case Estimated.ESTIMATED:
+            return (
+                f"{row.parameter}: {row.change:+.4g} {row.unit}, sd {row.sd:.2g} {row.unit}, "
+                f"signal to noise {row.signal_to_noise:.0f}"
+            )

@@ -1,0 +1,74 @@
+"""The rows of a calibration, as JSON and CSV have them."""
+
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+
+from insdvl_replay.core.rows import Number
+from insdvl_replay.core.words import Estimated
+from insdvl_replay.results.json_report import Tool
+
+
+class ParameterRow(Struct, frozen=True):
+    """One parameter: how far it is from the configuration, and how sure that is. SI, or degrees."""
+
+    parameter: str
+    unit: str
+    change: Annotated[Number, Meta(description="from what the configuration says; null where nothing was asked")] = None
+    formal_sd: Number = None
+    correlated_sd: Annotated[Number, Meta(description="with the correlation of the innovations (Newey and West)")] = (
+        None
+    )
+    between_dives_sd: Annotated[Number, Meta(description="of the mean over dives; null of one dive")] = None
+    sd: Annotated[Number, Meta(description="the largest of the three, at most the prior's")] = None
+    signal_to_noise: Annotated[Number, Meta(description="prior's sd over that of the data")] = None
+    birge: Annotated[Number, Meta(description="how much more dives differ than they should; 1 is expected")] = None
+    status: Estimated = Estimated.HELD
+    why: Annotated[str, Meta(description="the manoeuvre that shows it, or what keeps it as it was")] = ""
+
+
+class DiveRow(Struct, frozen=True):
+    """One dive: its delay, and its innovations before and after, in their own standard deviations."""
+
+    dive: str
+    pings: int
+    left_out: Annotated[int, Meta(description="pings far from their neighbours, which no vehicle could have followed")]
+    delay_s: Number
+    delay_sd_s: Number
+    before: Annotated[tuple[float, float, float], Meta(description="scatter by axis, forward, starboard, down")]
+    after: tuple[float, float, float]
+    autocorrelation: Annotated[tuple[float, float, float], Meta(description="of neighbours, after")]
+
+
+class HeldOutRow(Struct, frozen=True):
+    """One dive that was not fitted: its innovations, and how far it coasts, before and after."""
+
+    dive: str
+    nis_per_dof_before: Number
+    nis_per_dof_after: Number
+    windows: Annotated[int, Meta(description="of 60 s without velocities")]
+    drift_before_m: Annotated[Number, Meta(description="median over them")]
+    drift_after_m: Number
+
+
+class Settings(Struct, frozen=True):
+    """The keys of ``[dvl]`` that are calibrated."""
+
+    latency_s: float
+    lever_arm_m: tuple[float, float, float]
+    mounting_rpy_deg: tuple[float, float, float]
+    scale: float
+
+
+class CalibrationResult(Struct, frozen=True):
+    """What `calibrate --format json` prints."""
+
+    tool: Tool
+    versions: Annotated[dict[str, str], Meta(description="of Python and the packages that may move a number")]
+    before: Annotated[Settings, Meta(description="what the configuration says, of [dvl]")]
+    after: Annotated[Settings, Meta(description="what is proposed")]
+    parameters: list[ParameterRow]
+    dives: list[DiveRow]
+    held_out: Annotated[list[HeldOutRow], Meta(description="dives that were not fitted")]
+    doubts: Annotated[list[str], Meta(description="what speaks against believing it")]
+    config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]

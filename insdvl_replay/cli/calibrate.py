@@ -1,0 +1,173 @@
+"""``insdvl-replay calibrate``."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from insdvl_replay.cli.options import ConfigFiles, Force, Format, Logs, OneDive, Preset, Settings, Verbose
+
+if TYPE_CHECKING:
+    from insdvl_replay.calibration.dives import ReadDive
+    from insdvl_replay.core.config import Config
+
+
+class Delays(StrEnum):
+    """Whether each dive is late by its own, since clocks are set anew, or all by the same."""
+
+    EACH = "each"
+    ONE = "one"
+
+
+class Mounting(StrEnum):
+    """Whether the configured mounting is about right, or the 24 ways of laying axes along others are tried first."""
+
+    KNOWN = "known"
+    UNKNOWN = "unknown"
+
+
+def calibrate(
+    logs: Logs,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write what is found as settings for -c.")
+    ] = None,
+    config: ConfigFiles = [],  # noqa: B006
+    preset: Preset = None,
+    settings: Settings = [],  # noqa: B006
+    only: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Of arm, mounting, delay and scale, with commas; left out, all of them."),
+    ] = None,
+    delays: Annotated[Delays, typer.Option("--delays", help="Whether each dive has a delay of its own.")] = Delays.EACH,
+    mounting: Annotated[
+        Mounting, typer.Option("--mounting", help="If it is unknown, 24 are tried first.")
+    ] = Mounting.KNOWN,
+    hold_out: Annotated[
+        list[str],
+        typer.Option(
+            "--hold-out", metavar="SHARE|DIVE", help="Dives to try it on that are not fitted: a share, or names."
+        ),
+    ] = [],  # noqa: B006
+    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
+    allow_damaged: Annotated[
+        bool, typer.Option("--allow-damaged", help="Use what can be read of a damaged log; what is lost is said.")
+    ] = False,
+    one_dive: OneDive = False,
+    force: Force = False,
+    verbose: Verbose = 0,
+) -> int:
+    """Estimate where the DVL sits, how it is turned, how late and how long it reads.
+
+    The dives' own innovations say it, without a reference, as far as the vehicle turned and changed its speed. What
+    they do not show stays as it is. Nothing is applied: -o writes settings that `run -c` reads. The exit code is 0 if
+    something was estimated, and 3 if nothing was or a log cannot be used.
+
+    \b
+    Example:
+      insdvl-replay calibrate dives/*.mcap -c vehicle.toml -o found.toml
+      insdvl-replay run dives/*.mcap -c vehicle.toml -c calibrated.toml
+      insdvl-replay calibrate dives/*.mcap -c vehicle.toml --hold-out 0.3
+      insdvl-replay calibrate archive --only arm,delay --mounting unknown
+    """
+    import msgspec
+
+    from insdvl_replay.calibration.calibration import calibrate as calibrated
+    from insdvl_replay.calibration.dives import held_out_row, likeliest_mounting
+    from insdvl_replay.calibration.document import calibration_document
+    from insdvl_replay.calibration.output import calibration_csv, calibration_json, calibration_toml
+    from insdvl_replay.cli.messages import log_to_stderr, write_stdout
+    from insdvl_replay.cli.screen import compiling, in_format, spinner
+    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.core.errors import LogError
+    from insdvl_replay.results.folder import require_replaceable_file, result_file
+
+    resolved, groups = load_config(preset, config, settings), _groups(only)
+    if output is not None:
+        require_replaceable_file(output, force=force)
+    with spinner(f"calibrating{compiling()}"):
+        dives, failed = _read(logs, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
+        kept, held = _parted(dives, hold_out)
+        if mounting is Mounting.UNKNOWN:
+            turned = msgspec.structs.replace(resolved.dvl, mounting_rpy_deg=likeliest_mounting(kept))
+            resolved = msgspec.structs.replace(resolved, dvl=turned)
+            kept, held = ([dive.with_config(resolved) for dive in some] for some in (kept, held))
+        asked = [dive.innovations() for dive in kept]
+        found = calibrated(asked, resolved, groups, one_delay=delays is Delays.ONE)
+        found = found.with_held_out([held_out_row(dive, found.change) for dive in held])
+    write_stdout(
+        in_format(
+            format_,
+            document=lambda: calibration_document(found, "" if output is None else str(output)),
+            json=lambda: calibration_json(found, resolved),
+            csv=lambda: calibration_csv(found),
+        )
+    )
+    if not found.estimated:
+        raise LogError(
+            "nothing could be estimated from these dives",
+            "record turns at speed, changes of speed, rolling and pitching, and calibrate by those",
+        )
+    if output is not None:
+        with result_file(output, force=force) as path:
+            path.write_text(calibration_toml(found, [dive.prepared.alignment.start_ns for dive in asked]), "utf-8")
+        log_to_stderr(f"wrote {output}")
+    return failed
+
+
+def _groups(only: str | None) -> tuple[str, ...]:
+    from insdvl_replay.calibration.geometry import GROUPS
+    from insdvl_replay.core.errors import ConfigError, require_known
+
+    if only is None:
+        return GROUPS
+    names = tuple(name.strip() for name in only.split(",") if name.strip())
+    for name in names:
+        require_known("--only", name, GROUPS)
+    if not names:
+        raise ConfigError("--only names nothing", f"of {', '.join(GROUPS)}, with commas")
+    return names
+
+
+def _read(
+    logs: list[str], config: "Config", verbose: int, *, allow_damaged: bool, one_dive: bool
+) -> tuple[list["ReadDive"], int]:
+    """Read the dives; one that cannot be used does not stop the others."""
+    from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.calibration.dives import read_dive
+    from insdvl_replay.cli.messages import log_failure
+    from insdvl_replay.core.errors import LogError
+
+    paths, dives, code = find_dives(logs), [], 0
+    for path in [paths] if one_dive else [[path] for path in paths]:
+        try:
+            read = read_dive(path, config, allow_damaged=allow_damaged)
+            read.innovations()
+            dives.append(read)
+        except Exception as error:
+            code = max(code, log_failure(error, verbose))
+    if not dives:
+        raise LogError("no dive can be used", "`insdvl-replay inspect LOG` says what is in it")
+    return dives, code
+
+
+def _parted(dives: list["ReadDive"], hold_out: list[str]) -> tuple[list["ReadDive"], list["ReadDive"]]:
+    """Set dives aside to try the result on: every so many of them, or those that are named."""
+    from insdvl_replay.core.errors import ConfigError, require_known
+
+    names = [read.dive.name for read in dives]
+    aside: set[str] = set()
+    for wanted in hold_out:
+        try:
+            share = float(wanted)
+        except ValueError:
+            require_known("--hold-out", wanted, names)
+            aside.add(wanted)
+            continue
+        if not 0.0 < share < 1.0:
+            raise ConfigError(f"--hold-out {wanted}: a share lies between 0 and 1", "for example --hold-out 0.3")
+        count = max(1, round(share * len(names)))
+        aside.update(names[-1 - round(i * len(names) / count)] for i in range(count))
+    if len(aside) == len(names):
+        raise ConfigError("--hold-out leaves no dive to fit", "name more dives, or hold out fewer")
+    return [read for read in dives if read.dive.name not in aside], [read for read in dives if read.dive.name in aside]

@@ -1,0 +1,198 @@
+"""A calibration finds what was put in, as surely as it says, and leaves alone what a dive does not show."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from worlds import ARM_M, CONFIG, DELAY_S, SCALE, TRUTH, YAW_DEG, ReadDive, as_read, built_in_otherwise, shown
+
+from insdvl_replay.calibration.calibration import Calibration, calibrate
+from insdvl_replay.calibration.certainty import certainty_of, mean_change, newey_west
+from insdvl_replay.calibration.dives import AXES, held_out_row, likeliest_mounting, read_dive
+from insdvl_replay.calibration.fit import fit
+from insdvl_replay.calibration.geometry import ARM, DELAY, MOUNTING, NAMES, PARAMETERS
+from insdvl_replay.calibration.output import calibration_toml
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.rows import finite
+from insdvl_replay.core.words import Estimated
+from insdvl_replay.sim.dive import exact_dive
+
+SNAPIR = Path(__file__).parents[2] / "examples" / "snapir.toml"
+ALL = np.ones(len(NAMES), dtype=np.bool_)
+SEEDS = 20
+
+
+def calibrated(*dives: ReadDive, only: tuple[str, ...] = ("arm", "mounting", "delay", "scale")) -> Calibration:
+    return calibrate([dive.innovations() for dive in dives], dives[0].config, only)
+
+
+def status(found: Calibration) -> dict[str, Estimated]:
+    return {row.parameter: row.status for row in found.rows}
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_as_is_said() -> None:
+    """Turned at speed and pitched as a figure-eight is, by sensors of which the filter knows the noise."""
+    errors = []
+    for seed in range(SEEDS):
+        found = fit([built_in_otherwise("figure-eight", seed).innovations()], ALL)
+        errors.append((mean_change(found) - TRUTH) / certainty_of(found).sd)
+    of_sd = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (of_sd > 0.5).all(), dict(zip(NAMES, of_sd, strict=True))
+    assert (of_sd < 1.5).all(), dict(zip(NAMES, of_sd, strict=True))
+    assert np.abs(errors).max() < 3.0
+
+
+@pytest.fixture(scope="module")
+def eight() -> ReadDive:
+    return built_in_otherwise("figure-eight", 3)
+
+
+@pytest.fixture(scope="module")
+def found(eight: ReadDive) -> Calibration:
+    return calibrated(eight)
+
+
+def test_what_was_put_in_is_found(found: Calibration) -> None:
+    for row, truth in zip(found.rows, shown(TRUTH), strict=True):
+        assert abs(finite(row.change) - truth) < 3.0 * finite(row.sd), row.parameter
+    assert {row.parameter for row in found.estimated} >= {"delay", "mounting_z", "arm_x", "arm_y", "arm_z", "scale"}
+    after = found.after
+    assert after.lever_arm_m[:2] == pytest.approx(ARM_M[:2], abs=0.02)
+    assert after.mounting_rpy_deg[2] == pytest.approx(YAW_DEG, abs=0.4)
+    assert after.latency_s == pytest.approx(DELAY_S, abs=0.1)
+    assert after.scale == pytest.approx(SCALE, abs=0.005)
+
+
+def test_a_straight_line_moves_nothing_to_the_bit() -> None:
+    for seed in range(3):
+        held = calibrated(built_in_otherwise("straight", seed))
+        assert held.estimated == ()
+        assert held.after == held.before
+        assert not held.change.any()
+        assert set(status(held).values()) == {Estimated.HELD}
+
+
+def test_turns_alone_show_the_arm_in_their_plane_and_not_along_their_axis() -> None:
+    found = calibrated(built_in_otherwise("lawnmower", 1), only=("arm",))
+    assert status(found) == {
+        **dict.fromkeys(NAMES, Estimated.NOT_ASKED),
+        "arm_x": Estimated.ESTIMATED,
+        "arm_y": Estimated.ESTIMATED,
+        "arm_z": Estimated.HELD,
+    }
+    assert found.after.lever_arm_m[2] == found.before.lever_arm_m[2]
+
+
+def test_a_few_wild_pings_hardly_move_it(eight: ReadDive) -> None:
+    beams = eight.dive.dvl.beam_velocity_mps
+    assert beams is not None
+    wild = np.random.default_rng(5).random(len(beams)) < 0.05
+    beams = np.where(wild[:, None], 10.0 * beams, beams)
+    shaken = replace(eight, dive=replace(eight.dive, dvl=replace(eight.dive.dvl, beam_velocity_mps=beams)))
+    before, after = fit([eight.innovations()], ALL), fit([shaken.innovations()], ALL)
+    assert 10 < shaken.innovations().left_out < 0.08 * len(beams)
+    moved = np.abs(mean_change(after) - mean_change(before)) / certainty_of(before).sd
+    assert moved.max() < 1.0, dict(zip(NAMES, moved, strict=True))
+
+
+def test_several_dives_share_a_vehicle_and_each_has_its_delay(eight: ReadDive) -> None:
+    other = built_in_otherwise("figure-eight", 4)
+    later = replace(
+        other,
+        dive=replace(
+            other.dive, name="later", dvl=replace(other.dive.dvl, time_ns=other.dive.dvl.time_ns + 100_000_000)
+        ),
+    )
+    found = calibrated(eight, later)
+    first, second = found.dives
+    assert finite(second.delay_s) - finite(first.delay_s) == pytest.approx(0.1, abs=4.0 * finite(first.delay_sd_s))
+    rows = {row.parameter: row for row in found.rows}
+    assert finite(rows["arm_x"].formal_sd) < finite(calibrated(eight).rows[ARM.start].formal_sd)
+    assert rows["arm_x"].between_dives_sd is not None
+    assert finite(rows["arm_x"].birge) < 3.0
+    assert calibrated(eight).rows[ARM.start].between_dives_sd is None
+
+
+def test_a_dvl_turned_by_a_right_angle_is_found_or_refused_and_never_believed() -> None:
+    turned = built_in_otherwise("figure-eight", 6, yaw_deg=90.0)
+    astray = calibrated(turned)
+    assert status(astray)["mounting_z"] != Estimated.ESTIMATED or astray.after.mounting_rpy_deg[2] == pytest.approx(
+        90.0, abs=1.0
+    )
+    mounting = likeliest_mounting([turned])
+    assert mounting == pytest.approx((0.0, 0.0, 90.0))
+    config = msgspec.structs.replace(CONFIG, dvl=msgspec.structs.replace(CONFIG.dvl, mounting_rpy_deg=mounting))
+    found = calibrated(turned.with_config(config))
+    assert found.after.mounting_rpy_deg[2] == pytest.approx(90.0, abs=0.5)
+    assert found.after.lever_arm_m[:2] == pytest.approx(ARM_M[:2], abs=0.03)
+
+
+def test_axes_are_the_24_right_handed_ones() -> None:
+    assert len({tuple(turn.ravel()) for turn in AXES}) == 24
+    for turn in AXES:
+        np.testing.assert_array_equal(turn @ turn.T, np.eye(3))
+        assert np.linalg.det(turn) == pytest.approx(1.0)
+
+
+def test_sum_of_correlated_scores_scatters_as_newey_and_west_say() -> None:
+    """An autoregressive series: its long-run variance is 1 / (1 - rho)^2 of its innovations'."""
+    rng, rho, n = np.random.default_rng(7), 0.4, 4000
+    series = rng.standard_normal((n, 1))
+    for k in range(1, n):
+        series[k] += rho * series[k - 1]
+    assert newey_west(series)[0, 0] / n == pytest.approx(1.0 / (1.0 - rho) ** 2, rel=0.15)
+
+
+def test_a_fragment_is_read_back_and_replays_the_proposal(found: Calibration, tmp_path: Path) -> None:
+    path = tmp_path / "calibrated.toml"
+    path.write_text(calibration_toml(found, [1_700_000_000_000_000_000]), "utf-8")
+    dvl = load_config("fog", [path]).dvl
+    assert dvl.lever_arm_m == pytest.approx(found.after.lever_arm_m, abs=1e-6)
+    assert dvl.mounting_rpy_deg == pytest.approx(found.after.mounting_rpy_deg, abs=1e-6)
+    assert (dvl.latency_s, dvl.scale) == pytest.approx((found.after.latency_s, found.after.scale), abs=1e-6)
+    text = path.read_text("utf-8")
+    assert "1 dive of 2023-11-14: figure-eight" in text
+    assert all(f"# {row.parameter}: " in text for row in found.rows)
+
+
+def test_a_dive_that_was_not_fitted_says_whether_it_helped(found: Calibration) -> None:
+    row = held_out_row(built_in_otherwise("figure-eight", 9), found.change)
+    assert finite(row.nis_per_dof_after) < 0.2 * finite(row.nis_per_dof_before)
+    assert row.windows >= 2
+    assert finite(row.drift_after_m) < finite(row.drift_before_m)
+
+
+def test_perfect_settings_are_left_where_they_are() -> None:
+    exact = as_read(exact_dive("figure-eight"))
+    found = calibrated(exact)
+    assert np.abs(shown(found.change)).max() < 0.002
+
+
+def test_parameters_have_groups_that_can_be_asked_for() -> None:
+    assert {parameter.group for parameter in PARAMETERS} == {"arm", "mounting", "delay", "scale"}
+    assert NAMES[DELAY] == "delay"
+    assert NAMES[MOUNTING] == ("mounting_x", "mounting_y", "mounting_z")
+
+
+# --- Real dives.
+
+
+@pytest.mark.slow
+def test_dives_of_snapir_tell_the_arm_that_others_confirm(snapir: Path) -> None:
+    """From the arm of another point, 1.8 m off: four dives tell it, and four others confirm it."""
+    config = load_config("fog", SNAPIR, ["dvl.lever_arm_m=[-1.834,0,0.3]", "dvl.mounting_rpy_deg=[0,0,0]"])
+    dives = {
+        name: read_dive(snapir / f"snapir_{name}.mcap", config) for name in ("01", "02", "05", "08", "07", "09", "11")
+    }
+    found = calibrated(*(dives[name] for name in ("01", "02", "05", "08")))
+    assert found.after.lever_arm_m == pytest.approx((-0.071, -0.015, 0.205), abs=0.02)
+    assert found.after.mounting_rpy_deg == pytest.approx((-0.19, 0.15, -0.29), abs=0.15)
+    assert max(finite(row.birge) for row in found.rows if row.parameter.startswith("arm")) < 3.0
+    others = [held_out_row(dives[name], found.change) for name in ("07", "09", "11")]
+    for row in others:
+        assert finite(row.nis_per_dof_after) < 0.1 * finite(row.nis_per_dof_before)
+    drifts = np.array([[finite(row.drift_before_m), finite(row.drift_after_m)] for row in others])
+    assert np.median(drifts[:, 0] / drifts[:, 1]) > 2.0
