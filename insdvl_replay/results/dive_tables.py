@@ -11,7 +11,9 @@ from insdvl_replay.core.rows import (
     CredibilityRow,
     EvidenceRow,
     ImprovementRow,
+    Number,
     ReferenceErrorRow,
+    finite,
 )
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Judgement, ReferenceStatus
@@ -30,6 +32,8 @@ from insdvl_replay.report.document import (
 from insdvl_replay.results.json_report import Report
 from insdvl_replay.results.reference_tables import has_reference
 
+TENFOLD: Final = 10.0
+"""From here on, a ratio has as many digits as other numbers."""
 MEANS: Final = (
     "measured: how much smaller the error is by the first evidence, drift in 30 s against the reference or while the "
     "DVL is withheld; believed: mean over nine states, by the filter's own covariance"
@@ -106,6 +110,7 @@ def _of(name: str, rows: Iterable[Row]) -> list[Row]:
 
 
 def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> Iterator[DisplayTable]:
+    rows = [row for row in rows if row.baseline is not None or row.value is not None]
     if rows:
         columns: list[Column[EvidenceRow]] = [
             ("quantity", "l", lambda row: NAMES[row.quantity]),
@@ -113,9 +118,9 @@ def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> Iterator
             ("unit", "l", lambda row: row.unit),
             (baseline, "r", lambda row: number(row.baseline)),
             (name, "r", lambda row: number(row.value)),
-            ("ratio", "r", lambda row: decimal(row.ratio, 3)),
-            ("low", "r", lambda row: decimal(row.low, 3)),
-            ("high", "r", lambda row: decimal(row.high, 3)),
+            ("ratio", "r", lambda row: _ratio(row.ratio)),
+            ("low", "r", lambda row: _ratio(row.low)),
+            ("high", "r", lambda row: _ratio(row.high)),
             ("n", "r", lambda row: decimal(row.effective_samples, 0)),
         ]
         title = f"Evidence: what was measured, {name} against {baseline}"
@@ -127,9 +132,9 @@ def pooled_table(pooled: PooledCandidate) -> DisplayTable:
     columns: list[Column[PooledRow]] = [
         ("quantity", "l", lambda row: NAMES[row.quantity]),
         ("word", "l", lambda row: row.word),
-        ("ratio", "r", lambda row: decimal(row.ratio, 3)),
-        ("low", "r", lambda row: decimal(row.low, 3)),
-        ("high", "r", lambda row: decimal(row.high, 3)),
+        ("ratio", "r", lambda row: _ratio(row.ratio)),
+        ("low", "r", lambda row: _ratio(row.low)),
+        ("high", "r", lambda row: _ratio(row.high)),
         ("dives", "r", lambda row: str(row.dives)),
         ("won", "r", lambda row: str(row.dives_won)),
         ("p", "r", lambda row: decimal(row.p, 4)),
@@ -141,6 +146,11 @@ def pooled_table(pooled: PooledCandidate) -> DisplayTable:
         "Hodges-Lehmann ratio over the dives, where it lies with 95 %, and Wilcoxon's exact p; of fewer than six dives "
         "the range, and no word",
     )
+
+
+def _ratio(value: Number) -> str:
+    """Write a ratio with three decimals, a large one with four digits."""
+    return decimal(value, 3) if abs(finite(value)) < TENFOLD else number(value)
 
 
 def _how_measured(rows: Sequence[EvidenceRow]) -> str:
