@@ -23,6 +23,18 @@ def snapir() -> Path:
 
 
 @pytest.fixture(scope="session")
+def blueye() -> Path:
+    """Folder of real dives of a Blueye X3."""
+    return _shared("data/blueye_x3", "real dives")
+
+
+@pytest.fixture(scope="session")
+def ufmil() -> Path:
+    """Folder of real runs of a SubjuGator."""
+    return _shared("data/ufmil", "real dives")
+
+
+@pytest.fixture(scope="session")
 def paper() -> Path:
     """Folder with the paper's tables."""
     return _shared("paper", "the paper's tables")

@@ -92,7 +92,9 @@ OneDive = Annotated[bool, typer.Option("--one-dive", help="Read all files as one
 Scenario = Annotated[
     str,
     typer.Argument(
-        metavar="SCENARIO", help="straight, figure-eight, lawnmower or static.", autocompletion=scenario_names
+        metavar="SCENARIO",
+        help="straight, figure-eight, lawnmower, static or calibration.",
+        autocompletion=scenario_names,
     ),
 ]
 Settings = Annotated[

@@ -155,11 +155,13 @@ class Scenario:
     duration_s : float
         How long the dive is unless it is asked to be shorter or longer.
     speed_mps : Wave
-        Speed along the body's forward axis; the vehicle neither slips nor heaves.
+        Speed along the body's forward axis.
     segments : tuple of Segment
         Legs and turns in their order, from the start.
     roll_deg, pitch_deg : Wave
         How the vehicle tilts on its way.
+    sway_mps, heave_mps : Wave
+        Speed to starboard and down.
     """
 
     about: str
@@ -168,6 +170,8 @@ class Scenario:
     segments: tuple[Segment, ...] = ()
     roll_deg: Wave = Wave()
     pitch_deg: Wave = Wave()
+    sway_mps: Wave = Wave()
+    heave_mps: Wave = Wave()
 
     def _turns(self, time_s: Floats) -> list[tuple[Segment, Floats]]:
         """Pair each turn with the seconds since it began."""
@@ -194,15 +198,15 @@ class Scenario:
 
     def velocity_b(self, time_s: Floats) -> Floats:
         """Return the velocity over ground in b, m/s, shape (k, 3)."""
-        return _forward(self.speed_mps.value(time_s))
+        return np.stack([wave.value(time_s) for wave in self._speeds_mps], axis=-1)
 
     def velocity_rate_b(self, time_s: Floats) -> Floats:
         """Return the derivative of the components of `velocity_b`, m/s^2, shape (k, 3)."""
-        return _forward(self.speed_mps.rate(time_s))
+        return np.stack([wave.rate(time_s) for wave in self._speeds_mps], axis=-1)
 
-
-def _forward(length: Floats) -> Floats:
-    return np.stack([length, np.zeros_like(length), np.zeros_like(length)], axis=-1)
+    @property
+    def _speeds_mps(self) -> tuple[Wave, Wave, Wave]:
+        return self.speed_mps, self.sway_mps, self.heave_mps
 
 
 def _figure_eight() -> tuple[Segment, ...]:
@@ -220,6 +224,13 @@ def _lawnmower() -> tuple[Segment, ...]:
     return (leg, turn(180.0, 6.0), leg, turn(-180.0, 9.0), leg, turn(180.0, 12.0), leg, turn(-180.0, 15.0))
 
 
+def _calibration() -> tuple[Segment, ...]:
+    """Make turns to both sides, as far apart as it takes to gain speed between them."""
+    leg = Segment(20.0)
+    return tuple(part for angle_deg in (90.0, -120.0, 150.0, -90.0, 180.0, -150.0, 120.0, -180.0) * 2
+                 for part in (leg, turn(angle_deg, 12.0)))  # fmt: skip
+
+
 SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
     {
         "straight": Scenario("level at constant speed and heading", 424.0, Wave(2.0)),
@@ -233,6 +244,16 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
         ),
         "lawnmower": Scenario("legs of 300 s with U-turns, slowly", 1500.0, Wave(0.6 / 3.6), _lawnmower()),
         "static": Scenario("at rest", 300.0, Wave(0.0)),
+        "calibration": Scenario(
+            "all that shows how a DVL is built in: turns, changes of speed, sway, heave, roll and pitch",
+            400.0,
+            Wave(1.0, 0.7, 37.0),
+            _calibration(),
+            roll_deg=Wave(0.0, 8.0, 13.0),
+            pitch_deg=Wave(0.0, 8.0, 23.0),
+            sway_mps=Wave(0.0, 0.3, 29.0),
+            heave_mps=Wave(0.0, 0.2, 19.0),
+        ),
     }
 )
 """Every scenario by its name on the command line. The first three have the paper's durations, speeds and turn rates."""

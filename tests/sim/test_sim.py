@@ -441,7 +441,11 @@ def test_last_bit_of_another_machines_sine_does_not_show() -> None:
     ("arguments", "message", "hint"),
     [
         ({"scenario": "figure-eigth"}, "scenario 'figure-eigth' is not known", "did you mean figure-eight?"),
-        ({"scenario": "zz"}, "scenario 'zz' is not known", "known: straight, figure-eight, lawnmower, static"),
+        (
+            {"scenario": "zz"},
+            "scenario 'zz' is not known",
+            "figure-eight, lawnmower, static, calibration",
+        ),
         ({"grade": "mens"}, "IMU grade 'mens' is not known", "did you mean mems?"),
         ({"duration_s": -1.0}, "duration is -1 s", "duration in s"),
         ({"duration_s": float("nan")}, "duration is nan s", "duration in s"),
