@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from worlds import ARM_M, CONFIG, DELAY_S, SCALE, TRUTH, YAW_DEG, ReadDive, as_read, built_in_otherwise, shown
+from built_in import ARM_M, CONFIG, DELAY_S, SCALE, TRUTH, YAW_DEG, ReadDive, as_read, built_in_otherwise, shown
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
 from insdvl_replay.calibration.certainty import certainty_of, mean_change, newey_west

@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 import pytest
-from worlds import CONFIG, as_read
+from built_in import CONFIG, as_read
 
 from insdvl_replay.calibration.dives import with_geometry
 from insdvl_replay.calibration.geometry import (
