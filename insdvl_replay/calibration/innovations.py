@@ -140,7 +140,7 @@ def dive_innovations(dive: Dive, prepared: Prepared) -> DiveInnovations:
     if found.count < FEWEST:
         raise LogError(
             f"{dive.name}: {max(found.count, 0)} pings are too few to calibrate by, {FEWEST} are needed",
-            "leave the dive out, or widen --start and --end",
+            "leave the dive out, or widen span.start_s and span.end_s",
         )
     return found
 

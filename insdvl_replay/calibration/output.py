@@ -15,6 +15,7 @@ from insdvl_replay.core.columns import NS_PER_S
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.quantities import AXES
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import counted
@@ -62,11 +63,23 @@ def calibration_csv(found: Calibration) -> str:
     return blocks_csv(
         "table",
         {
-            name: (list(rows[0].__struct_fields__), (msgspec.structs.astuple(row) for row in rows))
+            name: (list(_by_axis(rows[0])), (tuple(_by_axis(row).values()) for row in rows))
             for name, rows in tables.items()
             if rows
         },
     )
+
+
+def _by_axis(row: Struct) -> dict[str, Any]:
+    """Give each axis a column of its own."""
+    found: dict[str, Any] = {}
+    for name, value in msgspec.structs.asdict(row).items():
+        found |= (
+            dict(zip((f"{name}_{axis}" for axis in AXES), value, strict=True))
+            if isinstance(value, tuple)
+            else {name: value}
+        )
+    return found
 
 
 def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:

@@ -87,6 +87,8 @@ def calibrate(
         require_replaceable_file(output, force=force)
     with spinner(f"calibrating{compiling()}"):
         dives, failed = _read(logs, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
+        if not dives:
+            return failed
         kept, held = _parted(dives, hold_out)
         if mounting is Mounting.UNKNOWN:
             turned = msgspec.structs.replace(resolved.dvl, mounting_rpy_deg=likeliest_mounting(kept))
@@ -136,7 +138,6 @@ def _read(
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.calibration.dives import read_dive
     from insdvl_replay.cli.messages import log_failure
-    from insdvl_replay.core.errors import LogError
 
     paths, dives, code = find_dives(logs), [], 0
     for path in [paths] if one_dive else [[path] for path in paths]:
@@ -146,8 +147,6 @@ def _read(
             dives.append(read)
         except Exception as error:
             code = max(code, log_failure(error, verbose))
-    if not dives:
-        raise LogError("no dive can be used", "`insdvl-replay inspect LOG` says what is in it")
     return dives, code
 
 

@@ -1,0 +1,111 @@
+"""The command as its user meets it: what it prints and writes, and how it refuses."""
+
+import json
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from insdvl_replay.calibration.rows import CalibrationResult
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.config_file import load_config
+
+
+@pytest.fixture(scope="module")
+def dives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dives")
+    for seed in ("1", "2"):
+        dive = str(folder / f"dive_{seed}.mcap")
+        assert run_command_line(["simulate", "calibration", "--seed", seed, "--duration", "150", "-o", dive]) == 0
+    assert run_command_line(["simulate", "static", "--duration", "100", "-o", str(folder / "static.mcap")]) == 0
+    return folder
+
+
+def calibrate(dives: Path, *names: str) -> list[str]:
+    return ["calibrate", *(str(dives / f"{name}.mcap") for name in names), "--preset", "fog"]
+
+
+def test_settings_are_written_that_a_run_takes(dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = tmp_path / "found.toml"
+    assert run_command_line([*calibrate(dives, "dive_1", "dive_2"), "-o", str(found)]) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("Calibration of the DVL from 2 dives\nEstimated: ")
+    assert f"-c {found}` uses it" in out
+    assert err.endswith(f"wrote {found}\n")
+    assert load_config("fog", found).dvl.lever_arm_m == pytest.approx((0.0, 0.0, 0.0), abs=0.03)
+    run = ["run", str(dives / "dive_1.mcap"), "-c", str(found), "-o", str(tmp_path / "replay"), "--starts", "1"]
+    assert run_command_line(run) == 0
+    assert run_command_line([*calibrate(dives, "dive_1"), "-o", str(found)]) == 2
+    assert "exists" in capsys.readouterr().err
+
+
+def test_later_settings_lie_over_earlier_ones(tmp_path: Path) -> None:
+    files = [tmp_path / "vehicle.toml", tmp_path / "found.toml"]
+    files[0].write_text("[dvl]\nscale = 1.1\nlatency_s = 0.5\n[filters.only]\naiding = ['velocity']\n", "utf-8")
+    files[1].write_text("[dvl]\nlatency_s = 0.1\n", "utf-8")
+    config = load_config("fog", files)
+    assert (config.dvl.scale, config.dvl.latency_s, list(config.filters)) == (1.1, 0.1, ["only"])
+    assert load_config("fog", files[::-1]).dvl.latency_s == 0.5
+
+
+def test_json_has_what_the_schema_describes(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line([*calibrate(dives, "dive_1", "dive_2"), "--hold-out", "0.5", "--format", "json"]) == 0
+    result = msgspec.json.decode(capsys.readouterr().out, type=CalibrationResult)
+    assert [row.dive for row in result.dives] == ["dive_1"]
+    assert [row.dive for row in result.held_out] == ["dive_2"]
+    assert {row.parameter: row.status.value for row in result.parameters}["arm_x"] == "estimated"
+    assert result.config["dvl"]["scale"] == 1.0
+
+
+def test_csv_has_a_column_for_each_axis(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line([*calibrate(dives, "dive_1"), "--format", "csv", "--only", "arm"]) == 0
+    lines = capsys.readouterr().out.split("\n")
+    header = next(line for line in lines if line.startswith("table,dive,"))
+    assert header.endswith(
+        ",".join(f"{name}_{axis}" for name in ("before", "after", "autocorrelation") for axis in "xyz")
+    )
+    row = next(line for line in lines if line.startswith("dives,"))
+    assert row.count(",") == header.count(",")
+    assert "(" not in row
+
+
+def test_nothing_estimated_is_told_and_writes_nothing(
+    dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = tmp_path / "found.toml"
+    assert run_command_line([*calibrate(dives, "static"), "-o", str(found)]) == 3
+    out, err = capsys.readouterr()
+    assert "Nothing could be estimated" in out
+    assert err.startswith("error: nothing could be estimated from these dives; hint: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dive_that_cannot_be_used_does_not_stop_the_others(
+    dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(b"no log")
+    command = [*calibrate(dives, "dive_1"), str(broken), "--format", "json"]
+    assert run_command_line(command) == 3
+    out, err = capsys.readouterr()
+    assert len(json.loads(out)["dives"]) == 1
+    assert "broken.mcap: is not an MCAP file" in err
+    assert run_command_line(["calibrate", str(broken)]) == 3
+    assert capsys.readouterr().err.count("error:") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--only", "arms"], "--only 'arms' is not known; hint: did you mean arm?"),
+        (["--only", ","], "--only names nothing"),
+        (["--hold-out", "2"], "a share lies between 0 and 1"),
+        (["--hold-out", "0.5"], "--hold-out leaves no dive to fit"),
+        (["--hold-out", "dive_9"], "--hold-out 'dive_9' is not known; hint: did you mean dive_1?"),
+    ],
+)
+def test_what_is_asked_wrongly_is_refused(
+    dives: Path, options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command_line([*calibrate(dives, "dive_1"), *options]) == 2
+    assert said in capsys.readouterr().err
