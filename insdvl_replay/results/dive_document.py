@@ -1,13 +1,14 @@
 """What is shown of one dive: what to think of it, its tables; on its page also figures, losses and provenance."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from html import escape
 from typing import Final
 
 from msgspec.structs import astuple
 
 from insdvl_replay.core.tables import Candidate, each_table
-from insdvl_replay.core.words import Belief, Judgement, ReferenceStatus
+from insdvl_replay.core.words import Belief, Judgement
+from insdvl_replay.evaluation.evidence import NAMES
 from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import (
     LONG,
@@ -35,8 +36,8 @@ from insdvl_replay.results.json_report import Report
 from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference, reference_tables, track_fit_line
 
 _LOUD: Final = (Judgement.WORSE, Judgement.NOT_JUDGED)
-_SAME: Final = {"dv_n": "velocity_n", "dv_e": "velocity_e", "dv_d": "velocity_d", "phi_d": "heading"}
-"""States whose error is also compared with the reference, and under which name."""
+_MEASURED_BY: Final = {"phi_n": "level", "phi_e": "level", "phi_d": "heading"}
+"""States of which a piece of evidence tells, and which."""
 _FULL_PCT: Final = 100.0
 """Longer bars end at the edge; the number beside them says it all."""
 
@@ -158,14 +159,14 @@ def _figure(title: str, caption: str, content: str) -> Html:
 
 
 def _bars(report: Report) -> Html:
-    """Draw what each candidate believes to have gained over the baseline and, with a reference, what it has gained."""
+    """Draw what each candidate believes to have gained over the baseline and, where it was measured, what it has."""
     upper = "what a filter believes to have gained, by its own covariance."
     title, caption = (
         (
-            "Believed against actual: how much smaller the errors are",
-            f"Upper bars, blue: {upper} Lower bars: what it has gained against the reference.",
+            "Believed against measured: how much smaller the errors are",
+            f"Upper bars, blue: {upper} Lower bars: what was measured, see the evidence for its interval.",
         )
-        if has_reference(report)
+        if any(_measured_pct(report, name) for name in report.filters)
         else ("Believed: how much smaller the errors are", f"Bars: {upper}")
     )
     return _figure(
@@ -174,48 +175,48 @@ def _bars(report: Report) -> Html:
 
 
 def _bars_of(report: Report, name: str) -> str:
-    known = has_reference(report)
+    known = bool(_measured_pct(report, name))
     rows = "".join(_gain_row(*gain, known=known) for gain in _gains(report, name))
     title = f"{name} against {report.baseline}"
-    actual = '<th class="r">actual</th>' if known else ""
+    measured = '<th class="r">measured</th>' if known else ""
     return (
         f'<section><h3><b>{escape(title)}</b></h3><table class="bars"><thead><tr><th>quantity</th>'
-        f'<th class="r">believed</th>{actual}<th class="axis"><span>&minus;100 %</span><span>0</span>'
+        f'<th class="r">believed</th>{measured}<th class="axis"><span>&minus;100 %</span><span>0</span>'
         f"<span>100 %</span></th></tr></thead><tbody>{rows}</tbody></table></section>"
     )
 
 
 def _gains(report: Report, name: str) -> Iterator[tuple[str, float | None, float | None]]:
-    """Yield label, believed and actual improvement in percent: the means, the states, and what has no state."""
-    means = report.filters[name]
-    known = has_reference(report)
-    yield (
-        "mean of nine states" + (", median of the errors" if known else ""),
-        means.mean_improvement_pct,
-        means.reference_improvement_pct,
-    )
-    actual: dict[str, float | None] = {
-        row.quantity: row.improvement_pct
-        for row in report.tables.reference_error
-        if row.filter == name and row.status == ReferenceStatus.COMPARED
-    }
-    believed: Mapping[str, float | None] = {
-        row.state: row.improvement_pct for row in report.tables.improvement if row.filter == name
-    }
-    for state, improvement_pct in believed.items():
-        quantity = _SAME.get(state, "")
-        label = row_label(state) + (" / heading" if known and quantity == "heading" else "")
-        yield label, improvement_pct, actual.pop(quantity, None)
-    for quantity, improvement_pct in actual.items():
-        yield row_label(quantity), None, improvement_pct
+    """Yield label, believed and measured improvement in percent: the mean, the states, and what has no state."""
+    yield "mean of nine states", report.filters[name].mean_improvement_pct, None
+    measured = _measured_pct(report, name)
+    for row in report.tables.improvement:
+        if row.filter == name:
+            quantity = _MEASURED_BY.get(row.state, "")
+            label = f"{row_label(row.state)}{f' / {quantity}' if quantity in measured else ''}"
+            yield label, row.improvement_pct, measured.get(quantity)
+    for quantity, measured_pct in measured.items():
+        if quantity not in _MEASURED_BY.values():
+            yield NAMES[quantity], None, measured_pct
 
 
-def _gain_row(label: str, believed_pct: float | None, actual_pct: float | None, *, known: bool) -> str:
-    bars = _bar("believed", believed_pct, 1) + _bar("actual", actual_pct, 9)
-    actual = f'<td class="r">{percent(actual_pct)}</td>' if known else ""
+def _measured_pct(report: Report, name: str) -> dict[str, float]:
+    """Return how much smaller errors and drifts were, by quantity of the evidence; nothing where nothing is judged."""
+    if report.filters[name].improvement == Judgement.NOT_JUDGED:
+        return {}
+    return {
+        row.quantity: 100.0 * (1.0 - row.ratio)
+        for row in report.tables.evidence
+        if row.filter == name and row.evidence in ("accuracy", "coasting") and row.ratio is not None
+    }
+
+
+def _gain_row(label: str, believed_pct: float | None, measured_pct: float | None, *, known: bool) -> str:
+    bars = _bar("believed", believed_pct, 1) + _bar("measured", measured_pct, 9)
+    measured = f'<td class="r">{percent(measured_pct)}</td>' if known else ""
     return (
         f'<tr><th scope="row">{escape(label)}</th><td class="r">{percent(believed_pct)}</td>'
-        f'{actual}<td class="axis"><svg viewBox="-100 0 200 16" '
+        f'{measured}<td class="axis"><svg viewBox="-100 0 200 16" '
         f'preserveAspectRatio="none"><path class="zero" d="M0 0V16"/>{bars}</svg></td></tr>'
     )
 

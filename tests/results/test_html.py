@@ -12,6 +12,7 @@ from taken_apart import Document
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.rows import finite
 from insdvl_replay.core.states import STATES
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.report.document import Callout, DisplayTable, Heading, Html, Title, parts_for
@@ -85,13 +86,16 @@ def test_every_plot_is_there_with_a_line_for_each_filter(result: tuple[Document,
     assert all(len(path) > 5 for path in paths if path)
 
 
-def test_believed_stands_beside_actual(result: tuple[Document, Report, bytes]) -> None:
+def test_believed_stands_beside_measured(result: tuple[Document, Report, bytes]) -> None:
     document, report, _ = result
-    (bars,) = (text for text in document.texts["table"] if text.startswith("quantitybelievedactual"))
-    aided = report.filters["aided"]
-    assert f"{aided.mean_improvement_pct:.1f} %{aided.reference_improvement_pct:.1f} %" in bars
+    (bars,) = (text for text in document.texts["table"] if text.startswith("quantitybelievedmeasured"))
+    measured = {row.quantity: row.ratio for row in report.tables.evidence if row.evidence in ("accuracy", "coasting")}
+    believed = {row.state: row.improvement_pct for row in report.tables.improvement}
+    level_pct, drift_pct = (100.0 * (1.0 - finite(measured[name])) for name in ("level", "drift_30s"))
+    assert f"misalignment, north / level{believed['phi_n']:.1f} %{level_pct:.1f} %" in bars
+    assert f"drift in 30 s-{drift_pct:.1f} %" in bars
     assert document.count("rect", "believed") == 1 + 12
-    assert document.count("rect", "actual") == 1 + 9
+    assert document.count("rect", "measured") == len(measured) + 1, "level stands beside two states"
 
 
 def test_page_names_its_origin(result: tuple[Document, Report, bytes]) -> None:
@@ -134,7 +138,7 @@ def test_four_filters_without_a_reference_and_a_dive_without_accelerations(tmp_p
     titles = [attributes["aria-label"] for tag, attributes in document.elements if "aria-label" in attributes]
     assert len(titles) == 12 + 3 + 4
     assert NO_REFERENCE in document.texts["p"]
-    assert document.count("rect", "actual") == 0
+    assert document.count("rect", "measured") == 0
 
 
 @pytest.fixture(scope="module")
@@ -155,9 +159,10 @@ def test_a_dive_without_a_reference_has_a_page_of_coasting_honesty_and_belief(al
     assert data.decode().lower().count("no reference") == 1
     assert "no reference" not in report.filters["aided"].verdict
     (bars,) = (text for text in document.texts["table"] if text.startswith("quantitybelieved"))
-    assert "actual" not in bars
+    assert "drift in 30 s" not in bars
+    assert "coasting 30 s" in bars
     assert "-" not in document.texts["td"][:5], "at a glance"
-    assert document.texts["strong"][0] == "Believed: how much smaller the errors are"
+    assert document.texts["strong"][0] == "Believed against measured: how much smaller the errors are"
     assert report.tables.drift == report.tables.track_fit == []
 
 
