@@ -10,6 +10,10 @@ Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
 Kind = Literal["text", "count", "number"]
 PERCENTAGE: Final = "_pct"
 """End of the name of a column whose numbers are percentages, and change by percentage points."""
+UNITS: Final = {PERCENTAGE: "%", "_s": "s", "_mps": "m/s", "_m": "m"}
+"""Units by the end of a column's name."""
+RATIO: Final = "ratio"
+"""So begin columns without a unit."""
 
 
 @dataclass(frozen=True)
@@ -80,12 +84,10 @@ class TableLayout:
     about: str
 
     def unit_of(self, column: str, row_unit: str) -> str:
-        """Return a column's unit: % and s by the end of its name, the row's if it can be better or worse, or none."""
-        if column.endswith(PERCENTAGE):
-            return "%"
-        if column.endswith("_s"):
-            return "s"
-        return row_unit if column in self.better else ""
+        """Return a column's unit: by the end of its name, none of a ratio, else the row's if it can be better or worse."""
+        if unit := next((unit for ending, unit in UNITS.items() if column.endswith(ending)), ""):
+            return unit
+        return row_unit if column in self.better and not column.startswith(RATIO) else ""
 
 
 def layout_of(name: str, row: type[Struct]) -> TableLayout:

@@ -2,7 +2,8 @@
 
 Both filters ran on the same dive from the same starts, so that everything is paired. *Accuracy* is against the
 reference, *coasting* while the DVL is withheld, *convergence* from starts that err as much as the filters allow for,
-*honesty* whether innovations and errors are as large as a filter says; the last says nothing of gain or loss.
+*honesty* whether innovations and errors are as large as a filter says; the last says nothing of gain or loss. The word
+of a piece is that of `paired_statistics.word_of`, and what `_corrected` leaves of it.
 """
 
 import math
@@ -64,7 +65,7 @@ class Measured:
     Attributes
     ----------
     losses : mapping of str to mapping of str to Losses
-        By filter and quantity of `tables.ACCURACY`; empty without a reference.
+        By filter and quantity of `quantities.ACCURACY`; empty without a reference.
     coasting : mapping of str to mapping of str to ndarray
         By filter and length of window the horizontal drifts, shape (n,), m.
     convergence : mapping of str to mapping of str to MeasuredConvergence

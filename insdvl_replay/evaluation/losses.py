@@ -70,7 +70,7 @@ def losses_of(
     Returns
     -------
     dict of str to Losses
-        By quantity of `tables.ACCURACY`, in its order. What the reference knows for less than `coverage.WELL_COVERED`
+        By quantity of `quantities.ACCURACY`, in its order. What the reference knows for less than `coverage.WELL_COVERED`
         of the runs is left out.
     """
     found = dict(_losses(drawn, reference, noise, bridged_gaps=bridged_gaps))

@@ -72,7 +72,7 @@ def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequen
     Parameters
     ----------
     curves : mapping of str to ConvergenceCurves
-        By quantity of `evidence.CONVERGED`.
+        By quantity of `quantities.CONVERGED`.
     evidence : sequence of EvidenceRow
         Has the times at which they are down.
     """

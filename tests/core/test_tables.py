@@ -60,6 +60,11 @@ def test_a_message_definition_is_what_the_row_type_says(layout: TableLayout) -> 
         ("convergence", "reached_s", "s"),
         ("convergence", "target_sd", "mg"),
         ("reference_error", "samples", ""),
+        ("evidence", "value", "mg"),
+        ("evidence", "ratio", ""),
+        ("coasting", "drift_median_m", "m"),
+        ("coasting", "end_velocity_mps", "m/s"),
+        ("coasting", "ratio_to_baseline", ""),
     ],
 )
 def test_a_unit_holds_for_the_physical_quantities_of_its_row(table: str, column: str, unit: str) -> None:
