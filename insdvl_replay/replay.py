@@ -14,6 +14,7 @@ from insdvl_replay.core.runtime import begin, return_freed_memory
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.consistency import update_notes
 from insdvl_replay.evaluation.curves import Curves, curves_of
+from insdvl_replay.evaluation.hints import settings_hints
 from insdvl_replay.evaluation.judging import compared_filters, judged_candidates, judged_times, reference_notes
 from insdvl_replay.evaluation.losses import ReferenceNoise
 from insdvl_replay.evaluation.reference import ReferenceErrors
@@ -137,6 +138,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     notes = dive.notes + start.notes + outage_notes(start.velocities.time_ns, *span) + update_notes(histories)
     notes += reference_notes(dive, *span, histories[0], judged_ns, independent=independent)
     tables, judged = judged_candidates(histories, tables, notes, independent=independent)
+    notes += settings_hints(tables, histories[0])
     if not keep_cov:
         histories = tuple(history.without_cov() for history in histories)
     return_freed_memory()

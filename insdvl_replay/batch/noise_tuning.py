@@ -18,6 +18,7 @@ from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.runtime import begin
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.consistency import log_likelihood
+from insdvl_replay.evaluation.hints import NOISE_FAR_OFF
 from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
@@ -54,7 +55,9 @@ def replay_with_tuned_baseline(
     """Replay the dive in a log, with the tuned baseline beside the configured filters."""
     dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
     config, notes = with_tuned_baseline(dive, config)
-    return replay_dive(replace(dive, name=name or dive.name, notes=(*dive.notes, *notes)), config)
+    replay = replay_dive(replace(dive, name=name or dive.name, notes=(*dive.notes, *notes)), config)
+    # The control stands beside it now: nothing has to point at it.
+    return replace(replay, notes=tuple(note for note in replay.notes if note.code != NOISE_FAR_OFF))
 
 
 def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:

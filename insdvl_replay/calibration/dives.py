@@ -78,19 +78,32 @@ def with_geometry(config: Config, geometry: DvlGeometry) -> Config:
     return msgspec.structs.replace(config, dvl=dvl)
 
 
-def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
-    """Try the 24 ways in which the DVL's axes can lie along the body's, and return the best as roll, pitch, heading."""
+@dataclass(frozen=True)
+class TriedMounting:
+    """One way in which the DVL's axes could lie along the body's, and the robust sum of squares that it leaves."""
 
-    def cost(turn: Floats) -> float:
+    rpy_deg: tuple[float, float, float]
+    cost: float
+
+
+def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
+    """Try the 24 ways in which the DVL's axes can lie along the body's, the likeliest first."""
+
+    def tried(turn: Floats) -> TriedMounting:
         config = _turned(dives[0].config, turn)
         found = [dive.with_config(config).innovations().residuals(np.zeros(len(NAMES))) for dive in dives]
-        return sum(robust_cost(residuals) for residuals in found)
+        return TriedMounting(config.dvl.mounting_rpy_deg, sum(robust_cost(residuals) for residuals in found))
 
-    return _turned(dives[0].config, min(AXES, key=cost)).dvl.mounting_rpy_deg
+    return sorted(map(tried, AXES), key=lambda one: one.cost)
+
+
+def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
+    """Return the best of the 24 ways in which the DVL's axes can lie along the body's, as roll, pitch, heading."""
+    return tried_mountings(dives)[0].rpy_deg
 
 
 def _turned(config: Config, turn: Floats) -> Config:
-    roll, pitch, heading = (rpy_from_mat(turn) / DEG).tolist()
+    roll, pitch, heading = (rpy_from_mat(turn) / DEG + 0.0).tolist()  # no -0.0, which people would read
     return msgspec.structs.replace(
         config, dvl=msgspec.structs.replace(config.dvl, mounting_rpy_deg=(roll, pitch, heading))
     )

@@ -84,7 +84,7 @@ class TableLayout:
     about: str
 
     def unit_of(self, column: str, row_unit: str) -> str:
-        """Return a column's unit: by the end of its name, none of a ratio, else the row's if it can be better or worse."""
+        """Return a column's unit: by the end of its name, none of a ratio, else the row's of what can be better."""
         if unit := next((unit for ending, unit in UNITS.items() if column.endswith(ending)), ""):
             return unit
         return row_unit if column in self.better and not column.startswith(RATIO) else ""

@@ -70,8 +70,8 @@ def losses_of(
     Returns
     -------
     dict of str to Losses
-        By quantity of `quantities.ACCURACY`, in its order. What the reference knows for less than `coverage.WELL_COVERED`
-        of the runs is left out.
+        By quantity of `quantities.ACCURACY`, in its order. What the reference knows for less than
+        `coverage.WELL_COVERED` of the runs is left out.
     """
     found = dict(_losses(drawn, reference, noise, bridged_gaps=bridged_gaps))
     return {quantity: losses for quantity, losses in found.items() if losses.squared.shape[1] > 1}

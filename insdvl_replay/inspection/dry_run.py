@@ -56,7 +56,7 @@ class DryRun:
     """Looks at the messages, role by role, and keeps what it finds.
 
     Deep reads the messages whole, not only the first of each topic. The clocks are those of the topics that play a
-    role, then of the others.
+    role, then of the others. Doubted are those of several topics for one role of which there is a warning.
     """
 
     log: Recording
@@ -67,6 +67,7 @@ class DryRun:
     obstacles: list[Obstacle] = field(default_factory=list)
     pings: PingFacts | None = None
     reference: ReferenceFacts | None = None
+    doubted: set[str] = field(default_factory=set)
     columns: RoleColumns = field(init=False)
     _other_imus: dict[str, ImuColumns] = field(default_factory=dict)
 
@@ -156,7 +157,9 @@ class DryRun:
     def _check_candidate(self, topic: str, imu: ImuColumns) -> None:
         for check in self._checks(imu):
             with errors_to(partial(self._doubt, topic)):
-                about_imu = (note for note in check() if note.code.startswith("imu"))
+                about_imu = [note for note in check() if note.code.startswith("imu")]
+                if any(note.severity == Severity.WARNING for note in about_imu):
+                    self.doubted.add(topic)
                 self._remark(replace(note, text=f"{topic}: {note.text}") for note in about_imu)
 
     def _checks(self, imu: ImuColumns) -> tuple[Check, ...]:
@@ -172,6 +175,7 @@ class DryRun:
         return hint if self.deep or not _MEASURED.search(hint) else _LOOK_DEEPER
 
     def _doubt(self, topic: str, error: UserError) -> None:
+        self.doubted.add(topic)
         text = f"{topic}: {error.inside(self.log.path, topic)}"
         self.notes.append(Note("candidate", text, 1, Severity.WARNING, self._hint(error.hint)))
 

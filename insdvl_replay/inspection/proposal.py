@@ -5,7 +5,7 @@ stamps; what units and axes those show; and whether their clocks agree. What the
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -148,36 +148,38 @@ _ROLES: Final = (
 
 @dataclass(frozen=True)
 class Proposal:
-    """Settings that nobody has made yet, as TOML; the keys to decide in it, and what stops a replay with it too."""
+    """Settings that nobody has made yet, and as TOML; the keys to decide in it, and what stops a replay with it too."""
 
+    settings: tuple[Setting, ...] = ()
     configuration: str = ""
     decisions: tuple[str, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
     notes: tuple[Note, ...] = ()
 
 
-def propose(
-    log: Recording, findings: Sequence[Finding], obstacles: Sequence[Obstacle], config: Config, *, deep: bool
-) -> Proposal:
-    """Propose what a replay lacks."""
-    if not obstacles and not list(_start(findings, config.initial)):
+def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: Config) -> Proposal:
+    """Propose what a replay lacks, by what was seen of the roles."""
+    if not seen.obstacles and not list(_start(findings, config.initial)):
         return Proposal()
     fields, notes = _fields(log, findings, config)
-    settings = [*_choices(findings), *not_yet_set(fields, config)]
-    settings += _measured(log, with_settings(config, settings), settings, deep=deep)
+    settings = [*_choices(findings, seen.doubted), *not_yet_set(fields, config)]
+    settings += _measured(log, with_settings(config, settings), settings, deep=seen.deep)
     draft = with_settings(config, settings)
     found = find_roles(str(log.path), log.channels, draft)
     settings += _start(found, draft.initial)
     last = DryRun(log, with_settings(config, settings), deep=False)
     last.examine(found)
-    return Proposal(settings_toml(settings), undecided_keys(settings), tuple(last.obstacles), notes)
+    return Proposal(tuple(settings), settings_toml(settings), undecided_keys(settings), tuple(last.obstacles), notes)
 
 
-def _choices(findings: Sequence[Finding]) -> Iterator[Setting]:
-    """Choose between topics that could each play a role, as far as settings can: none names that of the true biases."""
+def _choices(findings: Sequence[Finding], doubted: Collection[str]) -> Iterator[Setting]:
+    """Choose between topics that could each play a role, those without warnings first.
+
+    As far as settings can: none names that of the true biases.
+    """
     for finding in findings:
         if finding.error and finding.candidates and finding.role in Config.__struct_fields__:
-            first, *others = (source.topic for source in finding.candidates)
+            first, *others = sorted((source.topic for source in finding.candidates), key=lambda topic: topic in doubted)
             lines = tuple(f"topic = {toml_value(topic)}" for topic in others)
             yield Setting(f"{finding.role}.topic", first, open="each of these could be it", others=lines)
 

@@ -116,9 +116,9 @@ def _ordered(settings: Iterable[Setting]) -> list[Setting]:
 
 def _lines(setting: Setting) -> Iterator[str]:
     if setting.seen:
-        yield from _comment(setting.seen)
+        yield from comment_lines(setting.seen)
     if setting.open:
-        yield from _comment(f"{_DECIDE}{setting.open}")
+        yield from comment_lines(f"{_DECIDE}{setting.open}")
     yield from (f"#   {visible(line)}" for line in setting.listed)
     if setting.value is None:
         yield f"# {setting.name} ="
@@ -126,11 +126,11 @@ def _lines(setting: Setting) -> Iterator[str]:
         yield f"{setting.name} = {toml_value(setting.value)}"
     for other in setting.others:
         value, _, seen = other.partition("  # ")
-        yield from _comment(seen)
+        yield from comment_lines(seen)
         yield f"# or {visible(value)}"
 
 
-def _comment(text: str) -> Iterator[str]:
+def comment_lines(text: str) -> Iterator[str]:
     """Fold a comment at words."""
     folder = textwrap.TextWrapper(_WIDTH, break_long_words=False, break_on_hyphens=False)
     folder.initial_indent, folder.subsequent_indent = "# ", "#   "

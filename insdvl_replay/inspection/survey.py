@@ -17,7 +17,7 @@ from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
-from insdvl_replay.inspection.proposal import propose
+from insdvl_replay.inspection.proposal import Proposal, propose
 from insdvl_replay.logs.columns.roles import Finding, find_roles
 from insdvl_replay.logs.container.recording import Recording, open_recording
 from insdvl_replay.logs.container.records import LogChannel, by_topic
@@ -87,6 +87,22 @@ def survey_log(
         return _surveyed(log, config, deep=deep, allow_damaged=allow_damaged)
 
 
+def propose_settings(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Proposal:
+    """Propose what a replay lacks, by all messages of the roles.
+
+    Raises
+    ------
+    LogError
+        The file cannot be read, or is damaged and must not be.
+    """
+    log = open_recording(path, allow_damaged=allow_damaged)
+    with log.watched():
+        findings = find_roles(str(log.path), log.channels, config)
+        seen = DryRun(log, config, deep=True)
+        seen.examine(findings)
+        return propose(log, findings, seen, config)
+
+
 def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool) -> Inventory:
     findings = find_roles(str(log.path), log.channels, config)
     seen = DryRun(log, config, deep)
@@ -95,7 +111,7 @@ def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool
     looked_at = {source.topic for source in sources}
     seen.examine_others(channel for channel in log.channels if channel.topic not in looked_at)
     log_times = log.log_times()
-    proposal = propose(log, findings, seen.obstacles, config, deep=deep)
+    proposal = propose(log, findings, seen, config)
     # Last of all, since damage inside the chunks is found as they are opened.
     refusals = [error] if not allow_damaged and (error := log.damage_error()) is not None else []
     return Inventory(

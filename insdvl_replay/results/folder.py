@@ -227,7 +227,7 @@ def require_replaceable_file(target: Path, *, force: bool = False) -> None:
     """Raise a ConfigError if a file cannot be written, or exists and may not be replaced."""
     file = replaceable_file(target)
     if file is not None and file.exists() and not force:
-        raise ConfigError(f"{target}: exists", "choose another name with -o, or replace it with --force")
+        raise ConfigError(f"{target}: exists", "choose another name, or replace it with --force")
 
 
 @contextmanager

@@ -34,8 +34,8 @@ DOCUMENTED = {
         "--rerun", "-v, --verbose", "--help",
     ],
     "inspect": [
-        "LOG...", "--deep", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
-        "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "-v, --verbose", "--help",
+        "LOG...", "--deep", "--propose FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
+        "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose", "--help",
     ],
     "calibrate": [
         "LOG...", "-o, --output FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--only NAMES",

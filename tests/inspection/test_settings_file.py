@@ -1,0 +1,255 @@
+"""`inspect --propose`: from a log that nobody knows to a replay, by what is written in a file and nothing else."""
+
+import json
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import unknown_logs
+from mcap.writer import Writer
+
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.columns import Dive
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.rotation import mat_from_rpy
+from insdvl_replay.inspection.settings_file import SettingsFile, settings_file
+from insdvl_replay.inspection.trial_runs import imu_class
+from insdvl_replay.logs import write_dive
+from insdvl_replay.replay import replay_log
+from insdvl_replay.sim.dive import simulate_dive
+
+DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+
+
+def proposed(log: Path, *overrides: str) -> SettingsFile:
+    return settings_file([log], load_config(overrides=overrides))
+
+
+def loaded(log: Path, folder: Path, *overrides: str) -> Config:
+    file = folder / "proposed.toml"
+    file.write_text(proposed(log, *overrides).text)
+    return load_config(file=file)
+
+
+def nis_per_dof(report: Path, filter_: str = "baseline") -> float:
+    rows = json.loads(report.read_text())["tables"]["consistency"]
+    (row,) = [row for row in rows if (row["filter"], row["measurement"]) == (filter_, "velocity")]
+    return float(row["mean_nis"]) / float(row["dof"])
+
+
+# --- Real logs that nobody has written settings for.
+
+
+@pytest.mark.parametrize(
+    ("name", "typed_in", "mounting_rpy_deg"),
+    [
+        ("blueye_x3/auto_square.mcap", (), (0.0, 0.0, 0.0)),
+        ("ufmil/run_1.mcap", ("--set", "initial.latitude_deg=29.65"), (0.0, 0.0, 90.0)),
+    ],
+)
+def test_three_commands_lead_from_an_unknown_log_to_a_consistent_replay(
+    name: str, typed_in: tuple[str, ...], mounting_rpy_deg: tuple[float, ...], tmp_path: Path
+) -> None:
+    log = real(name)
+    first, second, out = (tmp_path / part for part in ("first.toml", "second.toml", "out"))
+    assert run_command_line(["inspect", str(log), "--propose", str(first)]) == 0
+    assert load_config(file=first).dvl.mounting_rpy_deg == mounting_rpy_deg
+    assert run_command_line(["calibrate", str(log), "-c", str(first), *typed_in, "-o", str(second)]) == 0
+    configs = ["-c", str(first), "-c", str(second)]
+    assert run_command_line(["run", str(log), *configs, *typed_in, "-o", str(out)]) == 0
+    # A baseline by the class of its sensors is over-cautious rather than over-confident.
+    assert 0.2 < nis_per_dof(out / log.stem / "report.json") < 2.0
+
+
+def real(name: str) -> Path:
+    if not (DATA / name).is_file():
+        pytest.skip(f"needs ../shared/data/{name} (a real log)")
+    return DATA / name
+
+
+def test_numbers_are_near_those_that_a_person_found(tmp_path: Path) -> None:
+    config = loaded(real("blueye_x3/auto_square.mcap"), tmp_path)
+    by_hand = load_config(file=Path(__file__).parents[2] / "examples/blueye_x3.toml")
+    assert config.imu.topic == by_hand.imu.topic
+    assert config.noise == by_hand.noise
+    assert config.initial.heading_deg == pytest.approx(by_hand.initial.heading_deg, abs=5.0)
+
+
+def test_unit_and_scale_of_an_imu_that_is_wrong_are_found_and_another_one_is_preferred(tmp_path: Path) -> None:
+    """Its gyros show 1 / 1.6645 of the truth, and its accelerometers m/s^2 where the type says g."""
+    log = real("blueye_x3/grid_gyro_scale_wrong.mcap")
+    assert loaded(log, tmp_path).imu.topic == "blueye.protocol.Imu1Tel"
+    imu = loaded(log, tmp_path, "imu.topic=blueye.protocol.Imu2Tel").imu
+    assert imu.specific_force_unit == "m/s2"
+    assert imu.angular_rate_scale == pytest.approx(1.0 / 1.6645, abs=0.02)
+
+
+# --- Simulated ones, of which the truth is known.
+
+
+@pytest.fixture(scope="module")
+def turning() -> Dive:
+    return unknown_logs.plain_dive("figure-eight")
+
+
+def turned_dvl(dive: Dive, rpy_deg: tuple[float, float, float]) -> Dive:
+    """Build the DVL in turned: what it measures in its own axes changes, and nothing else."""
+    assert dive.dvl.velocity_d is not None
+    velocity_d = dive.dvl.velocity_d @ mat_from_rpy(np.array(rpy_deg) * DEG)
+    return replace(dive, dvl=replace(dive.dvl, velocity_d=velocity_d))
+
+
+@pytest.mark.parametrize("rpy_deg", [(0.0, 0.0, 90.0), (0.0, 0.0, -90.0), (180.0, 0.0, 90.0), (0.0, 0.0, 0.0)])
+def test_mounting_is_told_by_the_innovations(
+    rpy_deg: tuple[float, float, float], turning: Dive, tmp_path: Path
+) -> None:
+    log = tmp_path / "log.mcap"
+    write_dive(log, replace(turned_dvl(turning, rpy_deg), reference=None))
+    given = ("initial.source=level", "initial.latitude_deg=32.8")
+    config = loaded(log, tmp_path, *given)
+    assert config.dvl.mounting_rpy_deg == pytest.approx(rpy_deg)
+    assert (config.initial.source, config.initial.latitude_deg) == ("level", 32.8)
+
+
+def as_flu(vector: np.ndarray) -> np.ndarray:
+    return vector * [1.0, -1.0, -1.0]
+
+
+def test_axes_units_and_mounting_are_found_together(turning: Dive, tmp_path: Path) -> None:
+    """An IMU in g, deg/s and flu, a DVL in mm/s and flu that is built in across, and a reference to go by."""
+    log, known = tmp_path / "unknown.mcap", tmp_path / "known.mcap"
+    unknown_logs.turned(log, turned_dvl(turning, (0.0, 0.0, 90.0)), as_flu)
+    found = proposed(log)
+    assert found.failures == ()
+    config = loaded(log, tmp_path)
+    assert (config.imu.axes, config.imu.angular_rate_unit, config.imu.specific_force_unit) == ("flu", "deg/s", "g")
+    assert config.dvl.velocity_unit == "mm/s"
+    # In whichever axes the DVL is read: what it says in the body's is what was measured.
+    read = replay_log(log, config).velocities
+    write_dive(known, turning)
+    truth = replay_log(known, load_config()).velocities
+    assert np.isin(read.time_ns, truth.time_ns).all()
+    truth_b = truth.velocity_b[np.searchsorted(truth.time_ns, read.time_ns)]
+    np.testing.assert_allclose(read.velocity_b, truth_b, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    "write", [unknown_logs.nested_cdr, unknown_logs.bare_json, unknown_logs.nameless_json, unknown_logs.protobuf]
+)
+def test_file_is_readable_even_where_the_log_is_not(
+    write: Callable[[Path, Dive], None], turning: Dive, tmp_path: Path
+) -> None:
+    log = tmp_path / "unknown.mcap"
+    write(log, turning)
+    found = proposed(log)
+    loaded(log, tmp_path)
+    told = {line.partition(" =")[0].removeprefix("# ") for line in found.text.splitlines() if " =" in line}
+    assert {key.partition(".")[2] for key in found.missing} <= told
+
+
+def test_log_with_nothing_in_it_gives_a_file_that_says_so(tmp_path: Path) -> None:
+    log = tmp_path / "empty.mcap"
+    with log.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.register_channel('to"pic\n[imu]', "json", 0)
+        writer.finish()
+    found = proposed(log)
+    loaded(log, tmp_path)
+    assert found.failures
+    assert "# decide: stops a replay with this:" in found.text
+
+
+def positions_alone(dive: Dive) -> Dive:
+    assert dive.reference is not None
+    nothing = {name: np.full_like(getattr(dive.reference, name), np.nan) for name in ("mat_nb", "velocity_n")}
+    return replace(dive, reference=replace(dive.reference, **nothing))
+
+
+def test_heading_at_the_start_is_that_under_which_the_tracks_agree(tmp_path: Path) -> None:
+    """A reference of positions alone, and a vehicle that starts neither north nor along an axis."""
+    log = tmp_path / "log.mcap"
+    dive = simulate_dive("lawnmower", seed=5, grade="fog")
+    assert dive.reference is not None
+    write_dive(log, positions_alone(dive))
+    found = loaded(log, tmp_path).initial.heading_deg
+    start = dive.reference.mat_nb[0]
+    truth_deg = np.rad2deg(np.arctan2(start[1, 0], start[0, 0]))
+    assert found is not None
+    assert abs((found - truth_deg + 180.0) % 360.0 - 180.0) < 1.0
+
+
+def test_dives_share_their_mounting_and_not_their_heading(turning: Dive, tmp_path: Path) -> None:
+    logs = [tmp_path / f"{number}.mcap" for number in (1, 2)]
+    for log in logs:
+        write_dive(log, positions_alone(turned_dvl(turning, (0.0, 0.0, -90.0))))
+    found = settings_file(logs, load_config())
+    assert "mounting_rpy_deg = [0.0, 0.0, -90.0]" in found.text
+    assert found.missing == ("initial.heading_deg",)
+    assert "each dive has its own" in found.text
+
+
+@pytest.mark.parametrize("grade", ["fog", "tactical", "mems"])
+def test_class_of_the_sensors_is_that_of_their_noise(grade: str) -> None:
+    preset, settings = imu_class(simulate_dive("lawnmower", seed=2, grade=grade, duration_s=60.0).imu, Config().initial)
+    assert preset == grade
+    values = {setting.key: setting.value for setting in settings}
+    of_class = load_config(preset)
+    assert values["noise.gyro_white_rad_rts"] == of_class.noise.gyro_white_rad_rts
+    assert values["initial.gyro_bias_sd_degph"] == of_class.initial.gyro_bias_sd_degph
+
+
+def test_readings_that_never_change_are_of_no_class(turning: Dive) -> None:
+    still = replace(turning.imu, angular_rate_b=np.zeros_like(turning.imu.angular_rate_b))
+    assert imu_class(still, Config().initial)[0] == "mems"
+
+
+def test_what_was_given_stands_in_the_file_and_is_not_proposed_again(turning: Dive, tmp_path: Path) -> None:
+    log, vehicle = tmp_path / "log.mcap", tmp_path / "vehicle.toml"
+    write_dive(log, turning)
+    config = load_config("tactical", overrides=["dvl.lever_arm_m=[1.0, 0.0, 0.5]", "dvl.mounting_rpy_deg=[0, 0, 2.0]"])
+    vehicle.write_text(settings_file([log], config).text)
+    assert load_config(file=vehicle) == msgspec.structs.replace(config)
+
+
+# --- As a command.
+
+
+def test_file_is_not_replaced_unasked_and_the_screen_stays_as_it_was(
+    turning: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, file = tmp_path / "log.mcap", tmp_path / "vehicle.toml"
+    write_dive(log, turning)
+    assert run_command_line(["inspect", str(log), "--deep", "--format", "json"]) == 0
+    deep = capsys.readouterr().out
+    assert run_command_line(["inspect", str(log), "--format", "json", "--propose", str(file)]) == 0
+    written = capsys.readouterr()
+    assert written.out == deep
+    assert f"wrote {file}" in written.err
+    assert "to decide in it: dvl.lever_arm_m" in written.err
+    assert tomllib.loads(file.read_text())["noise"]
+    file.write_text("mine")
+    assert run_command_line(["inspect", str(log), "--propose", str(file)]) == 2
+    assert file.read_text() == "mine"
+    assert run_command_line(["inspect", str(log), "--propose", str(file), "--force"]) == 0
+    assert file.read_text() != "mine"
+
+
+def test_file_that_could_not_be_read_back_is_not_put_in_place(
+    turning: Dive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, file = tmp_path / "log.mcap", tmp_path / "vehicle.toml"
+    write_dive(log, turning)
+    broken = SettingsFile("[dvl]\nscale = -1.0\n", (), (), ())
+    monkeypatch.setattr("insdvl_replay.inspection.settings_file.settings_file", lambda *_, **__: broken)
+    with pytest.raises(ConfigError):
+        load_config(overrides=["dvl.scale=-1.0"])
+    assert run_command_line(["inspect", str(log), "--propose", str(file)]) == 2
+    assert list(tmp_path.iterdir()) == [log]
