@@ -1,6 +1,6 @@
 """A vehicle calibrated from its dives: what was found, how sure it is, what is proposed and what is not."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -22,9 +22,11 @@ from insdvl_replay.calibration.geometry import (
     PARAMETERS,
     SCALE,
     DvlGeometry,
+    Parameter,
 )
 from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
-from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow
+from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow, ReferenceDiveRow
+from insdvl_replay.calibration.with_reference import ReferenceGeometry
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.rows import Number
@@ -47,6 +49,16 @@ AXES: Final = ("forward", "starboard", "down")
 
 
 @dataclass(frozen=True)
+class ReferenceCalibration:
+    """What the dives' references say of themselves: ``[reference]`` before and after, and what that rests on."""
+
+    before: ReferenceGeometry
+    after: ReferenceGeometry
+    rows: tuple[ParameterRow, ...]
+    dives: tuple[ReferenceDiveRow, ...]
+
+
+@dataclass(frozen=True)
 class Calibration:
     """What several dives say of their vehicle.
 
@@ -60,6 +72,8 @@ class Calibration:
         In the order of the parameters.
     doubts : tuple of str
         What speaks against believing it.
+    fit : Fit
+        Behind what is proposed.
     """
 
     before: DvlGeometry
@@ -68,7 +82,9 @@ class Calibration:
     rows: tuple[ParameterRow, ...]
     dives: tuple[DiveRow, ...]
     doubts: tuple[str, ...]
+    fit: Fit
     held_out: tuple[HeldOutRow, ...] = ()
+    reference: ReferenceCalibration | None = None
 
     def with_held_out(self, rows: Sequence[HeldOutRow]) -> "Calibration":
         """Add how dives fare that were not fitted."""
@@ -76,8 +92,13 @@ class Calibration:
 
     @property
     def estimated(self) -> tuple[ParameterRow, ...]:
-        """The parameters that are proposed."""
-        return tuple(row for row in self.rows if row.status == Estimated.ESTIMATED)
+        """The parameters that are proposed, the DVL's first."""
+        return tuple(row for row in self.all_rows if row.status == Estimated.ESTIMATED)
+
+    @property
+    def all_rows(self) -> tuple[ParameterRow, ...]:
+        """The DVL's parameters, and those of the reference."""
+        return (*self.rows, *(() if self.reference is None else self.reference.rows))
 
 
 def calibrate(
@@ -106,10 +127,10 @@ def calibrate(
     change = np.where(free, mean_change(found), 0.0)
     before = DvlGeometry.of(config)
     first = [dive.residuals(np.zeros(len(PARAMETERS))) for dive in dives]
-    rows = tuple(_rows(certainty, change, mean_change(all_at_once), asked, refused))
+    rows = tuple(parameter_rows(PARAMETERS, certainty, change, mean_change(all_at_once), asked, refused))
     of_dives = tuple(_dive_rows(dives, found, first))
     doubts = (*_doubts(all_at_once, certainty, free), *_doubts_of_dives(of_dives))
-    return Calibration(before, before.changed(change), change, rows, of_dives, doubts)
+    return Calibration(before, before.changed(change), change, rows, of_dives, doubts, found)
 
 
 def _refused(certainty: Certainty, change: Floats, asked: Mask) -> Iterator[tuple[int, tuple[Estimated, str]]]:
@@ -127,10 +148,16 @@ def _refused(certainty: Certainty, change: Floats, asked: Mask) -> Iterator[tupl
             yield row, (Estimated.DOUBTFUL, "too far from the configuration: are the axes right?")
 
 
-def _rows(
-    certainty: Certainty, proposed: Floats, found: Floats, asked: Mask, refused: dict[int, tuple[Estimated, str]]
+def parameter_rows(
+    parameters: Sequence[Parameter],
+    certainty: Certainty,
+    proposed: Floats,
+    found: Floats,
+    asked: Mask,
+    refused: Mapping[int, tuple[Estimated, str]],
 ) -> Iterator[ParameterRow]:
-    for row, parameter in enumerate(PARAMETERS):
+    """Lay out parameters in their order: what is proposed, what was found and is not believed, and how sure each is."""
+    for row, parameter in enumerate(parameters):
         if not asked[row]:
             yield ParameterRow(parameter.name, parameter.unit, status=Estimated.NOT_ASKED)
             continue

@@ -22,17 +22,20 @@ SEEN: Final = 3.0
 
 @dataclass(frozen=True)
 class Certainty:
-    """Standard deviations of the eight parameters, SI; the delay's is that of its mean over dives.
+    """Standard deviations of p parameters, SI; the delay's is that of its mean over dives.
 
     Attributes
     ----------
-    formal, correlated, between : ndarray, shape (8,)
+    prior_sd : ndarray, shape (p,)
+        How far papers may be off.
+    formal, correlated, between : ndarray, shape (p,)
         By the information, by the correlation of the innovations, and by how the dives differ; the last is NaN of fewer
         than `FEWEST_DIVES`.
-    birge : ndarray, shape (8,)
+    birge : ndarray, shape (p,)
         How much more dives differ than they should: 1 is expected; NaN of one dive.
     """
 
+    prior_sd: Floats
     formal: Floats
     correlated: Floats
     between: Floats
@@ -40,13 +43,13 @@ class Certainty:
 
     @property
     def sd(self) -> Floats:
-        """The largest of the three, at most the prior's, shape (8,)."""
-        return np.asarray(np.minimum(np.fmax(np.fmax(self.formal, self.correlated), self.between), PRIOR_SD))
+        """The largest of the three, at most the prior's, shape (p,)."""
+        return np.asarray(np.minimum(np.fmax(np.fmax(self.formal, self.correlated), self.between), self.prior_sd))
 
     @property
     def signal_to_noise(self) -> Floats:
-        """The prior's sd over that of the data alone, shape (8,)."""
-        return np.sqrt((PRIOR_SD / self.sd) ** 2 - 1.0)
+        """The prior's sd over that of the data alone, shape (p,)."""
+        return np.sqrt((self.prior_sd / self.sd) ** 2 - 1.0)
 
 
 def certainty_of(fit: Fit) -> Certainty:
@@ -55,14 +58,14 @@ def certainty_of(fit: Fit) -> Certainty:
     formal = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, cov, mean_of))
     sandwich = cov @ _scores_cov(fit) @ cov
     correlated = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, sandwich, mean_of))
-    own, own_sd = _one_by_one(fit)
+    own, own_sd = one_by_one(fit)
     n = len(own)
     if n < FEWEST_DIVES:
         unknown = np.full(len(NAMES), np.nan)
-        return Certainty(formal, correlated, unknown, unknown)
+        return Certainty(PRIOR_SD, formal, correlated, unknown, unknown)
     off = own - np.average(own, axis=0)
     birge = np.sqrt(np.sum((off / own_sd) ** 2, axis=0) / (n - 1))
-    return Certainty(formal, correlated, own.std(axis=0, ddof=1) / np.sqrt(n), birge)
+    return Certainty(PRIOR_SD, formal, correlated, own.std(axis=0, ddof=1) / np.sqrt(n), birge)
 
 
 def correlations(fit: Fit, at_least: float) -> list[tuple[str, str, float]]:
@@ -114,7 +117,7 @@ def newey_west(scores: Floats) -> Floats:
     return np.asarray(total)
 
 
-def _one_by_one(fit: Fit) -> tuple[Floats, Floats]:
+def one_by_one(fit: Fit) -> tuple[Floats, Floats]:
     """Return what each dive says by itself near the common answer, and its formal sds, shapes (n, 8)."""
     own, own_sd = [], []
     for i, near in enumerate(fit.dives):

@@ -13,7 +13,7 @@ from insdvl_replay.calibration.fit import robust_cost
 from insdvl_replay.calibration.geometry import NAMES, DvlGeometry, moved_mounting, moved_pings
 from insdvl_replay.calibration.innovations import DiveInnovations, dive_innovations
 from insdvl_replay.calibration.rows import HeldOutRow
-from insdvl_replay.core.columns import Dive, Floats
+from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.coasting import coasting_table
@@ -36,10 +36,17 @@ COASTED_S: Final = "60"
 
 @dataclass(frozen=True)
 class ReadDive:
-    """A dive with its configuration, from which it can be prepared for any geometry."""
+    """A dive with its configuration, from which it can be prepared for any geometry.
+
+    Attributes
+    ----------
+    as_read : ReferenceColumns, optional
+        Its reference, before it was moved to the IMU.
+    """
 
     dive: Dive
     config: Config
+    as_read: ReferenceColumns | None = None
 
     def prepared(self, geometry: DvlGeometry | None = None) -> Prepared:
         """Prepare it, with another mounting, arm and scale than configured; its pings keep their times."""
@@ -63,7 +70,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         As of `reading.read_checked_dive`.
     """
     dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
-    return ReadDive(with_reference_at_imu(dive, config), config)
+    return ReadDive(with_reference_at_imu(dive, config), config, dive.reference)
 
 
 def with_geometry(config: Config, geometry: DvlGeometry) -> Config:

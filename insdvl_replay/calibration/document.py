@@ -1,14 +1,15 @@
 """A calibration for people."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from insdvl_replay.calibration.calibration import AXES, Calibration
-from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow
+from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow, ReferenceDiveRow
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.report.document import (
     Callout,
     DisplayTable,
+    Heading,
     Part,
     Remark,
     Sentences,
@@ -17,33 +18,42 @@ from insdvl_replay.report.document import (
     number,
     table_of,
 )
+from insdvl_replay.report.plots.panel import Figure
 
 LABELS: Final = {
     "delay": "delay",
     **{f"{group}_{axis}": f"{group} {axis}" for group in ("mounting", "arm") for axis in "xyz"},
     "scale": "scale",
+    "reference_clock": "ref. clock",
+    **{f"reference_{group}_{axis}": f"ref. {group} {axis}" for group in ("mounting", "arm") for axis in "xyz"},
 }
 
 
-def calibration_document(found: Calibration, written: str = "") -> list[Part]:
+def calibration_document(found: Calibration, written: str = "", figures: Sequence[Figure] = ()) -> list[Part]:
     """Lay out a calibration: what is proposed first, then what it rests on, and what speaks against it.
 
     Parameters
     ----------
     written : str
         The file that holds the proposal, if there is one.
+    figures : sequence of Figure
+        For a page.
     """
     parts: list[Part] = [
         Title(f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"),
         Callout(_headline(found), "good" if found.estimated and not found.doubts else "bad"),
-        _parameters(found.rows),
+        _parameters("Change from what the configuration says; x forward, y starboard, z down", found.rows),
         _dives(found.dives),
     ]
+    if found.reference is not None:
+        parts += [_parameters("The reference: change from what the configuration says", found.reference.rows)]
+        parts += [_beside(found.reference.dives)]
     if found.held_out:
         parts.append(_held_out(found.held_out))
     if reasons := [*_reasons(found), *(Remark(doubt) for doubt in found.doubts)]:
         parts.append(Sentences(tuple(reasons)))
-    return [*parts, *_what_now(found, written)]
+    parts += _what_now(found, written)
+    return [*parts, Heading("Pictures"), *figures] if figures else parts
 
 
 def _headline(found: Calibration) -> str:
@@ -53,13 +63,13 @@ def _headline(found: Calibration) -> str:
 
 
 def _named(found: Calibration, status: Estimated) -> str:
-    return ", ".join(LABELS[row.parameter] for row in found.rows if row.status == status)
+    return ", ".join(LABELS[row.parameter] for row in found.all_rows if row.status == status)
 
 
 def _reasons(found: Calibration) -> Iterator[Remark]:
     """State why parameters are not proposed, those with the same reason together."""
     for status, said in ((Estimated.HELD, "held"), (Estimated.DOUBTFUL, "not proposed")):
-        rows = [row for row in found.rows if row.status == status]
+        rows = [row for row in found.all_rows if row.status == status]
         for why in dict.fromkeys(row.why for row in rows):
             names = ", ".join(LABELS[row.parameter] for row in rows if row.why == why)
             yield Remark(f"{names}: {said}; {why}")
@@ -70,9 +80,9 @@ def _what_now(found: Calibration, written: str) -> Iterator[Part]:
         yield f"Nothing is applied by itself: `insdvl-replay run LOG -c ... -c {written}` uses it."
 
 
-def _parameters(rows: tuple[ParameterRow, ...]) -> DisplayTable:
+def _parameters(title: str, rows: tuple[ParameterRow, ...]) -> DisplayTable:
     return table_of(
-        "Change from what the configuration says; x forward, y starboard, z down",
+        title,
         [row for row in rows if row.status != Estimated.NOT_ASKED],
         (
             ("parameter", "l", lambda row: f"{LABELS[row.parameter]} [{row.unit}]"),
@@ -111,6 +121,24 @@ def _dives(rows: tuple[DiveRow, ...]) -> DisplayTable:
             ("alike", "r", lambda row: axes(row.autocorrelation)),
         ),
         "1 is what a filter expects that knows its noise; neighbours are alike by 0 where nothing is left to find.",
+    )
+
+
+def _beside(rows: tuple[ReferenceDiveRow, ...]) -> DisplayTable:
+    return table_of(
+        "Beside the reference, before and after: what velocities, or ways of 10 s, differ by, and the track",
+        rows,
+        (
+            ("dive", "l", lambda row: row.dive),
+            ("rows", "r", lambda row: str(row.rows)),
+            ("rms before", "r", lambda row: f"{number(row.rms_before)} {row.unit}"),
+            ("after", "r", lambda row: f"{number(row.rms_after)} {row.unit}"),
+            ("scale before\n[%]", "r", lambda row: number(row.track_scale_before_pct)),
+            ("after\n[%]", "r", lambda row: number(row.track_scale_after_pct)),
+            ("turn before\n[deg]", "r", lambda row: number(row.track_turn_before_deg)),
+            ("after\n[deg]", "r", lambda row: number(row.track_turn_after_deg)),
+        ),
+        "Scale and turn would lay the filter's track on the reference's; the turn holds what the heading drifted by.",
     )
 
 

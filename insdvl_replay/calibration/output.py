@@ -1,6 +1,6 @@
 """A calibration as a fragment of configuration, as JSON and as CSV."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -8,9 +8,10 @@ import msgspec
 from msgspec import Struct
 
 from insdvl_replay import __version__
-from insdvl_replay.calibration.calibration import Calibration
-from insdvl_replay.calibration.geometry import PARAMETERS, DvlGeometry
-from insdvl_replay.calibration.rows import CalibrationResult, ParameterRow, Settings
+from insdvl_replay.calibration.calibration import Calibration, ReferenceCalibration
+from insdvl_replay.calibration.geometry import PARAMETERS, DvlGeometry, Parameter
+from insdvl_replay.calibration.rows import CalibrationResult, ParameterRow, ReferenceResult, ReferenceSettings, Settings
+from insdvl_replay.calibration.with_reference import OF_REFERENCE
 from insdvl_replay.core.columns import NS_PER_S
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
@@ -28,6 +29,12 @@ KEYS: Final = {
     "scale": "scale",
 }
 """Key in ``[dvl]`` of each group of parameters."""
+REFERENCE_KEYS: Final = {
+    "reference_clock": "latency_s",
+    "reference_arm": "lever_arm_m",
+    "reference_mounting": "mounting_rpy_deg",
+}
+"""Likewise in ``[reference]``."""
 DIGITS: Final = 6
 """Decimals that are proposed; none of the numbers is known so well."""
 
@@ -43,6 +50,7 @@ def calibration_json(found: Calibration, config: Config) -> bytes:
             list(found.rows),
             list(found.dives),
             list(found.held_out),
+            _reference(found.reference),
             list(found.doubts),
             msgspec.to_builtins(config),
         )
@@ -53,12 +61,24 @@ def _settings(geometry: DvlGeometry) -> Settings:
     return Settings(geometry.latency_s, geometry.lever_arm_m, geometry.mounting_rpy_deg, geometry.scale)
 
 
+def _reference(found: ReferenceCalibration | None) -> ReferenceResult | None:
+    if found is None:
+        return None
+    before, after = (
+        ReferenceSettings(settings.latency_s, settings.lever_arm_m, settings.mounting_rpy_deg)
+        for settings in (found.before, found.after)
+    )
+    return ReferenceResult(before, after, list(found.rows), list(found.dives))
+
+
 def calibration_csv(found: Calibration) -> str:
-    """Write the parameters, the dives and those held out one after the other."""
+    """Write the parameters, the dives, those held out and what the references say one after the other."""
+    reference = found.reference
     tables: dict[str, Sequence[Struct]] = {
-        "parameters": found.rows,
+        "parameters": found.all_rows,
         "dives": found.dives,
         "held_out": found.held_out,
+        "reference": () if reference is None else reference.dives,
     }
     return blocks_csv(
         "table",
@@ -96,12 +116,20 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
         f"# insdvl-replay {__version__} calibrate: {counted(len(found.dives), 'dive')} of {days[0]}"
         f"{f' to {days[-1]}' if len(days) > 1 else ''}: {names}"
     )
-    return "\n".join([head, "[dvl]", *_lines(found), *(f"# doubt: {visible(doubt)}" for doubt in found.doubts)]) + "\n"
+    lines = ["[dvl]", *_lines(KEYS, PARAMETERS, found.rows, found)]
+    if (reference := found.reference) is not None:
+        lines += ["", "[reference]", *_lines(REFERENCE_KEYS, OF_REFERENCE, reference.rows, reference)]
+    return "\n".join([head, *lines, *(f"# doubt: {visible(doubt)}" for doubt in found.doubts)]) + "\n"
 
 
-def _lines(found: Calibration) -> Iterator[str]:
-    for group, key in KEYS.items():
-        rows = [row for row, parameter in zip(found.rows, PARAMETERS, strict=True) if parameter.group == group]
+def _lines(
+    keys: Mapping[str, str],
+    parameters: Sequence[Parameter],
+    all_rows: Sequence[ParameterRow],
+    found: Calibration | ReferenceCalibration,
+) -> Iterator[str]:
+    for group, key in keys.items():
+        rows = [row for row, parameter in zip(all_rows, parameters, strict=True) if parameter.group == group]
         if all(row.status == Estimated.NOT_ASKED for row in rows):
             continue
         yield from (f"# {_in_words(row)}" for row in rows)

@@ -51,6 +51,22 @@ class HeldOutRow(Struct, frozen=True):
     drift_after_m: Number
 
 
+class ReferenceDiveRow(Struct, frozen=True):
+    """One dive beside its reference, before and after: what is left, and how the tracks fit."""
+
+    dive: str
+    rows: Annotated[int, Meta(description="of the reference that were compared")]
+    unit: Annotated[str, Meta(description="m/s of velocities; m of ways, where the reference has none")]
+    rms_before: Annotated[float, Meta(description="of velocities in axes of the body, or of ways of 10 s")]
+    rms_after: float
+    track_scale_before_pct: Annotated[Number, Meta(description="positive where the filter's track is too short")]
+    track_scale_after_pct: Number
+    track_scale_sd_pct: Number
+    track_turn_before_deg: Annotated[Number, Meta(description="clockwise, the filter's own heading error included")]
+    track_turn_after_deg: Number
+    track_turn_sd_deg: Number
+
+
 class Settings(Struct, frozen=True):
     """The keys of ``[dvl]`` that are calibrated."""
 
@@ -58,6 +74,23 @@ class Settings(Struct, frozen=True):
     lever_arm_m: tuple[float, float, float]
     mounting_rpy_deg: tuple[float, float, float]
     scale: float
+
+
+class ReferenceSettings(Struct, frozen=True):
+    """The keys of ``[reference]`` that are calibrated."""
+
+    latency_s: float
+    lever_arm_m: tuple[float, float, float]
+    mounting_rpy_deg: tuple[float, float, float]
+
+
+class ReferenceResult(Struct, frozen=True):
+    """What `calibrate --reference` adds."""
+
+    before: Annotated[ReferenceSettings, Meta(description="what the configuration says, of [reference]")]
+    after: Annotated[ReferenceSettings, Meta(description="what is proposed")]
+    parameters: list[ParameterRow]
+    dives: list[ReferenceDiveRow]
 
 
 class CalibrationResult(Struct, frozen=True):
@@ -70,5 +103,6 @@ class CalibrationResult(Struct, frozen=True):
     parameters: list[ParameterRow]
     dives: list[DiveRow]
     held_out: Annotated[list[HeldOutRow], Meta(description="dives that were not fitted")]
+    reference: Annotated[ReferenceResult | None, Meta(description="null without --reference")]
     doubts: Annotated[list[str], Meta(description="what speaks against believing it")]
     config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]

@@ -32,6 +32,9 @@ def calibrate(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write what is found as settings for -c.")
     ] = None,
+    page_file: Annotated[
+        Path | None, typer.Option("--page", metavar="FILE", help="Write it with pictures as one HTML page.")
+    ] = None,
     config: ConfigFiles = [],  # noqa: B006
     preset: Preset = None,
     settings: Settings = [],  # noqa: B006
@@ -39,6 +42,9 @@ def calibrate(
         str | None,
         typer.Option(metavar="NAMES", help="Of arm, mounting, delay and scale, with commas; left out, all of them."),
     ] = None,
+    reference: Annotated[
+        bool, typer.Option("--reference", help="Hold it against the dives' references, and calibrate these, too.")
+    ] = False,
     delays: Annotated[Delays, typer.Option("--delays", help="Whether each dive has a delay of its own.")] = Delays.EACH,
     mounting: Annotated[
         Mounting, typer.Option("--mounting", help="If it is unknown, 24 are tried first.")
@@ -67,7 +73,8 @@ def calibrate(
     Example:
       insdvl-replay calibrate dives/*.mcap -c vehicle.toml -o found.toml
       insdvl-replay run dives/*.mcap -c vehicle.toml -c calibrated.toml
-      insdvl-replay calibrate dives/*.mcap -c vehicle.toml --hold-out 0.3
+      insdvl-replay calibrate dives/*.mcap -c vehicle.toml --hold-out 0.3 --page found.html
+      insdvl-replay calibrate dives/*.mcap -c vehicle.toml --reference -o found.toml
       insdvl-replay calibrate archive --only arm,delay --mounting unknown
     """
     import msgspec
@@ -75,16 +82,20 @@ def calibrate(
     from insdvl_replay.calibration.calibration import calibrate as calibrated
     from insdvl_replay.calibration.dives import held_out_row, likeliest_mounting
     from insdvl_replay.calibration.document import calibration_document
+    from insdvl_replay.calibration.figures import calibration_figures
     from insdvl_replay.calibration.output import calibration_csv, calibration_json, calibration_toml
+    from insdvl_replay.calibration.reference import with_reference
     from insdvl_replay.cli.messages import log_to_stderr, write_stdout
     from insdvl_replay.cli.screen import compiling, in_format, spinner
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import LogError
+    from insdvl_replay.report.page import page
     from insdvl_replay.results.folder import require_replaceable_file, result_file
 
-    resolved, groups = load_config(preset, config, settings), _groups(only)
-    if output is not None:
-        require_replaceable_file(output, force=force)
+    resolved, groups = load_config(preset, config, settings), _groups(only, reference=reference)
+    for file in (output, page_file):
+        if file is not None:
+            require_replaceable_file(file, force=force)
     with spinner(f"calibrating{compiling()}"):
         dives, failed = _read(logs, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
         if not dives:
@@ -96,15 +107,21 @@ def calibrate(
             kept, held = ([dive.with_config(resolved) for dive in some] for some in (kept, held))
         asked = [dive.innovations() for dive in kept]
         found = calibrated(asked, resolved, groups, one_delay=delays is Delays.ONE)
+        if reference:
+            found = with_reference(found, kept, asked, groups)
         found = found.with_held_out([held_out_row(dive, found.change) for dive in held])
     write_stdout(
         in_format(
             format_,
-            document=lambda: calibration_document(found, "" if output is None else str(output)),
+            document=lambda: calibration_document(found, _named(output)),
             json=lambda: calibration_json(found, resolved),
             csv=lambda: calibration_csv(found),
         )
     )
+    if page_file is not None:
+        with result_file(page_file, force=force) as path:
+            path.write_bytes(page(calibration_document(found, _named(output), calibration_figures(found, asked))))
+        log_to_stderr(f"wrote {page_file}")
     if not found.estimated:
         raise LogError(
             "nothing could be estimated from these dives",
@@ -117,17 +134,23 @@ def calibrate(
     return failed
 
 
-def _groups(only: str | None) -> tuple[str, ...]:
+def _named(file: Path | None) -> str:
+    return "" if file is None else str(file)
+
+
+def _groups(only: str | None, *, reference: bool) -> tuple[str, ...]:
     from insdvl_replay.calibration.geometry import GROUPS
+    from insdvl_replay.calibration.with_reference import REFERENCE_GROUPS
     from insdvl_replay.core.errors import ConfigError, require_known
 
+    known = REFERENCE_GROUPS if reference else GROUPS
     if only is None:
-        return GROUPS
+        return known
     names = tuple(name.strip() for name in only.split(",") if name.strip())
     for name in names:
-        require_known("--only", name, GROUPS)
+        require_known("--only", name, known)
     if not names:
-        raise ConfigError("--only names nothing", f"of {', '.join(GROUPS)}, with commas")
+        raise ConfigError("--only names nothing", f"of {', '.join(known)}, with commas")
     return names
 
 

@@ -117,6 +117,9 @@ class Reference(_Section, frozen=True):
         0.0,
         0.0,
     )
+    mounting_rpy_deg: Annotated[
+        Vector, Comment("axes of its attitude in those of the IMU: heading, then pitch, then roll")
+    ] = (0.0, 0.0, 0.0)
     independent: Annotated[bool, Comment("false: it was made from the same IMU or DVL")] = True
     position_sd_m: Annotated[
         NotNegative, Comment("its own error: smaller differences between filters count as none")

@@ -1,20 +1,26 @@
 """Before the filters: move the reference to the IMU, solve the pings, find the span, settle gaps, and align."""
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from insdvl_replay.core.columns import Dive, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
+from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import moved_position
+from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.alignment import Alignment, align
 from insdvl_replay.preparation.filters import ResolvedFilter, dvl_mounting, resolve_filters
 from insdvl_replay.preparation.long_gaps import apply_gap_policy, find_gaps
+
+IN_LINE: Final = np.eye(3)
+"""The axes of the reference are those of the IMU."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,7 @@ class Prepared:
 
 
 def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
-    """Move the reference of a dive to the IMU, where the filters are.
+    """Move the reference of a dive to the IMU, where the filters are, and turn its attitude to the IMU's axes.
 
     Parameters
     ----------
@@ -66,8 +72,7 @@ def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
     """
     if dive.reference is None:
         return dive
-    lever_arm_b = np.array(config.reference.lever_arm_m)
-    reference = reference_at_imu(dive.reference, dive.imu, lever_arm_b)
+    reference = reference_as_configured(dive.reference, dive.imu, config)
     if len(reference.time_ns):
         return replace(dive, reference=reference)
     if dive.reference.has_position or dive.reference.has_velocity:
@@ -171,8 +176,16 @@ def _outside_notes(name: str, velocities: DvlVelocities, inside: DvlVelocities) 
     return (Note("dvl_outside_span", f"{outside} pings lie before the start of the replay or after its end", outside),)
 
 
-def reference_at_imu(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: Floats) -> ReferenceColumns:
-    """Move a reference to the IMU: ``p_imu = p - C l`` and ``v_imu = v - C (w_eb x l)``.
+def reference_as_configured(reference: ReferenceColumns, imu: ImuColumns, config: Config) -> ReferenceColumns:
+    """Turn and move a reference as ``[reference]`` says; see `reference_at_imu`."""
+    mounting_rpy = np.array(config.reference.mounting_rpy_deg) * DEG
+    return reference_at_imu(reference, imu, np.array(config.reference.lever_arm_m), mat_from_rpy(mounting_rpy))
+
+
+def reference_at_imu(
+    reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: Floats, mat_br: Floats = IN_LINE
+) -> ReferenceColumns:
+    """Turn a reference, ``C = C_r C_b^r``, and move it to the IMU: ``p_imu = p - C l``, ``v_imu = v - C (w_eb x l)``.
 
     Parameters
     ----------
@@ -182,13 +195,18 @@ def reference_at_imu(reference: ReferenceColumns, imu: ImuColumns, lever_arm_b: 
         Gives the angular rate, linear between samples.
     lever_arm_b : ndarray, shape (3,)
         IMU to the reference's point, m.
+    mat_br : ndarray, shape (3, 3)
+        From the axes of the reference's attitude to the IMU's.
 
     Returns
     -------
     ReferenceColumns
         Rows without an attitude lose their position and velocity, rows outside the IMU's samples their velocity. Rows
-        of which no number is left are left out. With no lever arm, and numbers in all rows, the reference itself.
+        of which no number is left are left out. With no lever arm and no turn, and numbers in all rows, the reference
+        itself.
     """
+    if np.any(mat_br != IN_LINE):
+        reference = replace(reference, mat_nb=reference.mat_nb @ mat_br.T)
     moved = _moved(reference, imu, lever_arm_b) if np.any(lever_arm_b) else reference
     said = np.any(list(moved.known.values()), axis=0)
     return moved if said.all() else moved.rows(said)

@@ -23,7 +23,7 @@ from insdvl_replay.evaluation.acceleration import (
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
 from insdvl_replay.nav.timeline import Gaps
-from insdvl_replay.preparation.prepared import prepare_dive, reference_at_imu
+from insdvl_replay.preparation.prepared import prepare_dive, reference_as_configured
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.studies.study_report import StudyReport, write_study
 from insdvl_replay.studies.window_document import window_display, window_figure, window_sentences
@@ -161,7 +161,7 @@ def _reference(dive: Dive, config: Config) -> ReferenceColumns:
             f"{dive.name}: there is no reference with velocity and attitude to hold accelerations against",
             "name its topic, such as --set reference.topic=/ins/odometry",
         )
-    return reference_at_imu(dive.reference, dive.imu, np.array(config.reference.lever_arm_m))
+    return reference_as_configured(dive.reference, dive.imu, config)
 
 
 def _max_gap_s(config: Config) -> float:

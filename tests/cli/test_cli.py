@@ -38,8 +38,8 @@ DOCUMENTED = {
         "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose", "--help",
     ],
     "calibrate": [
-        "LOG...", "-o, --output FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE", "--only NAMES",
-        "--delays <each|one>", "--mounting <known|unknown>", "--hold-out SHARE|DIVE",
+        "LOG...", "-o, --output FILE", "--page FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
+        "--only NAMES", "--reference", "--delays <each|one>", "--mounting <known|unknown>", "--hold-out SHARE|DIVE",
         "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose", "--help",
     ],
     "simulate": [

@@ -8,8 +8,10 @@ from frames import frame
 
 from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.config import Config, Noise, Reference
+from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
-from insdvl_replay.preparation.prepared import reference_at_imu
+from insdvl_replay.geometry.rotation import mat_from_rpy
+from insdvl_replay.preparation.prepared import reference_at_imu, with_reference_at_imu
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import exact_dive
 
@@ -59,6 +61,30 @@ def test_zero_lever_arm_leaves_a_partial_reference_whole(turning: Dive) -> None:
     assert turning.reference is not None
     partial = replace(turning.reference, mat_nb=np.full_like(turning.reference.mat_nb, np.nan))
     assert reference_at_imu(partial, turning.imu, np.zeros(3)) is partial
+
+
+def test_mounting_turns_the_attitude_before_the_arm_is_taken_off(turning: Dive) -> None:
+    """A reference whose axes are turned and that is of another point, undone by the two keys that say so."""
+    assert turning.reference is not None
+    rpy_deg = (2.0, -3.0, 88.0)
+    mat_br = mat_from_rpy(np.array(rpy_deg) * DEG)
+    elsewhere = reference_at_imu(turning.reference, turning.imu, -ARM_B)
+    turned = replace(turning, reference=replace(elsewhere, mat_nb=elsewhere.mat_nb @ mat_br))
+    settings = Reference(lever_arm_m=(1.8, -0.4, 0.3), mounting_rpy_deg=rpy_deg)
+    back = with_reference_at_imu(turned, Config(reference=settings)).reference
+    assert back is not None
+    inside = back.rows(np.isfinite(back.velocity_n).all(axis=1))
+    truth = turning.reference.rows(np.isin(turning.reference.time_ns, inside.time_ns))
+    np.testing.assert_allclose(inside.mat_nb, truth.mat_nb, atol=1e-12)
+    np.testing.assert_allclose(inside.velocity_n, truth.velocity_n, atol=1e-9)
+    np.testing.assert_allclose(inside.position, truth.position, atol=1e-12)
+    unturned = with_reference_at_imu(turned, Config(reference=Reference(lever_arm_m=(1.8, -0.4, 0.3)))).reference
+    assert unturned is not None
+    assert np.nanmax(np.abs(unturned.velocity_n - turning.reference.velocity_n)) > 0.2
+
+
+def test_no_mounting_leaves_the_reference_to_the_bit(turning: Dive) -> None:
+    assert with_reference_at_imu(turning, Config()).reference is turning.reference
 
 
 def test_dependent_reference_is_noted(turning: Dive) -> None:

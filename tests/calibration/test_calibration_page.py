@@ -1,0 +1,114 @@
+"""The page of a calibration: the pictures show the numbers of the tables, and the file is written as others are."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import PROGRAM, opened_browser
+from built_in import ReadDive, built_in_otherwise
+
+from insdvl_replay.calibration.calibration import Calibration, calibrate
+from insdvl_replay.calibration.document import LABELS, calibration_document
+from insdvl_replay.calibration.figures import DRAWN, calibration_figures
+from insdvl_replay.calibration.fit import scatter_of
+from insdvl_replay.calibration.rows import HeldOutRow
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.rows import finite
+from insdvl_replay.report.page import page
+from insdvl_replay.report.plots.panel import Figure
+
+
+@pytest.fixture(scope="module")
+def dives() -> list[ReadDive]:
+    return [built_in_otherwise("figure-eight", seed, duration_s=240.0) for seed in (1, 2)]
+
+
+@pytest.fixture(scope="module")
+def found(dives: list[ReadDive]) -> Calibration:
+    return calibrate([dive.innovations() for dive in dives], dives[0].config)
+
+
+def drawn(found: Calibration, dives: list[ReadDive]) -> dict[str, Figure]:
+    figures = calibration_figures(found, [dive.innovations() for dive in dives])
+    return {f"{place} {figure.title}": figure for place, figure in enumerate(figures)}
+
+
+def test_pictures_show_what_the_tables_say(found: Calibration, dives: list[ReadDive]) -> None:
+    first, second, delays, between = drawn(found, dives).values()
+    for figure, row in zip((first, second), found.dives, strict=True):
+        before, after = (np.column_stack([panel.curves[i].y for panel in figure.panels]) for i in (0, 1))
+        assert scatter_of(before) == pytest.approx(row.before)
+        assert scatter_of(after) == pytest.approx(row.after)
+    for panel, row in zip(delays.panels, found.dives, strict=True):
+        cost, as_fitted = panel.curves
+        assert as_fitted.x[0] == pytest.approx(row.delay_s)
+        assert cost.x[np.argmin(cost.y)] == pytest.approx(row.delay_s, abs=0.05)
+        assert cost.y.min() == 0.0
+    by_title = {panel.title: panel for panel in between.panels}
+    assert set(by_title) == {f"{LABELS[row.parameter]} [{row.unit}]" for row in found.estimated}
+    for row in found.estimated:
+        panel = by_title[f"{LABELS[row.parameter]} [{row.unit}]"]
+        assert panel.levels == pytest.approx((row.change,))
+        bars, values = panel.curves
+        assert values.y.std(ddof=1) / np.sqrt(2.0) == pytest.approx(finite(row.between_dives_sd), rel=0.05)
+        np.testing.assert_allclose((bars.y[::3] + bars.y[1::3]) / 2.0, values.y)
+
+
+def test_one_dive_differs_from_none_and_many_are_not_all_drawn(found: Calibration, dives: list[ReadDive]) -> None:
+    alone = calibrate([dives[0].innovations()], dives[0].config)
+    assert [figure.title for figure in drawn(alone, dives[:1]).values()] == [
+        "Innovations of figure-eight",
+        "What a delay costs",
+    ]
+    many = calibrate([dives[0].innovations()] * (DRAWN + 1), dives[0].config, ("arm",))
+    figures = list(drawn(many, [dives[0]] * (DRAWN + 1)).values())
+    assert sum(figure.title.startswith("Innovations") for figure in figures) == DRAWN
+    assert len(figures[DRAWN].panels) == DRAWN
+
+
+def test_coasting_is_drawn_where_dives_coasted(found: Calibration, dives: list[ReadDive]) -> None:
+    rows = [HeldOutRow("a", 2.0, 1.0, 3, 4.0, 1.5), HeldOutRow("b", 2.0, 1.0, 0, None, None)]
+    *_, last = drawn(found.with_held_out(rows), dives).values()
+    _, before, after = last.panels[0].curves
+    assert (before.y.tolist(), after.y.tolist()) == ([4.0], [1.5])
+    *_, last = drawn(found.with_held_out(rows[1:]), dives).values()
+    assert last.title == "What each dive says by itself"
+
+
+def test_a_page_is_written_and_never_over_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, html = str(tmp_path / "dive.mcap"), tmp_path / "found.html"
+    assert run_command_line(["simulate", "straight", "-o", log, "--duration", "60"]) == 0
+    asked = ["calibrate", log, "--page", str(html)]
+    # A straight line shows nothing, and the page says so.
+    assert run_command_line(asked) == 3
+    text = html.read_text("utf-8")
+    assert "Nothing could be estimated" in text
+    assert text.count("<figure>") == 2
+    assert re.findall(r"(?:src|href)=\"(?!#)[^\"]*", text) == []
+    capsys.readouterr()
+    assert run_command_line(asked) == 2
+    assert "exists" in capsys.readouterr().err
+    assert run_command_line([*asked, "--force"]) == 3
+    assert html.read_text("utf-8") == text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dive.mcap", "found.html"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(PROGRAM is None, reason="needs Chromium (make extras)")
+def test_a_browser_shows_it_whole(found: Calibration, dives: list[ReadDive], tmp_path: Path) -> None:
+    html = tmp_path / "page.html"
+    held = found.with_held_out([HeldOutRow("a", 2.0, 1.0, 3, 4.0, 1.5)])
+    html.write_bytes(page(calibration_document(held, "found.toml", list(drawn(held, dives).values()))))
+    with opened_browser(tmp_path / "profile") as browser:
+        for width in (1200, 390):
+            browser.open(html, width)
+            assert browser.complaints == []
+            assert browser.requests == [html.resolve().as_uri()]
+            assert browser.value("document.documentElement.scrollWidth") <= width
+        browser.open(html, 1200)
+        assert browser.value("document.querySelectorAll('svg.panel').length") == sum(
+            len(figure.panels) for figure in drawn(held, dives).values()
+        )
+        browser.screenshot(tmp_path / "page.png")
+        assert (tmp_path / "page.png").stat().st_size > 20_000
