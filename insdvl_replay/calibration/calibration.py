@@ -34,6 +34,7 @@ from insdvl_replay.core.words import Estimated
 
 SCALE_SEEN: Final = 30.0
 """Signal to noise from which the scale is moved: a DVL that smooths, or stamps that jitter, look like a smaller one."""
+SMOOTHED: Final = "seen, but not beyond what a DVL that smooths would look like"
 BELIEVABLE_SDS: Final = 3.0
 """An estimate further from the configuration, in sds of the prior, comes from something else."""
 BELIEVABLE_SCALE: Final = 0.05
@@ -74,6 +75,8 @@ class Calibration:
         What speaks against believing it.
     fit : Fit
         Behind what is proposed.
+    tried : str
+        Which mounting was tried first, where nobody knew it.
     """
 
     before: DvlGeometry
@@ -84,11 +87,21 @@ class Calibration:
     doubts: tuple[str, ...]
     fit: Fit
     held_out: tuple[HeldOutRow, ...] = ()
+    tried: str = ""
     reference: ReferenceCalibration | None = None
 
     def with_held_out(self, rows: Sequence[HeldOutRow]) -> "Calibration":
         """Add how dives fare that were not fitted."""
         return replace(self, held_out=tuple(rows))
+
+    def from_mounting(self, before: DvlGeometry) -> "Calibration":
+        """Tell that the mounting was tried first, and what the configuration says in its place."""
+        roll, pitch, heading = self.before.mounting_rpy_deg
+        tried = (
+            f"of 24 mountings, roll {roll:g}, pitch {pitch:g}, heading {heading:g} deg is the likeliest; changes of "
+            "the mounting are from there"
+        )
+        return replace(self, before=before, tried=tried)
 
     @property
     def estimated(self) -> tuple[ParameterRow, ...]:
@@ -139,7 +152,7 @@ def _refused(certainty: Certainty, change: Floats, asked: Mask) -> Iterator[tupl
         parameter, seen = PARAMETERS[row], certainty.signal_to_noise[row]
         least = SCALE_SEEN if row == SCALE else SEEN
         if seen < least:
-            yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
+            yield row, (Estimated.HELD, SMOOTHED if seen >= SEEN else f"needs {parameter.shown_by}")
         elif row == DELAY and abs(change[row]) > LATEST_S - DELAY_STEP_S:
             yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
         elif row == SCALE and abs(np.expm1(change[row])) > BELIEVABLE_SCALE:

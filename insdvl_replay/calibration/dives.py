@@ -111,9 +111,12 @@ def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
 
 def _turned(config: Config, turn: Floats) -> Config:
     roll, pitch, heading = (rpy_from_mat(turn) / DEG + 0.0).tolist()  # no -0.0, which people would read
-    return msgspec.structs.replace(
-        config, dvl=msgspec.structs.replace(config.dvl, mounting_rpy_deg=(roll, pitch, heading))
-    )
+    return with_mounting(config, (roll, pitch, heading))
+
+
+def with_mounting(config: Config, rpy_deg: tuple[float, float, float]) -> Config:
+    """Set the mounting in a configuration."""
+    return msgspec.structs.replace(config, dvl=msgspec.structs.replace(config.dvl, mounting_rpy_deg=rpy_deg))
 
 
 def held_out_row(read: ReadDive, change: Floats) -> HeldOutRow:

@@ -45,6 +45,8 @@ def calibration_document(found: Calibration, written: str = "", figures: Sequenc
         _parameters("Change from what the configuration says; x forward, y starboard, z down", found.rows),
         _dives(found.dives),
     ]
+    if found.tried:
+        parts.insert(2, f"The mounting was not known: {found.tried}.")
     if found.reference is not None:
         parts += [_parameters("The reference: change from what the configuration says", found.reference.rows)]
         parts += [_beside(found.reference.dives)]

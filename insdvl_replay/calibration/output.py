@@ -130,10 +130,11 @@ def _lines(
 ) -> Iterator[str]:
     for group, key in keys.items():
         rows = [row for row, parameter in zip(all_rows, parameters, strict=True) if parameter.group == group]
-        if all(row.status == Estimated.NOT_ASKED for row in rows):
+        is_moved = getattr(found.before, key) != getattr(found.after, key)
+        if all(row.status == Estimated.NOT_ASKED for row in rows) and not is_moved:
             continue
         yield from (f"# {_in_words(row)}" for row in rows)
-        if any(row.status == Estimated.ESTIMATED for row in rows):
+        if is_moved or any(row.status == Estimated.ESTIMATED for row in rows):
             yield f"{key} = {toml_value(_rounded(getattr(found.before, key), getattr(found.after, key)))}"
 
 

@@ -77,12 +77,11 @@ def calibrate(
       insdvl-replay calibrate dives/*.mcap -c vehicle.toml --reference -o found.toml
       insdvl-replay calibrate archive --only arm,delay --mounting unknown
     """
-    import msgspec
-
     from insdvl_replay.calibration.calibration import calibrate as calibrated
-    from insdvl_replay.calibration.dives import held_out_row, likeliest_mounting
+    from insdvl_replay.calibration.dives import held_out_row, likeliest_mounting, with_mounting
     from insdvl_replay.calibration.document import calibration_document
     from insdvl_replay.calibration.figures import calibration_figures
+    from insdvl_replay.calibration.geometry import DvlGeometry
     from insdvl_replay.calibration.output import calibration_csv, calibration_json, calibration_toml
     from insdvl_replay.calibration.reference import with_reference
     from insdvl_replay.cli.messages import log_to_stderr, write_stdout
@@ -101,14 +100,14 @@ def calibrate(
         if not dives:
             return failed
         kept, held = _parted(dives, hold_out)
+        known = DvlGeometry.of(resolved)
         if mounting is Mounting.UNKNOWN:
-            turned = msgspec.structs.replace(resolved.dvl, mounting_rpy_deg=likeliest_mounting(kept))
-            resolved = msgspec.structs.replace(resolved, dvl=turned)
+            resolved = with_mounting(resolved, likeliest_mounting(kept))
             kept, held = ([dive.with_config(resolved) for dive in some] for some in (kept, held))
         asked = [dive.innovations() for dive in kept]
         found = calibrated(asked, resolved, groups, one_delay=delays is Delays.ONE)
-        if reference:
-            found = with_reference(found, kept, asked, groups)
+        found = with_reference(found, kept, asked, groups) if reference else found
+        found = found.from_mounting(known) if mounting is Mounting.UNKNOWN else found
         found = found.with_held_out([held_out_row(dive, found.change) for dive in held])
     write_stdout(
         in_format(
@@ -178,18 +177,21 @@ def _parted(dives: list["ReadDive"], hold_out: list[str]) -> tuple[list["ReadDiv
     from insdvl_replay.core.errors import ConfigError, require_known
 
     names = [read.dive.name for read in dives]
-    aside: set[str] = set()
+    aside: set[int] = set()
     for wanted in hold_out:
         try:
             share = float(wanted)
         except ValueError:
             require_known("--hold-out", wanted, names)
-            aside.add(wanted)
+            aside.update(row for row, name in enumerate(names) if name == wanted)
             continue
         if not 0.0 < share < 1.0:
             raise ConfigError(f"--hold-out {wanted}: a share lies between 0 and 1", "for example --hold-out 0.3")
         count = max(1, round(share * len(names)))
-        aside.update(names[-1 - round(i * len(names) / count)] for i in range(count))
+        aside.update(len(names) - 1 - round(i * len(names) / count) for i in range(count))
     if len(aside) == len(names):
         raise ConfigError("--hold-out leaves no dive to fit", "name more dives, or hold out fewer")
-    return [read for read in dives if read.dive.name not in aside], [read for read in dives if read.dive.name in aside]
+    return (
+        [read for row, read in enumerate(dives) if row not in aside],
+        [read for row, read in enumerate(dives) if row in aside],
+    )

@@ -122,9 +122,14 @@ _Named = tuple[str, str]
 """Dive and candidate."""
 
 
-def _corrected(rows: Sequence[EvidenceRow]) -> list[EvidenceRow]:
+_Piece = tuple[EvidenceRow, RatioInterval]
+"""A row, and the interval that it has of."""
+
+
+def _corrected(pieces: Sequence[_Piece]) -> list[EvidenceRow]:
     """Let better and worse stand where one of so many pieces is not so by chance, behind the first where it is far."""
-    adjusted = holm(np.array([_chance(row) for row in rows]))
+    adjusted = holm(np.array([_chance(interval) for _, interval in pieces]))
+    rows = [row for row, _ in pieces]
     return [
         replace(row, word=EvidenceWord.UNDECIDED)
         if _is_decided(row) and (p >= CHANCE or (place > 0 and not _is_far(row)))
@@ -141,16 +146,18 @@ def _is_decided(row: EvidenceRow) -> bool:
     return row.word in (EvidenceWord.BETTER, EvidenceWord.WORSE)
 
 
-def _chance(row: EvidenceRow) -> float:
-    """Return the two-sided p of a ratio as the normal distribution has it that its interval is of; 1 where unknown."""
-    ratio, low, high = finite(row.ratio), finite(row.low), finite(row.high)
+def _chance(interval: RatioInterval) -> float:
+    """Return the two-sided p of a ratio: Student's, else as the normal distribution has it; 1 where unknown."""
+    if math.isfinite(interval.chance):
+        return interval.chance
+    ratio, low, high = interval.ratio, interval.low, interval.high
     if not (ratio > 0.0 and 0.0 < low < high < math.inf):
         return 1.0
     sds = abs(math.log(ratio)) / (math.log(high / low) / (2.0 * NORMAL_95))
     return math.erfc(sds / math.sqrt(2.0))
 
 
-def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
+def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[_Piece]:
     ours = measured.losses.get(named[1], {})
     for quantity, before in measured.losses.get(baseline, {}).items():
         after = ours[quantity]
@@ -159,10 +166,11 @@ def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[Evid
         values = _rms(before.squared), _rms(after.squared)
         below_floor = max(values) <= before.floor
         word = EvidenceWord.UNDECIDED if below_floor else word_of(interval)
-        yield EvidenceRow(*named, "accuracy", quantity, before.unit, *values, *_ends(interval), starts, windows, word)
+        ends = _ends(interval)
+        yield EvidenceRow(*named, "accuracy", quantity, before.unit, *values, *ends, starts, windows, word), interval
 
 
-def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
+def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[_Piece]:
     for window, before in measured.coasting.get(baseline, {}).items():
         after = measured.coasting[named[1]][window]
         if not len(before):
@@ -170,10 +178,10 @@ def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[Evid
         interval = windows_ratio(before, after)
         values = _rms(before**2), _rms(after**2)
         quantity, word = f"coasting_{window}", word_of(interval)
-        yield EvidenceRow(*named, "coasting", quantity, "m", *values, *_ends(interval), 1, len(before), word)
+        yield EvidenceRow(*named, "coasting", quantity, "m", *values, *_ends(interval), 1, len(before), word), interval
 
 
-def _convergence(named: _Named, measured: Measured) -> Iterator[EvidenceRow]:
+def _convergence(named: _Named, measured: Measured) -> Iterator[_Piece]:
     converged = measured.convergence.get(named[1], {})
     for quantity, name in CONVERGED.items():
         if (found := converged.get(name)) is not None:
@@ -182,7 +190,8 @@ def _convergence(named: _Named, measured: Measured) -> Iterator[EvidenceRow]:
             values = found.baseline_s, found.candidate_s
             word = _word_of_convergence(interval)
             name = f"convergence_{quantity}"
-            yield EvidenceRow(*named, "convergence", name, "s", *values, *_ends(interval), found.starts, 0, word)
+            row = EvidenceRow(*named, "convergence", name, "s", *values, *_ends(interval), found.starts, 0, word)
+            yield row, interval
 
 
 def _word_of_convergence(interval: RatioInterval) -> EvidenceWord:
@@ -205,13 +214,14 @@ def _honesty(
 ) -> Iterator[EvidenceRow]:
     """Compare how far the mean NIS, and the mean NEES, is from what each filter expects.
 
-    Of several measurements, and of the groups of states, the gravest stands for a filter.
+    Of the baseline's measurements, and of the groups of states, the gravest stands for a filter.
     """
+    of_both = {row.measurement for row in consistency if row.filter == baseline}
     sizes = {
         "nis": [
             (row.filter, _Size(_mean(row.mean_nis, row.dof), row.verdict))
             for row in consistency
-            if is_whole(row.measurement)
+            if is_whole(row.measurement) and row.measurement in of_both
         ],
         "nees": [
             (row.filter, _Size(_mean(row.mean_nees, row.dof), row.verdict))
@@ -239,6 +249,8 @@ def _more_honest(before: _Size, after: _Size, ratio: float) -> EvidenceWord:
     """Judge whose mean is nearer to 1; a candidate is not the more honest for being over-confident instead."""
     if Consistency.TOO_FEW in (before.verdict, after.verdict):
         return EvidenceWord.UNDECIDED
+    if before.verdict == after.verdict == Consistency.OVER_CAUTIOUS:
+        return EvidenceWord.EQUIVALENT  # both promise less than they keep
     graver = _gravity(after) > _gravity(before)
     if ratio < 1.0 / NOTABLY and before.verdict != Consistency.CONSISTENT and not graver:
         return EvidenceWord.BETTER

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
+from scipy.special import stdtr, stdtrit
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.words import EvidenceWord
@@ -38,7 +38,10 @@ Indices = NDArray[np.int64]
 
 
 class RatioInterval(NamedTuple):
-    """Candidate over baseline, with the 95 % and the 90 % interval; all NaN where nothing could be compared."""
+    """Candidate over baseline, with the 95 % and the 90 % interval; all NaN where nothing could be compared.
+
+    ``chance`` is the two-sided p of a ratio of 1; NaN where it is not Student's.
+    """
 
     ratio: float
     low: float
@@ -46,6 +49,7 @@ class RatioInterval(NamedTuple):
     low90: float
     high90: float
     effective_samples: float
+    chance: float = float("nan")
 
 
 NAN: Final = float("nan")
@@ -53,7 +57,12 @@ NOTHING: Final = RatioInterval(NAN, NAN, NAN, NAN, NAN, 0.0)
 
 
 def paired_ratio(
-    baseline_sq: Floats, candidate_sq: Floats, *, least_block: int = 1, is_correlated: bool = True
+    baseline_sq: Floats,
+    candidate_sq: Floats,
+    *,
+    least_block: int = 1,
+    is_correlated: bool = True,
+    log_scale: float = 0.0,
 ) -> RatioInterval:
     """Return the ratio of root mean squares of two filters' errors over the same times of one dive.
 
@@ -70,6 +79,8 @@ def paired_ratio(
         How many values a loss overlaps with, such as the length of a segment in steps.
     is_correlated : bool
         Whether neighbours may tell the same, so that their correlation is looked for.
+    log_scale : float
+        Logarithm of the candidate's unit over the baseline's.
 
     Returns
     -------
@@ -77,11 +88,11 @@ def paired_ratio(
         Its effective samples are those of the differential of the losses, over time and starts.
     """
     baseline, candidate = _finite_pairs(np.atleast_2d(baseline_sq), np.atleast_2d(candidate_sq))
-    if np.array_equal(baseline, candidate) and baseline.size:
-        return RatioInterval(1.0, 1.0, 1.0, 1.0, 1.0, float(baseline.size))
+    if np.array_equal(baseline, candidate) and baseline.size and not log_scale:
+        return RatioInterval(1.0, 1.0, 1.0, 1.0, 1.0, float(baseline.size), 1.0)
     if baseline.shape[1] < 2 or not (baseline.any() and candidate.any()):
         return NOTHING
-    log_ratio = 0.5 * float(np.log(candidate.mean() / baseline.mean()))
+    log_ratio = 0.5 * float(np.log(candidate.mean() / baseline.mean())) + log_scale
     together = -(-baseline.shape[1] // MOST_VALUES)
     baseline, candidate = _averaged(baseline, together), _averaged(candidate, together)
     differential = 0.5 * (candidate / candidate.mean() - baseline / baseline.mean())
@@ -107,11 +118,12 @@ def windows_ratio(baseline: Floats, candidate: Floats) -> RatioInterval:
     if len(before) < 2 or not (before.any() and after.any()):
         return NOTHING
     # Drifts of a filter that broke down have squares beyond all numbers.
-    scale = float(after.max() / before.max())
-    found = paired_ratio(
-        (before / before.max()) ** 2, (after / after.max()) ** 2, is_correlated=len(before) >= FEWEST_CORRELATED
+    return paired_ratio(
+        (before / before.max()) ** 2,
+        (after / after.max()) ** 2,
+        is_correlated=len(before) >= FEWEST_CORRELATED,
+        log_scale=float(np.log(after.max()) - np.log(before.max())),
     )
-    return found._replace(**{end: getattr(found, end) * scale for end in ("ratio", "low", "high", "low90", "high90")})
 
 
 def word_of(interval: RatioInterval, margin: float = MARGIN) -> EvidenceWord:
@@ -178,14 +190,15 @@ def _freedom(first: float, first_freedom: float, second: float, second_freedom: 
 def _student_interval(log_ratio: float, log_sd: float, freedom: float, effective: float) -> RatioInterval:
     widths = [float(stdtrit(freedom, tail)) * log_sd for tail in TAILS]
     ends = [log_ratio + sign * width for width in widths for sign in (-1.0, 1.0)]
-    return _interval(log_ratio, ends, effective)
+    chance = 2.0 * float(stdtr(freedom, -abs(log_ratio) / log_sd)) if log_sd > 0.0 else float(log_ratio == 0.0)
+    return _interval(log_ratio, ends, effective, chance)
 
 
-def _interval(log_ratio: float, log_ends: Sequence[float], effective: float) -> RatioInterval:
+def _interval(log_ratio: float, log_ends: Sequence[float], effective: float, chance: float) -> RatioInterval:
     # A filter that broke down may be worse beyond all numbers: infinitely.
     with np.errstate(over="ignore", invalid="ignore"):
         low, high, low90, high90 = np.exp(log_ends).tolist()
-    return RatioInterval(float(np.exp(log_ratio)), low, high, low90, high90, effective)
+    return RatioInterval(float(np.exp(log_ratio)), low, high, low90, high90, effective, chance)
 
 
 def _effective_over_starts(differential: Floats) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from insdvl_replay.core.columns import Floats
-from insdvl_replay.core.quantities import DECIDING_TOGETHER
+from insdvl_replay.core.quantities import DECIDING_TOGETHER, EVIDENCE_QUANTITIES
 from insdvl_replay.core.rows import EvidenceRow, Number, finite
 from insdvl_replay.core.table_layout import Column
 from insdvl_replay.core.words import EvidenceWord, Judgement
@@ -59,7 +59,7 @@ def pooled_evidence(candidate: str, dives: Sequence[Sequence[EvidenceRow]]) -> l
     """
     found = [(rows, pooled_ratio(_log_ratios(rows))) for rows in _by_quantity(dives)]
     return [
-        _row(candidate, rows, pooled, _word(pooled, OF_OTHERS if place else OF_FIRST))
+        _row(candidate, rows, pooled, _word(rows, pooled, OF_OTHERS if place else OF_FIRST))
         for place, (rows, pooled) in enumerate(found)
     ]
 
@@ -108,8 +108,9 @@ def pooled_sentence(pooled: PooledCandidate) -> str:
 
 def _in_words(row: PooledRow) -> str:
     interval = interval_in_words(row.ratio, row.low, row.high)
+    won = "sooner" if row.evidence == "convergence" else "smaller"
     return (
-        f"{changed(row.quantity, finite(row.ratio))} (95 %: {interval}; smaller in "
+        f"{changed(row.quantity, finite(row.ratio))} (95 %: {interval}; {won} in "
         f"{row.dives_won} of {row.dives} dives, p = {finite(row.p):.2g})"
     )
 
@@ -120,11 +121,11 @@ def pooled_judgement(rows: Sequence[PooledRow], dives: int, judged: int) -> Judg
 
 
 def _by_quantity(dives: Sequence[Sequence[EvidenceRow]]) -> Iterator[list[EvidenceRow]]:
-    """Gather the rows of each quantity, in the order in which the dives have them."""
+    """Gather the rows of each quantity, the one that decides first in front, whichever dive has it."""
     gathered: dict[str, list[EvidenceRow]] = {}
     for row in (row for rows in dives for row in rows if row.evidence != HONESTY):
         gathered.setdefault(row.quantity, []).append(row)
-    yield from gathered.values()
+    yield from (gathered[quantity] for quantity in EVIDENCE_QUANTITIES if quantity in gathered)
 
 
 def _log_ratios(rows: Sequence[EvidenceRow]) -> Floats:
@@ -132,7 +133,10 @@ def _log_ratios(rows: Sequence[EvidenceRow]) -> Floats:
         return np.asarray(np.log([finite(row.ratio) for row in rows]))
 
 
-def _word(pooled: Pooled, largest_p: float) -> EvidenceWord:
+def _word(rows: Sequence[EvidenceRow], pooled: Pooled, largest_p: float) -> EvidenceWord:
+    if any((row.baseline is None) != (row.value is None) for row in rows):
+        # One of the filters never settled on some dive: the dives with a ratio are those where it did.
+        return EvidenceWord.UNDECIDED
     word = word_of(pooled.interval)
     decided = word in (EvidenceWord.BETTER, EvidenceWord.WORSE)
     return EvidenceWord.UNDECIDED if decided and not pooled.p < largest_p else word

@@ -35,8 +35,8 @@ from insdvl_replay.results.reference_tables import has_reference
 TENFOLD: Final = 10.0
 """From here on, a ratio has as many digits as other numbers."""
 MEANS: Final = (
-    "measured: how much smaller the error is by the first evidence, drift in 30 s against the reference or while the "
-    "DVL is withheld; believed: mean over nine states, by the filter's own covariance"
+    "measured: how much smaller the error is by the first piece of evidence; believed: mean over nine states, by the "
+    "filter's own covariance"
 )
 """What stands in the columns of candidates."""
 BLIND: Final = "Blind to heading, scale and a constant turn of the mounting, which the DVL itself shares."
@@ -156,7 +156,10 @@ def _ratio(value: Number) -> str:
 def _how_measured(rows: Sequence[EvidenceRow]) -> str:
     starts = max(row.starts for row in rows)
     drawn = f"from {starts} starts, drawn from what the filters say of theirs" if starts > 1 else "from one start"
-    return f"{drawn}; low to high: where the ratio lies with 95 %; n: independent values"
+    return (
+        f"{drawn}; low to high: where the ratio lies with 95 %, and words allow for the number of rows; n: independent "
+        "values; the ratio of NIS and of NEES is of how far they are from 1"
+    )
 
 
 def _coasting(rows: Sequence[CoastingRow]) -> Iterator[DisplayTable]:

@@ -109,3 +109,31 @@ def test_what_is_asked_wrongly_is_refused(
 ) -> None:
     assert run_command_line([*calibrate(dives, "dive_1"), *options]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_mounting_that_was_found_is_written_with_what_rests_on_it(
+    dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Configured by a right angle off; the arm and the delay alone are asked for."""
+    wrong, found = tmp_path / "wrong.toml", tmp_path / "found.toml"
+    wrong.write_text("[dvl]\nmounting_rpy_deg = [0.0, 0.0, 90.0]\n", "utf-8")
+    command = [*calibrate(dives, "dive_1"), "-c", str(wrong), "--mounting", "unknown", "--only", "arm,delay"]
+    assert run_command_line([*command, "-o", str(found)]) == 0
+    assert "of 24 mountings, roll 0, pitch 0, heading 0 deg is the likeliest" in capsys.readouterr().out
+    dvl = load_config("fog", [wrong, found]).dvl
+    assert dvl.mounting_rpy_deg == pytest.approx((0.0, 0.0, 0.0))
+    assert dvl.lever_arm_m == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
+
+
+def test_dives_of_the_same_name_are_held_out_one_by_one(
+    dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = []
+    for name in ("dive_1", "dive_2"):
+        (tmp_path / name).mkdir()
+        logs.append(tmp_path / name / "dive.mcap")
+        logs[-1].write_bytes((dives / f"{name}.mcap").read_bytes())
+    command = ["calibrate", *map(str, logs), "--preset", "fog", "--hold-out", "0.5", "--format", "json"]
+    assert run_command_line(command) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (len(result["dives"]), len(result["held_out"])) == (1, 1)

@@ -134,7 +134,8 @@ def nis(filter_: str, mean: float, verdict: str) -> ConsistencyRow:
     [
         ((10.0, "over-confident"), (1.05, "consistent"), "better"),
         ((1.0, "consistent"), (4.0, "over-confident"), "worse"),
-        ((0.1, "over-cautious"), (0.2, "over-cautious"), "better"),
+        ((0.1, "over-cautious"), (0.2, "over-cautious"), "equivalent"),
+        ((0.1, "over-cautious"), (1.0, "consistent"), "better"),
         ((0.5, "over-cautious"), (0.5, "over-cautious"), "equivalent"),
         ((0.1, "over-cautious"), (2.0, "over-confident"), "worse"),
     ],
