@@ -241,8 +241,8 @@ class CoastingRow(Struct, frozen=True):
 
     about: ClassVar = (
         "Windows of one length in which every velocity was withheld from a filter: how far it went astray by what the "
-        "withheld velocities say. Where a wrong heading, scale or "
-        "mounting about down takes the track is not seen."
+        "withheld velocities say. Where a wrong heading, scale or mounting about down takes the track is "
+        "not seen."
     )
     baseline_too: ClassVar = True
 

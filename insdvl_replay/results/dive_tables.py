@@ -39,7 +39,10 @@ MEANS: Final = (
     "filter's own covariance"
 )
 """What stands in the columns of candidates."""
-BLIND: Final = "Where a wrong heading, scale or constant turn of the mounting takes the track is not seen: the DVL itself shares it."
+BLIND: Final = (
+    "Where a wrong heading, scale or constant turn of the mounting takes the track is not seen: the DVL itself shares "
+    "it."
+)
 """What withheld velocities cannot tell."""
 TONES: Final[dict[str, str]] = {
     Judgement.BETTER: "good",
