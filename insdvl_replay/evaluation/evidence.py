@@ -122,14 +122,9 @@ _Named = tuple[str, str]
 """Dive and candidate."""
 
 
-_Piece = tuple[EvidenceRow, RatioInterval]
-"""A row, and the interval that it has of."""
-
-
-def _corrected(pieces: Sequence[_Piece]) -> list[EvidenceRow]:
+def _corrected(rows: Sequence[EvidenceRow]) -> list[EvidenceRow]:
     """Let better and worse stand where one of so many pieces is not so by chance, behind the first where it is far."""
-    adjusted = holm(np.array([_chance(interval) for _, interval in pieces]))
-    rows = [row for row, _ in pieces]
+    adjusted = holm(np.array([_chance(row) for row in rows]))
     return [
         replace(row, word=EvidenceWord.UNDECIDED)
         if _is_decided(row) and (p >= CHANCE or (place > 0 and not _is_far(row)))
@@ -146,18 +141,21 @@ def _is_decided(row: EvidenceRow) -> bool:
     return row.word in (EvidenceWord.BETTER, EvidenceWord.WORSE)
 
 
-def _chance(interval: RatioInterval) -> float:
-    """Return the two-sided p of a ratio: Student's, else as the normal distribution has it; 1 where unknown."""
-    if math.isfinite(interval.chance):
-        return interval.chance
-    ratio, low, high = interval.ratio, interval.low, interval.high
+def _chance(row: EvidenceRow) -> float:
+    """Return the two-sided p of a ratio as the normal distribution has it that its interval is of; 1 where unknown.
+
+    The interval is Student's, whose tails are heavier: of few blocks or windows p is too small. Holm's correction, in
+    turn, allows for pieces that tell nothing of each other, and most tell the same. How often the words are right is
+    measured (`make judge`).
+    """
+    ratio, low, high = finite(row.ratio), finite(row.low), finite(row.high)
     if not (ratio > 0.0 and 0.0 < low < high < math.inf):
         return 1.0
     sds = abs(math.log(ratio)) / (math.log(high / low) / (2.0 * NORMAL_95))
     return math.erfc(sds / math.sqrt(2.0))
 
 
-def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[_Piece]:
+def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
     ours = measured.losses.get(named[1], {})
     for quantity, before in measured.losses.get(baseline, {}).items():
         after = ours[quantity]
@@ -166,11 +164,10 @@ def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[_Pie
         values = _rms(before.squared), _rms(after.squared)
         below_floor = max(values) <= before.floor
         word = EvidenceWord.UNDECIDED if below_floor else word_of(interval)
-        ends = _ends(interval)
-        yield EvidenceRow(*named, "accuracy", quantity, before.unit, *values, *ends, starts, windows, word), interval
+        yield EvidenceRow(*named, "accuracy", quantity, before.unit, *values, *_ends(interval), starts, windows, word)
 
 
-def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[_Piece]:
+def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
     for window, before in measured.coasting.get(baseline, {}).items():
         after = measured.coasting[named[1]][window]
         if not len(before):
@@ -178,10 +175,10 @@ def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[_Pie
         interval = windows_ratio(before, after)
         values = _rms(before**2), _rms(after**2)
         quantity, word = f"coasting_{window}", word_of(interval)
-        yield EvidenceRow(*named, "coasting", quantity, "m", *values, *_ends(interval), 1, len(before), word), interval
+        yield EvidenceRow(*named, "coasting", quantity, "m", *values, *_ends(interval), 1, len(before), word)
 
 
-def _convergence(named: _Named, measured: Measured) -> Iterator[_Piece]:
+def _convergence(named: _Named, measured: Measured) -> Iterator[EvidenceRow]:
     converged = measured.convergence.get(named[1], {})
     for quantity, name in CONVERGED.items():
         if (found := converged.get(name)) is not None:
@@ -190,8 +187,7 @@ def _convergence(named: _Named, measured: Measured) -> Iterator[_Piece]:
             values = found.baseline_s, found.candidate_s
             word = _word_of_convergence(interval)
             name = f"convergence_{quantity}"
-            row = EvidenceRow(*named, "convergence", name, "s", *values, *_ends(interval), found.starts, 0, word)
-            yield row, interval
+            yield EvidenceRow(*named, "convergence", name, "s", *values, *_ends(interval), found.starts, 0, word)
 
 
 def _word_of_convergence(interval: RatioInterval) -> EvidenceWord:

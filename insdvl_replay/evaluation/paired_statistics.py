@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtr, stdtrit
+from scipy.special import stdtrit
 
 from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.words import EvidenceWord
@@ -38,10 +38,7 @@ Indices = NDArray[np.int64]
 
 
 class RatioInterval(NamedTuple):
-    """Candidate over baseline, with the 95 % and the 90 % interval; all NaN where nothing could be compared.
-
-    ``chance`` is the two-sided p of a ratio of 1; NaN where it is not Student's.
-    """
+    """Candidate over baseline, with the 95 % and the 90 % interval; all NaN where nothing could be compared."""
 
     ratio: float
     low: float
@@ -49,7 +46,6 @@ class RatioInterval(NamedTuple):
     low90: float
     high90: float
     effective_samples: float
-    chance: float = float("nan")
 
 
 NAN: Final = float("nan")
@@ -89,7 +85,7 @@ def paired_ratio(
     """
     baseline, candidate = _finite_pairs(np.atleast_2d(baseline_sq), np.atleast_2d(candidate_sq))
     if np.array_equal(baseline, candidate) and baseline.size and not log_scale:
-        return RatioInterval(1.0, 1.0, 1.0, 1.0, 1.0, float(baseline.size), 1.0)
+        return RatioInterval(1.0, 1.0, 1.0, 1.0, 1.0, float(baseline.size))
     if baseline.shape[1] < 2 or not (baseline.any() and candidate.any()):
         return NOTHING
     log_ratio = 0.5 * float(np.log(candidate.mean() / baseline.mean())) + log_scale
@@ -190,15 +186,14 @@ def _freedom(first: float, first_freedom: float, second: float, second_freedom: 
 def _student_interval(log_ratio: float, log_sd: float, freedom: float, effective: float) -> RatioInterval:
     widths = [float(stdtrit(freedom, tail)) * log_sd for tail in TAILS]
     ends = [log_ratio + sign * width for width in widths for sign in (-1.0, 1.0)]
-    chance = 2.0 * float(stdtr(freedom, -abs(log_ratio) / log_sd)) if log_sd > 0.0 else float(log_ratio == 0.0)
-    return _interval(log_ratio, ends, effective, chance)
+    return _interval(log_ratio, ends, effective)
 
 
-def _interval(log_ratio: float, log_ends: Sequence[float], effective: float, chance: float) -> RatioInterval:
+def _interval(log_ratio: float, log_ends: Sequence[float], effective: float) -> RatioInterval:
     # A filter that broke down may be worse beyond all numbers: infinitely.
     with np.errstate(over="ignore", invalid="ignore"):
         low, high, low90, high90 = np.exp(log_ends).tolist()
-    return RatioInterval(float(np.exp(log_ratio)), low, high, low90, high90, effective, chance)
+    return RatioInterval(float(np.exp(log_ratio)), low, high, low90, high90, effective)
 
 
 def _effective_over_starts(differential: Floats) -> float:

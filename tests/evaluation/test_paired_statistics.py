@@ -156,7 +156,7 @@ def test_exchanged_filters_have_the_inverse_interval() -> None:
 
 def test_same_losses_are_equal_beyond_doubt() -> None:
     losses = np.random.default_rng(10).random(50)
-    assert paired_ratio(losses, losses) == RatioInterval(1.0, 1.0, 1.0, 1.0, 1.0, 50.0, 1.0)
+    assert paired_ratio(losses, losses) == RatioInterval(1.0, 1.0, 1.0, 1.0, 1.0, 50.0)
 
 
 def test_times_that_are_not_numbers_are_left_out_and_too_few_give_nothing() -> None:
