@@ -44,7 +44,7 @@ def inspect(
     Example:
       insdvl-replay inspect dive.mcap
       insdvl-replay inspect dive.mcap --deep -c vehicle.toml
-      insdvl-replay inspect dive.mcap --propose vehicle.toml
+      insdvl-replay inspect dive.mcap --propose proposed.toml
       insdvl-replay inspect dives/*.mcap --format json
       insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
