@@ -9,8 +9,8 @@ import unknown_logs
 from content import content_of, file_of
 from mcap.writer import CompressionType, Writer
 
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive

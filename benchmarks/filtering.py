@@ -21,8 +21,8 @@ from plain_filter import Inputs, baseline_inputs, run_plain_filter
 from python_ins import Case, their_belief
 from results import machine, table, write_part
 
-from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.studies import simulated_run
 from insdvl_replay.studies.montecarlo import study_montecarlo

@@ -14,7 +14,7 @@ from gtsam.symbol_shorthand import B, V, X
 from instants import Instants, instants
 from plain_filter import Inputs
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.earth import EARTH_RATE, normal_gravity
 from insdvl_replay.geometry.rotation import skew

@@ -23,8 +23,8 @@ from results import machine, table, write_part
 from true_errors import MeanSquares, Soundness, mean_squares, soundness, true_ratios, truth
 from worlds import DURATION_S, SCENARIO, WORLDS, dive_seed, exact_way, made_dive
 
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.words import Judgement

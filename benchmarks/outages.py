@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 from results import machine, table, write_part
 
-from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.runtime import each
 from insdvl_replay.evaluation.ensemble import RunErrors
 from insdvl_replay.sim.dive import exact_dive

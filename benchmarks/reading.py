@@ -22,8 +22,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from results import machine, table, write_part
 
-from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.runtime import collect_rarely, use_small_pages
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container.recording import open_recording

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.columns import NS_PER_S, Floats
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.evaluation.reference import ReferenceErrors
 

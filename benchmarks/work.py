@@ -20,8 +20,8 @@ from numba.core.runtime import _nrt_python, rtsys
 from plain_filter import Inputs, baseline_inputs
 from results import machine, table, write_part
 
-from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.nav.error_model import propagate_cov
 from insdvl_replay.nav.filter import run_filter

@@ -13,9 +13,9 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Acceleration, Config, Filter, Initial, Noise
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 from insdvl_replay.studies.simulated_run import matched_errors

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config, Reference
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import begin, return_freed_memory
@@ -15,7 +15,7 @@ from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.consistency import update_notes
 from insdvl_replay.evaluation.curves import Curves, curves_of
 from insdvl_replay.evaluation.hints import settings_hints
-from insdvl_replay.evaluation.judging import compared_filters, judged_candidates, judged_times, reference_notes
+from insdvl_replay.evaluation.judging import judged_candidates, judged_times, reference_notes, tables_of_filters
 from insdvl_replay.evaluation.losses import ReferenceNoise
 from insdvl_replay.evaluation.reference import ReferenceErrors
 from insdvl_replay.nav.dvl import DvlVelocities
@@ -118,31 +118,31 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         The settings do not fit the dive.
     """
     dive = with_reference_at_imu(dive, config)
-    start = prepare_dive(dive, config)
-    span = start.alignment.start_ns, start.end_ns
+    prepared = prepare_dive(dive, config)
+    span = prepared.alignment.start_ns, prepared.end_ns
     judged_ns = judged_times(dive.reference, *span, filters=len(config.filters))
-    plan, timeline = coasting_plan(start), prepared_timeline(dive, start)
-    histories = run_filters(start, timeline, cov_ns=np.union1d(judged_ns, plan.start_ns))
-    coasts = coasting_of(start, timeline, histories, plan)
+    plan, timeline = coasting_plan(prepared), prepared_timeline(dive, prepared)
+    histories = run_filters(prepared, timeline, cov_ns=np.union1d(judged_ns, plan.start_ns))
+    coasts = coasting_of(prepared, timeline, histories, plan)
     draws = config.evaluation
-    drawn = run_from_drawn_starts(dive, start, draws.starts, draws.seed) if dive.reference is not None else ()
+    drawn = run_from_drawn_starts(dive, prepared, draws.starts, draws.seed) if dive.reference is not None else ()
     del timeline
     dive = replace(dive, imu=dive.imu.times_only())
     return_freed_memory()
     begin("judging the filters")
-    bridged_gaps, independent = len(start.gaps.start_ns) > 0, config.reference.independent
-    errors, tables = compared_filters(
+    bridged_gaps, independent = len(prepared.gaps.start_ns) > 0, config.reference.independent
+    errors, tables = tables_of_filters(
         dive, histories, drawn, coasts, _noise_of(config.reference), start_ns=span[0], bridged_gaps=bridged_gaps
     )
     curves = curves_of(drawn, coasts)
-    notes = dive.notes + start.notes + outage_notes(start.velocities.time_ns, *span) + update_notes(histories)
+    notes = dive.notes + prepared.notes + outage_notes(prepared.velocities.time_ns, *span) + update_notes(histories)
     notes += reference_notes(dive, *span, histories[0], judged_ns, independent=independent)
     tables, judged = judged_candidates(histories, tables, notes, independent=independent)
     notes += settings_hints(tables, histories[0])
     if not keep_cov:
         histories = tuple(history.without_cov() for history in histories)
     return_freed_memory()
-    return Replay(dive, config, *span, start.velocities, histories, errors, tables, judged, curves, notes)
+    return Replay(dive, config, *span, prepared.velocities, histories, errors, tables, judged, curves, notes)
 
 
 def _noise_of(reference: Reference) -> ReferenceNoise:

@@ -19,8 +19,8 @@ from written import PROJECT, markdown_table, renewed
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.rows import finite
 from insdvl_replay.core.states import NINE
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.evaluation.evidence import NAMES
 from insdvl_replay.evaluation.pooled_evidence import PooledRow, pooled_evidence

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, TimeNs
+from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.nav.timeline import Node, Timeline, first_node, is_event, is_last, next_node
 
 

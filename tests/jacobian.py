@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 
 
 def assert_jacobian(

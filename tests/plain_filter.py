@@ -7,8 +7,8 @@ import numpy as np
 from instants import instants
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.geometry.rotation import skew

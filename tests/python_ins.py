@@ -17,8 +17,8 @@ from pyins.transform import mat_from_rph, mat_to_rph
 from pyins.util import ACCEL_COLS, GYRO_COLS, TRAJECTORY_COLS
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.config import Config, Dvl, Filter, Initial, Noise, Span, Vector
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, MG
 from insdvl_replay.geometry.earth import EARTH_RATE

@@ -11,7 +11,7 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.logs import write_dive
 from insdvl_replay.logs.container.recording import Recording
 

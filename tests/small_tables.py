@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from insdvl_replay.core.columns import NS_PER_S, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
 from insdvl_replay.logs.columns.cleaning import Cleaner
 from insdvl_replay.logs.columns.tables import Table
 from insdvl_replay.logs.columns.topic_requirements import Source

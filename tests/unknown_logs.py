@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.writer import Writer as RosWriter
 
-from insdvl_replay.core.columns import Dive
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.states import DEG
 from insdvl_replay.inspection.inventory import Inventory
 from insdvl_replay.logs import write_dive

@@ -12,8 +12,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.core.columns import Dive, Floats, ImuColumns
 from insdvl_replay.core.config import Config, Filter
+from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.runtime import begin
 from insdvl_replay.core.words import Severity

@@ -16,7 +16,8 @@ from insdvl_replay.calibration.certainty import (
     own_delays,
 )
 from insdvl_replay.calibration.fit import DELAY_STEP_S, Fit, Mask, fit, scatter_of
-from insdvl_replay.calibration.geometry import (
+from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
+from insdvl_replay.calibration.parameters import (
     DELAY,
     GROUPS,
     PARAMETERS,
@@ -24,12 +25,11 @@ from insdvl_replay.calibration.geometry import (
     DvlGeometry,
     Parameter,
 )
-from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
 from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow, ReferenceDiveRow
 from insdvl_replay.calibration.with_reference import ReferenceGeometry
-from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.rows import Number
+from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.table_layout import Number
 from insdvl_replay.core.words import Estimated
 
 SCALE_SEEN: Final = 30.0

@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.calibration.fit import Fit, Linearised
-from insdvl_replay.calibration.geometry import DELAY, NAMES, PRIOR_SD
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.calibration.parameters import DELAY, NAMES, PRIOR_SD
+from insdvl_replay.core.dive_columns import Floats
 
 FEWEST_DIVES: Final = 2
 SEEN: Final = 3.0

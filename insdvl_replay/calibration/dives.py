@@ -10,11 +10,11 @@ import msgspec
 import numpy as np
 
 from insdvl_replay.calibration.fit import robust_cost
-from insdvl_replay.calibration.geometry import NAMES, DvlGeometry, moved_mounting, moved_pings
 from insdvl_replay.calibration.innovations import DiveInnovations, dive_innovations
+from insdvl_replay.calibration.parameters import NAMES, DvlGeometry, moved_mounting, moved_pings
 from insdvl_replay.calibration.rows import HeldOutRow
-from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.coasting import coasting_table
 from insdvl_replay.evaluation.paired_statistics import windows_ratio

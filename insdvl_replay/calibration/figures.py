@@ -9,10 +9,10 @@ from insdvl_replay.calibration.calibration import AXES, Calibration
 from insdvl_replay.calibration.certainty import mean_change, one_by_one
 from insdvl_replay.calibration.document import LABELS
 from insdvl_replay.calibration.fit import Fit, delay_profile
-from insdvl_replay.calibration.geometry import DELAY, NAMES, PARAMETERS
 from insdvl_replay.calibration.innovations import LATEST_S, SKIPPED, DiveInnovations
+from insdvl_replay.calibration.parameters import DELAY, NAMES, PARAMETERS
 from insdvl_replay.calibration.rows import HeldOutRow
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.report.document import counted
 from insdvl_replay.report.plots.panel import LIMIT, REFERENCE, Curve, Figure, Panel, filter_style
 from insdvl_replay.results.filter_figures import Clock

@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.calibration.geometry import DELAY, NAMES, PRIOR_SD
 from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.calibration.parameters import DELAY, NAMES, PRIOR_SD
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.runtime import each
 
 SOFT: Final = 2.0

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.calibration.geometry import DELAY, NAMES, SCALE, STEPS, moved_mounting, moved_pings
-from insdvl_replay.core.columns import Dive, Floats, nanoseconds
+from insdvl_replay.calibration.parameters import DELAY, NAMES, SCALE, STEPS, moved_mounting, moved_pings
+from insdvl_replay.core.dive_columns import Dive, Floats, nanoseconds
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import each

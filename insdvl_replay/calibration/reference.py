@@ -18,8 +18,8 @@ from insdvl_replay.calibration.calibration import (
 from insdvl_replay.calibration.certainty import SEEN, Certainty
 from insdvl_replay.calibration.dives import ReadDive
 from insdvl_replay.calibration.fit import Mask
-from insdvl_replay.calibration.geometry import NAMES, PRIOR_SD, SCALE
 from insdvl_replay.calibration.innovations import DiveInnovations
+from insdvl_replay.calibration.parameters import NAMES, PRIOR_SD, SCALE
 from insdvl_replay.calibration.reference_fit import ReferenceFit, fit_reference
 from insdvl_replay.calibration.rows import ParameterRow, ReferenceDiveRow
 from insdvl_replay.calibration.with_reference import (
@@ -34,7 +34,7 @@ from insdvl_replay.calibration.with_reference import (
     ReferenceGeometry,
     reference_dive,
 )
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.reference import reference_errors

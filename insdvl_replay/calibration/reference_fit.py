@@ -22,7 +22,7 @@ from insdvl_replay.calibration.with_reference import (
     SHARED_SD,
     ReferenceDive,
 )
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.effective_samples import samples_in_mean
 
 ROUNDS: Final = 5

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.calibration.fit import scatter_of
-from insdvl_replay.calibration.geometry import (
+from insdvl_replay.calibration.innovations import DiveInnovations
+from insdvl_replay.calibration.parameters import (
     GROUPS,
     MOUNTING,
     NAMES,
@@ -25,9 +26,8 @@ from insdvl_replay.calibration.geometry import (
     moved_mounting,
     moved_pings,
 )
-from insdvl_replay.calibration.innovations import DiveInnovations
-from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, nanoseconds, seconds
 from insdvl_replay.core.config import Reference
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, nanoseconds, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.states import DEG, PHI

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.checks.imu import AXES, ENOUGH, LONGEST_STEP_S, Check, lies_within
-from insdvl_replay.core.columns import DvlColumns, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import DvlColumns, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, FASTEST_MPS
 from insdvl_replay.core.words import Severity

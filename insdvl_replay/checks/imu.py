@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import (
+from insdvl_replay.core.config import Imu
+from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Floats,
     ImuColumns,
@@ -22,7 +23,6 @@ from insdvl_replay.core.columns import (
     nanoseconds,
     seconds,
 )
-from insdvl_replay.core.config import Imu
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, MG
 from insdvl_replay.core.words import Severity

@@ -36,8 +36,16 @@ from insdvl_replay.checks.imu import (
     turned_by,
 )
 from insdvl_replay.checks.reference import reference_checks
-from insdvl_replay.core.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, nanoseconds, seconds
 from insdvl_replay.core.config import Config, Imu, Initial
+from insdvl_replay.core.dive_columns import (
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    TimeNs,
+    nanoseconds,
+    seconds,
+)
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR
 from insdvl_replay.core.words import Severity

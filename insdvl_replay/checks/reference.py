@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.checks.dvl import Complex, horizontal, median_speed_mps
 from insdvl_replay.checks.imu import LONGEST_STEP_S, Check, lies_within, turned_by
-from insdvl_replay.core.columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, seconds
+from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity

@@ -81,8 +81,8 @@ def calibrate(
     from insdvl_replay.calibration.dives import held_out_row, likeliest_mounting, with_mounting
     from insdvl_replay.calibration.document import calibration_document
     from insdvl_replay.calibration.figures import calibration_figures
-    from insdvl_replay.calibration.geometry import DvlGeometry
     from insdvl_replay.calibration.output import calibration_csv, calibration_json, calibration_toml
+    from insdvl_replay.calibration.parameters import DvlGeometry
     from insdvl_replay.calibration.reference import with_reference
     from insdvl_replay.cli.messages import log_to_stderr, write_stdout
     from insdvl_replay.cli.screen import compiling, in_format, spinner
@@ -138,7 +138,7 @@ def _named(file: Path | None) -> str:
 
 
 def _groups(only: str | None, *, reference: bool) -> tuple[str, ...]:
-    from insdvl_replay.calibration.geometry import GROUPS
+    from insdvl_replay.calibration.parameters import GROUPS
     from insdvl_replay.calibration.with_reference import REFERENCE_GROUPS
     from insdvl_replay.core.errors import ConfigError, require_known
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, TimeNs
+from insdvl_replay.core.dive_columns import Floats, TimeNs
 
 
 @dataclass(frozen=True)

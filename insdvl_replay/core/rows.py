@@ -3,7 +3,6 @@
 Numbers that are missing are NaN as they are computed, and null, or None, in a report.
 """
 
-import math
 from typing import Annotated, ClassVar, Final
 
 from msgspec import Struct
@@ -23,10 +22,9 @@ from insdvl_replay.core.quantities import (
     axis_of,
 )
 from insdvl_replay.core.states import STATES
-from insdvl_replay.core.table_layout import Column
+from insdvl_replay.core.table_layout import Column, Number
 from insdvl_replay.core.words import EvidenceWord, Whiteness
 
-Number = float | None
 _WHY: Final = Column("Why the verdict is not what the interval says, if it is not.")
 _STATE: Final = Column(names=tuple(state.id for state in STATES))
 _REFERENCE_QUANTITY: Final = Column(names=tuple(REFERENCE_QUANTITIES))
@@ -35,11 +33,6 @@ _MEASUREMENT: Final = Column(
 )
 _EVIDENCE_QUANTITY: Final = Column(names=EVIDENCE_QUANTITIES)
 _CREDIBILITY_QUANTITY: Final = Column(names=(*CREDIBILITY_QUANTITIES, *CREDIBILITY_GROUPS, JOINT))
-
-
-def finite(number: Number) -> float:
-    """Return a number of a row, NaN where it is missing or not finite."""
-    return math.nan if number is None or not math.isfinite(number) else number
 
 
 class ImprovementRow(Struct, frozen=True):

@@ -1,10 +1,12 @@
 """What is known of the columns of a table beside their types, and of a table without its rows."""
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from msgspec import Struct
 
+Number = float | None
 Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
 """What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES."""
 Kind = Literal["text", "count", "number"]
@@ -14,6 +16,11 @@ UNITS: Final = {PERCENTAGE: "%", "_s": "s", "_mps": "m/s", "_m": "m"}
 """Units by the end of a column's name."""
 RATIO: Final = "ratio"
 """So begin columns without a unit."""
+
+
+def finite(number: Number) -> float:
+    """Return a number of a row, NaN where it is missing or not finite."""
+    return math.nan if number is None or not math.isfinite(number) else number
 
 
 @dataclass(frozen=True)

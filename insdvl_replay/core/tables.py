@@ -14,11 +14,10 @@ from insdvl_replay.core.rows import (
     DriftRow,
     EvidenceRow,
     ImprovementRow,
-    Number,
     ReferenceErrorRow,
     TrackFitRow,
 )
-from insdvl_replay.core.table_layout import Column, TableLayout, layout_of
+from insdvl_replay.core.table_layout import Column, Number, TableLayout, layout_of
 from insdvl_replay.core.words import Belief, Judgement
 
 

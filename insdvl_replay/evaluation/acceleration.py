@@ -8,7 +8,7 @@ reference of 1 Hz says nothing of it inside a sharp turn, while the body's own v
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, seconds
 
 
 def reference_acceleration(reference: ReferenceColumns, max_gap_s: float) -> Floats:

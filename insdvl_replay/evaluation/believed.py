@@ -9,10 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History
-from insdvl_replay.core.rows import ConvergenceRow, ImprovementRow, finite
+from insdvl_replay.core.rows import ConvergenceRow, ImprovementRow
 from insdvl_replay.core.states import NINE, STATES
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import ImprovementStatus
 
 SAME_PCT = 0.05

@@ -42,7 +42,7 @@ def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tup
     )
 
 
-def verdict(mean: float, low: float, high: float, dof: int) -> Consistency:
+def consistency_word(mean: float, low: float, high: float, dof: int) -> Consistency:
     """Judge a mean NIS or NEES: consistent in its interval or near ``dof``, over-confident above, or over-cautious."""
     if not np.isfinite(mean):
         return Consistency.NOT_FINITE

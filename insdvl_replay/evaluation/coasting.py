@@ -11,7 +11,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, TimeNs, seconds
+from insdvl_replay.core.dive_columns import Floats, TimeNs, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.rows import CoastingRow
 from insdvl_replay.evaluation.coasting_windows import SHOWN_S, CoastingPlan, Windows

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import NS_PER_S, TimeNs, is_new
+from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs, is_new
 from insdvl_replay.core.quantities import COASTING_WINDOWS_S
 
 WINDOWS_S: Final = tuple(map(int, COASTING_WINDOWS_S))

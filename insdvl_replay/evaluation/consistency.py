@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import NS_PER_S, Floats
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import AXES, axis_of
 from insdvl_replay.core.rows import ConsistencyRow
 from insdvl_replay.core.words import Consistency, Severity, Whiteness
-from insdvl_replay.evaluation.chi_square import mean_interval, reason, verdict
+from insdvl_replay.evaluation.chi_square import consistency_word, mean_interval, reason
 
 FEWEST_UPDATES = 10
 """With fewer updates the verdict is ``too few``."""
@@ -80,7 +80,7 @@ def _judged(nis: Floats, dof: int) -> tuple[float, float, float, Consistency]:
         return nan, nan, nan, Consistency.TOO_FEW
     mean_nis = float(nis.mean())
     low, high = mean_interval(dof, len(nis))
-    return mean_nis, low, high, verdict(mean_nis, low, high, dof)
+    return mean_nis, low, high, consistency_word(mean_nis, low, high, dof)
 
 
 def log_likelihood(innovations: Innovations) -> float:

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, seconds
+from insdvl_replay.core.dive_columns import Floats, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.rows import ConvergenceRow
 from insdvl_replay.core.states import STATES

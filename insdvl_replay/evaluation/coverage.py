@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, TruthColumns, nanoseconds, seconds
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, TruthColumns, nanoseconds, seconds
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betainc, chdtr
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES, JOINT
 from insdvl_replay.core.rows import CredibilityRow
 from insdvl_replay.core.states import BA
 from insdvl_replay.core.words import Consistency, Reason
-from insdvl_replay.evaluation.chi_square import CONFIDENCE, chi_square_quantile, mean_interval, reason, verdict
+from insdvl_replay.evaluation.chi_square import CONFIDENCE, chi_square_quantile, consistency_word, mean_interval, reason
 from insdvl_replay.evaluation.consistency import FEWEST_UPDATES
 from insdvl_replay.evaluation.effective_samples import samples_in_mean_square
 from insdvl_replay.evaluation.state_errors import StateErrors, about_vehicle, shared_variance, whitened
@@ -165,7 +165,7 @@ def _word(
     a velocity across the track or, on a straight line, a horizontal accelerometer bias. Errors that are too small are
     therefore held against the own share of a variance, which would be left if the attitude were known.
     """
-    word = verdict(mean_nees, low, high, dof)
+    word = consistency_word(mean_nees, low, high, dof)
     if word != Consistency.OVER_CONFIDENT and dof * independent < FEWEST_UPDATES:
         return Consistency.TOO_FEW, Reason.NONE
     if word == Consistency.OVER_CAUTIOUS and mean_nees >= FAR_SMALLER * own_share * dof:

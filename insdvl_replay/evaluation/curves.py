@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, TimeNs
+from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.quantities import CONVERGED
 from insdvl_replay.core.states import DV, PHI
 from insdvl_replay.evaluation.coasting import Coasts, DriftOverTime, drift_over_time, window_ends

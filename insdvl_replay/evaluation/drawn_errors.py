@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns, TruthColumns, seconds
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TruthColumns, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import PHI, STATES
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_errors

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, nanoseconds, seconds
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, nanoseconds, seconds
 from insdvl_replay.evaluation.reference import ReferenceErrors
 from insdvl_replay.geometry.frames import north_east_m
 

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 
 ROUNDS: Final = 3
 """The bias depends on the correlation time that it biases: so often the two are brought to agree."""

@@ -9,7 +9,7 @@ import pandas as pd
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import Consistency
 from insdvl_replay.evaluation.believed import improvement_pct
-from insdvl_replay.evaluation.chi_square import mean_interval, reason, verdict
+from insdvl_replay.evaluation.chi_square import consistency_word, mean_interval, reason
 from insdvl_replay.evaluation.consistency import FEWEST_UPDATES
 from insdvl_replay.evaluation.ensemble import Ensemble, RunErrors, Tally
 
@@ -79,7 +79,7 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
         low, high = mean_interval(DOF, ensemble.runs)
         mean = float(at_pings.mean())
         inside_pct = 100.0 * float(np.mean((at_pings >= low) & (at_pings <= high)))
-        word = Consistency.TOO_FEW if ensemble.runs < FEWEST_UPDATES else verdict(mean, low, high, DOF)
+        word = Consistency.TOO_FEW if ensemble.runs < FEWEST_UPDATES else consistency_word(mean, low, high, DOF)
         judged = inside_pct, float(at_pings[-1]), word, reason(word, mean, low, high)
         rows.append((ensemble.filter, ensemble.runs, DOF, mean, low, high, *judged))
     names = ["filter", "runs", "dof", "mean_nees", "low", "high", "inside_pct", "final_nees", "verdict", "why"]

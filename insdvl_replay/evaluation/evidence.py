@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import (
     COASTING_WINDOWS_S,
     CONVERGED,
@@ -22,7 +22,8 @@ from insdvl_replay.core.quantities import (
     VERDICTS_BEST_FIRST,
     is_whole,
 )
-from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow, finite
+from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import Consistency, EvidenceWord
 from insdvl_replay.evaluation.consistency import NORMAL_95
 from insdvl_replay.evaluation.losses import Losses

@@ -9,8 +9,8 @@ import numpy as np
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import AXES, axis_of
-from insdvl_replay.core.rows import finite
 from insdvl_replay.core.states import DEG, PHI
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.tables import Tables
 
 APART: Final = 5.0

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from msgspec.structs import replace
 
-from insdvl_replay.core.columns import Dive, ReferenceColumns, TimeNs
+from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.rows import DriftRow, TrackFitRow
@@ -51,7 +51,7 @@ def _inside(reference_ns: TimeNs, start_ns: int, end_ns: int) -> TimeNs:
     return reference_ns[(reference_ns >= start_ns) & (reference_ns <= end_ns)]
 
 
-def compared_filters(
+def tables_of_filters(
     dive: Dive,
     histories: tuple[History, ...],
     drawn: tuple[DrawnErrors, ...],

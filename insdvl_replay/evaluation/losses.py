@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.states import DEG, PHI
 from insdvl_replay.evaluation.coverage import WELL_COVERED, covered_share
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors

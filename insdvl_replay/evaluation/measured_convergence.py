@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.words import ConvergenceStatus
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors, squared_errors
 

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.paired_statistics import DRAWS, NAN, SEED, Indices, RatioInterval
 
 NOT_BELOW: Final = 1.0 - 1e-12

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.words import EvidenceWord
 from insdvl_replay.evaluation.effective_samples import block_length, samples_in_mean, slow_part
 

@@ -7,10 +7,10 @@ from typing import Annotated, ClassVar, Final
 import numpy as np
 from msgspec import Struct
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import DECIDING_TOGETHER, EVIDENCE_QUANTITIES
-from insdvl_replay.core.rows import EvidenceRow, Number, finite
-from insdvl_replay.core.table_layout import Column
+from insdvl_replay.core.rows import EvidenceRow
+from insdvl_replay.core.table_layout import Column, Number, finite
 from insdvl_replay.core.words import EvidenceWord, Judgement
 from insdvl_replay.evaluation.evidence import HONESTY
 from insdvl_replay.evaluation.over_dives import Pooled, pooled_ratio

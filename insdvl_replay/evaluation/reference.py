@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.core.rows import ReferenceErrorRow

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,12 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc
 
-from insdvl_replay.core.columns import NS_PER_S
+from insdvl_replay.core.dive_columns import NS_PER_S
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import is_whole
-from insdvl_replay.core.rows import ConsistencyRow, ReferenceErrorRow, finite
+from insdvl_replay.core.rows import ConsistencyRow, ReferenceErrorRow
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.tables import Tables
 from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejections

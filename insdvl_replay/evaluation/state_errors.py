@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, TruthColumns
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, TruthColumns
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, nanoseconds
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, nanoseconds
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.effective_samples import samples_in_mean
 from insdvl_replay.evaluation.reference import SHORTEST_M, ReferenceErrors

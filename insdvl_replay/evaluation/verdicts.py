@@ -12,7 +12,8 @@ from typing import Final, Protocol, TypeVar
 import numpy as np
 
 from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, DECIDING, VERDICTS_BEST_FIRST, is_whole
-from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow, Number, finite
+from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
+from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.believed import mean_over_nine

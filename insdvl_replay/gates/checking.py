@@ -10,8 +10,8 @@ from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ConfigError, ResultError, UserError, looked_for
 from insdvl_replay.core.stored_report import StoredReport, StoredResult
 from insdvl_replay.core.words import GateLevel, GateStatus
-from insdvl_replay.gates.findings import gate_findings
 from insdvl_replay.gates.gate_file import Gates
+from insdvl_replay.gates.judged_cells import gate_findings
 from insdvl_replay.gates.model import LOG, CheckResult, Finding, Gate, Judgement
 from insdvl_replay.results.folder import COMPLETE, result_file
 from insdvl_replay.results.json_report import Report, as_json

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 
 EARTH_RATE: Final = 7.292115e-5
 """Rotation rate of the Earth, rad/s."""

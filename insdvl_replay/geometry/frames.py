@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.rotation import quat_from_mat, wrap_angle
 

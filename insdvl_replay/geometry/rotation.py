@@ -6,7 +6,7 @@ Source: Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Naviga
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 
 
 def skew(vector: Floats) -> Floats:

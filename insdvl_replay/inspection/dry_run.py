@@ -14,8 +14,8 @@ import numpy as np
 
 from insdvl_replay.checks.imu import Check
 from insdvl_replay.checks.plausibility import plausibility_checks
-from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import DvlColumns, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import ConfigError, Note, UserError
 from insdvl_replay.core.words import Severity

@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import Final
 
 from insdvl_replay.checks.dvl import Fit, dvl_by_velocity
-from insdvl_replay.core.columns import DvlColumns, ReferenceColumns
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import DvlColumns, ReferenceColumns
 from insdvl_replay.core.states import VELOCITY_UNITS
 from insdvl_replay.geometry.frames import MAT_FRD_FLU
 from insdvl_replay.inspection.proposed_settings import Setting, field_setting, stamp_setting

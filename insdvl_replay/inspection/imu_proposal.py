@@ -8,8 +8,8 @@ import numpy as np
 
 from insdvl_replay.checks.imu import SPIN_RADPS, gyro_by_attitude
 from insdvl_replay.checks.plausibility import TRACK_DOUBT, UNIT_WRONG, GyroScale
-from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.config import Imu
+from insdvl_replay.core.dive_columns import Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.states import ANGULAR_RATE_UNITS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.inspection.proposed_settings import Setting, field_setting, stamp_setting
 from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic

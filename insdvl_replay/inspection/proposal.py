@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from insdvl_replay.checks.plausibility import gyro_scale
-from insdvl_replay.core.columns import ImuColumns
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import toml_value
+from insdvl_replay.core.dive_columns import ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed
 from insdvl_replay.inspection.dry_run import DryRun

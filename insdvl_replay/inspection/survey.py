@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import TimeNs, seconds
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import TimeNs, seconds
 from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.dry_run import DryRun

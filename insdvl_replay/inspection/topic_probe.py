@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.states import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.logs.container.blocks import Block

@@ -12,11 +12,11 @@ from typing import Final
 import msgspec
 
 from insdvl_replay.calibration.dives import ReadDive, TriedMounting, tried_mountings
-from insdvl_replay.core.columns import Dive, ImuColumns
 from insdvl_replay.core.config import Config, Dvl, Initial, Noise
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, ImuColumns
 from insdvl_replay.core.errors import UserError
-from insdvl_replay.core.rows import finite
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.sensor_classes import SENSORS, readings_scatter, sensor_class
 from insdvl_replay.evaluation.track_fit import TrackFit, filter_track_fit

@@ -7,8 +7,8 @@ from typing import cast
 
 import numpy as np
 
-from insdvl_replay.core.columns import Dive, ImuColumns
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, ImuColumns
 from insdvl_replay.core.dive_record import Channel, dive_name
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.runtime import begin

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import NS_PER_S, Floats
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.initial_state import Start

@@ -17,8 +17,8 @@ equations/kalman_filter.md.
 import math
 from typing import Final
 
-from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.compiled import inlined
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.state_log import Updates
 from insdvl_replay.nav.strapdown import NavState
 from insdvl_replay.nav.vector_algebra import (

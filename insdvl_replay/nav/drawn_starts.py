@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.rotation import mat_from_vector, skew
 from insdvl_replay.nav.initial_state import Start

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import DvlColumns, Floats, TimeNs
+from insdvl_replay.core.dive_columns import DvlColumns, Floats, TimeNs
 from insdvl_replay.geometry.beams import DvlMounting, solve_beams, whole_ping_cov
 
 

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.nav.local_earth import normal_gravity, place_at, transport_curvature, transport_rate_n
 from insdvl_replay.nav.observability import Observability

@@ -11,8 +11,8 @@ velocity and misalignment swing with Schuler's period; see equations/error_model
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.compiled import inlined
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.local_earth import transport_rate_n
 from insdvl_replay.nav.strapdown import Motion
 from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate, scale, scale_matrix, subtract

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, TimeNs
 from insdvl_replay.core.compiled import compiled, inlined
+from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.nav.correction import correct, locks_out, open_state
 from insdvl_replay.nav.error_model import add_noise, propagate_cov

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.levelling import Level

@@ -15,8 +15,8 @@ F; see equations/updates.md.
 
 from typing import Final, NamedTuple
 
-from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.compiled import inlined
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, Measurement
 from insdvl_replay.nav.vector_algebra import (
     Matrix,

@@ -8,8 +8,8 @@ Navigation", chapter 5.
 
 import math
 
-from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.compiled import inlined
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.vector_algebra import Matrix, Vector, column_vector, dot, rotate, subtract, write_column_vector
 
 

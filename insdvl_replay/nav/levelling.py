@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, ImuColumns, TimeNs, distinct, nanoseconds, seconds
+from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, distinct, nanoseconds, seconds
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, skew
 from insdvl_replay.nav.dvl import DvlVelocities

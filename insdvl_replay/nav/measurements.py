@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, TimeNs, seconds
+from insdvl_replay.core.dive_columns import Floats, TimeNs, seconds
 from insdvl_replay.nav.dvl import DvlVelocities, slope_windows, windowed_sum
 
 VELOCITY: Final = 0

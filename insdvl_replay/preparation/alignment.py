@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, ImuColumns, ReferenceColumns, TimeNs, apart_s, at_time, seconds
 from insdvl_replay.core.config import Initial
+from insdvl_replay.core.dive_columns import Floats, ImuColumns, ReferenceColumns, TimeNs, apart_s, at_time, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
 from insdvl_replay.core.words import Severity

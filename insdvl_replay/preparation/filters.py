@@ -6,8 +6,8 @@ from typing import Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, TimeNs
 from insdvl_replay.core.config import Acceleration, Config, Filter, Noise
+from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.error_model import noise_density

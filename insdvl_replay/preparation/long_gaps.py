@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, nanoseconds, seconds
 from insdvl_replay.core.config import Imu
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, nanoseconds, seconds
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, DV, PHI, STATES
 from insdvl_replay.core.words import Severity

@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Dive, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.beams import DvlMounting

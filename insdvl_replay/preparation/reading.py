@@ -6,8 +6,8 @@ from pathlib import Path
 
 from insdvl_replay import logs
 from insdvl_replay.checks.plausibility import plausibility_notes
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive
 
 
 def read_checked_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:

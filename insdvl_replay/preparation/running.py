@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.columns import Dive, TimeNs
+from insdvl_replay.core.dive_columns import Dive, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import begin, each, return_freed_memory
 from insdvl_replay.evaluation.coasting import Coast, Coasts, coast_of, distance_along_m
@@ -36,12 +36,12 @@ MOST_DRAWN_TIMES = 5_000
 """Times of the reference at which the errors of each of these runs are kept."""
 
 
-def run_filters(start: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
+def run_filters(prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
     """Run every filter over a prepared dive.
 
     Parameters
     ----------
-    start : Prepared
+    prepared : Prepared
         From `prepared.prepare_dive`.
     timeline : Timeline
         From `prepared_timeline`.
@@ -55,8 +55,8 @@ def run_filters(start: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = 
     """
     begin("running the filters")
     return_freed_memory()
-    run = partial(run_one, start=start, timeline=timeline, cov_ns=cov_ns)
-    return _side_by_side(timeline, run, start.filters)
+    run = partial(run_one, prepared=prepared, timeline=timeline, cov_ns=cov_ns)
+    return _side_by_side(timeline, run, prepared.filters)
 
 
 def _side_by_side(timeline: Timeline, work: Callable[..., T], *of_filters: Sequence[Any]) -> tuple[T, ...]:
@@ -67,36 +67,40 @@ def _side_by_side(timeline: Timeline, work: Callable[..., T], *of_filters: Seque
         return tuple(threads.map(work, *of_filters))
 
 
-def run_one(filter_: ResolvedFilter, start: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> History:
+def run_one(
+    filter_: ResolvedFilter, prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None
+) -> History:
     """Run one filter over the time line of a prepared dive; ``cov_ns`` as of `run_filters`."""
     return run_filter(
         filter_.name,
         timeline,
-        start.alignment.start,
+        prepared.alignment.start,
         filter_.noise_density,
-        filter_.measurements(start.velocities, start.mounting, start.gaps),
-        start.mounting.lever_arm_b,
+        filter_.measurements(prepared.velocities, prepared.mounting, prepared.gaps),
+        prepared.mounting.lever_arm_b,
         cov_ns=cov_ns,
     )
 
 
-def prepared_timeline(dive: Dive, start: Prepared) -> Timeline:
+def prepared_timeline(dive: Dive, prepared: Prepared) -> Timeline:
     """Lay the readings, the pings and the reference's times of a prepared dive on one time line."""
     reference_ns = dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64)
     return build_timeline(
-        dive.imu, start.velocities.time_ns, reference_ns, start.alignment.start_ns, start.end_ns, start.gaps
+        dive.imu, prepared.velocities.time_ns, reference_ns, prepared.alignment.start_ns, prepared.end_ns, prepared.gaps
     )
 
 
-def coasting_plan(start: Prepared) -> CoastingPlan:
+def coasting_plan(prepared: Prepared) -> CoastingPlan:
     """Lay the windows in which velocities are withheld into a prepared dive.
 
     Its ``start_ns`` are times at which `run_filters` has to keep all of P for `coasting_of`.
     """
-    return plan_coasting(start.velocities.time_ns, start.gaps.overlap, start.alignment.start_ns, start.end_ns)
+    return plan_coasting(
+        prepared.velocities.time_ns, prepared.gaps.overlap, prepared.alignment.start_ns, prepared.end_ns
+    )
 
 
-def coasting_of(start: Prepared, timeline: Timeline, histories: tuple[History, ...], plan: CoastingPlan) -> Coasts:
+def coasting_of(prepared: Prepared, timeline: Timeline, histories: tuple[History, ...], plan: CoastingPlan) -> Coasts:
     """Let every filter coast through the windows of a plan.
 
     Parameters
@@ -107,31 +111,33 @@ def coasting_of(start: Prepared, timeline: Timeline, histories: tuple[History, .
         From `run_filters`, in the order of the filters, with P at the plan's ``start_ns``.
     """
     begin("coasting without velocities")
-    coasts = partial(_coasts_of_one, start=start, timeline=timeline, plan=plan)
-    runs = _side_by_side(timeline, coasts, start.filters, histories)
-    distance_m = distance_along_m(start.velocities.time_ns, start.velocities.velocity_b)
+    coasts = partial(_coasts_of_one, prepared=prepared, timeline=timeline, plan=plan)
+    runs = _side_by_side(timeline, coasts, prepared.filters, histories)
+    distance_m = distance_along_m(prepared.velocities.time_ns, prepared.velocities.velocity_b)
     return Coasts(plan, distance_m, {history.filter: of_one for history, of_one in zip(histories, runs, strict=True)})
 
 
 def _coasts_of_one(
-    filter_: ResolvedFilter, history: History, *, start: Prepared, timeline: Timeline, plan: CoastingPlan
+    filter_: ResolvedFilter, history: History, *, prepared: Prepared, timeline: Timeline, plan: CoastingPlan
 ) -> tuple[Coast, ...]:
     by_velocity = replace(filter_, aiding=("velocity",))
-    (velocity,) = by_velocity.measurements(start.velocities, start.mounting, start.gaps)
+    (velocity,) = by_velocity.measurements(prepared.velocities, prepared.mounting, prepared.gaps)
     return tuple(
-        coast_of(coast(history, timeline, (first, last), filter_.noise_density, velocity, start.mounting.lever_arm_b))
+        coast_of(
+            coast(history, timeline, (first, last), filter_.noise_density, velocity, prepared.mounting.lever_arm_b)
+        )
         for first, last in plan.windows_ns
     )
 
 
-def run_from_drawn_starts(dive: Dive, start: Prepared, count: int, seed: int = 0) -> tuple[DrawnErrors, ...]:
+def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int = 0) -> tuple[DrawnErrors, ...]:
     """Run every filter from the dive's own start and from others that err as P0 says, and keep their true errors.
 
     Parameters
     ----------
     dive : Dive
         As `run_filters` takes it, with a reference.
-    start : Prepared
+    prepared : Prepared
         From `prepared.prepare_dive`.
     count : int
         Starts, the dive's own among them.
@@ -145,31 +151,31 @@ def run_from_drawn_starts(dive: Dive, start: Prepared, count: int, seed: int = 0
         evenly chosen times of a reference that has more than `MOST_DRAWN_TIMES`.
     """
     begin("running the filters from drawn starts")
-    starts = drawn_starts(start.alignment.start, count, (*_sizes(dive, start), seed))
-    dive, start = _first_part(dive, start, MOST_DRAWN_SAMPLES // (count * len(start.filters)))
-    timeline = prepared_timeline(dive, start)
-    run = partial(_run_from, dive=dive, prepared=start, timeline=timeline)
-    runs = list(each(run, [(filter_, begun) for filter_ in start.filters for begun in starts]))
+    starts = drawn_starts(prepared.alignment.start, count, (*_sizes(dive, prepared), seed))
+    dive, prepared = _first_part(dive, prepared, MOST_DRAWN_SAMPLES // (count * len(prepared.filters)))
+    timeline = prepared_timeline(dive, prepared)
+    run = partial(_run_from, dive=dive, prepared=prepared, timeline=timeline)
+    runs = list(each(run, [(filter_, begun) for filter_ in prepared.filters for begun in starts]))
     return tuple(drawn_errors(runs[row : row + count]) for row in range(0, len(runs), count))
 
 
-def _sizes(dive: Dive, start: Prepared) -> tuple[int, int, int]:
+def _sizes(dive: Dive, prepared: Prepared) -> tuple[int, int, int]:
     """Return numbers by which dives differ, and which hang neither on their date nor on a processor."""
-    return len(dive.imu.time_ns), len(start.velocities.time_ns), start.end_ns - start.alignment.start_ns
+    return len(dive.imu.time_ns), len(prepared.velocities.time_ns), prepared.end_ns - prepared.alignment.start_ns
 
 
-def _first_part(dive: Dive, start: Prepared, samples: int) -> tuple[Dive, Prepared]:
+def _first_part(dive: Dive, prepared: Prepared, samples: int) -> tuple[Dive, Prepared]:
     """End a prepared dive after so many samples of the IMU, and thin its reference."""
     if dive.reference is None:
         raise ValueError(f"{dive.name}: errors need a reference")
-    start_ns, time_ns = start.alignment.start_ns, dive.imu.time_ns
+    start_ns, time_ns = prepared.alignment.start_ns, dive.imu.time_ns
     last = min(int(np.searchsorted(time_ns, start_ns)) + samples, len(time_ns) - 1)
-    end_ns = min(start.end_ns, int(time_ns[last]))
+    end_ns = min(prepared.end_ns, int(time_ns[last]))
     inside = (dive.reference.time_ns >= start_ns) & (dive.reference.time_ns <= end_ns)
     chosen = np.flatnonzero(inside)[:: max(1, math.ceil(inside.sum() / MOST_DRAWN_TIMES))]
     reference = dive.reference.rows(np.isin(np.arange(len(inside)), chosen))
-    velocities, gaps = start.velocities.within(start_ns, end_ns), start.gaps.within(start_ns, end_ns)
-    return replace(dive, reference=reference), replace(start, velocities=velocities, gaps=gaps, end_ns=end_ns)
+    velocities, gaps = prepared.velocities.within(start_ns, end_ns), prepared.gaps.within(start_ns, end_ns)
+    return replace(dive, reference=reference), replace(prepared, velocities=velocities, gaps=gaps, end_ns=end_ns)
 
 
 def _run_from(work: tuple[ResolvedFilter, Start], dive: Dive, prepared: Prepared, timeline: Timeline) -> RunFromStart:

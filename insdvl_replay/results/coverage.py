@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, TimeNs
+from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.report.plots.axis import Axis
 from insdvl_replay.results.filter_figures import Clock
 

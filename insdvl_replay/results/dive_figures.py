@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.acceleration import acceleration_at, reference_acceleration

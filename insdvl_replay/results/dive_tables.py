@@ -11,10 +11,9 @@ from insdvl_replay.core.rows import (
     CredibilityRow,
     EvidenceRow,
     ImprovementRow,
-    Number,
     ReferenceErrorRow,
-    finite,
 )
+from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Judgement, ReferenceStatus
 from insdvl_replay.evaluation.evidence import HONESTY, NAMES

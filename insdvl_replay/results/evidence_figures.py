@@ -5,8 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.rows import EvidenceRow, finite
+from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.evaluation.coasting_windows import SHOWN_EVERY_S, SHOWN_S
 from insdvl_replay.evaluation.curves import CoastingCurve, ConvergenceCurves
 from insdvl_replay.report.plots.panel import (

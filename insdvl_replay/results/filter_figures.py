@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Floats, TimeNs, seconds
+from insdvl_replay.core.dive_columns import Floats, TimeNs, seconds
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import STATES, State
 from insdvl_replay.report.plots.axis import limits

@@ -18,7 +18,7 @@ from insdvl_replay.core.tables import Candidate, Tables
 
 if TYPE_CHECKING:
     # Only its type is needed, and whoever looks into a report must not wait for it.
-    from insdvl_replay.core.columns import Dive
+    from insdvl_replay.core.dive_columns import Dive
 
 T = TypeVar("T")
 NUMERICAL_PACKAGES: Final = ("numpy", "numba", "pandas", "scipy", "mcap")

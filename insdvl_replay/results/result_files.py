@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from insdvl_replay import __version__, logs
-from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.config_file import render_toml
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.quantities import is_whole

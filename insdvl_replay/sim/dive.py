@@ -6,8 +6,16 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, TimeNs, TruthColumns, seconds
 from insdvl_replay.core.config import Vector
+from insdvl_replay.core.dive_columns import (
+    Dive,
+    DvlColumns,
+    ImuColumns,
+    ReferenceColumns,
+    TimeNs,
+    TruthColumns,
+    seconds,
+)
 from insdvl_replay.core.errors import ConfigError, require_known
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.beams import AZIMUTH_DEG

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.earth import earth_rate_of, gravity_of, meridian_radius_of, transverse_radius_of
 from insdvl_replay.geometry.rotation import mat_from_sines, turned

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import DvlColumns, Floats, ImuColumns, TruthColumns
+from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, TruthColumns
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.geometry.beams import beam_vectors
 from insdvl_replay.geometry.rotation import turned

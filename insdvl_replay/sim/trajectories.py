@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import DEG
 
 QUARTER_TURN: Final = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)

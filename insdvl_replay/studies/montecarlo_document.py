@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import pandas as pd
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import NINE, STATES, State
 from insdvl_replay.core.words import Consistency
 from insdvl_replay.report.document import DisplayTable, number, percent, row_label

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pandas as pd
 
-from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Acceleration, Config, Filter, Initial
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import STATES

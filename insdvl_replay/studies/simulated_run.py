@@ -7,8 +7,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.evaluation.ensemble import RunErrors, run_errors
 from insdvl_replay.nav.dvl import dvl_velocities

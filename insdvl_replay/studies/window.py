@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.config import Acceleration, Config
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.dive_record import dive_name
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.words import Severity

@@ -10,9 +10,9 @@ from frames import frame
 from scipy import stats
 
 from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline, with_tuned_baseline
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config, Dvl, Filter, Noise, Reference, Span
 from insdvl_replay.core.config_file import load_config, render_toml
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.history import Innovations
 from insdvl_replay.evaluation.consistency import log_likelihood

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.calibration.dives import ReadDive
-from insdvl_replay.calibration.geometry import PARAMETERS
-from insdvl_replay.core.columns import Dive, Floats, nanoseconds
+from insdvl_replay.calibration.parameters import PARAMETERS
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, Floats, nanoseconds
 from insdvl_replay.core.states import DEG
 from insdvl_replay.preparation.prepared import with_reference_at_imu
 from insdvl_replay.sim.dive import add_errors, exact_dive

@@ -12,10 +12,10 @@ from insdvl_replay.calibration.calibration import Calibration, calibrate
 from insdvl_replay.calibration.certainty import certainty_of, mean_change, newey_west
 from insdvl_replay.calibration.dives import AXES, held_out_row, likeliest_mounting, read_dive
 from insdvl_replay.calibration.fit import fit
-from insdvl_replay.calibration.geometry import ARM, DELAY, MOUNTING, NAMES, PARAMETERS
 from insdvl_replay.calibration.output import calibration_toml
+from insdvl_replay.calibration.parameters import ARM, DELAY, MOUNTING, NAMES, PARAMETERS
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.rows import finite
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.sim.dive import exact_dive
 

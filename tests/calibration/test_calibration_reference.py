@@ -27,11 +27,11 @@ from insdvl_replay.calibration.with_reference import (
     reference_dive,
 )
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.columns import Dive, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.core.rows import finite
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.preparation.prepared import reference_at_imu, with_reference_at_imu

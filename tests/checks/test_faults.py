@@ -11,8 +11,8 @@ import pytest
 from frames import frame
 
 from insdvl_replay import checks, logs
-from insdvl_replay.core.columns import Dive, DvlColumns
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, DvlColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import write_dive

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.checks.reference import motion_checks
-from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.errors import Note
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.reading import read_checked_dive

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from frames import frame
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.evaluation.believed import improvement_pct, improvement_table, mean_over_nine

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.table_layout import layout_of
 from insdvl_replay.evaluation.coasting import (

@@ -9,10 +9,10 @@ from frames import frame
 from numpy.typing import NDArray
 from scipy import stats
 
-from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Noise
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.evaluation.chi_square import SMALL_EXCESS, chi_square_quantile, mean_interval, verdict
+from insdvl_replay.evaluation.chi_square import SMALL_EXCESS, chi_square_quantile, consistency_word, mean_interval
 from insdvl_replay.evaluation.consistency import (
     FEWEST_UPDATES,
     consistency_table,
@@ -117,12 +117,12 @@ def test_interval_holds_the_mean_of_19_in_20_honest_filters() -> None:
     ],
 )
 def test_verdict_between_2_and_4(mean: float, word: str) -> None:
-    assert verdict(mean, 2.0, 4.0, dof=3) == word
+    assert consistency_word(mean, 2.0, 4.0, dof=3) == word
 
 
 @pytest.mark.parametrize(("mean", "word"), [(3.29, "consistent"), (3.31, "over-confident"), (2.69, "over-cautious")])
 def test_verdict_asks_for_size_beside_significance(mean: float, word: str) -> None:
-    assert verdict(mean, 2.99, 3.01, dof=3) == word
+    assert consistency_word(mean, 2.99, 3.01, dof=3) == word
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ from frames import frame
 from matched_sensors import SENSORS
 from scipy import signal, stats
 
-from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES
 from insdvl_replay.core.states import BA, DEG, PHI, STATES
 from insdvl_replay.evaluation.chi_square import mean_interval

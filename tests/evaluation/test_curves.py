@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.curves import convergence_curves
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors
 from insdvl_replay.evaluation.measured_convergence import measured_convergences

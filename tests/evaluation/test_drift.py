@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.quantities import DRIFT_QUANTITIES, TRACK_FIT_QUANTITIES
 from insdvl_replay.core.rows import DriftRow
 from insdvl_replay.evaluation.drift import (

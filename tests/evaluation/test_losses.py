@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors
 from insdvl_replay.evaluation.losses import FEWEST_STARTS, ReferenceNoise, losses_of

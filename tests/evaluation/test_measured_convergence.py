@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence, measured_convergence
 
 END_S, STARTS = 400.0, 16

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from frames import frame, frames
 
-from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.evaluation.coverage import covered_share

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.words import EvidenceWord
 from insdvl_replay.evaluation.effective_samples import block_length, samples_in_mean
 from insdvl_replay.evaluation.paired_statistics import (

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.core.states import DEG

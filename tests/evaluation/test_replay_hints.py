@@ -8,12 +8,12 @@ import msgspec
 import pytest
 
 from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.rows import finite
 from insdvl_replay.core.states import DEG_PER_HOUR, MG
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.logs import write_dive
 from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import add_errors, exact_dive

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.evaluation.reference import ReferenceErrors
 from insdvl_replay.evaluation.track_fit import filter_track_fit, track_fit
 from insdvl_replay.geometry.frames import moved_position

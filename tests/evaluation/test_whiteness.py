@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.consistency import FEWEST_PAIRS, autocorrelation, whiteness
 
 EVERY = np.ones(2000, dtype=bool)

@@ -16,8 +16,8 @@ from rich.console import Console
 from unknown_logs import decided
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.states import DEG
 from insdvl_replay.inspection.document import inventory_document

@@ -13,9 +13,9 @@ import unknown_logs
 from mcap.writer import Writer
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy

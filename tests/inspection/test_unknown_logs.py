@@ -13,8 +13,8 @@ from frames import frames
 from mcap.writer import Writer
 from unknown_logs import decided
 
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.tables import Tables
 from insdvl_replay.inspection.survey import inspect_log

@@ -25,8 +25,8 @@ from mcap.writer import Writer
 from insdvl_replay.checks.imu import turned_by
 from insdvl_replay.checks.reference import _legs, _Steps
 from insdvl_replay.cli.messages import log_failure
-from insdvl_replay.core.columns import ImuColumns
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import ImuColumns
 from insdvl_replay.core.errors import LogError, Note, most_like
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap_ros2.writer import Writer
 
-from insdvl_replay.core.columns import Floats, TimeNs
 from insdvl_replay.core.config import Clocks, Config, Dvl, Imu
+from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive

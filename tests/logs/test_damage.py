@@ -14,8 +14,8 @@ import pytest
 from small_logs import CONTAINERS, MESSAGES, changed, flipped, messages, records, small_log, true_messages
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.container.recording import Recording, open_recording

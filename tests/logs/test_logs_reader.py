@@ -10,8 +10,8 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as RosWriter
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, TruthColumns
 from insdvl_replay.core.config import Config, Dvl, Imu, Reference
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, TruthColumns
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs import read_dive, write_dive

@@ -20,7 +20,7 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay import __version__
-from insdvl_replay.core.columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, TruthColumns
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, TruthColumns
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.rows import ConsistencyRow, ImprovementRow

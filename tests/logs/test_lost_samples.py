@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import Note
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.columns.cleaning import note_lost_samples

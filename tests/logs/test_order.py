@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from mcap_ros2.writer import Writer
 
-from insdvl_replay.core.columns import Dive, TimeNs
 from insdvl_replay.core.config import Config, Imu
+from insdvl_replay.core.dive_columns import Dive, TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.order import FEW_PLACES, find_order

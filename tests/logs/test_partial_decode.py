@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from small_logs import DVL_MESSAGES, IMU_MESSAGES, START_NS, changed, flipped, records, small_log, written
 
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive

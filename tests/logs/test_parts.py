@@ -13,8 +13,8 @@ from recorded_parts import Choice, write_part
 from small_logs import DVL_MESSAGES, IMU_MESSAGES, START_NS, changed, small_log, written
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive

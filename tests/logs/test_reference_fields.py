@@ -12,8 +12,8 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Dive, ReferenceColumns
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, ReferenceColumns
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.states import DEG
 from insdvl_replay.inspection.survey import inspect_log

@@ -9,8 +9,8 @@ import pytest
 from mcap_ros2.writer import Writer
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config, Dvl, Imu, Reference
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.encoding.ros2msg import definition_text

@@ -8,8 +8,8 @@ import pytest
 from frames import frame
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.columns.imu import find_spikes
 from insdvl_replay.replay import Replay, replay_dive, replay_log

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from insdvl_replay.core.columns import NS_PER_S, Dive, Floats, seconds
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Noise
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.evaluation.coasting import Coast, coast_of

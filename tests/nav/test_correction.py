@@ -5,7 +5,7 @@ import pytest
 from jacobian import assert_jacobian
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.correction import correct, keep_invariant_error

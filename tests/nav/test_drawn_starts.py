@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.evaluation.state_errors import motion_error
 from insdvl_replay.nav.correction import correct

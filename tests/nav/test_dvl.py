@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import DvlColumns, Floats
+from insdvl_replay.core.dive_columns import DvlColumns, Floats
 from insdvl_replay.geometry.beams import DvlMounting, beam_vectors, solve_beams
 from insdvl_replay.nav.dvl import (
     derivative_weights,

@@ -5,7 +5,7 @@ import pytest
 from jacobian import assert_jacobian
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.error_model import error_rate, noise_density, propagate_cov, propagate_errors

@@ -9,8 +9,8 @@ import pytest
 from frames import frame
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Dive, Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Vector
+from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import BA, BG, DEG, DV, PHI
 from insdvl_replay.geometry.rotation import rpy_from_mat

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Initial, Noise
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG_PER_HOUR, DV, MG, PHI
 from insdvl_replay.preparation.alignment import initial_sd

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, DEG, MG, MRAD, PHI
 from insdvl_replay.geometry.earth import EARTH_RATE, normal_gravity
 from insdvl_replay.geometry.rotation import mat_from_rpy, skew

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from instants import instants
 
-from insdvl_replay.core.columns import Dive, Floats, ImuColumns, TimeNs, seconds
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Imu, Noise
+from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, TimeNs, seconds
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import BG, DEG, DV, PHI
 from insdvl_replay.nav.timeline import Gaps, Timeline, build_timeline

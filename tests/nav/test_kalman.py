@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, standardised, transposed_gain, update_cov
 from insdvl_replay.nav.vector_algebra import matrix, vector
 

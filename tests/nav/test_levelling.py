@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Config, Dvl, Initial
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
 from insdvl_replay.evaluation.state_errors import nees, state_errors
 from insdvl_replay.geometry.earth import normal_gravity

@@ -7,7 +7,7 @@ import pytest
 from jacobian import assert_jacobian
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.beams import beam_vectors, solve_beams
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.dvl import DvlVelocities

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.nav.local_earth import gravity_at, place_about, place_at
 from insdvl_replay.nav.strapdown import NavState, propagate

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from instants import instants
 from scipy.interpolate import make_interp_spline
 
-from insdvl_replay.core.columns import Floats, ImuColumns, TimeNs
+from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 
 EPOCH_NS = 1_704_067_200_000_000_001

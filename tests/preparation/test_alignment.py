@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Dive, Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.config import Config, Initial, Vector
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.geometry.rotation import rpy_from_mat

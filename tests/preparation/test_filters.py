@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from insdvl_replay.batch.noise_tuning import with_tuned_baseline
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config, Dvl, Filter, Noise
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter

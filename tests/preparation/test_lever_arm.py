@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from frames import frame
 
-from insdvl_replay.core.columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.config import Config, Noise, Reference
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.rotation import mat_from_rpy

@@ -11,8 +11,8 @@ import pytest
 from frames import frame, frames
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import Dive, DvlColumns, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Imu, Initial, Noise, Span
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import STATES

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from insdvl_replay import replay
-from insdvl_replay.core.columns import Dive
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.replay import replay_dive
@@ -41,7 +41,7 @@ def test_reading_takes_little_memory_beyond_the_columns(tmp_path: Path) -> None:
 
 
 def test_the_readings_are_let_go_before_the_tables_are_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, readings, make_tables = tmp_path / "dive.mcap", list[Callable[[], Any]](), replay.compared_filters
+    path, readings, make_tables = tmp_path / "dive.mcap", list[Callable[[], Any]](), replay.tables_of_filters
     write_dive(path, dive_of(SHORT_S))
 
     def watched(*arguments: Any, **options: Any) -> Dive:
@@ -54,7 +54,7 @@ def test_the_readings_are_let_go_before_the_tables_are_made(tmp_path: Path, monk
         return make_tables(*arguments, **options)
 
     monkeypatch.setattr(replay, "read_checked_dive", watched)
-    monkeypatch.setattr(replay, "compared_filters", tables_of)
+    monkeypatch.setattr(replay, "tables_of_filters", tables_of)
     replay.replay_log(path, Config())
 
 

@@ -9,9 +9,9 @@ import pytest
 from matched_sensors import SENSORS
 from scipy.stats import chi2
 
-from insdvl_replay.core.columns import Dive, Floats
 from insdvl_replay.core.config import Acceleration, Config, Filter
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors, squared_errors
 from insdvl_replay.evaluation.measured_convergence import measured_convergences
 from insdvl_replay.evaluation.reference import reference_errors

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.coasting import window_ends
 from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive

@@ -12,8 +12,8 @@ from taken_apart import Document
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.rows import finite
 from insdvl_replay.core.states import STATES
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.report.document import Callout, DisplayTable, Heading, Html, Title, parts_for
 from insdvl_replay.report.page import page

@@ -14,8 +14,8 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from insdvl_replay.cli.json_schemas import SCHEMAS, json_schema
-from insdvl_replay.core.columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.rows import (

@@ -10,7 +10,7 @@ from mcap_ros2.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.results.result_files import tum_trajectory

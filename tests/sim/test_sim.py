@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.columns import Dive, DvlColumns, Floats, ReferenceColumns, seconds
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m

@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, multivariate_normal
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.columns import Floats, ReferenceColumns, TruthColumns
 from insdvl_replay.core.config import Config, Dvl, Filter
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TruthColumns
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import each

@@ -12,8 +12,8 @@ from scipy.integrate import cumulative_simpson
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.columns import Floats
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import BA, BG, DV, PHI, STATES

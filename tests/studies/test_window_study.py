@@ -10,9 +10,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.evaluation.acceleration import (
     acceleration_at,

@@ -11,7 +11,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, is_new, seconds
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, is_new, seconds
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.order import Mask, Order, Rows, find_order, raise_if_two_dives

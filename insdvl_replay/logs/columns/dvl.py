@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import DvlColumns, Floats, find_runs, seconds
 from insdvl_replay.core.config import Dvl
+from insdvl_replay.core.dive_columns import DvlColumns, Floats, find_runs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
 from insdvl_replay.core.words import Severity

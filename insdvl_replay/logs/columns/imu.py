@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import NS_PER_S, Floats, ImuColumns, TimeNs, TruthColumns, nanoseconds
 from insdvl_replay.core.config import Imu
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ImuColumns, TimeNs, TruthColumns, nanoseconds
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import ANGULAR_RATE_UNITS, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS, SPECIFIC_FORCE_UNITS
 from insdvl_replay.core.words import Severity

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import TimeNs, find_runs, nanoseconds, seconds
+from insdvl_replay.core.dive_columns import TimeNs, find_runs, nanoseconds, seconds
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, SAME_CLOCK_S, Table
 from insdvl_replay.logs.encoding.fields import Columns

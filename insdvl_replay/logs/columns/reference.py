@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats, ReferenceColumns, TimeNs, distinct
 from insdvl_replay.core.config import Reference
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, distinct
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity

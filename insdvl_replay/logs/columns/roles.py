@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from insdvl_replay.core.columns import DvlColumns, ImuColumns, ReferenceColumns, TruthColumns
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import DvlColumns, ImuColumns, ReferenceColumns, TruthColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, error_context, listed, nearest
 from insdvl_replay.logs.columns.dvl import decode_dvl

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import NS_PER_S
+from insdvl_replay.core.dive_columns import NS_PER_S
 from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.logs.columns.order import merge_channels
 from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table, stamp_path

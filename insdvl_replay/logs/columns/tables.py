@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs, distinct, nanoseconds
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, distinct, nanoseconds
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity

@@ -18,7 +18,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import TimeNs, is_new
+from insdvl_replay.core.dive_columns import TimeNs, is_new
 from insdvl_replay.core.errors import listed
 from insdvl_replay.logs.container.chunks import Chunk, chunk_header, open_chunk
 from insdvl_replay.logs.container.records import (

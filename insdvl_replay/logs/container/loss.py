@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import TimeNs, seconds
+from insdvl_replay.core.dive_columns import TimeNs, seconds
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container.blocks import MESSAGE, gather, read_chunk

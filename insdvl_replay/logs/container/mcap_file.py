@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from mcap import records
 
-from insdvl_replay.core.columns import TimeNs
+from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container.blocks import Block, Content, content_of, index_entries

@@ -10,7 +10,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from insdvl_replay.core.columns import TimeNs
+from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.plain_text import read_text
 from insdvl_replay.core.words import Severity

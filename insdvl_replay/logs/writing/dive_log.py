@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay import __version__
-from insdvl_replay.core.columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TruthColumns
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TruthColumns
 from insdvl_replay.geometry.rotation import rpy_from_mat, turned
 from insdvl_replay.logs.writing.writer import (
     DVL,

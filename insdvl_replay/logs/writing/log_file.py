@@ -33,7 +33,7 @@ from mcap.records import (
 from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
-from insdvl_replay.core.columns import TimeNs
+from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.logs.container.records import MAGIC
 
 _INDEX_ENTRY: Final = np.dtype([("log_time", "<u8"), ("offset", "<u8")])

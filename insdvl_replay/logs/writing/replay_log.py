@@ -7,7 +7,7 @@ from typing import Final, Protocol
 import numpy as np
 from msgspec import Struct
 
-from insdvl_replay.core.columns import Dive, Floats, TimeNs
+from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import DEG_PER_HOUR, MG, STATES

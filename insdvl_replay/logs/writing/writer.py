@@ -15,7 +15,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from insdvl_replay.core.columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.encoding.layout import layout_for_texts
 from insdvl_replay.logs.encoding.ros2msg import Definition, definition_text, parse_definitions

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from insdvl_replay.core.columns import Floats
+from insdvl_replay.core.dive_columns import Floats
 
 COLUMNS = 150
 """Columns of a panel: about two screen pixels each."""

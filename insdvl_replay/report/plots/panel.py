@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 if TYPE_CHECKING:
     # Only its type is needed, and whoever asks for a schema must not wait for numpy.
-    from insdvl_replay.core.columns import Floats
+    from insdvl_replay.core.dive_columns import Floats
 
 Scale = Literal["linear", "log"]
 

@@ -6,7 +6,8 @@ import pytest
 from built_in import CONFIG, as_read
 
 from insdvl_replay.calibration.dives import with_geometry
-from insdvl_replay.calibration.geometry import (
+from insdvl_replay.calibration.innovations import SKIPPED
+from insdvl_replay.calibration.parameters import (
     ARM,
     DELAY,
     MOUNTING,
@@ -16,8 +17,7 @@ from insdvl_replay.calibration.geometry import (
     moved_mounting,
     moved_pings,
 )
-from insdvl_replay.calibration.innovations import SKIPPED
-from insdvl_replay.core.columns import Dive, Floats
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.preparation.filters import dvl_mounting

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from insdvl_replay.core.columns import ImuColumns, distinct
+from insdvl_replay.core.dive_columns import ImuColumns, distinct
 
 TIMES = st.lists(st.one_of(st.integers(0, 20), st.integers(-(2**63), 2**63 - 1)), max_size=50)
 
