@@ -90,7 +90,7 @@ def _graph(
         graph.add(gtsam.CombinedImuFactor(X(i), V(i), X(i + 1), V(i + 1), B(i), B(i + 1), measured))
         state = measured.predict(state, bias)
         if i < len(pings):
-            velocity_b, cov_b = (column[pings[i]] for column in (inputs.velocity.measured_b, inputs.velocity.cov_b))
+            velocity_b, cov_b = (column[pings[i]] for column in (inputs.velocity.values, inputs.velocity.cov))
             noise = gtsam.noiseModel.Gaussian.Covariance(cov_b)
             graph.add(gtsam.CustomFactor(noise, [X(i + 1), V(i + 1)], _residual_of(velocity_b)))
             velocity_n = state.attitude().matrix() @ velocity_b

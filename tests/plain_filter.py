@@ -60,7 +60,7 @@ def run_plain_filter(inputs: Inputs) -> Belief:
         rate_b = at.angular_rate_b[k - 1 : k + 1].mean(axis=0) - belief.gyro_bias_b
         belief = propagated(belief, force_b, rate_b, at.time_s[k] - at.time_s[k - 1], noise_density)
         if at.ping[k] >= 0:
-            belief = updated(belief, velocity.measured_b[at.ping[k]], velocity.cov_b[at.ping[k]])
+            belief = updated(belief, velocity.values[at.ping[k]], velocity.cov[at.ping[k]])
     return belief
 
 

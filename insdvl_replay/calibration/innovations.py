@@ -92,7 +92,7 @@ class DiveInnovations:
         would follow.
         """
         innovations = self.history(change).innovations[0]
-        standardised = innovations.standardised_b[SKIPPED:-SKIPPED] * np.exp(change[SCALE])
+        standardised = innovations.standardised[SKIPPED:-SKIPPED] * np.exp(change[SCALE])
         return np.asarray(np.clip(np.nan_to_num(standardised, nan=FAR), -FAR, FAR))
 
     def jacobian(self, change: Floats, free: NDArray[np.bool_]) -> Floats:

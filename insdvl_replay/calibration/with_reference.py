@@ -210,7 +210,7 @@ class ReferenceDive:
     def information_of_pings(self) -> Floats:
         """What pings of such a scatter can tell at most, of `SHARED`; zero but for the DVL's heading and scale."""
         innovations = self.asked.history(self.change).innovations[0]
-        scatter, velocity_b = scatter_of(innovations.innovation_b), innovations.measured_b
+        scatter, velocity_b = scatter_of(innovations.innovation), innovations.measured
         told = np.zeros(len(SHARED))
         told[HEADING] = np.sum((velocity_b[:, [1, 0]] / scatter[:2]) ** 2)
         told[SCALE] = np.sum((velocity_b / scatter) ** 2)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs
+from insdvl_replay.core.states import STATES, State
 
 
 @dataclass(frozen=True)
@@ -15,18 +16,20 @@ class Innovations:
     Attributes
     ----------
     measurement : str
-        ``velocity`` or ``acceleration``.
+        Its name, such as ``velocity``.
     unit : str
         Unit of the innovation.
+    axes : tuple of str
+        Names of its components; none of a measurement that has one.
     time_ns : ndarray, shape (m,)
         Time of each update.
     valid_ns : ndarray, shape (m,)
         Time of validity of what was measured: a slope's lies in the middle of its window.
-    measured_b : ndarray, shape (m, 3)
-        What the DVL said, in b.
-    innovation_b : ndarray, shape (m, 3)
-        Predicted minus measured, in b.
-    sd_b : ndarray, shape (m, 3)
+    measured : ndarray, shape (m, s)
+        What the sensor said, the DVL in b.
+    innovation : ndarray, shape (m, s)
+        Predicted minus measured.
+    sd : ndarray, shape (m, s)
         Square roots of the diagonal of S = H P H' + R.
     nis : ndarray, shape (m,)
         Normalised innovation squared, z' S^-1 z.
@@ -45,11 +48,12 @@ class Innovations:
 
     measurement: str
     unit: str
+    axes: tuple[str, ...]
     time_ns: TimeNs
     valid_ns: TimeNs
-    measured_b: Floats
-    innovation_b: Floats
-    sd_b: Floats
+    measured: Floats
+    innovation: Floats
+    sd: Floats
     nis: Floats
     used: NDArray[np.bool_]
     log_det: Floats
@@ -60,7 +64,7 @@ class Innovations:
     @property
     def dof(self) -> int:
         """Degrees of freedom of one innovation."""
-        return int(self.innovation_b.shape[1])
+        return int(self.innovation.shape[1])
 
     @property
     def weight(self) -> Floats:
@@ -73,10 +77,10 @@ class Innovations:
             return np.minimum(1.0, self.gate / self.nis) if np.isfinite(self.gate) else np.ones_like(self.nis)
 
     @property
-    def standardised_b(self) -> Floats:
-        """Each component of the innovation in its own standard deviation, shape (m, 3)."""
+    def standardised(self) -> Floats:
+        """Each component of the innovation in its own standard deviation, shape (m, s)."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return self.innovation_b / self.sd_b
+            return self.innovation / self.sd
 
 
 @dataclass(frozen=True)
@@ -100,14 +104,16 @@ class History:
         Attitude.
     accel_bias_b, gyro_bias_b : ndarray, shape (k, 3)
         Estimated sensor biases, m/s^2 and rad/s.
-    sd : ndarray, shape (k, 12)
-        Square roots of the diagonal of P, SI units, in the order of `states.STATES`.
+    sd : ndarray, shape (k, n)
+        Square roots of the diagonal of P, SI units, in the order of the states.
     cov_ns : ndarray, shape (c,)
         Those of the times at which P itself was asked for.
-    cov : ndarray, shape (c, 12, 12)
+    cov : ndarray, shape (c, n, n)
         P at these times.
     innovations : tuple of Innovations
         One entry for each kind of aiding, in the filter's order.
+    states : tuple of State
+        What it estimates: the twelve of `states.STATES`, and perhaps more.
     """
 
     filter: str
@@ -122,6 +128,7 @@ class History:
     cov_ns: TimeNs
     cov: Floats
     innovations: tuple[Innovations, ...]
+    states: tuple[State, ...] = STATES
 
     def without_cov(self) -> "History":
         """Let go of P, by far the largest part; its diagonal stays."""

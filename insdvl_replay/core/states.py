@@ -1,6 +1,10 @@
-"""The 12 error states, once, with names and units; also the units that logs may use, and what no vehicle exceeds."""
+"""The error states, once, with names and units; also the units that logs may use, and what no vehicle exceeds.
 
-from dataclasses import dataclass
+Twelve are the paper's, and every filter has them. More can be added to a filter, see `MORE_STATES`.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from typing import Final
 
 DEG: Final = 0.017453292519943295
@@ -68,6 +72,18 @@ STATES: Final[tuple[State, ...]] = (
     *_triplet(6, "ba", "accelerometer bias", "b_a", "xyz", "m/s^2", "mg", MG),
     *_triplet(9, "bg", "gyro bias", "b_g", "xyz", "rad/s", "deg/h", DEG_PER_HOUR),
 )
+
+MORE_STATES: Final[dict[str, tuple[State, ...]]] = {
+    "position": tuple(_triplet(0, "dp", "position error", "δp", "ned", "m", "m", 1.0)),
+}
+"""Blocks of states that a filter can have beside the twelve, in the order in which they follow them."""
+
+
+def states_with(more: Collection[str]) -> tuple[State, ...]:
+    """Return the twelve states and those of some blocks of `MORE_STATES`, each with its row."""
+    states = [*STATES, *(state for name, block in MORE_STATES.items() if name in more for state in block)]
+    return tuple(replace(state, index=row) for row, state in enumerate(states))
+
 
 NINE: Final[tuple[State, ...]] = STATES[3:]
 """The nine states whose mean the paper reports: all but the velocity errors, which the DVL measures directly."""

@@ -107,7 +107,7 @@ def coast_of(history: History) -> Coast:
     time_s = seconds(history.time_ns, history.time_ns[0])
     velocity_error_n, nis = np.zeros((len(time_s), 3)), np.full(len(time_s), np.nan)
     with np.errstate(over="ignore", invalid="ignore"):
-        velocity_error_n[1:] = np.einsum("kij,kj->ki", history.mat_nb[1:], innovations.innovation_b)
+        velocity_error_n[1:] = np.einsum("kij,kj->ki", history.mat_nb[1:], innovations.innovation)
         nis[1:] = innovations.nis
         return Coast(time_s, velocity_error_n, _integral(time_s, velocity_error_n), nis)
 

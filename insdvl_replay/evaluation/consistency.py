@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.quantities import AXES, axis_of
+from insdvl_replay.core.quantities import axis_of
 from insdvl_replay.core.rows import ConsistencyRow
 from insdvl_replay.core.words import Consistency, Severity, Whiteness
 from insdvl_replay.evaluation.chi_square import consistency_word, mean_interval, reason
@@ -60,11 +60,11 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> list[Consiste
 
 def _rows(log: str, filter_: str, innovations: Innovations) -> Iterator[ConsistencyRow]:
     """Return the row of a whole measurement, then those of its axes."""
-    standardised, rejected = innovations.standardised_b, rejections(innovations)
+    standardised, rejected = innovations.standardised, rejections(innovations)
     whole = (innovations.measurement, innovations.dof, innovations.nis, standardised)
     axes = (
         (axis_of(innovations.measurement, axis), 1, standardised[:, i] ** 2, standardised[:, i : i + 1])
-        for i, axis in enumerate(AXES)
+        for i, axis in enumerate(innovations.axes)
     )
     for name, dof, nis, components in (whole, *axes):
         correlation = autocorrelation(components, innovations.used)

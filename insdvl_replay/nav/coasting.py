@@ -5,6 +5,7 @@ The withheld pings are measured against it all the same: their innovations say h
 NIS whether it knows.
 """
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -15,7 +16,7 @@ from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.local_earth import HOLD_AFTER_S
 from insdvl_replay.nav.measurements import NEVER_REOPENED, Measurement
-from insdvl_replay.nav.timeline import Timeline
+from insdvl_replay.nav.timeline import PINGS, Timeline
 
 NOTHING_PASSES: Final = -1.0
 """A gate below any NIS."""
@@ -60,9 +61,9 @@ def coast(
     window = between_pings(timeline, *window_ns)
     first = int(timeline.ping[np.searchsorted(timeline.event_ns, window_ns[0])]) + 1
     last = int(timeline.ping[np.searchsorted(timeline.event_ns, window_ns[1])]) + 1
-    measurement = withheld(velocity, slice(first, last))
+    withheld = replace(velocity.rows(slice(first, last)), gate=NOTHING_PASSES, reopen_after=NEVER_REOPENED)
     start = restart(history, window_ns[0])
-    return run_filter(history.filter, window, start, noise_density, (measurement,), lever_arm_b)
+    return run_filter(history.filter, window, start, noise_density, (withheld,), lever_arm_b)
 
 
 def restart(history: History, time_ns: int) -> Start:
@@ -107,30 +108,15 @@ def between_pings(timeline: Timeline, start_ns: int, end_ns: int) -> Timeline:
         np.searchsorted(timeline.sample_ns, start_ns, side="right") - 1,
         np.searchsorted(timeline.sample_ns, end_ns) + 1,
     )
-    ping = timeline.ping[events]
-    is_ping = ping >= 0
+    rows = timeline.rows[:, events]
+    is_ping = rows[PINGS] >= 0
     return Timeline(
         timeline.sample_ns[samples],
         timeline.specific_force_b[samples],
         timeline.angular_rate_b[samples],
         timeline.event_ns[events],
-        np.where(is_ping, ping - ping[0] - 1, -1),
+        np.where(is_ping, rows - rows[:, :1] - 1, -1),
         np.where(is_ping, np.cumsum(is_ping) - 1, -1),
         timeline.gap[events],
         timeline.gap_noise_density,
-    )
-
-
-def withheld(velocity: Measurement, pings: slice) -> Measurement:
-    """Keep some pings of a measurement, none of which the gate lets pass."""
-    return Measurement(
-        velocity.kind,
-        velocity.available[pings],
-        velocity.valid_ns[pings],
-        velocity.measured_b[pings],
-        velocity.cov_b[pings],
-        velocity.velocity_weights[pings],
-        velocity.interval_weights[pings],
-        NOTHING_PASSES,
-        NEVER_REOPENED,
     )

@@ -19,15 +19,16 @@ from typing import Final
 
 from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.nav.local_earth import Place
+from insdvl_replay.nav.position_error import without_error
+from insdvl_replay.nav.state_layout import TWELVE, StateLayout
 from insdvl_replay.nav.state_log import Updates
 from insdvl_replay.nav.strapdown import NavState
 from insdvl_replay.nav.vector_algebra import (
     Vector,
     add,
-    column_vector,
     compose,
     cross,
-    dot,
     rotate,
     rotation_from_vector,
     scale,
@@ -53,7 +54,7 @@ def locks_out(updates: Updates, m: int, nis: float, time_s: float, reopen_after:
 
 
 @inlined
-def open_state(P: Floats, innovation: Vector, start_var: Floats, updates: Updates, m: int, time_s: float) -> None:
+def open_state(P: Floats, innovation: Floats, start_var: Floats, updates: Updates, m: int, time_s: float) -> None:
     """Let the velocity be as uncertain on each axis as the innovation is large: the next gain sets it to the DVL's.
 
     Other states keep their uncertainty and their correlations with the velocity, and hardly move. A filter that is lost
@@ -62,11 +63,11 @@ def open_state(P: Floats, innovation: Vector, start_var: Floats, updates: Update
 
     Parameters
     ----------
-    P : ndarray, shape (12, 12)
+    P : ndarray, shape (n, n)
         Covariance; variances grow, in place.
-    innovation : tuple of 3 float
+    innovation : ndarray, shape (s,)
         z, m/s.
-    start_var : ndarray, shape (12,)
+    start_var : ndarray, shape (n,)
         Variances at the start.
     updates : Updates
         Its time of this kind of measurement is changed.
@@ -76,42 +77,42 @@ def open_state(P: Floats, innovation: Vector, start_var: Floats, updates: Update
         Seconds from the start.
     """
     if time_s - updates.reopened_s[m] <= SOON_S:
-        for i in range(3, 12):
+        for i in range(3, TWELVE):
             P[i, i] += start_var[i]
+    square = 0.0
+    for i in range(len(innovation)):
+        square += innovation[i] * innovation[i]
     for i in range(3):
-        P[i, i] += dot(innovation, innovation)
+        P[i, i] += square
     updates.reopened_s[m], updates.refused_in_a_row[m] = time_s, 0
 
 
 @inlined
-def correct(state: NavState, P: Floats, KT: Floats, z: Vector, dx: Floats) -> NavState:
-    """Take ``dx = K z`` out of velocity and attitude, and add it to the biases; the error state returns to zero.
+def correct(state: NavState, P: Floats, dx: Floats, layout: StateLayout, place: Place) -> NavState:
+    """Take ``dx`` out of position, velocity and attitude, and add it to the biases; the error state returns to zero.
 
     Parameters
     ----------
-    P : ndarray, shape (12, 12)
+    P : ndarray, shape (n, n)
         Covariance after the update, carried along.
-    KT : ndarray, shape (3, 12)
-        K', of the gain.
-    z : tuple of 3 float
-        Innovation.
-    dx : ndarray, shape (12,)
-        Written.
+    dx : ndarray, shape (n,)
+        ``K z``.
 
     Returns
     -------
     NavState
         Corrected.
     """
-    for i in range(12):
-        dx[i] = dot(column_vector(KT, i), z)
     misalignment, before_n = (dx[3], dx[4], dx[5]), state.velocity_n
     invariant_error = add((dx[0], dx[1], dx[2]), cross(before_n, misalignment))
     turn_back = rotation_from_vector(scale(-1.0, misalignment))
     velocity_n = rotate(turn_back, subtract(before_n, invariant_error))
     keep_invariant_error(P, subtract(before_n, velocity_n))
+    position, at = state.position, layout.position
+    if at >= 0:
+        position = without_error(position, (dx[at], dx[at + 1], dx[at + 2]), place)
     return NavState(
-        state.position,
+        position,
         velocity_n,
         compose(turn_back, state.mat_nb),
         add(state.accel_bias_b, (dx[6], dx[7], dx[8])),
@@ -127,18 +128,18 @@ def keep_invariant_error(P: Floats, velocity_change_n: Vector) -> None:
 
     Parameters
     ----------
-    P : ndarray, shape (12, 12)
+    P : ndarray, shape (n, n)
         Covariance, changed in its rows and columns of dv.
     velocity_change_n : tuple of 3 float
         What was taken off the velocity, m/s.
     """
     x, y, z = velocity_change_n
-    for j in range(12):
+    for j in range(P.shape[0]):
         north, east, down = P[3, j], P[4, j], P[5, j]
         P[0, j] += y * down - z * east
         P[1, j] += z * north - x * down
         P[2, j] += x * east - y * north
-    for j in range(12):
+    for j in range(P.shape[0]):
         north, east, down = P[j, 3], P[j, 4], P[j, 5]
         P[j, 0] += y * down - z * east
         P[j, 1] += z * north - x * down

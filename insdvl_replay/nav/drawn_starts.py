@@ -33,7 +33,7 @@ def drawn_starts(start: Start, count: int, seed: int | tuple[int, ...]) -> tuple
     # By a triangular factor, which is the same on every processor; eigenvectors of equal variances would not be. The
     # states are scaled by their standard deviations first: in SI units P0 spans some ten decades.
     factor = np.linalg.cholesky(start.cov / np.outer(start.sd, start.sd))
-    normal = np.random.default_rng(seed).standard_normal((max(count - 1, 0), 12))
+    normal = np.random.default_rng(seed).standard_normal((max(count - 1, 0), len(start.cov)))
     return (start, *(erring(start, start.sd * (factor @ draw)) for draw in normal))
 
 

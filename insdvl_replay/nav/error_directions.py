@@ -14,6 +14,7 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.nav.local_earth import normal_gravity, place_at, transport_curvature, transport_rate_n
 from insdvl_replay.nav.observability import Observability
+from insdvl_replay.nav.state_layout import TWELVE
 from insdvl_replay.nav.vector_algebra import vector
 
 _AXES: Final = ("north", "east", "down")
@@ -121,7 +122,7 @@ def name_unobservable(
         if part @ part > 0.5:
             found.add(direction.id)
             # What remains is at right angles to the part just named.
-            _, _, basis = np.linalg.svd(unnamed @ (np.eye(12) - np.outer(part, part) / (part @ part)))
+            _, _, basis = np.linalg.svd(unnamed @ (np.eye(TWELVE) - np.outer(part, part) / (part @ part)))
             unnamed = basis[: len(unnamed) - 1]
     return tuple(direction for direction in directions if direction.id in found)
 
@@ -135,7 +136,7 @@ def _tilt_label(axis: str, earth_rate: bool) -> str:
 
 def _error(**parts: Floats) -> Floats:
     places = {"dv": DV, "phi": PHI, "ba": BA, "bg": BG}
-    error = np.zeros(12)
+    error = np.zeros(TWELVE)
     for name, part in parts.items():
         error[places[name]] = part
     return error

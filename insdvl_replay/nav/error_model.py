@@ -1,4 +1,4 @@
-"""The 12-state error model: how errors of the mechanisation grow.
+"""The error model: how errors of the mechanisation grow. These are the twelve states; `position_error` has three more.
 
 F = [ -[(2 w_ie + w_en) x]   -[f_n x]     C   0 ]        D dv = w_en of the velocity dv
     [         -D            -[w_in x]     0   C ]
@@ -9,13 +9,19 @@ Equations (26) to (32) of Levy and Klein, with the rates of n where they print t
 velocity and misalignment swing with Schuler's period; see equations/error_model.md.
 """
 
+from typing import Final
+
 import numpy as np
 
 from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.local_earth import transport_rate_n
+from insdvl_replay.nav.state_layout import TWELVE
 from insdvl_replay.nav.strapdown import Motion
 from insdvl_replay.nav.vector_algebra import Vector, add, cross, rotate, scale, scale_matrix, subtract
+
+EACH_OF_TWELVE: Final = (0.0,) * TWELVE
+"""A number for each of the twelve states."""
 
 
 @inlined
@@ -32,7 +38,7 @@ def error_rate(
 
 @inlined
 def propagate_errors(dx: Floats, motion: Motion, dt: float) -> None:
-    """Let errors grow over an interval: ``dx <- Phi dx`` with ``Phi = I + F dt``, in place.
+    """Let errors of the twelve states grow over an interval: ``dx <- Phi dx`` with ``Phi = I + F dt``, in place.
 
     Parameters
     ----------
@@ -42,46 +48,47 @@ def propagate_errors(dx: Floats, motion: Motion, dt: float) -> None:
     dt : float
         Length of the interval, s.
     """
-    _grow_columns(dx, _over(motion, dt))
+    _grow_columns(dx, EACH_OF_TWELVE, over(motion, dt))
 
 
 @inlined
-def propagate_cov(P: Floats, motion: Motion, noise_density: Floats, dt: float) -> None:
+def propagate_cov(P: Floats, motion: Motion, noise_density: tuple[float, ...], dt: float) -> None:
     """Advance the covariance: ``P <- Phi P Phi' + Q`` with ``Phi = I + F dt``, in place.
 
-    In ``Phi P`` the columns of P have grown as errors do, and in ``(Phi P) Phi'`` its rows have grown so, too. Biases
-    do not grow: the second step changes no more than the upper left block, and symmetry gives the lower half of that. P
-    stays symmetric to the last bit.
+    In ``Phi P`` the columns of P have grown as errors do, and in ``(Phi P) Phi'`` its rows have grown so, too. States
+    from the biases on do not grow: the second step changes no more than the upper left block, and symmetry gives the
+    lower half of that. P stays symmetric to the last bit.
 
     Parameters
     ----------
-    P : ndarray, shape (144,)
-        Covariance of the twelve states, row by row, advanced.
-    noise_density : ndarray, shape (12,)
+    P : ndarray, shape (n * n,)
+        Covariance of the n states, row by row, advanced.
+    noise_density : tuple of n float
         Diagonal of the noise's spectral density; sensor noise is alike on all axes, so turning it with C changes
-        nothing.
+        nothing. The compiler knows its length, and with it that of every loop.
     dt : float
         Length of the interval, s.
     """
-    step = _over(motion, dt)
-    _grow_columns(P, step)
-    for row in range(0, 36, 12):
-        velocity_error, misalignment = _grown(step, _entries(P, row, 1))
+    n, step = len(noise_density), over(motion, dt)
+    _grow_columns(P, noise_density, step)
+    for row in range(0, 3 * n, n):
+        velocity_error, misalignment = grown(step, entries(P, row, 1))
         P[row], P[row + 1], P[row + 2] = velocity_error
         P[row + 3], P[row + 4], P[row + 5] = misalignment
-    for row in range(36, 72, 12):
-        _, misalignment = _grown(step, _entries(P, row, 1))
+    for row in range(3 * n, 6 * n, n):
+        _, misalignment = grown(step, entries(P, row, 1))
         P[row + 3], P[row + 4], P[row + 5] = misalignment
     for i in range(6):
         for j in range(i):
-            P[12 * i + j] = P[12 * j + i]
-        for j in range(6, 12):
-            P[12 * j + i] = P[12 * i + j]
-    add_noise(P, noise_density, dt)
+            P[n * i + j] = P[n * j + i]
+        for j in range(6, n):
+            P[n * j + i] = P[n * i + j]
+    for i in range(n):
+        P[(n + 1) * i] += noise_density[i] * dt
 
 
 @inlined
-def _over(motion: Motion, dt: float) -> Motion:
+def over(motion: Motion, dt: float) -> Motion:
     """Return what a motion comes to in an interval; since F is linear in it, the F of that is ``F dt``."""
     return Motion(
         scale(dt, motion.rate_ie_n),
@@ -93,16 +100,17 @@ def _over(motion: Motion, dt: float) -> Motion:
 
 
 @inlined
-def _grow_columns(dx: Floats, step: Motion) -> None:
-    for column in range(12):
-        velocity_error, misalignment = _grown(step, _entries(dx, column, 12))
-        dx[column], dx[12 + column], dx[24 + column] = velocity_error
-        dx[36 + column], dx[48 + column], dx[60 + column] = misalignment
+def _grow_columns(dx: Floats, each_state: tuple[float, ...], step: Motion) -> None:
+    n = len(each_state)  # a number for the compiler, which as an argument it would not be
+    for column in range(n):
+        velocity_error, misalignment = grown(step, entries(dx, column, n))
+        dx[column], dx[n + column], dx[2 * n + column] = velocity_error
+        dx[3 * n + column], dx[4 * n + column], dx[5 * n + column] = misalignment
 
 
 @inlined
-def _entries(P: Floats, first: int, apart: int) -> tuple[Vector, Vector, Vector, Vector]:
-    """Read a column of P, whose entries stand twelve apart, or a row, whose entries stand side by side."""
+def entries(P: Floats, first: int, apart: int) -> tuple[Vector, Vector, Vector, Vector]:
+    """Read the twelve states of a column of P, whose entries stand n apart, or of a row, which stand side by side."""
     return (
         (P[first], P[first + apart], P[first + 2 * apart]),
         (P[first + 3 * apart], P[first + 4 * apart], P[first + 5 * apart]),
@@ -112,27 +120,27 @@ def _entries(P: Floats, first: int, apart: int) -> tuple[Vector, Vector, Vector,
 
 
 @inlined
-def _grown(step: Motion, dx: tuple[Vector, Vector, Vector, Vector]) -> tuple[Vector, Vector]:
+def grown(step: Motion, dx: tuple[Vector, Vector, Vector, Vector]) -> tuple[Vector, Vector]:
     """Return the errors of velocity and attitude after an interval, ``dx + F dt dx``."""
     velocity_error_growth, misalignment_growth = error_rate(step, dx[0], dx[1], dx[2], dx[3])
     return add(dx[0], velocity_error_growth), add(dx[1], misalignment_growth)
 
 
 @inlined
-def add_noise(P: Floats, noise_density: Floats, dt: float) -> None:
-    """Add what white noise of a spectral density leaves behind after an interval, ``P <- P + Q``, in place.
+def add_noise(P: Floats, n: int, noise_density: Floats, dt: float) -> None:
+    """Add what white noise leaves behind in the twelve states after an interval, ``P <- P + Q``, in place.
 
     Parameters
     ----------
-    P : ndarray, shape (144,)
+    P : ndarray, shape (n * n,)
         Covariance, row by row.
     noise_density : ndarray, shape (12,)
         Diagonal of the spectral density.
     dt : float
         Length of the interval, s.
     """
-    for i in range(12):
-        P[13 * i] += noise_density[i] * dt
+    for i in range(TWELVE):
+        P[(n + 1) * i] += noise_density[i] * dt
 
 
 def noise_density(

@@ -1,29 +1,26 @@
-"""The error-state Kalman filter: propagate to each node of the time line, update at pings, remember what was believed.
+"""The error-state Kalman filter: propagate to each node of the time line, update at readings, remember beliefs.
 
 One loop for every filter. What a filter is aided by is the tuple of its measurements.
 """
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.core.compiled import compiled, inlined
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.history import History
+from insdvl_replay.core.states import states_with
 from insdvl_replay.nav.correction import correct, locks_out, open_state
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import InsAtPing, linearise
-from insdvl_replay.nav.kalman import (
-    cholesky,
-    innovation_cov,
-    standardised,
-    transposed_gain,
-    update_cov,
-)
-from insdvl_replay.nav.local_earth import GravityHeight, followed, gravity_at, place_about, place_at
-from insdvl_replay.nav.measurements import VELOCITY, Measurement
+from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square, transposed_gain, update_cov
+from insdvl_replay.nav.local_earth import GravityHeight, Place, followed, gravity_at, place_about, place_at
+from insdvl_replay.nav.measurements import VELOCITY, Measurement, Stack, stacked
+from insdvl_replay.nav.position_error import position_growth, propagate_position_cov
+from insdvl_replay.nav.state_layout import StateLayout, layout_of
 from insdvl_replay.nav.state_log import (
     Records,
     Updates,
@@ -34,13 +31,12 @@ from insdvl_replay.nav.state_log import (
     write_update,
 )
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
-from insdvl_replay.nav.timeline import Timeline, first_node, is_event, is_last, mean, next_node
+from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, mean, next_node
 from insdvl_replay.nav.vector_algebra import (
     Vector,
-    dot,
+    add,
     matrix,
     rotate_back,
-    row_matrix,
     subtract,
     vector,
     write_row_vector,
@@ -64,22 +60,13 @@ class _Matrices(NamedTuple):
     HP: Floats
     KT: Floats
     rest: Floats
+    R: Floats
+    S: Floats
+    L: Floats
+    z: Floats
+    standardised: Floats
     dx: Floats
     start_var: Floats
-
-
-class _Stack(NamedTuple):
-    """Measurements with a leading axis, so that one compiled loop serves any number of them."""
-
-    kind: NDArray[np.int64]
-    available: NDArray[np.bool_]
-    valid_ns: TimeNs
-    measured_b: Floats
-    cov_b: Floats
-    velocity_weights: Floats
-    interval_weights: Floats
-    gate: Floats
-    reopen_after: NDArray[np.int64]
 
 
 def run_filter(
@@ -90,6 +77,7 @@ def run_filter(
     measurements: tuple[Measurement, ...],
     lever_arm_b: Floats,
     *,
+    more_states: Collection[str] = (),
     cov_ns: TimeNs | None = None,
 ) -> History:
     """Run one filter over a dive.
@@ -101,23 +89,27 @@ def run_filter(
     timeline : Timeline
         Nodes with readings, pings and what to record.
     start : Start
-        State and uncertainty at the first node.
+        State and uncertainty at the first node, of n states.
     noise_density : ndarray, shape (12,)
         From `error_model.noise_density`.
     measurements : tuple of Measurement
-        Applied in this order at each ping. At least one.
+        Applied in this order where several are made at one time. At least one.
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
+    more_states : collection of str
+        Names in `states.MORE_STATES`. They have no process noise.
     cov_ns : ndarray, shape (c,), optional
         Recorded times at which the history keeps all of P, not only its diagonal; others are ignored.
     """
     keep_cov = np.isin(timeline.event_ns[timeline.record >= 0], () if cov_ns is None else cov_ns)
-    records, updates = new_records(keep_cov), new_updates(len(measurements), int(timeline.ping.max()) + 1)
-    state, matrices = _state_at(start), _new_matrices(start.cov)
-    memory = _Memory(*np.zeros((3, *updates.innovation_b.shape[1:])))
-    arm_b = vector(lever_arm_b)
-    _run(timeline, state, matrices, noise_density, _stacked(measurements), arm_b, memory, records, updates)
-    return history_of(name, timeline, measurements, records, updates)
+    states, stack = states_with(more_states), stacked(measurements)
+    records, updates = new_records(keep_cov, len(states)), new_updates(*stack.values.shape)
+    state, matrices = _state_at(start), _new_matrices(start.cov, stack.values.shape[2])
+    memory = _Memory(*np.zeros((3, int(timeline.ping.max()) + 1, 3)))
+    density = (*noise_density.tolist(), *[0.0] * (len(states) - len(noise_density)))
+    layout, arm_b = layout_of(more_states), vector(lever_arm_b)
+    _run(timeline, state, matrices, density, layout, stack, arm_b, memory, records, updates)
+    return history_of(name, timeline, states, measurements, records, updates)
 
 
 def _state_at(start: Start) -> NavState:
@@ -130,9 +122,11 @@ def _state_at(start: Start) -> NavState:
     )
 
 
-def _new_matrices(cov: Floats) -> _Matrices:
-    P, (H, HP, KT, rest) = np.array(cov, order="C"), np.empty((4, 3, 12))
-    return _Matrices(P, P.ravel(), H, HP, KT, rest, np.empty(12), np.diag(cov).copy())
+def _new_matrices(cov: Floats, size: int) -> _Matrices:
+    n = len(cov)
+    P, (H, HP, KT, rest) = np.array(cov, order="C"), np.empty((4, size, n))
+    (R, S, L), (z, standardised) = np.empty((3, size, size)), np.empty((2, size))
+    return _Matrices(P, P.ravel(), H, HP, KT, rest, R, S, L, z, standardised, np.empty(n), np.diag(cov).copy())
 
 
 @compiled
@@ -140,8 +134,9 @@ def _run(
     timeline: Timeline,
     state: NavState,
     matrices: _Matrices,
-    noise_density: Floats,
-    measurements: _Stack,
+    noise_density: tuple[float, ...],
+    layout: StateLayout,
+    measurements: Stack,
     lever_arm_b: Vector,
     memory: _Memory,
     records: Records,
@@ -161,49 +156,42 @@ def _run(
         gravity = followed(gravity, state.position[2], before.time_s)
         gravity_here = gravity_at(place, gravity.height_m)
         state, motion = propagate(state, force_b, rate_b, dt, place, gravity_here)
+        if layout.position >= 0:
+            growth = position_growth(state, motion, place, dt)
+            propagate_position_cov(P_by_row, noise_density, layout.position, growth)
         propagate_cov(P_by_row, motion, noise_density, dt)
         gap = timeline.gap[before.event]
         if gap >= 0:
-            add_noise(P_by_row, timeline.gap_noise_density[gap], dt)
+            add_noise(P_by_row, len(noise_density), timeline.gap_noise_density[gap], dt)
         before = now
         if not is_event(timeline, now):
             continue
 
-        ping = timeline.ping[now.event]
+        ping, unaided_b = timeline.rows[PINGS, now.event], _velocity_b(state)
         if ping >= 0:
             _note_motion(state, memory, ping, now.angular_rate_b, motion, velocity_after_b)
-            for m in range(len(measurements.kind)):
-                if measurements.available[m, ping]:
-                    measurement = _unstacked(measurements, m)
-                    at_ping = _at_ping(state, memory, now.specific_force_b, gravity_here, lever_arm_b)
-                    z = linearise(measurement, ping, at_ping, matrices.H)
-                    state = _update(state, measurement, m, ping, now.time_s, z, matrices, updates)
-                    if updates.used[m, ping] and measurement.kind == VELOCITY:
-                        gravity = GravityHeight(gravity.height_m, gravity.drift_m, now.time_s)
-            velocity_after_b = _velocity_b(state)
+        for m in range(len(measurements.kind)):
+            row = timeline.rows[measurements.sensor[m], now.event]
+            if row >= 0 and measurements.available[m, row]:
+                ins = _ins_now(state, memory, ping, now.specific_force_b, gravity_here, lever_arm_b, place)
+                state = _update(state, measurements, m, row, now.time_s, ins, layout, matrices, updates)
+                gravity = _aided(gravity, measurements.kind[m], updates.used[m, row], now.time_s)
+        velocity_after_b = _velocity_b(state) if ping >= 0 else _corrected_b(velocity_after_b, state, unaided_b)
         row = timeline.record[now.event]
         if row >= 0:
             write_record(state, P, records, row)
 
 
-def _stacked(measurements: tuple[Measurement, ...]) -> _Stack:
-    """Return all measurements the longest window; the weights of older pings are zero."""
-    longest = max(measurement.velocity_weights.shape[1] for measurement in measurements)
+@inlined
+def _corrected_b(velocity_after_b: Vector, state: NavState, unaided_b: Vector) -> Vector:
+    """Add to the body velocity after the last ping what another sensor has corrected: the mechanisation did not."""
+    return add(velocity_after_b, subtract(_velocity_b(state), unaided_b))
 
-    def padded(weights: Floats, width: int) -> Floats:
-        return np.hstack([np.zeros((len(weights), width - weights.shape[1])), weights])
 
-    return _Stack(
-        np.array([measurement.kind for measurement in measurements]),
-        np.stack([measurement.available for measurement in measurements]),
-        np.stack([measurement.valid_ns for measurement in measurements]),
-        np.stack([measurement.measured_b for measurement in measurements]),
-        np.stack([measurement.cov_b for measurement in measurements]),
-        np.stack([padded(measurement.velocity_weights, longest) for measurement in measurements]),
-        np.stack([padded(measurement.interval_weights, longest - 1) for measurement in measurements]),
-        np.array([measurement.gate for measurement in measurements]),
-        np.array([measurement.reopen_after for measurement in measurements]),
-    )
+@inlined
+def _aided(gravity: GravityHeight, kind: int, used: bool, time_s: float) -> GravityHeight:
+    """Note that a velocity was used, which holds the height."""
+    return GravityHeight(gravity.height_m, gravity.drift_m, time_s) if used and kind == VELOCITY else gravity
 
 
 @inlined
@@ -223,62 +211,63 @@ def _velocity_b(state: NavState) -> Vector:
 
 
 @inlined
-def _at_ping(state: NavState, memory: _Memory, reading_b: Vector, gravity: float, lever_arm_b: Vector) -> InsAtPing:
+def _ins_now(
+    state: NavState, memory: _Memory, ping: int, reading_b: Vector, gravity: float, lever_arm_b: Vector, place: Place
+) -> InsAtPing:
     return InsAtPing(
+        state.position,
         state.velocity_n,
         state.mat_nb,
         subtract(reading_b, state.accel_bias_b),
+        ping,
         memory.rate_nb_b,
         memory.rate_eb_b,
         memory.velocity_change_b,
         gravity,
         lever_arm_b,
-    )
-
-
-@inlined
-def _unstacked(stack: _Stack, m: int) -> Measurement:
-    return Measurement(
-        stack.kind[m],
-        stack.available[m],
-        stack.valid_ns[m],
-        stack.measured_b[m],
-        stack.cov_b[m],
-        stack.velocity_weights[m],
-        stack.interval_weights[m],
-        stack.gate[m],
-        stack.reopen_after[m],
+        place,
     )
 
 
 @inlined
 def _update(
     state: NavState,
-    measurement: Measurement,
+    measurements: Stack,
     m: int,
-    ping: int,
+    row: int,
     time_s: float,
-    z: Vector,
+    ins: InsAtPing,
+    layout: StateLayout,
     matrices: _Matrices,
     updates: Updates,
 ) -> NavState:
     """Judge an innovation by its gate, use it if it passes, and write down both."""
-    P, _, H, HP, KT, rest, dx, start_var = matrices
-    R = row_matrix(measurement.cov_b, ping)
-    S = innovation_cov(P, H, R, HP)
-    L = cholesky(S)
-    whitened = standardised(L, z)
-    nis = dot(whitened, whitened)
-    used = nis <= measurement.gate
-    reopened = not used and locks_out(updates, m, nis, time_s, measurement.reopen_after)
-    write_update(updates, m, ping, z, S, L, nis, used or reopened, reopened)
+    P, dx, size = matrices.P, matrices.dx, measurements.size[m]
+    H, HP, KT, rest = matrices.H[:size], matrices.HP[:size], matrices.KT[:size], matrices.rest[:size]
+    R, S, L = matrices.R[:size, :size], matrices.S[:size, :size], matrices.L[:size, :size]
+    z, standardised = matrices.z[:size], matrices.standardised[:size]
+    linearise(measurements, m, row, ins, z, H)
+    for i in range(size):
+        for j in range(size):
+            R[i, j] = measurements.cov[m, row, i, j]
+    innovation_cov(P, H, R, HP, S)
+    cholesky(S, L)
+    nis = normalised_square(L, z, standardised)
+    used = nis <= measurements.gate[m]
+    reopened = not used and locks_out(updates, m, nis, time_s, measurements.reopen_after[m])
+    write_update(updates, m, row, z, S, L, nis, used or reopened, reopened)
     if reopened:
-        open_state(P, z, start_var, updates, m, time_s)
-        L = cholesky(innovation_cov(P, H, R, HP))
+        open_state(P, z, matrices.start_var, updates, m, time_s)
+        innovation_cov(P, H, R, HP, S)
+        cholesky(S, L)
     elif used:
         updates.refused_in_a_row[m] = 0
     else:
         return state
     transposed_gain(HP, L, KT)
+    for i in range(len(dx)):
+        dx[i] = KT[0, i] * z[0]
+        for k in range(1, size):
+            dx[i] += KT[k, i] * z[k]
     update_cov(P, H, R, HP, KT, rest)
-    return correct(state, P, KT, z, dx)
+    return correct(state, P, dx, layout, ins.place)

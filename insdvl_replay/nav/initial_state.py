@@ -62,7 +62,7 @@ def start_cov(sd: Floats, mat_nb: Floats, level: Level | None, velocity_by_dvl_n
     -------
     ndarray, shape (12, 12)
     """
-    effect, own = np.eye(12), np.diag(sd**2)
+    effect, own = np.eye(len(sd)), np.diag(sd**2)
     if level is not None:
         tilt = slice(PHI.start, PHI.start + 2)
         # C_hat' e_d is gravity's direction in b, so that phi x e_d = -C times its error.

@@ -1,4 +1,4 @@
-"""What a measurement says of the errors at a ping: the innovation z and the Jacobian H.
+"""What a measurement says of the errors when it is made: the innovation z and the Jacobian H.
 
     z = predicted - measured = H dx + noise,    dx = estimated - true, of a bias what is left in the compensated
                                                 reading: true - estimated
@@ -17,7 +17,8 @@ from typing import Final, NamedTuple
 
 from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, Measurement
+from insdvl_replay.nav.local_earth import Place
+from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, Stack
 from insdvl_replay.nav.vector_algebra import (
     Matrix,
     Vector,
@@ -29,7 +30,6 @@ from insdvl_replay.nav.vector_algebra import (
     row_vector,
     scale,
     skew,
-    subtract,
     transpose,
     write_blocks,
 )
@@ -39,16 +39,20 @@ ZERO: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class InsAtPing(NamedTuple):
-    """What the INS knows at a ping, and what it remembers of the pings before.
+    """What the INS knows when something is measured, and what it remembers of the pings until then.
 
     Attributes
     ----------
+    position : tuple of 3 float
+        Latitude rad, longitude rad, height m.
     velocity_n : tuple of 3 float
         m/s
     mat_nb : tuple of 3 rows
         Attitude.
     specific_force_b : tuple of 3 float
         Compensated reading, m/s^2.
+    ping : int
+        Row of the ping that is now, -1 for none.
     rate_nb_b, rate_eb_b : ndarray, shape (m, 3)
         Angular rate of the body against n and against the Earth at each ping so far, rad/s.
     velocity_change_b : ndarray, shape (m, 3)
@@ -57,41 +61,45 @@ class InsAtPing(NamedTuple):
         m/s^2
     lever_arm_b : tuple of 3 float
         IMU to DVL, m.
+    place : Place
+        What there is to know of the Earth here.
     """
 
+    position: Vector
     velocity_n: Vector
     mat_nb: Matrix
     specific_force_b: Vector
+    ping: int
     rate_nb_b: Floats
     rate_eb_b: Floats
     velocity_change_b: Floats
     gravity: float
     lever_arm_b: Vector
+    place: Place
 
 
 @inlined
-def linearise(measurement: Measurement, ping: int, ins: InsAtPing, H: Floats) -> Vector:
-    """Return the innovation of a measurement, and write its Jacobian.
+def linearise(measurements: Stack, m: int, row: int, ins: InsAtPing, z: Floats, H: Floats) -> None:
+    """Write the innovation of a measurement, predicted minus measured, and its Jacobian.
 
     Parameters
     ----------
-    ping : int
-        Row of the ping.
-    H : ndarray, shape (3, 12)
+    m, row : int
+        The measurement, and the row of its reading.
+    z : ndarray, shape (s,)
+        Written; s components.
+    H : ndarray, shape (s, n)
         Written.
-
-    Returns
-    -------
-    tuple of 3 float
-        z, predicted minus measured.
     """
-    if measurement.kind == VELOCITY:
-        predicted_b = _predict_velocity(ins, ping, H)
-    elif measurement.kind == PUBLISHED:
+    kind = measurements.kind[m]
+    if kind == VELOCITY:
+        predicted_b = _predict_velocity(ins, row, H)
+    elif kind == PUBLISHED:
         predicted_b = _predict_specific_force(ins, H)
     else:
-        predicted_b = _predict_slope(measurement, ins, ping, H)
-    return subtract(predicted_b, row_vector(measurement.measured_b, ping))
+        predicted_b = _predict_slope(measurements, m, ins, row, H)
+    for i in range(3):
+        z[i] = predicted_b[i] - measurements.values[m, row, i]
 
 
 @inlined
@@ -112,16 +120,16 @@ def _predict_specific_force(ins: InsAtPing, H: Floats) -> Vector:
 
 
 @inlined
-def _predict_slope(measurement: Measurement, ins: InsAtPing, ping: int, H: Floats) -> Vector:
+def _predict_slope(measurements: Stack, m: int, ins: InsAtPing, ping: int, H: Floats) -> Vector:
     """Return the slope of the DVL's velocity that the mechanisation predicts in the window, and write its Jacobian."""
-    n = measurement.velocity_weights.shape[1]
+    n = measurements.velocity_weights.shape[2]
     first, slope_b = ping - n + 1, (0.0, 0.0, 0.0)
     for j in range(max(0, -first), n):
         arm_velocity_b = cross(row_vector(ins.rate_eb_b, first + j), ins.lever_arm_b)
-        slope_b = add(slope_b, scale(measurement.velocity_weights[ping, j], arm_velocity_b))
+        slope_b = add(slope_b, scale(measurements.velocity_weights[m, ping, j], arm_velocity_b))
         if j > 0:
             change_b = row_vector(ins.velocity_change_b, first + j)
-            slope_b = add(slope_b, scale(measurement.interval_weights[ping, j - 1], change_b))
+            slope_b = add(slope_b, scale(measurements.interval_weights[m, ping, j - 1], change_b))
     _write_slope_jacobian(ins, row_vector(ins.rate_nb_b, ping), H)
     return slope_b
 

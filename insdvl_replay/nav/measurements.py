@@ -1,8 +1,10 @@
-"""What the DVL measures at its pings, ready for a filter: the velocity, or the slope of the last few, with its noise R.
+"""What sensors measure at times of their own, ready for a filter: values, their noise R, and how they are judged.
 
 `innovation` predicts the same from the INS.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs, seconds
 from insdvl_replay.nav.dvl import DvlVelocities, slope_windows, windowed_sum
+from insdvl_replay.nav.timeline import PINGS
 
 VELOCITY: Final = 0
 PUBLISHED: Final = 1
@@ -18,40 +21,115 @@ NEVER_REOPENED: Final = 0
 """An acceleration that is rejected locks nothing out: the velocity brings the INS back."""
 
 
-class Measurement(NamedTuple):
-    """One kind of aiding, ready for every ping.
+@dataclass(frozen=True)
+class Measurement:
+    """One kind of aiding, ready for every reading of its sensor.
 
     Attributes
     ----------
+    name : str
+        In tables and messages.
+    unit : str
+        Of its values.
     kind : int
-        `VELOCITY`, `PUBLISHED` or `WINDOWED`.
-    available : ndarray of bool, shape (m,)
-        Whether this ping has the measurement.
-    valid_ns : ndarray, shape (m,)
-        Time of validity: the ping's, or the middle of the window.
-    measured_b : ndarray, shape (m, 3)
-        Velocity m/s or acceleration m/s^2, in b.
-    cov_b : ndarray, shape (m, 3, 3)
+        How `innovation.linearise` predicts it.
+    sensor : int
+        Whose readings these are: a row of `timeline.Timeline.rows`.
+    available : ndarray of bool, shape (k,)
+        Which readings can be used.
+    valid_ns : ndarray, shape (k,)
+        Times of validity: the readings' own, or the middle of a window.
+    values : ndarray, shape (k, m)
+        What was measured; of the DVL in b.
+    cov : ndarray, shape (k, m, m)
         R.
-    velocity_weights : ndarray, shape (m, n)
-        Weights c of the window's velocities; n = 1 for velocity aiding.
-    interval_weights : ndarray, shape (m, n - 1)
-        Weights W of the window's intervals.
     gate : float
         Largest NIS that is used.
     reopen_after : int
         Rejections in a row after which the velocity's uncertainty is opened; 0: never.
+    velocity_weights : ndarray, shape (k, w)
+        Weights c of the window's velocities; w = 0 where there is no window.
+    interval_weights : ndarray, shape (k, w - 1)
+        Weights W of the window's intervals.
+    axes : tuple of str
+        Names of the components; none of a measurement that has one.
     """
 
+    name: str
+    unit: str
     kind: int
+    sensor: int
     available: NDArray[np.bool_]
     valid_ns: TimeNs
-    measured_b: Floats
-    cov_b: Floats
-    velocity_weights: Floats
-    interval_weights: Floats
+    values: Floats
+    cov: Floats
     gate: float
     reopen_after: int
+    velocity_weights: Floats
+    interval_weights: Floats
+    axes: tuple[str, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Components of one reading."""
+        return int(self.values.shape[1])
+
+    def rows(self, rows: slice) -> "Measurement":
+        """Keep some of the readings."""
+        columns = ("available", "valid_ns", "values", "cov", "velocity_weights", "interval_weights")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
+
+
+class Stack(NamedTuple):
+    """Measurements with a leading axis, so that one compiled loop serves any number of them.
+
+    What is narrower than the widest stands in the first rows and columns; weights stand at the end, since a window ends
+    at its ping.
+    """
+
+    kind: NDArray[np.int64]
+    sensor: NDArray[np.int64]
+    size: NDArray[np.int64]
+    available: NDArray[np.bool_]
+    values: Floats
+    cov: Floats
+    velocity_weights: Floats
+    interval_weights: Floats
+    gate: Floats
+    reopen_after: NDArray[np.int64]
+
+
+def stacked(measurements: Sequence[Measurement]) -> Stack:
+    """Stack measurements, at least one, for the loop."""
+    count, width = max(len(one.available) for one in measurements), max(one.size for one in measurements)
+    window = max(1, *(one.velocity_weights.shape[1] for one in measurements))
+    shapes = {
+        "available": (count,),
+        "values": (count, width),
+        "cov": (count, width, width),
+        "velocity_weights": (count, window),
+        "interval_weights": (count, window - 1),
+    }
+    columns = {name: np.zeros((len(measurements), *shape)) for name, shape in shapes.items()}
+    for m, one in enumerate(measurements):
+        k, size, w = len(one.available), one.size, one.velocity_weights.shape[1]
+        columns["available"][m, :k] = one.available
+        columns["values"][m, :k, :size] = one.values
+        columns["cov"][m, :k, :size, :size] = one.cov
+        columns["velocity_weights"][m, :k, window - w :] = one.velocity_weights
+        columns["interval_weights"][m, :k, window - w :] = one.interval_weights
+    return Stack(
+        kind=np.array([one.kind for one in measurements]),
+        sensor=np.array([one.sensor for one in measurements]),
+        size=np.array([one.size for one in measurements]),
+        available=columns["available"].astype(np.bool_),
+        values=columns["values"],
+        cov=columns["cov"],
+        velocity_weights=columns["velocity_weights"],
+        interval_weights=columns["interval_weights"],
+        gate=np.array([one.gate for one in measurements]),
+        reopen_after=np.array([one.reopen_after for one in measurements]),
+    )
 
 
 def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, of_one_beam: bool = False) -> Floats:
@@ -95,15 +173,19 @@ def velocity_measurement(velocities: DvlVelocities, cov_b: Floats, gate: float, 
     """
     m = len(velocities.time_ns)
     return Measurement(
-        VELOCITY,
-        np.ones(m, dtype=np.bool_),
-        velocities.time_ns,
-        np.ascontiguousarray(velocities.velocity_b),
-        np.ascontiguousarray(cov_b),
-        np.zeros((m, 1)),
-        np.zeros((m, 0)),
-        gate,
-        reopen_after,
+        name="velocity",
+        unit="m/s",
+        kind=VELOCITY,
+        sensor=PINGS,
+        available=np.ones(m, dtype=np.bool_),
+        valid_ns=velocities.time_ns,
+        values=velocities.velocity_b,
+        cov=cov_b,
+        gate=gate,
+        reopen_after=reopen_after,
+        velocity_weights=np.zeros((m, 1)),
+        interval_weights=np.zeros((m, 0)),
+        axes=("x", "y", "z"),
     )
 
 
@@ -148,13 +230,17 @@ def acceleration_measurement(
         fitted_cov = windowed_sum(windows.velocity_weights**2, velocity_cov_b)
         cov_b = fitted_cov + predicted_var[:, None, None] * np.eye(3)
     return Measurement(
-        kind,
-        windows.complete,
-        velocities.time_ns[:1] + np.round(windows.middle_s * 1e9).astype(np.int64),
-        windowed_sum(windows.velocity_weights, velocities.velocity_b),
-        np.ascontiguousarray(cov_b),
-        windows.velocity_weights,
-        np.ascontiguousarray(windows.interval_weights),
-        gate,
-        NEVER_REOPENED,
+        name="acceleration",
+        unit="m/s^2",
+        kind=kind,
+        sensor=PINGS,
+        available=windows.complete,
+        valid_ns=velocities.time_ns[:1] + np.round(windows.middle_s * 1e9).astype(np.int64),
+        values=windowed_sum(windows.velocity_weights, velocities.velocity_b),
+        cov=cov_b,
+        gate=gate,
+        reopen_after=NEVER_REOPENED,
+        velocity_weights=windows.velocity_weights,
+        interval_weights=windows.interval_weights,
+        axes=("x", "y", "z"),
     )

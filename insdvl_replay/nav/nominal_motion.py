@@ -10,8 +10,9 @@ from insdvl_replay.core.history import History
 from insdvl_replay.nav.error_model import add_noise, propagate_cov, propagate_errors
 from insdvl_replay.nav.kalman import multiply
 from insdvl_replay.nav.local_earth import gravity_at, normal_gravity, place_about, place_at
+from insdvl_replay.nav.state_layout import TWELVE
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
-from insdvl_replay.nav.timeline import Timeline, first_node, is_event, is_last, mean, next_node
+from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, mean, next_node
 from insdvl_replay.nav.vector_algebra import (
     Vector,
     add,
@@ -87,7 +88,7 @@ def nominal_pings(
         np.empty((pings, 3, 3)),
         np.empty((pings, 3)),
         np.empty(pings),
-        *np.empty((3, pings, 12, 12)),
+        *np.empty((3, pings, TWELVE, TWELVE)),
     )
     states = _States(
         nominal.position,
@@ -96,7 +97,7 @@ def nominal_pings(
         nominal.accel_bias_b,
         nominal.gyro_bias_b,
     )
-    _walk(timeline, states, noise_density, earth_rate, found)
+    _walk(timeline, states, tuple(noise_density.tolist()), earth_rate, found)
     return found
 
 
@@ -122,9 +123,11 @@ def _row_state(states: _States, row: int) -> NavState:
 
 
 @compiled
-def _walk(timeline: Timeline, nominal: _States, noise_density: Floats, earth_rate: bool, found: NominalPings) -> None:
+def _walk(
+    timeline: Timeline, nominal: _States, noise_density: tuple[float, ...], earth_rate: bool, found: NominalPings
+) -> None:
     """Mechanise from one recorded event to the next, and let errors grow and noise gather from ping to ping."""
-    transition, step, noise = np.eye(12), np.eye(12), np.zeros((12, 12))
+    transition, step, noise = np.eye(TWELVE), np.eye(TWELVE), np.zeros((TWELVE, TWELVE))
     step_by_row, noise_by_row = step.ravel(), noise.ravel()
     state = _row_state(nominal, timeline.record[0])
     place = place_at(state.position[0], state.position[2])
@@ -142,12 +145,12 @@ def _walk(timeline: Timeline, nominal: _States, noise_density: Floats, earth_rat
         propagate_cov(noise_by_row, errors_motion, noise_density, dt)
         gap = timeline.gap[before.event]
         if gap >= 0:
-            add_noise(noise_by_row, timeline.gap_noise_density[gap], dt)
+            add_noise(noise_by_row, TWELVE, timeline.gap_noise_density[gap], dt)
         before = now
         if not is_event(timeline, now):
             continue
 
-        ping, row = timeline.ping[now.event], timeline.record[now.event]
+        ping, row = timeline.rows[PINGS, now.event], timeline.record[now.event]
         if row >= 0:
             state = _row_state(nominal, row)
         if ping >= 0:
@@ -160,7 +163,7 @@ def _walk(timeline: Timeline, nominal: _States, noise_density: Floats, earth_rat
             multiply(step, transition, found.transition[ping])
             found.step[ping], found.noise[ping] = step, noise
             transition = found.transition[ping]
-            step[:], noise[:] = np.eye(12), 0.0
+            step[:], noise[:] = np.eye(TWELVE), 0.0
 
 
 @inlined

@@ -17,8 +17,10 @@ from insdvl_replay.core.compiled import compiled, inlined
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, multiply, transposed_gain, update_cov
-from insdvl_replay.nav.measurements import Measurement
+from insdvl_replay.nav.local_earth import place_at
+from insdvl_replay.nav.measurements import Measurement, Stack, stacked
 from insdvl_replay.nav.nominal_motion import NominalPings
+from insdvl_replay.nav.state_layout import TWELVE
 from insdvl_replay.nav.vector_algebra import Vector, row_matrix, row_vector, vector
 
 TOLERANCE: Final = 3e-6
@@ -46,8 +48,8 @@ def whitened_rows(pings: NominalPings, measurement: Measurement, lever_arm_b: Fl
     """
     rows = np.flatnonzero(measurement.available)
     H = jacobians(pings, measurement, lever_arm_b)[rows]
-    L = np.linalg.cholesky(measurement.cov_b[rows])
-    whitened: Floats = np.linalg.solve(L, H @ pings.transition[rows]).reshape(-1, 12)
+    L = np.linalg.cholesky(measurement.cov[rows])
+    whitened: Floats = np.linalg.solve(L, H @ pings.transition[rows]).reshape(-1, TWELVE)
     return whitened
 
 
@@ -68,8 +70,8 @@ def jacobians(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats
     ndarray, shape (m, 3, 12)
         Zero where there is no measurement.
     """
-    H = np.zeros((len(measurement.available), 3, 12))
-    _write_jacobians(measurement, np.flatnonzero(measurement.available), pings, vector(lever_arm_b), H)
+    H = np.zeros((len(measurement.available), 3, TWELVE))
+    _write_jacobians(stacked((measurement,)), np.flatnonzero(measurement.available), pings, vector(lever_arm_b), H)
     return H
 
 
@@ -151,7 +153,7 @@ def analyse(rows: Floats, prior_sd: Floats, tolerance: float = TOLERANCE) -> Obs
     """
     # R has the singular values of the stack, and is as small as one ping whatever the length of the dive.
     triangle = np.asarray(np.linalg.qr(rows * prior_sd, mode="r"))
-    R = np.zeros((12, 12))
+    R = np.zeros((TWELVE, TWELVE))
     R[: len(triangle)] = triangle
     _, singular_values, directions = np.linalg.svd(R)
     largest = np.take_along_axis(directions, np.abs(directions).argmax(axis=1)[:, None], axis=1)
@@ -160,22 +162,26 @@ def analyse(rows: Floats, prior_sd: Floats, tolerance: float = TOLERANCE) -> Obs
 
 @compiled
 def _write_jacobians(
-    measurement: Measurement, rows: NDArray[np.int64], pings: NominalPings, lever_arm_b: Vector, H: Floats
+    measurement: Stack, rows: NDArray[np.int64], pings: NominalPings, lever_arm_b: Vector, H: Floats
 ) -> None:
     """Write the Jacobian of each ping. What only the innovation needs is left at zero."""
-    unused, unused_b = (0.0, 0.0, 0.0), np.zeros(pings.velocity_n.shape)
+    unused, unused_b, z = (0.0, 0.0, 0.0), np.zeros(pings.velocity_n.shape), np.empty(3)
+    nowhere = place_at(0.0, 0.0)
     for ping in rows:
         ins = InsAtPing(
+            unused,
             row_vector(pings.velocity_n, ping),
             row_matrix(pings.mat_nb, ping),
             unused,
+            ping,
             pings.rate_nb_b,
             unused_b,
             unused_b,
             pings.gravity[ping],
             lever_arm_b,
+            nowhere,
         )
-        linearise(measurement, ping, ins, H[ping])
+        linearise(measurement, 0, ping, ins, z, H[ping])
 
 
 def remaining_cov(
@@ -205,7 +211,7 @@ def remaining_cov(
     """
     P = np.diag(np.square(prior_sd))
     H = np.stack([jacobians(pings, measurement, lever_arm_b) for measurement in measurements])
-    cov_b = np.stack([measurement.cov_b for measurement in measurements])
+    cov_b = np.stack([measurement.cov for measurement in measurements])
     available = np.stack([measurement.available for measurement in measurements])
     _walk(pings.step, pings.noise, H, cov_b, available, P)
     return P
@@ -214,24 +220,25 @@ def remaining_cov(
 @compiled
 def _walk(steps: Floats, noises: Floats, H: Floats, cov_b: Floats, available: NDArray[np.bool_], P: Floats) -> None:
     """Take P from ping to ping, in place."""
-    HP, KT, rest, grown = np.empty((3, 12)), np.empty((3, 12)), np.empty((3, 12)), np.empty((12, 12))
+    (HP, KT, rest), grown = np.empty((3, 3, TWELVE)), np.empty((TWELVE, TWELVE))
+    S, L = np.empty((2, 3, 3))
     for ping in range(len(steps)):
         _advance(P, steps[ping], noises[ping], grown)
         for m in range(len(H)):
             if available[m, ping]:
-                R = row_matrix(cov_b[m], ping)
-                L = cholesky(innovation_cov(P, H[m, ping], R, HP))
+                innovation_cov(P, H[m, ping], cov_b[m, ping], HP, S)
+                cholesky(S, L)
                 transposed_gain(HP, L, KT)
-                update_cov(P, H[m, ping], R, HP, KT, rest)
+                update_cov(P, H[m, ping], cov_b[m, ping], HP, KT, rest)
 
 
 @inlined
 def _advance(P: Floats, step: Floats, noise: Floats, grown: Floats) -> None:
     """Write ``Phi P Phi' + Q`` to P, symmetric to the last bit."""
     multiply(step, P, grown)
-    for i in range(12):
+    for i in range(TWELVE):
         for j in range(i + 1):
             total = noise[i, j]
-            for k in range(12):
+            for k in range(TWELVE):
                 total += grown[i, k] * step[j, k]
             P[i, j] = P[j, i] = total

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.states import State
 from insdvl_replay.geometry.rotation import wrap_angle
-from insdvl_replay.nav.measurements import VELOCITY, Measurement
+from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.strapdown import NavState
 from insdvl_replay.nav.timeline import Timeline
-from insdvl_replay.nav.vector_algebra import Matrix, Vector, write_row_matrix, write_row_vector
+from insdvl_replay.nav.vector_algebra import write_row_matrix, write_row_vector
 
 
 class Records(NamedTuple):
@@ -30,14 +31,14 @@ class Records(NamedTuple):
 
 
 class Updates(NamedTuple):
-    """Innovations, first axis measurement, second axis ping; and how far each kind is in a run of rejections.
+    """Innovations, first axis measurement, second axis reading; and how far each kind is in a run of rejections.
 
     ``refused_in_a_row`` counts the rejections up to now, ``refused_s`` is the time of the last, and ``reopened_s`` that
-    of the last ping that was used in spite of the gate.
+    of the last reading that was used in spite of the gate.
     """
 
-    innovation_b: Floats
-    sd_b: Floats
+    innovation: Floats
+    sd: Floats
     nis: Floats
     used: NDArray[np.bool_]
     reopened: NDArray[np.bool_]
@@ -47,7 +48,7 @@ class Updates(NamedTuple):
     reopened_s: Floats
 
 
-def new_records(keep_cov: NDArray[np.bool_]) -> Records:
+def new_records(keep_cov: NDArray[np.bool_], states: int) -> Records:
     """Make room for the states at recorded events, with all of P at those that are to keep it."""
     rows = len(keep_cov)
     return Records(
@@ -56,21 +57,21 @@ def new_records(keep_cov: NDArray[np.bool_]) -> Records:
         mat_nb=np.empty((rows, 3, 3)),
         accel_bias_b=np.empty((rows, 3)),
         gyro_bias_b=np.empty((rows, 3)),
-        sd=np.empty((rows, 12)),
+        sd=np.empty((rows, states)),
         cov_row=np.where(keep_cov, np.cumsum(keep_cov) - 1, -1),
-        cov=np.empty((int(keep_cov.sum()), 12, 12)),
+        cov=np.empty((int(keep_cov.sum()), states, states)),
     )
 
 
-def new_updates(measurements: int, pings: int) -> Updates:
-    """Make room for the innovations of some kinds of measurement at each ping."""
+def new_updates(measurements: int, readings: int, size: int) -> Updates:
+    """Make room for the innovations of some kinds of measurement, with so many components at most, at each reading."""
     return Updates(
-        innovation_b=np.full((measurements, pings, 3), np.nan),
-        sd_b=np.full((measurements, pings, 3), np.nan),
-        nis=np.full((measurements, pings), np.nan),
-        used=np.zeros((measurements, pings), dtype=np.bool_),
-        reopened=np.zeros((measurements, pings), dtype=np.bool_),
-        log_det=np.full((measurements, pings), np.nan),
+        innovation=np.full((measurements, readings, size), np.nan),
+        sd=np.full((measurements, readings, size), np.nan),
+        nis=np.full((measurements, readings), np.nan),
+        used=np.zeros((measurements, readings), dtype=np.bool_),
+        reopened=np.zeros((measurements, readings), dtype=np.bool_),
+        log_det=np.full((measurements, readings), np.nan),
         refused_in_a_row=np.zeros(measurements, dtype=np.int64),
         refused_s=np.full(measurements, -np.inf),
         reopened_s=np.full(measurements, -np.inf),
@@ -85,45 +86,53 @@ def write_record(state: NavState, P: Floats, records: Records, row: int) -> None
     write_row_matrix(state.mat_nb, records.mat_nb, row)
     write_row_vector(state.accel_bias_b, records.accel_bias_b, row)
     write_row_vector(state.gyro_bias_b, records.gyro_bias_b, row)
-    for i in range(12):
+    for i in range(P.shape[0]):
         records.sd[row, i] = math.sqrt(P[i, i])
     cov_row = records.cov_row[row]
     if cov_row >= 0:
         # By elements: numba takes three seconds to compile the assignment of a whole array.
-        for i in range(12):
-            for j in range(12):
+        for i in range(P.shape[0]):
+            for j in range(P.shape[0]):
                 records.cov[cov_row, i, j] = P[i, j]
 
 
 @inlined
 def write_update(
-    updates: Updates, m: int, ping: int, z: Vector, S: Matrix, L: Matrix, nis: float, used: bool, reopened: bool
+    updates: Updates, m: int, row: int, z: Floats, S: Floats, L: Floats, nis: float, used: bool, reopened: bool
 ) -> None:
     """Write down an innovation and what was thought of it; L is the Cholesky factor of its covariance S."""
-    updates.nis[m, ping], updates.used[m, ping], updates.reopened[m, ping] = nis, used, reopened
-    updates.log_det[m, ping] = 2.0 * (math.log(L[0][0]) + math.log(L[1][1]) + math.log(L[2][2]))
-    for i in range(3):
-        updates.innovation_b[m, ping, i] = z[i]
-        updates.sd_b[m, ping, i] = math.sqrt(S[i][i])
+    updates.nis[m, row], updates.used[m, row], updates.reopened[m, row] = nis, used, reopened
+    log_det = 0.0
+    for i in range(len(z)):
+        log_det += math.log(L[i, i])
+        updates.innovation[m, row, i] = z[i]
+        updates.sd[m, row, i] = math.sqrt(S[i, i])
+    updates.log_det[m, row] = 2.0 * log_det
 
 
 def history_of(
-    name: str, timeline: Timeline, measurements: tuple[Measurement, ...], records: Records, updates: Updates
+    name: str,
+    timeline: Timeline,
+    states: tuple[State, ...],
+    measurements: tuple[Measurement, ...],
+    records: Records,
+    updates: Updates,
 ) -> History:
     """Gather what a filter wrote down."""
-    ping_ns = timeline.event_ns[timeline.ping >= 0]
     innovations = []
     for m, measurement in enumerate(measurements):
+        reading_ns = timeline.event_ns[timeline.rows[measurement.sensor] >= 0]
         rows = measurement.available
         innovations.append(
             Innovations(
-                measurement="velocity" if measurement.kind == VELOCITY else "acceleration",
-                unit="m/s" if measurement.kind == VELOCITY else "m/s^2",
-                time_ns=ping_ns[rows],
+                measurement=measurement.name,
+                unit=measurement.unit,
+                axes=measurement.axes,
+                time_ns=reading_ns[rows],
                 valid_ns=measurement.valid_ns[rows],
-                measured_b=measurement.measured_b[rows],
-                innovation_b=updates.innovation_b[m, rows],
-                sd_b=updates.sd_b[m, rows],
+                measured=measurement.values[rows],
+                innovation=updates.innovation[m, rows, : measurement.size],
+                sd=updates.sd[m, rows, : measurement.size],
                 nis=updates.nis[m, rows],
                 used=updates.used[m, rows],
                 gate=measurement.gate,
@@ -137,6 +146,7 @@ def history_of(
     time_ns = timeline.event_ns[recorded]
     return History(
         filter=name,
+        states=states,
         time_ns=time_ns,
         updated=timeline.ping[recorded] >= 0,
         position=records.position,

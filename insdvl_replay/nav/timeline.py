@@ -5,6 +5,7 @@ validity, updates, and finishes the interval. Samples and events are merged as t
 readings would take more memory than the samples themselves.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeVar
 
@@ -16,6 +17,8 @@ from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, distinct
 from insdvl_replay.core.states import STATES
 from insdvl_replay.nav.vector_algebra import Vector, add, row_vector, scale, subtract
 
+PINGS: Final = 0
+"""The sensor whose readings are the DVL's pings: its row in the time line."""
 BRIDGE_STEP_S: Final = 1.0
 """Spacing of the nodes inside a gap: short enough that growing uncertainties see each other grow."""
 
@@ -116,8 +119,8 @@ class Timeline(NamedTuple):
         Readings of the samples, m/s^2 and rad/s.
     event_ns : ndarray, shape (e,)
         Strictly increasing, from start to end; where a sample has the same time, both are one node.
-    ping : ndarray of int, shape (e,)
-        Row of the ping that is valid at each event, -1 for none.
+    rows : ndarray of int, shape (s, e)
+        Row of each sensor's reading that is valid at each event, -1 for none; the first sensor's are the DVL's pings.
     record : ndarray of int, shape (e,)
         Row of the history that keeps each event, -1 for none; the first is kept.
     gap : ndarray of int, shape (e,)
@@ -130,10 +133,15 @@ class Timeline(NamedTuple):
     specific_force_b: Floats
     angular_rate_b: Floats
     event_ns: TimeNs
-    ping: NDArray[np.int64]
+    rows: NDArray[np.int64]
     record: NDArray[np.int64]
     gap: NDArray[np.int64]
     gap_noise_density: Floats
+
+    @property
+    def ping(self) -> NDArray[np.int64]:
+        """Row of the ping that is valid at each event, -1 for none, shape (e,); not to be asked by what is compiled."""
+        return np.asarray(self.rows[PINGS])
 
 
 class Node(NamedTuple):
@@ -158,9 +166,15 @@ class Node(NamedTuple):
 
 
 def build_timeline(
-    imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs, start_ns: int, end_ns: int, gaps: Gaps = NO_GAPS
+    imu: ImuColumns,
+    ping_ns: TimeNs,
+    reference_ns: TimeNs,
+    start_ns: int,
+    end_ns: int,
+    gaps: Gaps = NO_GAPS,
+    others_ns: Sequence[TimeNs] = (),
 ) -> Timeline:
-    """Set pings and reference times among the IMU's samples.
+    """Set pings, readings of other sensors and reference times among the IMU's samples.
 
     Parameters
     ----------
@@ -174,27 +188,31 @@ def build_timeline(
         Span of the replay.
     gaps : Gaps
         The IMU's long gaps; in each the time line has nodes of its own.
+    others_ns : sequence of ndarray, shape (k,)
+        Times of the readings of each further sensor, increasing, after the start and up to the end. No state is kept
+        for them.
 
     Raises
     ------
     ValueError
-        A ping or the span lies outside the IMU's samples.
+        A reading or the span lies outside the IMU's samples.
     """
     if start_ns < imu.time_ns[0] or end_ns > imu.time_ns[-1]:
         raise ValueError("the span lies outside the IMU's samples")
-    if len(ping_ns) and (ping_ns[0] <= start_ns or ping_ns[-1] > end_ns):
-        raise ValueError("a ping lies outside the span")
+    sensors_ns = (ping_ns, *others_ns)
+    if any(len(time_ns) and (time_ns[0] <= start_ns or time_ns[-1] > end_ns) for time_ns in sensors_ns):
+        raise ValueError("a reading lies outside the span")
     gaps = gaps.within(start_ns, end_ns)
     ends_ns = np.array([start_ns, end_ns], dtype=np.int64)
     recorded_ns = distinct(np.concatenate([ends_ns, ping_ns, _inside(reference_ns, ends_ns)]))
-    event_ns = distinct(np.concatenate([recorded_ns, _inside(gaps.node_ns(), ends_ns)]))
+    event_ns = distinct(np.concatenate([recorded_ns, *others_ns, _inside(gaps.node_ns(), ends_ns)]))
     covering = slice(np.searchsorted(imu.time_ns, start_ns, side="right") - 1, np.searchsorted(imu.time_ns, end_ns) + 1)
     return Timeline(
         _for_the_loop(imu.time_ns[covering]),
         _for_the_loop(imu.specific_force_b[covering]),
         _for_the_loop(imu.angular_rate_b[covering]),
         event_ns,
-        _row_at(event_ns, ping_ns),
+        np.stack([_row_at(event_ns, time_ns) for time_ns in sensors_ns]),
         _row_at(event_ns, recorded_ns),
         gaps.after(event_ns),
         gaps.noise_density,

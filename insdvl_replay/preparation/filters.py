@@ -1,5 +1,6 @@
 """From the configuration of a filter to its measurements and its noise: every key resolved once."""
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -149,4 +150,4 @@ def _seen(measurement: Measurement, time_ns: TimeNs, gaps: Gaps) -> Measurement:
     """Withhold an acceleration wherever its window, or the reading at its ping, lies in a gap."""
     window = measurement.velocity_weights.shape[1]
     first = np.maximum(np.arange(len(time_ns)) - window + 1, 0)
-    return measurement._replace(available=measurement.available & ~gaps.overlap(time_ns[first], time_ns))
+    return dataclasses.replace(measurement, available=measurement.available & ~gaps.overlap(time_ns[first], time_ns))

@@ -102,7 +102,7 @@ def _acceleration_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
         return
     lever_arm = bool(np.any(replay.config.dvl.lever_arm_m))
     expected_b = _expected_acceleration(replay.dive, replay.config, derived)
-    yield acceleration_figure(derived.valid_ns, derived.measured_b, expected_b, clock, lever_arm=lever_arm)
+    yield acceleration_figure(derived.valid_ns, derived.measured, expected_b, clock, lever_arm=lever_arm)
 
 
 def _first_slopes(histories: tuple[History, ...]) -> Innovations | None:

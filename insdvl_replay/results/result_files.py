@@ -122,7 +122,7 @@ def _measured(histories: tuple[History, ...]) -> dict[str, tuple[TimeNs, Floats]
     measured: dict[str, tuple[TimeNs, Floats]] = {}
     for history in histories:
         for innovations in history.innovations:
-            measured.setdefault(innovations.measurement, (innovations.valid_ns, innovations.measured_b))
+            measured.setdefault(innovations.measurement, (innovations.valid_ns, innovations.measured))
     return measured
 
 

@@ -54,7 +54,7 @@ def test_likelihood_is_that_of_normal_innovations() -> None:
     nis = np.einsum("ki,ij,kj->k", z, np.linalg.inv(S), z)
     times = np.arange(4)
     innovations = Innovations(
-        "velocity", "m/s", times, times, z, z, np.sqrt(np.diag(S)) * np.ones((4, 1)), nis,
+        "velocity", "m/s", ("x", "y", "z"), times, times, z, z, np.sqrt(np.diag(S)) * np.ones((4, 1)), nis,
         np.array([True, True, False, True]), np.full(4, np.linalg.slogdet(S)[1]),
         np.inf, 5, np.zeros(4, dtype=bool),
     )  # fmt: skip

@@ -149,7 +149,8 @@ def test_innovations_are_turned_to_north_and_integrated() -> None:
     nothing = np.zeros((5, 3))
     innovation_b = np.column_stack([0.01 * np.arange(1, 5), np.zeros(4), np.zeros(4)])
     no, sd = np.zeros(4, bool), np.ones((4, 3))
-    withheld = Innovations("velocity", "m/s", time_ns[1:], time_ns[1:], sd, innovation_b, sd, np.arange(4.0), no,
+    withheld = Innovations("velocity", "m/s", ("x", "y", "z"), time_ns[1:], time_ns[1:], sd, innovation_b, sd,
+                           np.arange(4.0), no,
                            np.zeros(4), -1.0, 0, no)  # fmt: skip
     history = History("baseline", time_ns, no, nothing, nothing, np.tile(east, (5, 1, 1)), nothing, nothing,
                       np.ones((5, 12)), time_ns[:0], np.empty((0, 12, 12)), (withheld,))  # fmt: skip

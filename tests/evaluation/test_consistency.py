@@ -39,6 +39,7 @@ def history(
     innovations = Innovations(
         measurement,
         "m/s",
+        ("x", "y", "z"),
         np.arange(m, dtype=np.int64),
         np.arange(m, dtype=np.int64),
         nothing,
@@ -170,7 +171,7 @@ def test_every_filter_and_measurement_has_a_row() -> None:
 def with_innovations(innovation_b: Floats, sd_b: Floats, used: NDArray[np.bool_] | None = None) -> Any:
     """Give the rows of a velocity whose components are independent."""
     made = history("baseline", np.sum((innovation_b / sd_b) ** 2, axis=1), used)
-    innovations = replace(made.innovations[0], innovation_b=innovation_b, sd_b=sd_b)
+    innovations = replace(made.innovations[0], innovation=innovation_b, sd=sd_b)
     table = frame(consistency_table("dive", (replace(made, innovations=(innovations,)),)))
     return table.set_index("measurement")
 

@@ -77,6 +77,7 @@ def make_history(name: str, seed: int) -> History:
         Innovations(
             measurement,
             unit,
+            ("x", "y", "z"),
             START_NS + np.arange(m) * S,
             START_NS + np.arange(m) * S - S // 2,
             *rng.normal(size=(2, m, 3)),
@@ -456,9 +457,9 @@ def test_errors_and_innovations_hold_the_columns(replay_messages: Decoded) -> No
     for innovations in HISTORIES[1].innovations:
         messages = replay_messages[f"/insdvl/aided/innovation/{innovations.measurement}"]
         assert {message.unit for message in messages} == {innovations.unit}
-        np.testing.assert_array_equal(vectors(messages, "measured"), innovations.measured_b)
-        np.testing.assert_array_equal(vectors(messages, "innovation"), innovations.innovation_b)
-        np.testing.assert_array_equal(vectors(messages, "sd"), innovations.sd_b)
+        np.testing.assert_array_equal(vectors(messages, "measured"), innovations.measured)
+        np.testing.assert_array_equal(vectors(messages, "innovation"), innovations.innovation)
+        np.testing.assert_array_equal(vectors(messages, "sd"), innovations.sd)
         np.testing.assert_array_equal(column(messages, "nis")[:, 0], innovations.nis)
         np.testing.assert_array_equal(column(messages, "used")[:, 0], innovations.used)
 

@@ -164,8 +164,8 @@ def test_noise_of_the_dvl_that_measures_is_the_floor(flight: Flight) -> None:
     assert expected_m == pytest.approx(0.039, abs=0.001)
 
     def drift_n() -> Floats:
-        measured_b = flight.velocity.measured_b
-        noisy = flight.velocity._replace(measured_b=measured_b + sd_mps * rng.standard_normal(measured_b.shape))
+        exact_b = flight.velocity.values
+        noisy = replace(flight.velocity, values=exact_b + sd_mps * rng.standard_normal(exact_b.shape))
         return flight.coasted(velocity=noisy).drift_n[-1]
 
     drifts_n = np.array([drift_n() for _ in range(1500)])
@@ -183,13 +183,13 @@ def told_nothing(start: Prepared, timeline: Timeline, first: int, last: int) -> 
     (filter_,) = start.filters
     velocity, *acceleration = filter_.measurements(start.velocities, start.mounting, start.gaps)
     window = slice(first + 1, last + 1)
-    cov_b = velocity.cov_b.copy()
+    cov_b = velocity.cov.copy()
     cov_b[window] *= 1e12
-    measurements = [velocity._replace(cov_b=cov_b)]
+    measurements = [replace(velocity, cov=cov_b)]
     for of_kind in acceleration:
         available = of_kind.available.copy()
         available[window] = False
-        measurements.append(of_kind._replace(available=available))
+        measurements.append(replace(of_kind, available=available))
     return run_filter(
         filter_.name,
         timeline,
@@ -224,8 +224,8 @@ def assert_same_coast(dive: Dive, config: Config, at_s: float, length_s: float) 
     np.testing.assert_allclose(coasted.sd, whole.sd[rows], rtol=1e-5)
     withheld, noisy = coasted.innovations[0], whole.innovations[0]
     assert not withheld.used.any()
-    innovation_b = noisy.innovation_b[first + 1 : last + 1]
-    np.testing.assert_allclose(withheld.innovation_b, innovation_b, rtol=0.0, atol=2e-5)
+    innovation_b = noisy.innovation[first + 1 : last + 1]
+    np.testing.assert_allclose(withheld.innovation, innovation_b, rtol=0.0, atol=2e-5)
 
 
 @pytest.mark.parametrize("filter_", [Filter(aiding=("velocity",)), AIDED], ids=["velocity", "both"])

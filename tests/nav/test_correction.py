@@ -9,12 +9,15 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.correction import correct, keep_invariant_error
+from insdvl_replay.nav.local_earth import place_at
+from insdvl_replay.nav.state_layout import layout_of
 from insdvl_replay.nav.strapdown import NavState
 from insdvl_replay.nav.vector_algebra import matrix, vector
 
 VELOCITY_N = np.array([1.2, -0.7, 0.3])
 CHANGE_N = np.array([0.2, 0.3, -0.1])  # taken off the velocity
 NOTHING = (0.0, 0.0, 0.0)
+TWELVE_STATES = layout_of(())
 
 
 def turned(phi: Floats) -> Floats:
@@ -65,23 +68,19 @@ def test_an_error_that_is_estimated_as_it_is_vanishes_whatever_its_size(degrees:
     off_n = turned(phi) @ true_n + xi
     dx = np.concatenate([xi - np.cross(off_n, phi), phi, np.zeros(6)])
     state = NavState((0.57, 0.6, -20.0), vector(off_n), matrix(turned(phi) @ true_nb), NOTHING, NOTHING)
-    KT = np.zeros((3, 12))
-    KT[0] = dx
-    corrected = correct(state, random_cov(6), KT, (1.0, 0.0, 0.0), np.empty(12))
+    corrected = correct(state, random_cov(6), dx, TWELVE_STATES, place_at(*state.position[::2]))
     np.testing.assert_allclose(corrected.velocity_n, true_n, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(corrected.mat_nb, true_nb, rtol=0.0, atol=1e-15)
 
 
 def test_estimated_errors_are_taken_out_of_the_state() -> None:
     mat_nb = turned(np.array([0.3, -0.1, 2.0]))
-    bias_b, P, dx_room = (0.01, -0.02, 0.03), random_cov(4), np.empty(12)
+    bias_b, P = (0.01, -0.02, 0.03), random_cov(4)
     state = NavState((0.57, 0.6, -20.0), vector(VELOCITY_N), matrix(mat_nb), bias_b, bias_b)
-    K, z = 0.1 * np.random.default_rng(5).normal(size=(12, 3)), np.array([0.2, -0.1, 0.3])
-    dx = K @ z
+    dx = 0.03 * np.random.default_rng(5).normal(size=12)
     expected_cov = P.copy()
     expected_n = turned(dx[PHI]).T @ (VELOCITY_N - dx[DV] - np.cross(VELOCITY_N, dx[PHI]))
-    corrected = correct(state, P, np.ascontiguousarray(K.T), vector(z), dx_room)
-    np.testing.assert_allclose(dx_room, dx, rtol=1e-14)
+    corrected = correct(state, P, dx, TWELVE_STATES, place_at(*state.position[::2]))
     keep_invariant_error(expected_cov, vector(VELOCITY_N - corrected.velocity_n))
     np.testing.assert_array_equal(P, expected_cov)
     assert corrected.position == state.position

@@ -11,6 +11,8 @@ from insdvl_replay.evaluation.state_errors import motion_error
 from insdvl_replay.nav.correction import correct
 from insdvl_replay.nav.drawn_starts import drawn_starts, erring
 from insdvl_replay.nav.initial_state import Start
+from insdvl_replay.nav.local_earth import place_at
+from insdvl_replay.nav.state_layout import layout_of
 from insdvl_replay.nav.strapdown import NavState
 from insdvl_replay.nav.vector_algebra import matrix, vector
 
@@ -85,8 +87,7 @@ def test_a_correction_takes_out_what_was_drawn(degrees: float) -> None:
     error = np.concatenate(
         [[4.0, -3.0, 0.5], np.deg2rad(degrees) * np.array([0.48, 0.6, 0.64]), np.full(3, 0.05), np.full(3, -1e-4)]
     )
-    off, KT = erring(start, error), np.zeros((3, 12))
-    KT[0] = error
+    off = erring(start, error)
     state = NavState(
         vector(off.position),
         vector(off.velocity_n),
@@ -94,7 +95,7 @@ def test_a_correction_takes_out_what_was_drawn(degrees: float) -> None:
         vector(off.accel_bias_b),
         vector(off.gyro_bias_b),
     )
-    corrected = correct(state, start.cov.copy(), KT, (1.0, 0.0, 0.0), np.empty(12))
+    corrected = correct(state, start.cov.copy(), error, layout_of(()), place_at(*off.position[::2]))
     np.testing.assert_allclose(corrected.velocity_n, start.velocity_n, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(corrected.mat_nb, start.mat_nb, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(corrected.accel_bias_b, start.accel_bias_b, rtol=0.0, atol=1e-16)

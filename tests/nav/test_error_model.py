@@ -97,7 +97,7 @@ def test_covariance_is_propagated_as_the_matrices_say() -> None:
     density = noise_density(0.2, 3.7e-5, 1e-6, 1e-10)
     Phi = np.eye(12) + F * dt
     expected = Phi @ P @ Phi.T + np.diag(density) * dt
-    propagate_cov(P.ravel(), motion(), density, dt)
+    propagate_cov(P.ravel(), motion(), tuple(density), dt)
     np.testing.assert_allclose(P, expected, rtol=1e-13)
     np.testing.assert_array_equal(P, P.T)
 

@@ -252,7 +252,7 @@ def test_lever_arm_swings_unseen_at_pings_inside_a_gap(turning: Dive) -> None:
     pings_s = seconds(turning.dvl.time_ns, START_NS)
     row = int(np.searchsorted(pings_s, 50.0))
     velocity = replay_dive(silent(turning, pings_s[row] - 0.2, pings_s[row] + 0.8), config).histories[0].innovations[0]
-    before, inside = (velocity.sd_b[velocity.time_ns == turning.dvl.time_ns[at]][0] for at in (row - 1, row))
+    before, inside = (velocity.sd[velocity.time_ns == turning.dvl.time_ns[at]][0] for at in (row - 1, row))
     swing = 10.0 * DEG * 2.0
     assert (inside[1:] > swing).all()
     assert (before < 0.5 * swing).all()

@@ -20,6 +20,7 @@ from insdvl_replay.nav.measurements import (
     WINDOWED,
     Measurement,
     acceleration_measurement,
+    stacked,
     velocity_cov,
     velocity_measurement,
 )
@@ -31,40 +32,47 @@ MAT_NB = Rotation.from_euler("ZYX", [2.0, -0.1, 0.15]).as_matrix()
 FORCE_B, RATE_NB_B = np.array([0.2, -0.1, -9.75]), np.array([0.01, -0.02, 0.3])
 ARM_B = np.array([-1.8, -0.3, 0.2])
 GRAVITY = 9.795
+POSITION = (0.57, 0.6, -20.0)
 
 
 def measurement(kind: int, window: int = 1) -> Measurement:
     return Measurement(
+        "",
+        "",
         kind,
+        0,
         np.ones(window, dtype=bool),
         np.arange(window),
         np.zeros((window, 3)),
         np.tile(np.eye(3), (window, 1, 1)),
-        np.zeros((window, window)),
-        np.zeros((window, window - 1)),
         np.inf,
         NEVER_REOPENED,
+        np.zeros((window, window)),
+        np.zeros((window, window - 1)),
     )
 
 
 def at_ping(dx: Floats) -> InsAtPing:
     """An INS whose errors are dx: estimated minus true."""
     return InsAtPing(
+        POSITION,
         vector(VELOCITY_N + dx[:3]),
         matrix(Rotation.from_rotvec(dx[3:6]).as_matrix() @ MAT_NB),
         vector(FORCE_B + dx[6:9]),
+        0,
         (RATE_NB_B + dx[9:12])[None],
         (RATE_NB_B + dx[9:12])[None],
         np.zeros((1, 3)),
         GRAVITY,
         vector(ARM_B),
+        place_at(*POSITION[::2]),
     )
 
 
 def linearised(kind: int, dx: Floats) -> tuple[Floats, Floats]:
-    H = np.full((3, 12), np.nan)
-    z = linearise(measurement(kind), 0, at_ping(dx), H)
-    return np.array(z), H
+    z, H = np.empty(3), np.full((3, 12), np.nan)
+    linearise(stacked([measurement(kind)]), 0, 0, at_ping(dx), z, H)
+    return z, H
 
 
 @pytest.mark.parametrize("kind", [VELOCITY, PUBLISHED])
@@ -102,7 +110,7 @@ class Ins:
     def body_velocities(self, times_s: Floats, rate_hz: float = 2000.0) -> Floats:
         mat_nb = matrix(Rotation.from_rotvec(self.dx[3:6]).as_matrix() @ MAT_NB)
         too_much = vector(-self.dx[6:9]), vector(-self.dx[9:12])
-        state = NavState((0.57, 0.6, -20.0), vector(VELOCITY_N + self.dx[:3]), mat_nb, *too_much)
+        state = NavState(POSITION, vector(VELOCITY_N + self.dx[:3]), mat_nb, *too_much)
         place = place_at(state.position[0], state.position[2])
         found = [rotate_back(state.mat_nb, state.velocity_n)]
         for length_s in np.diff(times_s):
@@ -129,8 +137,8 @@ def test_windowed_prediction_is_the_slope_of_what_the_ins_adds_and_its_jacobian_
         ins = at_ping(dx)._replace(
             velocity_change_b=change, rate_nb_b=np.tile(RATE_NB_B, (4, 1)), rate_eb_b=np.tile(RATE_NB_B, (4, 1))
         )
-        H = np.full((3, 12), np.nan)
-        z = np.array(linearise(windowed, 3, ins, H))
+        z, H = np.empty(3), np.full((3, 12), np.nan)
+        linearise(stacked([windowed]), 0, 3, ins, z, H)
         # A straight line through the body velocities themselves has the same slope.
         np.testing.assert_allclose(z, np.polyfit(times_s, body, 1)[0], atol=1e-9)
         slope.H = H  # type: ignore[attr-defined]
@@ -167,6 +175,6 @@ def test_acceleration_noise_comes_from_the_dvl_and_the_accelerometer() -> None:
         sd_mps2=None, accel_white_mps_rts=white, gate=np.inf,
     )  # fmt: skip
     # n = 3 at 1 Hz: c = (-1/2, 0, 1/2), W = (1/2, 1/2).
-    np.testing.assert_allclose(made.cov_b[4], (s**2 / 2 + white**2 / 2) * np.eye(3))
+    np.testing.assert_allclose(made.cov[4], (s**2 / 2 + white**2 / 2) * np.eye(3))
     assert made.available.tolist() == [False, False, True, True, True, True]
-    assert velocity_measurement(velocities, made.cov_b, 1.0, 5).available.all()
+    assert velocity_measurement(velocities, made.cov, 1.0, 5).available.all()

@@ -144,8 +144,8 @@ def test_pings_do_not_change_what_the_readings_add_up_to(offsets_ns: set[int]) -
     [
         (50 * MS, -1, 100 * MS, "the span lies outside"),
         (50 * MS, 0, 100 * MS + 1, "the span lies outside"),
-        (20 * MS, 20 * MS, 80 * MS, "a ping lies outside"),
-        (80 * MS + 1, 20 * MS, 80 * MS, "a ping lies outside"),
+        (20 * MS, 20 * MS, 80 * MS, "a reading lies outside"),
+        (80 * MS + 1, 20 * MS, 80 * MS, "a reading lies outside"),
     ],
     ids=["starts before the samples", "ends after them", "ping at the start", "ping after the end"],
 )

@@ -79,10 +79,10 @@ def test_the_filter_is_given_what_was_resolved(
     (measurement,) = resolved(filter_, config).measurements(from_beams, DvlMounting())
     shape = {BEAM: from_beams.full_unit_cov_b, VELOCITY: np.eye(3)}
     key, sd_mps = with_beams
-    np.testing.assert_allclose(measurement.cov_b[0], sd_mps**2 * shape[key], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(measurement.cov[0], sd_mps**2 * shape[key], rtol=0.0, atol=1e-12)
     plain = dvl_velocities(reports_velocities(dive).dvl)
     (measurement,) = resolved(filter_, config, from_beams=False).measurements(plain, DvlMounting())
-    np.testing.assert_allclose(measurement.cov_b[0], without[1] ** 2 * np.eye(3), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(measurement.cov[0], without[1] ** 2 * np.eye(3), rtol=0.0, atol=1e-12)
 
 
 @COMBINATIONS
@@ -100,7 +100,7 @@ def test_simulated_sensors_err_as_the_filter_is_told(
     beams += errors.velocity_sd_mps * rng.standard_normal((pings, 3)) @ exact.beam_vectors_d.T
     noise = dvl_velocities(replace(exact, beam_velocity_mps=beams))
     (measurement,) = resolved(filter_, config).measurements(noise, DvlMounting())
-    R = measurement.cov_b[0]
+    R = measurement.cov[0]
     np.testing.assert_allclose(np.cov(noise.velocity_b.T), R, rtol=0.0, atol=0.1 * R.max())
 
 

@@ -125,9 +125,9 @@ def test_pings_between_samples_are_met_at_their_own_time(dvl_rate_hz: float) -> 
     filters = {"baseline": VELOCITY, "aided": aided(max_window_gap_s=2.5)}
     replay = replay_dive(dive, config(filters))
     # In the turns the body velocity changes by 0.27 m/s^2: the nearest sample, up to 10 ms off, would be 2 mm/s off.
-    worst_mps = np.abs(innovations_of(replay.histories[0], "velocity").innovation_b).max()
+    worst_mps = np.abs(innovations_of(replay.histories[0], "velocity").innovation).max()
     assert worst_mps < 1e-4
-    assert np.abs(innovations_of(replay.histories[1], "acceleration").innovation_b).max() < 1e-3
+    assert np.abs(innovations_of(replay.histories[1], "acceleration").innovation).max() < 1e-3
 
 
 def test_lever_arm_and_mounting_are_taken_into_account() -> None:
@@ -135,9 +135,9 @@ def test_lever_arm_and_mounting_are_taken_into_account() -> None:
     dive = exact_dive("figure-eight", duration_s=130.0, imu_rate_hz=100.0, **mounted)  # type: ignore[arg-type]
     replay = replay_dive(dive, config(dvl=Dvl(**mounted)))  # type: ignore[arg-type]
     assert errors_of(replay).loc[("aided", "position_h"), "final"] < 1e-3
-    assert np.abs(innovations_of(replay.histories[1], "velocity").innovation_b).max() < 1e-4
+    assert np.abs(innovations_of(replay.histories[1], "velocity").innovation).max() < 1e-4
     misplaced = replay_dive(dive, config(dvl=Dvl(mounting_rpy_deg=(2.0, -3.0, 135.0))))
-    assert np.abs(innovations_of(misplaced.histories[1], "velocity").innovation_b).max() > 0.05
+    assert np.abs(innovations_of(misplaced.histories[1], "velocity").innovation).max() > 0.05
 
 
 def test_tables_have_a_row_for_every_state_quantity_and_measurement(straight: Dive) -> None:
@@ -421,8 +421,8 @@ def test_lost_beams_are_counted_and_cost_certainty(straight: Dive) -> None:
     assert note(replay, "dvl_three_beams").count == 15
     assert note(replay, "dvl_no_velocity").count == 5
     _, pings, same_pings = np.intersect1d(replay.velocities.time_ns, straight.dvl.time_ns, return_indices=True)
-    sd_b = innovations_of(replay.histories[0], "velocity").sd_b[pings]
-    whole_sd_b = innovations_of(replay_dive(straight, config()).histories[0], "velocity").sd_b[same_pings]
+    sd_b = innovations_of(replay.histories[0], "velocity").sd[pings]
+    whole_sd_b = innovations_of(replay_dive(straight, config()).histories[0], "velocity").sd[same_pings]
     three = replay.velocities.beams_used == 3
     np.testing.assert_allclose(sd_b[:20], whole_sd_b[:20], rtol=1e-12)
     assert (sd_b[three, :2] > 1.2 * whole_sd_b[three, :2]).all()

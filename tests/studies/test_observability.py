@@ -134,11 +134,14 @@ def test_rows_are_in_units_of_the_measurements_noise() -> None:
     )
     cov_b = np.array([[4.0, 1.0, 0.0], [1.0, 3.0, 0.0], [0.0, 0.0, 1.0]])
     measurement = Measurement(
+        name="velocity",
+        unit="m/s",
         kind=VELOCITY,
+        sensor=0,
         available=np.array([False, True]),
         valid_ns=np.arange(2),
-        measured_b=np.zeros((2, 3)),
-        cov_b=np.tile(cov_b, (2, 1, 1)),
+        values=np.zeros((2, 3)),
+        cov=np.tile(cov_b, (2, 1, 1)),
         velocity_weights=np.zeros((2, 1)),
         interval_weights=np.zeros((2, 0)),
         gate=np.inf,
@@ -294,8 +297,8 @@ def random_measurements(pings: int) -> list[Measurement]:
     for kind in (VELOCITY, PUBLISHED):
         root = rng.normal(size=(pings, 3, 3))
         cov_b = root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(3)
-        nothing = (np.zeros((pings, 3)), cov_b, np.zeros((pings, 1)), np.zeros((pings, 0)), np.inf, 0)
-        found.append(Measurement(kind, rng.random(pings) < 0.7, np.arange(pings), *nothing))
+        nothing = (np.zeros((pings, 3)), cov_b, np.inf, 0, np.zeros((pings, 1)), np.zeros((pings, 0)))
+        found.append(Measurement("", "", kind, 0, rng.random(pings) < 0.7, np.arange(pings), *nothing))
     return found
 
 
@@ -308,7 +311,7 @@ def test_covariance_is_carried_on_as_a_textbook_has_it() -> None:
         for measurement in measurements:
             if measurement.available[ping]:
                 H = jacobians(pings, measurement, arm_b)[ping]
-                K = P @ H.T @ np.linalg.inv(H @ P @ H.T + measurement.cov_b[ping])
+                K = P @ H.T @ np.linalg.inv(H @ P @ H.T + measurement.cov[ping])
                 P = (np.eye(12) - K @ H) @ P
     found = remaining_cov(pings, measurements, arm_b, prior_sd)
     np.testing.assert_allclose(found, P, rtol=0.0, atol=1e-10 * np.abs(P).max())

@@ -148,9 +148,9 @@ def _error(topic: str, errors: Errors) -> Batch:
 def _innovation(topic: str, innovations: Innovations) -> Batch:
     columns: dict[str, Column] = {
         "unit": innovations.unit,
-        "measured": innovations.measured_b,
-        "innovation": innovations.innovation_b,
-        "sd": innovations.sd_b,
+        "measured": innovations.measured,
+        "innovation": innovations.innovation,
+        "sd": innovations.sd,
         "nis": innovations.nis,
         "used": innovations.used,
     }
