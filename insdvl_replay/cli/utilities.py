@@ -1,5 +1,6 @@
 """``simulate``, ``config``, ``schema`` and ``compile``: what prepares replays, and is prepared for them."""
 
+import math
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,11 +10,12 @@ import typer
 
 from insdvl_replay.cli.messages import log_to_stderr, write_stdout
 from insdvl_replay.cli.options import Force, Outages, Preset, Scenario, Settings, Verbose, grade_names, outage_spans
-from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.errors import ConfigError, require_known
 from insdvl_replay.core.plain_text import visible
 
 if TYPE_CHECKING:
     from insdvl_replay.sim.sensor_errors import LostBeam
+    from insdvl_replay.sim.sensors import SensorErrors
 
 _SHORT_S = 10.0
 
@@ -36,6 +38,13 @@ def simulate(
         list[str],
         typer.Option(metavar="BEAM:START:END", help="The same for one beam, counted from 0. May be repeated."),
     ] = [],  # noqa: B006
+    sensor: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME=SD[@HZ]",
+            help="A sensor to aid filters by, its noise in m or deg, and its rate, else 1 Hz. May be repeated.",
+        ),
+    ] = [],  # noqa: B006
     force: Force = False,
     verbose: Verbose = 0,
 ) -> None:
@@ -47,6 +56,7 @@ def simulate(
     Example:
       insdvl-replay simulate figure-eight -o dive.mcap --imu tactical --seed 7
       insdvl-replay simulate straight -o dive.mcap --outage 60:90 --lost-beam 2:120:180
+      insdvl-replay simulate lawnmower -o dive.mcap --imu mems --sensor depth=0.05@4
     """
     from insdvl_replay.logs.writing.dive_log import write_dive
     from insdvl_replay.results.folder import result_file
@@ -60,6 +70,7 @@ def simulate(
             grade=imu,
             outages=outage_spans(outage),
             lost_beams=[_lost_beam(text) for text in lost_beam],
+            sensors=dict(_sensor(text) for text in sensor),
         )
         write_dive(path, dive)
     log_to_stderr(f"wrote {output}")
@@ -75,6 +86,21 @@ def _lost_beam(text: str) -> "LostBeam":
         raise ConfigError(
             f"--lost-beam {text}: is not of the form BEAM:START:END", "for example --lost-beam 2:120:180"
         ) from error
+
+
+def _sensor(text: str) -> "tuple[str, SensorErrors]":
+    from insdvl_replay.sim.sensors import SIMULATED, SensorErrors
+
+    name, _, size = text.partition("=")
+    require_known("sensor", name, SIMULATED)
+    sd, _, rate_hz = size.partition("@")
+    try:
+        errors = SensorErrors(float(sd), float(rate_hz or 1.0))
+    except ValueError as error:
+        raise ConfigError(f"--sensor {text}: is not of the form NAME=SD[@HZ]", f"--sensor {name}=0.1@4") from error
+    if not (errors.sd > 0.0 and math.isfinite(errors.sd)):
+        raise ConfigError(f"--sensor {text}: a noise of {sd} {SIMULATED[name].unit} cannot be", f"--sensor {name}=0.1")
+    return name, errors
 
 
 def config(

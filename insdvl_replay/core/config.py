@@ -8,6 +8,9 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from insdvl_replay.core.sensors import AIDING, SENSORS
+from insdvl_replay.core.states import MORE_STATES
+
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -93,6 +96,26 @@ class Dvl(_Section, frozen=True):
     ] = None
 
 
+class Depth(_Section, frozen=True):
+    """Where the depth comes from; read where a filter is aided by it, or where it is withheld."""
+
+    topic: Annotated[str | None, Comment("left out: found by type")] = None
+    depth: Annotated[str | None, Comment("field path, m, positive downwards; left out: by type")] = None
+    height: Annotated[str | None, Comment("field path, m, positive upwards; left out: by type")] = None
+    pressure: Annotated[str | None, Comment("field path; left out: by type")] = None
+    pressure_unit: Annotated[
+        Literal["Pa", "hPa", "kPa", "dbar", "bar"] | None, Comment("Pa | hPa | kPa | dbar | bar; left out: Pa")
+    ] = None
+    density_kgpm3: Annotated[Positive, Comment("of the water, for pressures")] = 1025.0
+    surface_height_m: Annotated[
+        float | None, Comment("of depth 0 above the ellipsoid; left out: so that it fits the start")
+    ] = None
+    lever_arm_m: Annotated[Vector, Comment("IMU to the sensor, forward-starboard-down")] = (0.0, 0.0, 0.0)
+    sd_m: Annotated[Positive, Comment("noise of one reading")] = 0.1
+    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+
+
 class Reference(_Section, frozen=True):
     """The solution to start from and to compare with; position, velocity and attitude are each optional."""
 
@@ -152,6 +175,10 @@ class Initial(_Section, frozen=True):
         tuple[Positive, Positive, Positive],
         Comment("north, east, down; of a levelled vehicle the third alone, of the heading, and the rest from its data"),
     ] = (0.5, 0.5, 0.5)
+    position_sd_m: Annotated[
+        tuple[Positive, Positive, Positive],
+        Comment("north, east, down; of filters that estimate the position, as those aided by depth do"),
+    ] = (1.0, 1.0, 1.0)
     accel_bias_sd_mg: Annotated[Positive, Comment("each axis")] = 50.0
     gyro_bias_sd_degph: Annotated[Positive, Comment("each axis")] = 10.0
 
@@ -180,7 +207,11 @@ class Acceleration(_Section, frozen=True):
 class Filter(_Section, frozen=True):
     """One filter. The first of the configuration is the baseline."""
 
-    aiding: Annotated[tuple[Literal["velocity", "acceleration"], ...], Comment("measurements, in this order")]
+    aiding: Annotated[tuple[str, ...], Comment(f"measurements, in this order: {' | '.join(AIDING)}")]
+    states: Annotated[
+        tuple[str, ...],
+        Comment(f"beside the twelve, and those that its aiding needs: {' | '.join(MORE_STATES)}"),
+    ] = ()
     gate_probability: Annotated[
         Annotated[float, Meta(gt=0, le=1)],
         Comment("an innovation outside this share of chi-square is rejected; 1: none"),
@@ -232,6 +263,10 @@ class Evaluation(_Section, frozen=True):
     seed: Annotated[
         Annotated[int, Meta(ge=0, le=4_294_967_295)], Comment("of the draws; another one shows what hangs on them")
     ] = 0
+    withheld: Annotated[
+        tuple[str, ...],
+        Comment(f"sensors that no filter is told of, but judged by: {' | '.join(SENSORS)}"),
+    ] = ()
 
 
 class Config(_Section, frozen=True):
@@ -239,6 +274,7 @@ class Config(_Section, frozen=True):
 
     imu: Imu = Imu()
     dvl: Dvl = Dvl()
+    depth: Depth = Depth()
     reference: Reference = Reference()
     initial: Initial = Initial()
     noise: Noise = Noise()

@@ -4,7 +4,7 @@ Precedence: defaults, then preset, then files in their order, then command line.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from tomllib import TOMLDecodeError
@@ -14,8 +14,10 @@ import msgspec
 from msgspec import Struct
 
 from insdvl_replay.core.config import Config, Filter
-from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.errors import ConfigError, error_context, require_known
 from insdvl_replay.core.plain_text import is_writable, visible
+from insdvl_replay.core.sensors import AIDING, SENSORS
+from insdvl_replay.core.states import MORE_STATES
 from insdvl_replay.core.strict_toml import KeyPath, TomlSource, parse_toml, read_toml
 
 _HINT: Final = "`insdvl-replay config` prints every key with its kind and unit"
@@ -146,6 +148,7 @@ def _check_finite(value: object, source: TomlSource, path: KeyPath) -> None:
 
 
 def _check_filters(config: Config, source: TomlSource) -> None:
+    _check_words(config.evaluation.withheld, SENSORS, source, "evaluation", "withheld")
     if not config.filters:
         raise ConfigError(
             f"{source.where()}: no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
@@ -158,12 +161,23 @@ def _check_filters(config: Config, source: TomlSource) -> None:
                 f"{where}: filter name '{name}' is not a letter followed by letters, digits and _",
                 "the name becomes part of topics and rows",
             )
+        _check_words(filter_.aiding, AIDING, source, "filters", name, "aiding")
+        _check_words(filter_.states, MORE_STATES, source, "filters", name, "states")
         _check_filter(filter_, f"filters.{name}", where)
 
 
+def _check_words(words: Sequence[str], known: Collection[str], source: TomlSource, *path: str) -> None:
+    """Require that a list names what is known, and nothing twice."""
+    for place, word in enumerate(words):
+        with error_context(source.where(*path, place)):
+            require_known(source.key(*path, place), word, known)
+            if word in words[:place]:
+                raise ConfigError(f"{source.key(*path, place)} '{word}' stands there already", "leave one of them out")
+
+
 def _check_filter(filter_: Filter, key: str, where: str) -> None:
-    if not filter_.aiding or len(set(filter_.aiding)) != len(filter_.aiding):
-        raise ConfigError(f"{where}: {key}.aiding names a measurement twice or none", 'aiding = ["velocity"]')
+    if not filter_.aiding:
+        raise ConfigError(f"{where}: {key}.aiding names nothing", 'aiding = ["velocity"]')
     acceleration = filter_.acceleration
     if "acceleration" in filter_.aiding and acceleration is None:
         raise ConfigError(

@@ -3,6 +3,7 @@
 The logs room makes them from files, the sim room from nothing; the filters cannot tell which.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -110,6 +111,22 @@ class DvlColumns:
 
 
 @dataclass(frozen=True)
+class SensorColumns:
+    """Readings of a sensor beside IMU and DVL, see `sensors.SENSORS`.
+
+    Attributes
+    ----------
+    time_ns : ndarray, shape (k,)
+        Times of validity, strictly increasing.
+    values : ndarray, shape (k, s)
+        Of a depth the metres below the water's surface.
+    """
+
+    time_ns: TimeNs
+    values: Floats
+
+
+@dataclass(frozen=True)
 class ReferenceColumns:
     """Another filter's solution, to start from and to compare with. NaN rows where a quantity is not given.
 
@@ -192,6 +209,8 @@ class Dive:
         Digest of the log's bytes; empty for a dive that was never a file.
     imu, dvl, reference, truth
         The columns; reference and truth where the log has them.
+    sensors : mapping of str to SensorColumns
+        Those of `sensors.SENSORS` that were asked for.
     channels : tuple of Channel
         What the log holds.
     notes : tuple of Note
@@ -203,6 +222,7 @@ class Dive:
     dvl: DvlColumns
     reference: ReferenceColumns | None = None
     truth: TruthColumns | None = None
+    sensors: Mapping[str, SensorColumns] = field(default_factory=dict)
     sha256: str = ""
     channels: tuple[Channel, ...] = ()
     notes: tuple[Note, ...] = field(default=())

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs
-from insdvl_replay.core.states import STATES, State
+from insdvl_replay.core.states import POSITION, STATES, State
 
 
 @dataclass(frozen=True)
@@ -129,6 +129,11 @@ class History:
     cov: Floats
     innovations: tuple[Innovations, ...]
     states: tuple[State, ...] = STATES
+
+    @property
+    def estimates_position(self) -> bool:
+        """Whether the position is among its states."""
+        return len(self.states) >= POSITION.stop and self.states[POSITION.start].id == "dp_n"
 
     def without_cov(self) -> "History":
         """Let go of P, by far the largest part; its diagonal stays."""

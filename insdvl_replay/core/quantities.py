@@ -2,7 +2,8 @@
 
 from typing import Final
 
-from insdvl_replay.core.states import BA, BG, DV, PHI, STATES
+from insdvl_replay.core.sensors import DVL_AIDING, SENSORS
+from insdvl_replay.core.states import BA, BG, DV, PHI, POSITION, STATES
 from insdvl_replay.core.words import Consistency
 
 VERDICTS_BEST_FIRST: Final = (
@@ -31,10 +32,15 @@ CREDIBILITY_QUANTITIES: Final = (
 """Rows of credibility in the order of the error state; the attitude about the vehicle's level axes."""
 CREDIBILITY_GROUPS: Final = {"velocity": DV, "attitude": PHI, "accelerometer_bias": BA, "gyro_bias": BG}
 """Rows of states that are judged together, with their block of P; the gravest of them stands for the filter."""
+POSITION_QUANTITIES: Final = ("position_n", "position_e", "position_d")
+"""Further rows of a filter that estimates its position."""
+ALL_CREDIBILITY_GROUPS: Final = {**CREDIBILITY_GROUPS, "position": POSITION}
 JOINT: Final = "all"
 """The row of all compared states together, in which small errors of some may hide large ones of others."""
 AXES: Final = ("x", "y", "z")
 """Axes of a measurement in b."""
+AXES_N: Final = ("n", "e", "d")
+"""Axes of a measurement in n."""
 
 
 def axis_of(measurement: str, axis: str) -> str:
@@ -44,11 +50,14 @@ def axis_of(measurement: str, axis: str) -> str:
 
 def is_whole(measurement: str) -> bool:
     """Distinguish a whole measurement, which stands for a filter's verdict, from one of its axes, which say where."""
-    return not measurement.endswith(tuple(axis_of("", axis) for axis in AXES))
+    return not measurement.endswith(tuple(axis_of("", axis) for axis in (*AXES, *AXES_N)))
 
 
-MEASUREMENTS: Final = ("velocity", "acceleration")
-"""What filters are aided by."""
+MEASUREMENTS: Final = {
+    **dict.fromkeys(DVL_AIDING, AXES),
+    **{name: sensor.components for name, sensor in SENSORS.items()},
+}
+"""What filters are aided by, each with the names of its components."""
 
 DEPTH: Final = "depth_60s"
 """Decides nothing: a pressure gauge tells it."""

@@ -8,14 +8,14 @@ from typing import Annotated, ClassVar, Final
 from msgspec import Struct
 
 from insdvl_replay.core.quantities import (
-    AXES,
+    ALL_CREDIBILITY_GROUPS,
     COASTING_WINDOWS_S,
-    CREDIBILITY_GROUPS,
     CREDIBILITY_QUANTITIES,
     DRIFT_QUANTITIES,
     EVIDENCE_QUANTITIES,
     JOINT,
     MEASUREMENTS,
+    POSITION_QUANTITIES,
     REFERENCE_QUANTITIES,
     TRACK_FIT_QUANTITIES,
     VERDICTS_BEST_FIRST,
@@ -29,10 +29,12 @@ _WHY: Final = Column("Why the verdict is not what the interval says, if it is no
 _STATE: Final = Column(names=tuple(state.id for state in STATES))
 _REFERENCE_QUANTITY: Final = Column(names=tuple(REFERENCE_QUANTITIES))
 _MEASUREMENT: Final = Column(
-    names=tuple(row for name in MEASUREMENTS for row in (name, *(axis_of(name, axis) for axis in AXES)))
+    names=tuple(row for name, axes in MEASUREMENTS.items() for row in (name, *(axis_of(name, axis) for axis in axes)))
 )
 _EVIDENCE_QUANTITY: Final = Column(names=EVIDENCE_QUANTITIES)
-_CREDIBILITY_QUANTITY: Final = Column(names=(*CREDIBILITY_QUANTITIES, *CREDIBILITY_GROUPS, JOINT))
+_CREDIBILITY_QUANTITY: Final = Column(
+    names=(*CREDIBILITY_QUANTITIES, *POSITION_QUANTITIES, *ALL_CREDIBILITY_GROUPS, JOINT)
+)
 
 
 class ImprovementRow(Struct, frozen=True):

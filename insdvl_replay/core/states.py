@@ -11,6 +11,8 @@ DEG: Final = 0.017453292519943295
 """One degree in rad."""
 MRAD: Final = 1e-3
 """One milliradian in rad."""
+STANDARD_GRAVITY_MPS2: Final = 9.80665
+"""What g stands for as a unit."""
 MG: Final = 9.80665e-3
 """One thousandth of standard gravity in m/s^2."""
 DEG_PER_HOUR: Final = DEG / 3600.0
@@ -54,6 +56,8 @@ BA: Final = slice(6, 9)
 """Accelerometer bias, in b."""
 BG: Final = slice(9, 12)
 """Gyro bias, in b."""
+POSITION: Final = slice(12, 15)
+"""Position error, in n, of a filter that estimates it: the first of `MORE_STATES`."""
 
 
 def _triplet(

@@ -103,7 +103,7 @@ def coast_of(history: History) -> Coast:
     history : History
         From `nav.coasting.coast`: k rows, the first without an innovation.
     """
-    (innovations,) = history.innovations
+    innovations, *_ = history.innovations
     time_s = seconds(history.time_ns, history.time_ns[0])
     velocity_error_n, nis = np.zeros((len(time_s), 3)), np.full(len(time_s), np.nan)
     with np.errstate(over="ignore", invalid="ignore"):

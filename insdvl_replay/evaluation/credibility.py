@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from scipy.special import betainc, chdtr
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES, JOINT
+from insdvl_replay.core.quantities import (
+    ALL_CREDIBILITY_GROUPS,
+    CREDIBILITY_GROUPS,
+    CREDIBILITY_QUANTITIES,
+    JOINT,
+    POSITION_QUANTITIES,
+)
 from insdvl_replay.core.rows import CredibilityRow
 from insdvl_replay.core.states import BA
 from insdvl_replay.core.words import Consistency, Reason
@@ -87,12 +93,13 @@ def _rows(errors: StateErrors) -> Iterator[tuple[str, _Judged]]:
     ever: NDArray[np.bool_] = np.any(np.isfinite(errors.error), axis=0)
     of_vehicle = about_vehicle(errors)
     of_each = _independent_of_each(of_vehicle)
-    for state, quantity in enumerate(CREDIBILITY_QUANTITIES):
+    quantities = (*CREDIBILITY_QUANTITIES, *POSITION_QUANTITIES)[: errors.error.shape[1]]
+    for state, quantity in enumerate(quantities):
         if state < BA.start or ever[state]:
             yield quantity, _judged(of_vehicle, np.array([state]), of_each)
     # What stays the same in n turns with the vehicle from one of its axes to the other: a group would not show that.
     of_each = _independent_of_each(errors)
-    for group, states in CREDIBILITY_GROUPS.items():
+    for group, states in ALL_CREDIBILITY_GROUPS.items():
         if states.stop <= BA.start or ever[states].any():
             yield group, _judged(errors, np.arange(states.start, states.stop), of_each)
     yield JOINT, _judged(errors, np.flatnonzero(ever), of_each)
@@ -105,7 +112,7 @@ def _standardised(errors: StateErrors, states: NDArray[np.int64]) -> tuple[Float
     -------
     standardised : ndarray, shape (t, n)
         Not finite where the filter broke down.
-    cov : ndarray, shape (t, 12, 12)
+    cov : ndarray, shape (t, n, n)
         P at these times.
     """
     times = np.isfinite(errors.error[:, states]).all(axis=1) & bool(len(states))
@@ -114,8 +121,8 @@ def _standardised(errors: StateErrors, states: NDArray[np.int64]) -> tuple[Float
 
 
 def _independent_of_each(errors: StateErrors) -> Floats:
-    """Return how many samples the errors of each state are worth, shape (12,)."""
-    series = [_standardised(errors, np.array([state]))[0] for state in range(len(CREDIBILITY_QUANTITIES))]
+    """Return how many samples the errors of each state are worth, shape (n,)."""
+    series = [_standardised(errors, np.array([state]))[0] for state in range(errors.error.shape[1])]
     known = [len(one) > 0 and bool(np.isfinite(one).all()) for one in series]
     worth = [samples_in_mean_square(one) for one, is_known in zip(series, known, strict=True) if is_known]
     # An unknown bias, which hardly changes, is as slow as the slowest that is known.

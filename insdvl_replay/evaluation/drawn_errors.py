@@ -23,7 +23,7 @@ class RunFromStart:
     against_reference : ReferenceErrors
         At these times.
     error, sd : ndarray, shape (k, 12)
-        In its states, see `state_errors.StateErrors`, and what it believes of them.
+        In its first twelve states, see `state_errors.StateErrors`, and what it believes of them.
     """
 
     filter: str
@@ -40,8 +40,8 @@ def run_from_start(history: History, reference: ReferenceColumns, truth: TruthCo
         history.filter,
         seconds(errors.time_ns, history.time_ns[0]),
         errors,
-        errors_at(errors.time_ns, history, reference, truth),
-        history.sd[np.searchsorted(history.time_ns, errors.time_ns)],
+        errors_at(errors.time_ns, history, reference, truth)[:, : len(STATES)],
+        history.sd[np.searchsorted(history.time_ns, errors.time_ns), : len(STATES)],
     )
 
 

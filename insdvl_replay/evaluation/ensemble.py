@@ -9,6 +9,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TruthColumns, seconds
 from insdvl_replay.core.history import History
+from insdvl_replay.core.states import STATES
 from insdvl_replay.evaluation.state_errors import nees, state_errors
 
 
@@ -61,7 +62,8 @@ def run_errors(history: History, reference: ReferenceColumns, truth: TruthColumn
     if not len(errors.time_ns):
         raise ValueError("NEES needs all of P")
     time_s = seconds(errors.time_ns, history.time_ns[0])
-    return RunErrors(history.filter, time_s, errors.error, errors.sd**2, nees(errors.error, errors.cov))
+    error, cov = errors.error[:, : len(STATES)], errors.cov[:, : len(STATES), : len(STATES)]
+    return RunErrors(history.filter, time_s, error, errors.sd[:, : len(STATES)] ** 2, nees(error, cov))
 
 
 @dataclass(frozen=True)

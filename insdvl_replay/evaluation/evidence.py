@@ -16,9 +16,9 @@ from msgspec.structs import replace
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import (
+    ALL_CREDIBILITY_GROUPS,
     COASTING_WINDOWS_S,
     CONVERGED,
-    CREDIBILITY_GROUPS,
     VERDICTS_BEST_FIRST,
     is_whole,
 )
@@ -223,7 +223,7 @@ def _honesty(
         "nees": [
             (row.filter, _Size(_mean(row.mean_nees, row.dof), row.verdict))
             for row in credibility
-            if row.quantity in CREDIBILITY_GROUPS
+            if row.quantity in ALL_CREDIBILITY_GROUPS
         ],
     }
     for quantity, found in sizes.items():

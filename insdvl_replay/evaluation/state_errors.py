@@ -1,4 +1,4 @@
-"""Errors of a filter in its own 12 states, where a reference or the truth knows them, and how large P lets them be.
+"""Errors of a filter in its own states, where a reference or the truth knows them, and how large P lets them be.
 
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
 """
@@ -10,24 +10,27 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, TruthColumns
 from insdvl_replay.core.history import History
-from insdvl_replay.core.states import BA, BG, DV, PHI
+from insdvl_replay.core.states import BA, BG, DV, PHI, POSITION
+from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat
 
 
 @dataclass(frozen=True)
 class StateErrors:
-    """Estimated minus true in the order of `states.STATES`, with what the filter believes of it.
+    """Estimated minus true in the order of the n states that can be compared, with what the filter believes of it.
+
+    These are `states.STATES`, and the position where a filter estimates it.
 
     Attributes
     ----------
     time_ns : ndarray, shape (k,)
         Times at which there is a reference and the history holds P.
-    error : ndarray, shape (k, 12)
+    error : ndarray, shape (k, n)
         SI units, velocity and attitude as in `motion_error`; a bias is what is left in the compensated readings. NaN
         where neither reference nor truth knows.
-    sd : ndarray, shape (k, 12)
+    sd : ndarray, shape (k, n)
         Square roots of the diagonal of P.
-    cov : ndarray, shape (k, 12, 12)
+    cov : ndarray, shape (k, n, n)
         P.
     heading : ndarray, shape (k,)
         Of the reference, rad.
@@ -64,11 +67,12 @@ def state_errors(history: History, reference: ReferenceColumns, truth: TruthColu
     time_ns, of_cov, theirs = np.intersect1d(history.cov_ns, reference.time_ns, assume_unique=True, return_indices=True)
     ours, error = np.searchsorted(history.time_ns, time_ns), errors_at(time_ns, history, reference, truth)
     heading = rpy_from_mat(reference.mat_nb[theirs])[:, 2]
-    return StateErrors(history.filter, time_ns, error, history.sd[ours], history.cov[of_cov], heading)
+    n = error.shape[1]
+    return StateErrors(history.filter, time_ns, error, history.sd[ours, :n], history.cov[of_cov, :n, :n], heading)
 
 
 def errors_at(time_ns: TimeNs, history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> Floats:
-    """Return how far a filter is off in its 12 states, as in `StateErrors`.
+    """Return how far a filter is off in its states, as in `StateErrors`.
 
     Parameters
     ----------
@@ -79,10 +83,10 @@ def errors_at(time_ns: TimeNs, history: History, reference: ReferenceColumns, tr
 
     Returns
     -------
-    ndarray, shape (k, 12)
+    ndarray, shape (k, n)
     """
     ours, theirs = np.searchsorted(history.time_ns, time_ns), np.searchsorted(reference.time_ns, time_ns)
-    error = np.full((len(time_ns), 12), np.nan)
+    error = np.full((len(time_ns), POSITION.stop if history.estimates_position else POSITION.start), np.nan)
     error[:, DV], error[:, PHI] = motion_error(
         history.velocity_n[ours], history.mat_nb[ours], reference.velocity_n[theirs], reference.mat_nb[theirs]
     )
@@ -90,6 +94,8 @@ def errors_at(time_ns: TimeNs, history: History, reference: ReferenceColumns, tr
         _, rows, of_truth = np.intersect1d(time_ns, truth.time_ns, assume_unique=True, return_indices=True)
         error[rows, BA] = truth.accel_bias_b[of_truth] - history.accel_bias_b[ours][rows]
         error[rows, BG] = truth.gyro_bias_b[of_truth] - history.gyro_bias_b[ours][rows]
+    if history.estimates_position:
+        error[:, POSITION] = north_east_down_m(history.position[ours], reference.position[theirs])
     return error
 
 

@@ -11,7 +11,7 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, DECIDING, VERDICTS_BEST_FIRST, is_whole
+from insdvl_replay.core.quantities import ALL_CREDIBILITY_GROUPS, DECIDING, VERDICTS_BEST_FIRST, is_whole
 from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate, Tables
@@ -106,7 +106,7 @@ def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
 
 
 def _groups(table: Sequence[CredibilityRow], filter_name: str) -> list[CredibilityRow]:
-    return [row for row in table if row.filter == filter_name and row.quantity in CREDIBILITY_GROUPS]
+    return [row for row in table if row.filter == filter_name and row.quantity in ALL_CREDIBILITY_GROUPS]
 
 
 def _gravest(words: Iterable[str]) -> str:

@@ -73,6 +73,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         dvl=columns.dvl,
         reference=columns.reference,
         truth=columns.truth,
+        sensors=columns.sensors,
         sha256=sha256,
         channels=_channels(log.channels, sources),
         notes=tuple(notes),

@@ -5,8 +5,7 @@ The withheld pings are measured against it all the same: their innovations say h
 NIS whether it knows.
 """
 
-from dataclasses import replace
-from typing import Final
+from collections.abc import Collection
 
 import numpy as np
 
@@ -15,22 +14,22 @@ from insdvl_replay.core.history import History
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.local_earth import HOLD_AFTER_S
-from insdvl_replay.nav.measurements import NEVER_REOPENED, Measurement
+from insdvl_replay.nav.measurements import Measurement, withheld
+from insdvl_replay.nav.state_layout import TWELVE
 from insdvl_replay.nav.timeline import PINGS, Timeline
-
-NOTHING_PASSES: Final = -1.0
-"""A gate below any NIS."""
 
 
 def coast(
     history: History,
     timeline: Timeline,
     window_ns: tuple[int, int],
+    *,
     noise_density: Floats,
-    velocity: Measurement,
+    measurements: tuple[Measurement, ...],
     lever_arm_b: Floats,
+    more_states: Collection[str] = (),
 ) -> History:
-    """Let a filter go on from a ping with none of the next ones, accelerations neither.
+    """Let a filter go on from a ping with none of the next ones, accelerations neither; other sensors still aid it.
 
     Parameters
     ----------
@@ -42,28 +41,36 @@ def coast(
         Times of the ping that is used last, and of the last one that is withheld.
     noise_density : ndarray, shape (12,)
         As the history was made with.
-    velocity : Measurement
-        The velocity, prepared for every ping of the dive.
+    measurements : tuple of Measurement
+        The velocity, prepared for every ping of the dive, and those that do not come from the DVL.
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
+    more_states : collection of str
+        As the history was made with.
 
     Returns
     -------
     History
-        At the start of the window and at each withheld ping, with an innovation for each of these. None is used; NIS is
-        by the true R.
+        At the start of the window and at each withheld ping. Its first innovations are those of the withheld pings,
+        none of which is used; NIS is by the true R.
 
     Raises
     ------
     ValueError
         The history does not hold P there.
     """
-    window = between_pings(timeline, *window_ns)
-    first = int(timeline.ping[np.searchsorted(timeline.event_ns, window_ns[0])]) + 1
-    last = int(timeline.ping[np.searchsorted(timeline.event_ns, window_ns[1])]) + 1
-    withheld = replace(velocity.rows(slice(first, last)), gate=NOTHING_PASSES, reopen_after=NEVER_REOPENED)
-    start = restart(history, window_ns[0])
-    return run_filter(history.filter, window, start, noise_density, (withheld,), lever_arm_b)
+    window, start = between_pings(timeline, *window_ns), restart(history, window_ns[0])
+    velocity, *others = (one.rows(_inside(timeline, one.sensor, *window_ns)) for one in measurements)
+    told = (withheld(velocity), *(one for one in others if one.available.any()))
+    return run_filter(history.filter, window, start, noise_density, told, lever_arm_b, more_states=more_states)
+
+
+def _inside(timeline: Timeline, sensor: int, start_ns: int, end_ns: int) -> slice:
+    """Return the rows of a sensor's readings after a time and up to another."""
+    events = slice(*np.searchsorted(timeline.event_ns, [start_ns, end_ns], side="right"))
+    rows = timeline.rows[sensor, events]
+    rows = rows[rows >= 0]
+    return slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0)
 
 
 def restart(history: History, time_ns: int) -> Start:
@@ -76,8 +83,9 @@ def restart(history: History, time_ns: int) -> Start:
     if of_cov == len(history.cov_ns) or history.cov_ns[of_cov] != time_ns:
         raise ValueError(f"the history of {history.filter} holds no P at {time_ns}")
     latitude, longitude, height_m = history.position[row]
+    drift_m = _height_drift_m(history, time_ns) if len(history.states) == TWELVE else 0.0
     return Start(
-        np.array([latitude, longitude, height_m - _height_drift_m(history, time_ns)]),
+        np.array([latitude, longitude, height_m - drift_m]),
         history.velocity_n[row],
         history.mat_nb[row],
         history.cov[of_cov],
@@ -108,14 +116,15 @@ def between_pings(timeline: Timeline, start_ns: int, end_ns: int) -> Timeline:
         np.searchsorted(timeline.sample_ns, start_ns, side="right") - 1,
         np.searchsorted(timeline.sample_ns, end_ns) + 1,
     )
-    rows = timeline.rows[:, events]
-    is_ping = rows[PINGS] >= 0
+    is_ping = timeline.rows[PINGS, events] >= 0
+    rows = np.where(timeline.event_ns[events] > start_ns, timeline.rows[:, events], -1)
+    first = np.min(rows, axis=1, where=rows >= 0, initial=np.iinfo(np.int64).max, keepdims=True)
     return Timeline(
         timeline.sample_ns[samples],
         timeline.specific_force_b[samples],
         timeline.angular_rate_b[samples],
         timeline.event_ns[events],
-        np.where(is_ping, rows - rows[:, :1] - 1, -1),
+        np.where(rows >= 0, rows - first, -1),
         np.where(is_ping, np.cumsum(is_ping) - 1, -1),
         timeline.gap[events],
         timeline.gap_noise_density,

@@ -15,7 +15,7 @@ from insdvl_replay.core.states import states_with
 from insdvl_replay.nav.correction import correct, locks_out, open_state
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
 from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.innovation import InsAtPing, linearise
+from insdvl_replay.nav.innovation import DEPTH, InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square, transposed_gain, update_cov
 from insdvl_replay.nav.local_earth import GravityHeight, Place, followed, gravity_at, place_about, place_at
 from insdvl_replay.nav.measurements import VELOCITY, Measurement, Stack, stacked
@@ -175,7 +175,8 @@ def _run(
             if row >= 0 and measurements.available[m, row]:
                 ins = _ins_now(state, memory, ping, now.specific_force_b, gravity_here, lever_arm_b, place)
                 state = _update(state, measurements, m, row, now.time_s, ins, layout, matrices, updates)
-                gravity = _aided(gravity, measurements.kind[m], updates.used[m, row], now.time_s)
+                used = updates.used[m, row]
+                gravity = _aided(gravity, measurements.kind[m], state.position[2], used, now.time_s)
         velocity_after_b = _velocity_b(state) if ping >= 0 else _corrected_b(velocity_after_b, state, unaided_b)
         row = timeline.record[now.event]
         if row >= 0:
@@ -189,8 +190,10 @@ def _corrected_b(velocity_after_b: Vector, state: NavState, unaided_b: Vector) -
 
 
 @inlined
-def _aided(gravity: GravityHeight, kind: int, used: bool, time_s: float) -> GravityHeight:
-    """Note that a velocity was used, which holds the height."""
+def _aided(gravity: GravityHeight, kind: int, height_m: float, used: bool, time_s: float) -> GravityHeight:
+    """Note that a velocity was used, which holds the height, or a height itself, after which none is drifted."""
+    if used and kind == DEPTH:
+        return GravityHeight(height_m, 0.0, time_s)
     return GravityHeight(gravity.height_m, gravity.drift_m, time_s) if used and kind == VELOCITY else gravity
 
 
@@ -246,7 +249,7 @@ def _update(
     H, HP, KT, rest = matrices.H[:size], matrices.HP[:size], matrices.KT[:size], matrices.rest[:size]
     R, S, L = matrices.R[:size, :size], matrices.S[:size, :size], matrices.L[:size, :size]
     z, standardised = matrices.z[:size], matrices.standardised[:size]
-    linearise(measurements, m, row, ins, z, H)
+    linearise(measurements, m, row, ins, layout, z, H)
     for i in range(size):
         for j in range(size):
             R[i, j] = measurements.cov[m, row, i, j]

@@ -1,6 +1,6 @@
 """What a filter starts from, and how its errors hang together."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,6 +39,15 @@ class Start:
     def sd(self) -> Floats:
         """Standard deviations of the error states, shape (12,)."""
         return np.sqrt(np.diagonal(self.cov))
+
+
+def with_more_states(start: Start, more_sd: Floats) -> Start:
+    """Let a start be of more states, which hang together with no other; their standard deviations, shape (n - 12,)."""
+    if not len(more_sd):
+        return start
+    n, cov = len(start.cov), np.diag(np.concatenate([start.sd, more_sd]) ** 2)
+    cov[:n, :n] = start.cov
+    return replace(start, cov=cov)
 
 
 def start_cov(sd: Floats, mat_nb: Floats, level: Level | None, velocity_by_dvl_n: Floats | None) -> Floats:

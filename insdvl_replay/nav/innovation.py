@@ -6,6 +6,7 @@
 velocity      z = C' v + w_eb x l - v_dvl                    H = [ C' | C'[v x] | 0 | -[l x] ]
 published     z = f + C' g - a_dvl                           H = [ 0 | C'[g x] | I | 0 ]
 windowed      z = slope of the INS over the window - a_dvl   H = [ -[w x]C' | C'[g x] - [w x]C'[v x] | I | [v_b x] ]
+depth         z = -h + (C l)_d - d                           H = [ 0 | (C l)_e, -(C l)_n, 0 | 0 | 0 | 0, 0, 1 ]
 
 The slope of a body-frame velocity is ``f + C' g - w x v_b``; ``published`` is the paper's model, which leaves out w x
 v_b. ``windowed`` predicts the same weighted sum of velocities that the DVL's slope is, from what the mechanisation
@@ -18,7 +19,8 @@ from typing import Final, NamedTuple
 from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.local_earth import Place
-from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, Stack
+from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, WINDOWED, Stack
+from insdvl_replay.nav.state_layout import TWELVE, StateLayout
 from insdvl_replay.nav.vector_algebra import (
     Matrix,
     Vector,
@@ -33,6 +35,9 @@ from insdvl_replay.nav.vector_algebra import (
     transpose,
     write_blocks,
 )
+
+DEPTH: Final = 3
+"""How the measurements of the sensors beside the DVL are predicted: kinds above those of `measurements`."""
 
 IDENTITY: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -79,7 +84,7 @@ class InsAtPing(NamedTuple):
 
 
 @inlined
-def linearise(measurements: Stack, m: int, row: int, ins: InsAtPing, z: Floats, H: Floats) -> None:
+def linearise(measurements: Stack, m: int, row: int, ins: InsAtPing, layout: StateLayout, z: Floats, H: Floats) -> None:
     """Write the innovation of a measurement, predicted minus measured, and its Jacobian.
 
     Parameters
@@ -91,6 +96,17 @@ def linearise(measurements: Stack, m: int, row: int, ins: InsAtPing, z: Floats, 
     H : ndarray, shape (s, n)
         Written.
     """
+    if measurements.kind[m] <= WINDOWED:
+        _linearise_dvl(measurements, m, row, ins, z, H)
+    else:
+        _linearise_sensor(measurements, m, row, ins, layout, z, H)
+
+
+@inlined
+def _linearise_dvl(measurements: Stack, m: int, row: int, ins: InsAtPing, z: Floats, H: Floats) -> None:
+    for i in range(3):
+        for j in range(TWELVE, H.shape[1]):
+            H[i, j] = 0.0
     kind = measurements.kind[m]
     if kind == VELOCITY:
         predicted_b = _predict_velocity(ins, row, H)
@@ -100,6 +116,24 @@ def linearise(measurements: Stack, m: int, row: int, ins: InsAtPing, z: Floats, 
         predicted_b = _predict_slope(measurements, m, ins, row, H)
     for i in range(3):
         z[i] = predicted_b[i] - measurements.values[m, row, i]
+
+
+@inlined
+def _linearise_sensor(
+    measurements: Stack, m: int, row: int, ins: InsAtPing, layout: StateLayout, z: Floats, H: Floats
+) -> None:
+    H[:] = 0.0
+    reading, arm_n = measurements.values[m, row], rotate(ins.mat_nb, row_vector(measurements.lever_arm_b, m))
+    z[0] = _predict_depth(ins, arm_n, layout, H) - reading[0]
+
+
+@inlined
+def _predict_depth(ins: InsAtPing, arm_n: Vector, layout: StateLayout, H: Floats) -> float:
+    """Return how far the sensor is below the ellipsoid, -h + (C l)_d, and write its Jacobian."""
+    H[0, 3], H[0, 4] = arm_n[1], -arm_n[0]
+    if layout.position >= 0:
+        H[0, layout.position + 2] = 1.0
+    return arm_n[2] - ins.position[2]
 
 
 @inlined

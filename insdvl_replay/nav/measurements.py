@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,6 +17,8 @@ from insdvl_replay.nav.timeline import PINGS
 VELOCITY: Final = 0
 PUBLISHED: Final = 1
 WINDOWED: Final = 2
+NOTHING_PASSES: Final = -1.0
+"""A gate below any NIS."""
 NEVER_REOPENED: Final = 0
 """An acceleration that is rejected locks nothing out: the velocity brings the INS back."""
 
@@ -51,6 +53,8 @@ class Measurement:
         Weights c of the window's velocities; w = 0 where there is no window.
     interval_weights : ndarray, shape (k, w - 1)
         Weights W of the window's intervals.
+    lever_arm_b : ndarray, shape (3,)
+        IMU to the sensor, m; of the DVL the filter is told it by itself.
     axes : tuple of str
         Names of the components; none of a measurement that has one.
     """
@@ -67,6 +71,7 @@ class Measurement:
     reopen_after: int
     velocity_weights: Floats
     interval_weights: Floats
+    lever_arm_b: Floats = field(default_factory=lambda: np.zeros(3))
     axes: tuple[str, ...] = ()
 
     @property
@@ -78,6 +83,10 @@ class Measurement:
         """Keep some of the readings."""
         columns = ("available", "valid_ns", "values", "cov", "velocity_weights", "interval_weights")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
+
+    def until(self, end_ns: int) -> "Measurement":
+        """Keep the readings up to a time."""
+        return self.rows(slice(int(np.searchsorted(self.valid_ns, end_ns, side="right"))))
 
 
 class Stack(NamedTuple):
@@ -95,6 +104,7 @@ class Stack(NamedTuple):
     cov: Floats
     velocity_weights: Floats
     interval_weights: Floats
+    lever_arm_b: Floats
     gate: Floats
     reopen_after: NDArray[np.int64]
 
@@ -127,9 +137,15 @@ def stacked(measurements: Sequence[Measurement]) -> Stack:
         cov=columns["cov"],
         velocity_weights=columns["velocity_weights"],
         interval_weights=columns["interval_weights"],
+        lever_arm_b=np.stack([one.lever_arm_b for one in measurements]),
         gate=np.array([one.gate for one in measurements]),
         reopen_after=np.array([one.reopen_after for one in measurements]),
     )
+
+
+def withheld(measurement: Measurement) -> Measurement:
+    """Let a filter meet a measurement of which it is not told: no gate lets it pass."""
+    return replace(measurement, gate=NOTHING_PASSES, reopen_after=NEVER_REOPENED)
 
 
 def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, of_one_beam: bool = False) -> Floats:
@@ -243,4 +259,36 @@ def acceleration_measurement(
         velocity_weights=windows.velocity_weights,
         interval_weights=windows.interval_weights,
         axes=("x", "y", "z"),
+    )
+
+
+def sensor_measurement(
+    name: str, unit: str, kind: int, time_ns: TimeNs, values: Floats, sd: Floats, *, axes: tuple[str, ...] = ()
+) -> Measurement:
+    """Aid by a sensor beside the DVL at every reading, without a gate.
+
+    Parameters
+    ----------
+    time_ns : ndarray, shape (k,)
+        Times of validity.
+    values : ndarray, shape (k, s)
+    sd : ndarray, shape (s,) or (k, s)
+        Noise of the components, which do not depend on each other.
+    """
+    k, size = values.shape
+    cov = np.broadcast_to(sd, (k, size))[:, :, None] ** 2 * np.eye(size)
+    return Measurement(
+        name=name,
+        unit=unit,
+        kind=kind,
+        sensor=PINGS,
+        available=np.ones(k, dtype=np.bool_),
+        valid_ns=time_ns,
+        values=values,
+        cov=cov,
+        gate=np.inf,
+        reopen_after=NEVER_REOPENED,
+        velocity_weights=np.zeros((k, 0)),
+        interval_weights=np.zeros((k, 0)),
+        axes=axes,
     )

@@ -20,7 +20,7 @@ from insdvl_replay.nav.kalman import cholesky, innovation_cov, multiply, transpo
 from insdvl_replay.nav.local_earth import place_at
 from insdvl_replay.nav.measurements import Measurement, Stack, stacked
 from insdvl_replay.nav.nominal_motion import NominalPings
-from insdvl_replay.nav.state_layout import TWELVE
+from insdvl_replay.nav.state_layout import ABSENT, TWELVE, StateLayout
 from insdvl_replay.nav.vector_algebra import Vector, row_matrix, row_vector, vector
 
 TOLERANCE: Final = 3e-6
@@ -181,7 +181,7 @@ def _write_jacobians(
             lever_arm_b,
             nowhere,
         )
-        linearise(measurement, 0, ping, ins, z, H[ping])
+        linearise(measurement, 0, ping, ins, StateLayout(ABSENT), z, H[ping])
 
 
 def remaining_cov(

@@ -7,6 +7,8 @@ from insdvl_replay.core.states import MORE_STATES, STATES
 
 ABSENT: Final = -1
 """In place of a row, of a state that a filter does not have."""
+
+
 TWELVE: Final = len(STATES)
 """Rows of the states that every filter has."""
 

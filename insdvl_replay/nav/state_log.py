@@ -122,7 +122,7 @@ def history_of(
     innovations = []
     for m, measurement in enumerate(measurements):
         reading_ns = timeline.event_ns[timeline.rows[measurement.sensor] >= 0]
-        rows = measurement.available
+        rows = np.flatnonzero(measurement.available)
         innovations.append(
             Innovations(
                 measurement=measurement.name,

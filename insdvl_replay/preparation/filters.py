@@ -1,14 +1,18 @@
 """From the configuration of a filter to its measurements and its noise: every key resolved once."""
 
 import dataclasses
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from types import MappingProxyType
+from typing import Final, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 
-from insdvl_replay.core.config import Acceleration, Config, Filter, Noise
+from insdvl_replay.core.config import Acceleration, Config, Filter, Initial, Noise
 from insdvl_replay.core.dive_columns import Floats, TimeNs
+from insdvl_replay.core.sensors import states_for
+from insdvl_replay.core.states import MORE_STATES
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.error_model import noise_density
@@ -20,9 +24,12 @@ from insdvl_replay.nav.measurements import (
     acceleration_measurement,
     velocity_cov,
     velocity_measurement,
+    withheld,
 )
 from insdvl_replay.nav.timeline import NO_GAPS, Gaps
 from insdvl_replay.preparation.long_gaps import lever_arm_velocity_cov
+
+NO_SENSORS: Final[Mapping[str, Measurement]] = MappingProxyType({})
 
 
 class DvlNoise(NamedTuple):
@@ -46,6 +53,12 @@ class ResolvedFilter:
         Rejected velocities in a row after which the INS is set to the DVL; 0: never.
     acceleration : Acceleration
         How accelerations are fitted, for a filter that is aided by them.
+    states : tuple of str
+        Names in `states.MORE_STATES` of what it estimates beside the twelve.
+    withheld : tuple of str
+        Sensors of whose readings it is not told, but by which it is judged.
+    more_sd : ndarray, shape (n - 12,)
+        Standard deviations of these states at the start, SI units.
     """
 
     name: str
@@ -55,14 +68,16 @@ class ResolvedFilter:
     gate_probability: float
     gate_reopen_after: int
     acceleration: Acceleration
+    states: tuple[str, ...]
+    withheld: tuple[str, ...]
+    more_sd: Floats
 
-    @property
-    def gate(self) -> float:
-        """Largest NIS that is used; infinite where every innovation is."""
+    def gate(self, size: int) -> float:
+        """Return the largest NIS of so many components that is used; infinite where every innovation is."""
         # Not imported before it is needed: what is asked before the filters run does not wait for it.
         from insdvl_replay.evaluation.chi_square import chi_square_quantile
 
-        return chi_square_quantile(self.gate_probability, 3)
+        return chi_square_quantile(self.gate_probability, size)
 
     @property
     def noise_density(self) -> Floats:
@@ -74,19 +89,36 @@ class ResolvedFilter:
         return SensorNoise(self._ping_cov(velocities), self.inertial_noise.accel_white_mps_rts)
 
     def measurements(
-        self, velocities: DvlVelocities, mounting: DvlMounting, gaps: Gaps = NO_GAPS
+        self,
+        velocities: DvlVelocities,
+        mounting: DvlMounting,
+        gaps: Gaps = NO_GAPS,
+        sensors: Mapping[str, Measurement] = NO_SENSORS,
     ) -> tuple[Measurement, ...]:
-        """Prepare what the filter is aided by, in its order.
+        """Prepare what the filter is aided by, in its order, then what is withheld from it.
 
         In the IMU's long gaps the lever arm swings unseen, and no window of accelerations spans any part of one.
+
+        Parameters
+        ----------
+        sensors : mapping of str to Measurement
+            From `sensors.prepare_sensors`.
         """
         cov_b = self._ping_cov(velocities) + lever_arm_velocity_cov(gaps, velocities.time_ns, mounting.lever_arm_b)
-        return tuple(
-            velocity_measurement(velocities, cov_b, self.gate, self.gate_reopen_after)
-            if aiding == "velocity"
-            else _seen(self._acceleration(velocities, cov_b), velocities.time_ns, gaps)
-            for aiding in self.aiding
+        told = [word for word in self.aiding if word not in self.withheld]
+        return (
+            *(self._measurement(word, velocities, cov_b, gaps, sensors) for word in told),
+            *(withheld(sensors[name]) for name in self.withheld),
         )
+
+    def _measurement(
+        self, word: str, velocities: DvlVelocities, cov_b: Floats, gaps: Gaps, sensors: Mapping[str, Measurement]
+    ) -> Measurement:
+        if word == "velocity":
+            return velocity_measurement(velocities, cov_b, self.gate(3), self.gate_reopen_after)
+        if word == "acceleration":
+            return _seen(self._acceleration(velocities, cov_b), velocities.time_ns, gaps)
+        return dataclasses.replace(sensors[word], gate=self.gate(sensors[word].size))
 
     def _ping_cov(self, velocities: DvlVelocities) -> Floats:
         """Return the covariance of each ping's velocity as the filter is told it, shape (m, 3, 3), m^2/s^2."""
@@ -102,7 +134,7 @@ class ResolvedFilter:
             max_gap_s=self.acceleration.max_window_gap_s,
             sd_mps2=self.acceleration.sd_mps2,
             accel_white_mps_rts=self.inertial_noise.accel_white_mps_rts,
-            gate=self.gate,
+            gate=self.gate(3),
         )
 
 
@@ -122,7 +154,22 @@ def resolve_filter(name: str, filter_: Filter, config: Config, *, from_beams: bo
         filter_.gate_probability,
         filter_.gate_reopen_after,
         filter_.acceleration or Acceleration(),
+        states := _states(filter_, config.evaluation.withheld),
+        config.evaluation.withheld,
+        np.concatenate([np.empty(0), *(MORE_SD[block](config.initial) for block in states)]),
     )
+
+
+def _states(filter_: Filter, withheld: Collection[str]) -> tuple[str, ...]:
+    """Name the blocks of states beside the twelve: those that are asked for, and those that its aiding needs."""
+    needed = {*filter_.states, *states_for(word for word in filter_.aiding if word not in withheld)}
+    return tuple(block for block in MORE_STATES if block in needed)
+
+
+MORE_SD: Final[dict[str, Callable[[Initial], Floats]]] = {
+    "position": lambda initial: np.array(initial.position_sd_m),
+}
+"""Standard deviations of the blocks of `states.MORE_STATES` at the start, SI units."""
 
 
 def resolve_filters(config: Config, *, from_beams: bool) -> tuple[ResolvedFilter, ...]:

@@ -14,10 +14,12 @@ from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
+from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.alignment import Alignment, align
 from insdvl_replay.preparation.filters import ResolvedFilter, dvl_mounting, resolve_filters
 from insdvl_replay.preparation.long_gaps import apply_gap_policy, find_gaps
+from insdvl_replay.preparation.sensors import prepare_sensors
 
 IN_LINE: Final = np.eye(3)
 """The axes of the reference are those of the IMU."""
@@ -39,6 +41,8 @@ class Prepared:
         The IMU's long gaps inside the span, which the filters bridge.
     filters : tuple of ResolvedFilter
         The first is the baseline.
+    sensors : dict of str to Measurement
+        What else was read, see `sensors.prepare_sensors`.
     notes : tuple of Note
         What was dropped or assumed on the way.
     """
@@ -49,6 +53,7 @@ class Prepared:
     gaps: Gaps
     mounting: DvlMounting
     filters: tuple[ResolvedFilter, ...]
+    sensors: dict[str, Measurement]
     notes: tuple[Note, ...]
 
 
@@ -113,10 +118,11 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         alignment = align(
             dive.imu, velocities, noise, dive.reference, config.initial, mounting.lever_arm_b, start_ns, end_ns
         )
+        sensors, sensor_notes = prepare_sensors(dive.sensors, config, alignment.start, alignment.start_ns, end_ns)
     inside = velocities.within(alignment.start_ns, end_ns)
-    notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside)
+    notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside) + sensor_notes
     gaps = gaps.within(alignment.start_ns, end_ns)
-    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, notes)
+    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, sensors, notes)
 
 
 def _velocities(dive: Dive, mounting: DvlMounting, limit_mps: float | None) -> tuple[DvlVelocities, tuple[Note, ...]]:

@@ -21,8 +21,8 @@ from insdvl_replay.evaluation.drawn_errors import DrawnErrors, RunFromStart, dra
 from insdvl_replay.nav.coasting import coast
 from insdvl_replay.nav.drawn_starts import drawn_starts
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.timeline import Timeline, build_timeline
+from insdvl_replay.nav.initial_state import Start, with_more_states
+from insdvl_replay.nav.timeline import PINGS, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.prepared import Prepared
 
@@ -74,10 +74,11 @@ def run_one(
     return run_filter(
         filter_.name,
         timeline,
-        prepared.alignment.start,
+        with_more_states(prepared.alignment.start, filter_.more_sd),
         filter_.noise_density,
-        filter_.measurements(prepared.velocities, prepared.mounting, prepared.gaps),
+        filter_.measurements(prepared.velocities, prepared.mounting, prepared.gaps, prepared.sensors),
         prepared.mounting.lever_arm_b,
+        more_states=filter_.states,
         cov_ns=cov_ns,
     )
 
@@ -86,7 +87,13 @@ def prepared_timeline(dive: Dive, prepared: Prepared) -> Timeline:
     """Lay the readings, the pings and the reference's times of a prepared dive on one time line."""
     reference_ns = dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64)
     return build_timeline(
-        dive.imu, prepared.velocities.time_ns, reference_ns, prepared.alignment.start_ns, prepared.end_ns, prepared.gaps
+        dive.imu,
+        prepared.velocities.time_ns,
+        reference_ns,
+        prepared.alignment.start_ns,
+        prepared.end_ns,
+        prepared.gaps,
+        [sensor.valid_ns for sensor in prepared.sensors.values()],
     )
 
 
@@ -120,14 +127,15 @@ def coasting_of(prepared: Prepared, timeline: Timeline, histories: tuple[History
 def _coasts_of_one(
     filter_: ResolvedFilter, history: History, *, prepared: Prepared, timeline: Timeline, plan: CoastingPlan
 ) -> tuple[Coast, ...]:
-    by_velocity = replace(filter_, aiding=("velocity",))
-    (velocity,) = by_velocity.measurements(prepared.velocities, prepared.mounting, prepared.gaps)
-    return tuple(
-        coast_of(
-            coast(history, timeline, (first, last), filter_.noise_density, velocity, prepared.mounting.lever_arm_b)
-        )
-        for first, last in plan.windows_ns
-    )
+    by_velocity = replace(filter_, aiding=("velocity",), withheld=())
+    measured = prepared.velocities, prepared.mounting, prepared.gaps
+    (velocity,) = by_velocity.measurements(*measured)
+    still_told = [one for one in filter_.measurements(*measured, prepared.sensors) if one.sensor != PINGS]
+    run_on = partial(
+        coast, history, timeline, noise_density=filter_.noise_density, measurements=(velocity, *still_told),
+        lever_arm_b=prepared.mounting.lever_arm_b, more_states=filter_.states,
+    )  # fmt: skip
+    return tuple(coast_of(run_on(window)) for window in plan.windows_ns)
 
 
 def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int = 0) -> tuple[DrawnErrors, ...]:
@@ -174,8 +182,14 @@ def _first_part(dive: Dive, prepared: Prepared, samples: int) -> tuple[Dive, Pre
     inside = (dive.reference.time_ns >= start_ns) & (dive.reference.time_ns <= end_ns)
     chosen = np.flatnonzero(inside)[:: max(1, math.ceil(inside.sum() / MOST_DRAWN_TIMES))]
     reference = dive.reference.rows(np.isin(np.arange(len(inside)), chosen))
-    velocities, gaps = prepared.velocities.within(start_ns, end_ns), prepared.gaps.within(start_ns, end_ns)
-    return replace(dive, reference=reference), replace(prepared, velocities=velocities, gaps=gaps, end_ns=end_ns)
+    first_part = replace(
+        prepared,
+        velocities=prepared.velocities.within(start_ns, end_ns),
+        gaps=prepared.gaps.within(start_ns, end_ns),
+        sensors={name: sensor.until(end_ns) for name, sensor in prepared.sensors.items()},
+        end_ns=end_ns,
+    )
+    return replace(dive, reference=reference), first_part
 
 
 def _run_from(work: tuple[ResolvedFilter, Start], dive: Dive, prepared: Prepared, timeline: Timeline) -> RunFromStart:

@@ -12,6 +12,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.quantities import is_whole
 from insdvl_replay.core.runtime import begin
+from insdvl_replay.core.sensors import DVL_AIDING
 from insdvl_replay.core.tables import each_table
 from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
 from insdvl_replay.replay import Replay
@@ -121,7 +122,7 @@ def _measured(histories: tuple[History, ...]) -> dict[str, tuple[TimeNs, Floats]
     """Return the DVL's velocity and derived acceleration as the first filter that is aided by each met them."""
     measured: dict[str, tuple[TimeNs, Floats]] = {}
     for history in histories:
-        for innovations in history.innovations:
+        for innovations in (one for one in history.innovations if one.measurement in DVL_AIDING):
             measured.setdefault(innovations.measurement, (innovations.valid_ns, innovations.measured))
     return measured
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Final, TypeVar
 
 import numpy as np
@@ -12,6 +13,7 @@ from insdvl_replay.core.dive_columns import (
     DvlColumns,
     ImuColumns,
     ReferenceColumns,
+    SensorColumns,
     TimeNs,
     TruthColumns,
     seconds,
@@ -30,6 +32,7 @@ from insdvl_replay.sim.sensor_errors import (
     add_imu_errors,
     beam_vectors_d,
 )
+from insdvl_replay.sim.sensors import SIMULATED, SensorErrors, add_sensor_errors
 from insdvl_replay.sim.trajectories import SCENARIOS, sine_and_cosine
 
 LONGEST_S: Final = 7 * 86400.0
@@ -40,6 +43,9 @@ FIRST_PING_S: Final = 0.3717
 """Time of the first ping: pings fall between IMU samples, as they do at sea."""
 BLOCK: Final = 100_000
 """IMU samples worked on at once, which bounds the memory that a long dive takes."""
+
+NO_SENSORS: Final[Mapping[str, SensorErrors]] = MappingProxyType({})
+NO_RATES: Final[Mapping[str, float]] = MappingProxyType({})
 
 T = TypeVar("T")
 
@@ -59,6 +65,7 @@ def simulate_dive(
     dvl_errors: DvlErrors | None = None,
     lever_arm_m: Vector = (0.0, 0.0, 0.0),
     mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),
+    sensors: Mapping[str, SensorErrors] = NO_SENSORS,
 ) -> Dive:
     """Simulate a dive as its sensors report it. The same arguments give the same bytes, whatever the processor.
 
@@ -74,6 +81,8 @@ def simulate_dive(
         Instead of the grade's errors, and of the defaults of `DvlErrors`.
     duration_s, imu_rate_hz, dvl_rate_hz, reference_rate_hz, outages, lost_beams, lever_arm_m, mounting_rpy_deg
         As in `exact_dive`.
+    sensors : mapping of str to SensorErrors
+        Those that the vehicle has beside IMU and DVL, by their names in `core.sensors.SENSORS`.
 
     Returns
     -------
@@ -97,8 +106,9 @@ def simulate_dive(
         lost_beams=lost_beams,
         lever_arm_m=lever_arm_m,
         mounting_rpy_deg=mounting_rpy_deg,
+        sensor_rates_hz={name: errors.rate_hz for name, errors in sensors.items()},
     )
-    return add_errors(exact, imu_errors, dvl_errors or DvlErrors(), seed)
+    return add_errors(exact, imu_errors, dvl_errors or DvlErrors(), seed, sensors)
 
 
 def exact_dive(
@@ -113,6 +123,7 @@ def exact_dive(
     lost_beams: Sequence[LostBeam] = (),
     lever_arm_m: Vector = (0.0, 0.0, 0.0),
     mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),
+    sensor_rates_hz: Mapping[str, float] = NO_RATES,
 ) -> Dive:
     """Simulate a dive with perfect sensors. A Monte Carlo study needs it once, and `add_errors` for each run.
 
@@ -134,6 +145,8 @@ def exact_dive(
         IMU to DVL, in b.
     mounting_rpy_deg : tuple of three floats
         The DVL's mounting rotation, d to b, as roll, pitch, heading.
+    sensor_rates_hz : mapping of str to float
+        Of the sensors beside IMU and DVL, which begin with the dive; they are at the IMU.
 
     Raises
     ------
@@ -143,7 +156,8 @@ def exact_dive(
     way = named("scenario", scenario, SCENARIOS)
     end_s = way.duration_s if duration_s is None else duration_s
     _check_duration(end_s)
-    for sensor, rate_hz in (("IMU", imu_rate_hz), ("DVL", dvl_rate_hz), ("reference", reference_rate_hz)):
+    rates_hz = {"IMU": imu_rate_hz, "DVL": dvl_rate_hz, "reference": reference_rate_hz, **sensor_rates_hz}
+    for sensor, rate_hz in rates_hz.items():
         _check_positive(f"{sensor} rate", "Hz", rate_hz)
     if end_s * imu_rate_hz < 1.0:
         raise ConfigError(f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples", "--duration 60")
@@ -161,10 +175,19 @@ def exact_dive(
         dvl=_dvl(trajectory, ping_ns, lever_arm_m, mounting_rpy_deg, spans),
         reference=reference,
         truth=TruthColumns(reference.time_ns, unbiased, unbiased),
+        sensors={
+            name: _sensor(trajectory, name, _grid_ns(0.0, rate_hz, end_s)) for name, rate_hz in sensor_rates_hz.items()
+        },
     )
 
 
-def add_errors(exact: Dive, imu_errors: ImuErrors, dvl_errors: DvlErrors, seed: int) -> Dive:
+def add_errors(
+    exact: Dive,
+    imu_errors: ImuErrors,
+    dvl_errors: DvlErrors,
+    seed: int,
+    sensor_errors: Mapping[str, SensorErrors] = NO_SENSORS,
+) -> Dive:
     """Let the sensors of an exact dive err.
 
     Parameters
@@ -192,12 +215,17 @@ def add_errors(exact: Dive, imu_errors: ImuErrors, dvl_errors: DvlErrors, seed: 
     if exact.truth is None:
         raise ValueError("errors are added to an exact dive, which holds truth")
     accel_rng, gyro_rng, dvl_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+    sensor_rngs = {name: np.random.default_rng([seed, *name.encode()]) for name in sensor_errors}
     imu, biases = add_imu_errors(exact.imu, imu_errors, accel_rng, gyro_rng)
     return replace(
         exact,
         imu=imu,
         dvl=add_dvl_errors(exact.dvl, dvl_errors, dvl_rng),
         truth=_truth_at(exact.truth.time_ns, biases),
+        sensors={
+            name: add_sensor_errors(name, exact.sensors[name], errors, sensor_rngs[name])
+            for name, errors in sensor_errors.items()
+        },
     )
 
 
@@ -275,6 +303,10 @@ def _dvl(
     for span in spans:
         beam_velocity_mps[(time_s >= span.start_s) & (time_s < span.end_s), span.beam] = np.nan
     return DvlColumns(time_ns, beam_velocity_mps, vectors_d)
+
+
+def _sensor(trajectory: Trajectory, name: str, time_ns: TimeNs) -> SensorColumns:
+    return SensorColumns(time_ns, named("sensor", name, SIMULATED).reading(trajectory.at(seconds(time_ns, START_NS))))
 
 
 def _reference(trajectory: Trajectory, time_ns: TimeNs) -> ReferenceColumns:

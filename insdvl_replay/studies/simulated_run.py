@@ -19,6 +19,7 @@ from insdvl_replay.preparation.alignment import Alignment, initial_sd
 from insdvl_replay.preparation.filters import dvl_mounting, resolve_filters
 from insdvl_replay.preparation.prepared import Prepared
 from insdvl_replay.preparation.running import prepared_timeline, run_one
+from insdvl_replay.preparation.sensors import prepare_sensors
 from insdvl_replay.sim.dive import add_errors, exact_dive, named
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 
@@ -95,7 +96,8 @@ def simulated_run(setup: MonteCarloSetup, seed: int) -> tuple[RunErrors, ...]:
     velocities = dvl_velocities(dive.dvl, mounting, config.dvl.max_beam_residual_mps or np.inf)
     filters = resolve_filters(config, from_beams=velocities.from_beams)
     alignment = Alignment(start_ns, drawn_start(setup, seed), ())
-    start = Prepared(velocities, alignment, end_ns, NO_GAPS, mounting, filters, ())
+    sensors, _ = prepare_sensors(dive.sensors, config, alignment.start, start_ns, end_ns)
+    start = Prepared(velocities, alignment, end_ns, NO_GAPS, mounting, filters, sensors, ())
     timeline = prepared_timeline(dive, start)
     histories = (run_one(filter_, start, timeline, cov_ns=dive.reference.time_ns) for filter_ in filters)
     return tuple(run_errors(history, dive.reference, dive.truth) for history in histories)

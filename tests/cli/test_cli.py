@@ -44,7 +44,7 @@ DOCUMENTED = {
     ],
     "simulate": [
         "SCENARIO", "-o, --output LOG", "--seed N", "--duration S", "--imu GRADE", "--outage START:END",
-        "--lost-beam BEAM:START:END", "--force", "-v, --verbose", "--help",
+        "--lost-beam BEAM:START:END", "--sensor NAME=SD[@HZ]", "--force", "-v, --verbose", "--help",
     ],
     "config": ["--preset NAME", "--from FILE", "--set KEY=VALUE", "-v, --verbose", "--help"],
     "schema": ["NAME", "-v, --verbose", "--help"],

@@ -117,7 +117,7 @@ def test_any_value_survives_being_written_as_toml(
             "window = 4",
         ),
         ('[filters.a-b]\naiding = ["velocity"]', "filter name 'a-b'", "part of topics"),
-        ("[filters.a]\naiding = []", "filters.a.aiding names a measurement twice or none", "aiding = "),
+        ("[filters.a]\naiding = []", "filters.a.aiding names nothing", "aiding = "),
         ("[filters]", "no filter is configured", "add [filters.baseline]"),
     ],
 )

@@ -56,9 +56,9 @@ class Flight:
                 history or self.history,
                 timeline or self.timeline,
                 (int(self.ping_ns[FROM]), int(self.ping_ns[TO])),
-                self.start.filters[0].noise_density,
-                velocity or self.velocity,
-                NOWHERE_ELSE,
+                noise_density=self.start.filters[0].noise_density,
+                measurements=(velocity or self.velocity,),
+                lever_arm_b=NOWHERE_ELSE,
             )
         )
 
@@ -215,7 +215,10 @@ def assert_same_coast(dive: Dive, config: Config, at_s: float, length_s: float) 
     history = run_one(filter_, start, timeline, cov_ns=ping_ns)
     (velocity,) = replace(filter_, aiding=("velocity",)).measurements(start.velocities, start.mounting)
     window_ns = int(ping_ns[first]), int(ping_ns[last])
-    coasted = coast(history, timeline, window_ns, filter_.noise_density, velocity, start.mounting.lever_arm_b)
+    coasted = coast(
+        history, timeline, window_ns, noise_density=filter_.noise_density, measurements=(velocity,),
+        lever_arm_b=start.mounting.lever_arm_b,
+    )  # fmt: skip
     whole = told_nothing(start, timeline, first, last)
     rows = np.searchsorted(whole.time_ns, coasted.time_ns)
     np.testing.assert_array_equal(coasted.time_ns, ping_ns[first : last + 1])

@@ -57,9 +57,7 @@ def test_growth_is_the_jacobian_of_the_mechanisation() -> None:
     analytic[5, 0] += gravity_by_north()  # left out: 8e-9 / s^2, a 400th of what height does
     scale = np.array([*[1e-6] * 3, 1e-10, 1e-10, 1e-8, *[1e-13] * 3])[:, None]  # of T, of A, of B
     assert_jacobian(analytic / scale, lambda dp_n: rates(dp_n) / scale[:, 0], np.zeros(3), atol=0.05, step=step_m)
-    assert (
-        np.abs(analytic / scale).max(axis=1)[[0, 1, 3, 4, 5, 6, 8]].min() > 0.5
-    )
+    assert np.abs(analytic / scale).max(axis=1)[[0, 1, 3, 4, 5, 6, 8]].min() > 0.5
 
 
 def test_vertical_channel_runs_away_as_gravity_falls() -> None:

@@ -4,7 +4,7 @@ Every other type is read by the field paths of the configuration. Sources: the d
 the packages, the Blueye protocol's descriptors, and the makers' manuals for the beams.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -194,6 +194,23 @@ FIX: Final[Types] = {
 
 BLUEYE_GNSS: Final = 4
 """``NAVIGATION_SENSOR_ID_BLUEYE_GNSS``."""
+
+SENSORS: Final[Mapping[str, Sequence[Types]]] = {
+    "depth": [
+        {
+            "sensor_msgs/msg/FluidPressure": KnownType({"pressure": "fluid_pressure"}),
+            "blueye.protocol.DepthTel": KnownType({"depth": "depth.value"}, stamp=LOG_TIME),
+        }
+    ],
+}
+"""Of the sensors of `core.sensors`; of several groups of types, the first that a log has is taken."""
+SENSORS_IF_NAMED: Final[Mapping[str, Types]] = {
+    "depth": {
+        "geometry_msgs/msg/PoseWithCovarianceStamped": KnownType({"height": "pose.pose.position.z"}),
+        "nav_msgs/msg/Odometry": KnownType({"height": "pose.pose.position.z"}),
+    },
+}
+"""Too common to be taken unasked for what one of their fields holds."""
 
 TRUTH: Final[Types] = {
     "insdvl_msgs/msg/SensorBiases": KnownType({"accel_bias": "accel_bias_mps2", "gyro_bias": "gyro_bias_radps"})

@@ -7,12 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import DvlColumns, ImuColumns, ReferenceColumns, TruthColumns
+from insdvl_replay.core.dive_columns import DvlColumns, ImuColumns, ReferenceColumns, SensorColumns, TruthColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, error_context, listed, nearest
+from insdvl_replay.core.sensors import SENSORS, asked_sensors
 from insdvl_replay.logs.columns.dvl import decode_dvl
 from insdvl_replay.logs.columns.imu import decode_imu, decode_truth
 from insdvl_replay.logs.columns.reference import decode_reference
+from insdvl_replay.logs.columns.sensors import decode_sensor
 from insdvl_replay.logs.columns.tables import Table, clock_notes
 from insdvl_replay.logs.columns.topic_requirements import (
     TRUTH_REQUIREMENT,
@@ -21,6 +23,7 @@ from insdvl_replay.logs.columns.topic_requirements import (
     dvl_requirement,
     fix_requirement,
     imu_requirement,
+    sensor_requirement,
     solution_requirement,
 )
 from insdvl_replay.logs.container.records import LogChannel, by_topic
@@ -40,6 +43,7 @@ class RoleColumns:
     dvl: DvlColumns = field(default_factory=_no_pings)
     reference: ReferenceColumns | None = None
     truth: TruthColumns | None = None
+    sensors: dict[str, SensorColumns] = field(default_factory=dict)
 
     def decode(self, role: str, tables: list[Table]) -> list[Note]:
         """Make the columns of a role; the raw ones are let go, since those of a long dive are large."""
@@ -49,6 +53,8 @@ class RoleColumns:
             self.imu, notes = decode_imu(tables.pop(), self.config.imu)
         elif role == "dvl":
             self.dvl, notes = decode_dvl(tables.pop(), self.config.dvl)
+        elif role in SENSORS:
+            self.sensors[role], notes = decode_sensor(role, tables.pop(), self.config)
         else:
             self.truth, notes = decode_truth(tables.pop())
         return notes
@@ -64,7 +70,7 @@ class Finding:
 
     Attributes
     ----------
-    role : {'imu', 'dvl', 'reference', 'truth'}
+    role : {'imu', 'dvl', 'reference', 'truth'} or a name in `sensors.SENSORS`
     sources : tuple of Source
         Those that a replay reads; none, or, for a reference, up to two.
     reason : str
@@ -90,13 +96,17 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     cannot be read.
     """
     topics = _Topics(place, channels)
-    imu = _explained(topics, imu_requirement(config), lambda: (topics.need(imu_requirement(config)),))
-    dvl = _explained(topics, dvl_requirement(config), lambda: (topics.need(dvl_requirement(config)),))
+    imu, dvl = _needed(topics, imu_requirement(config)), _needed(topics, dvl_requirement(config))
     besides = dvl.sources[0].topic if dvl.sources else ""
     required = solution_requirement(config)
     reference = _explained(topics, required, lambda: _references(topics, config, besides), besides)
     truth = _explained(topics, TRUTH_REQUIREMENT, lambda: tuple(filter(None, [topics.find(TRUTH_REQUIREMENT)])))
-    return (imu, dvl, reference, truth) if truth.sources or truth.error else (imu, dvl, reference)
+    sensors = [_needed(topics, sensor_requirement(name, config)) for name in asked_sensors(config)]
+    return (imu, dvl, reference, *sensors, *([truth] if truth.sources or truth.error else []))
+
+
+def _needed(topics: "_Topics", required: TopicRequirement) -> Finding:
+    return _explained(topics, required, lambda: (topics.need(required),))
 
 
 def _explained(

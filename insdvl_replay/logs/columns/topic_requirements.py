@@ -1,6 +1,7 @@
 """What each role needs of a topic: a type that is known by name, or the field paths of the configuration."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
@@ -8,6 +9,7 @@ import msgspec
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, error_context
+from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.logs.columns import known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
 from insdvl_replay.logs.container.records import LogChannel
@@ -98,7 +100,7 @@ class TopicRequirement:
     by_type: Sequence[Types]
     if_named: Types = field(default_factory=dict)
     paths: Mapping[str, str | None] = field(default_factory=dict)
-    enough: Sequence[set[str]] = ()
+    enough: Sequence[AbstractSet[str]] = ()
     together: Sequence[set[str]] = ()
     stamp: str | None = None
     latency_s: float = 0.0
@@ -179,6 +181,18 @@ def fix_requirement(config: Config) -> TopicRequirement:
     """State what a geographic position needs."""
     enough = [{"latitude", "longitude"}]
     return _required(config.reference, "reference", (), "fix", by_type=[known_types.FIX], enough=enough)
+
+
+def sensor_requirement(name: str, config: Config) -> TopicRequirement:
+    """State what one of the sensors of `core.sensors` needs."""
+    return _required(
+        getattr(config, name),
+        name,
+        SENSORS[name].quantities,
+        by_type=known_types.SENSORS[name],
+        if_named=known_types.SENSORS_IF_NAMED.get(name, {}),
+        enough=SENSORS[name].enough,
+    )
 
 
 def _required(section: Any, role: str, quantities: Iterable[str], key: str = "topic", **needs: Any) -> TopicRequirement:

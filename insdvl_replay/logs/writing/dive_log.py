@@ -1,19 +1,30 @@
 """A dive as a log: what a vehicle's recorder would have written.
 
 ``/imu`` sensor_msgs/Imu, ``/dvl`` marine_acoustic_msgs/Dvl or geometry_msgs/TwistWithCovarianceStamped, ``/reference``
-insdvl_msgs/NavSolution, ``/truth/biases`` insdvl_msgs/SensorBiases. Axes are forward, starboard, down.
+insdvl_msgs/NavSolution, ``/truth/biases`` insdvl_msgs/SensorBiases, ``/pressure`` sensor_msgs/FluidPressure. Axes are
+forward, starboard, down.
 
 What is computed here of the columns is the same on every processor: matrices are solved by formulae, since LAPACK sums
 in another order on each, and what goes through a library's arcs is rounded, since their last bits differ.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from insdvl_replay import __version__
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TruthColumns
+from insdvl_replay.core.dive_columns import (
+    Dive,
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    SensorColumns,
+    TruthColumns,
+)
+from insdvl_replay.core.states import STANDARD_GRAVITY_MPS2
 from insdvl_replay.geometry.rotation import rpy_from_mat, turned
 from insdvl_replay.logs.writing.writer import (
     DVL,
@@ -35,6 +46,11 @@ VELOCITY_DIGITS: Final = 6
 """Decimals of what the instrument makes of its beams, m/s and rad: far below the noise of a beam."""
 ANGLE_DIGITS: Final = 9
 """Decimals of the reference's angles, rad."""
+
+PRESSURE_DIGITS: Final = 1
+"""Decimals of a pressure, Pa: a hundredth of a millimetre of water."""
+ATMOSPHERE_PA: Final = 101325.0
+SEA_WATER_KGPM3: Final = 1025.0
 
 _BOTTOM_TRACK: Final = 1
 _BEAMS_FOR_VELOCITY: Final = 3
@@ -65,6 +81,7 @@ def write_dive(path: Path, dive: Dive) -> None:
         batches.append(_reference(dive.reference))
     if dive.truth is not None:
         batches.append(_truth(dive.truth))
+    batches += [_SENSORS[name](columns) for name, columns in dive.sensors.items()]
     write_log(path, batches, {"version": __version__, "dive": dive.name})
 
 
@@ -143,3 +160,12 @@ def _reference(reference: ReferenceColumns) -> Batch:
 def _truth(truth: TruthColumns) -> Batch:
     columns: dict[str, Column] = {"accel_bias_mps2": truth.accel_bias_b, "gyro_bias_radps": truth.gyro_bias_b}
     return stamped("/truth/biases", "insdvl_msgs/msg/SensorBiases", truth.time_ns, IMU, columns)
+
+
+def _depth(depth: SensorColumns) -> Batch:
+    pressure_pa = ATMOSPHERE_PA + SEA_WATER_KGPM3 * STANDARD_GRAVITY_MPS2 * depth.values[:, 0]
+    columns: dict[str, Column] = {"fluid_pressure": np.round(pressure_pa, PRESSURE_DIGITS), "variance": 0.0}
+    return stamped("/pressure", "sensor_msgs/msg/FluidPressure", depth.time_ns, IMU, columns)
+
+
+_SENSORS: Final[dict[str, Callable[[SensorColumns], Batch]]] = {"depth": _depth}

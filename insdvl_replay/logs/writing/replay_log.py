@@ -148,13 +148,19 @@ def _error(topic: str, errors: Errors) -> Batch:
 def _innovation(topic: str, innovations: Innovations) -> Batch:
     columns: dict[str, Column] = {
         "unit": innovations.unit,
-        "measured": innovations.measured,
-        "innovation": innovations.innovation,
-        "sd": innovations.sd,
+        "measured": _three(innovations.measured),
+        "innovation": _three(innovations.innovation),
+        "sd": _three(innovations.sd),
         "nis": innovations.nis,
         "used": innovations.used,
     }
     return stamped(topic, "insdvl_msgs/msg/Innovation", innovations.time_ns, IMU, columns)
+
+
+def _three(components: Floats) -> Floats:
+    """Return three components, shape (k, 3): NaN where there are fewer, the first where there are more."""
+    lacking = np.full((len(components), max(0, 3 - components.shape[1])), np.nan)
+    return components if components.shape[1] == 3 else np.hstack([components, lacking])[:, :3]
 
 
 def _odometry(topic: str, history: History) -> Batch:

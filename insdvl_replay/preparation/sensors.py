@@ -1,0 +1,94 @@
+"""From the readings of a sensor and its section of the configuration to a measurement that filters can be aided by."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from insdvl_replay.core.config import Config, Depth
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns
+from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.sensors import SENSORS
+from insdvl_replay.nav.initial_state import Start
+from insdvl_replay.nav.innovation import DEPTH
+from insdvl_replay.nav.measurements import Measurement, sensor_measurement
+
+Measured = tuple[int, Floats, Floats]
+"""Kind of the prediction; values, shape (k, s); and their standard deviations, of a shape that fits the values."""
+
+
+@dataclass(frozen=True)
+class _Sensor:
+    """A sensor's readings inside the span, and what a filter starts from there."""
+
+    name: str
+    columns: SensorColumns
+    settings: Any
+    start: Start
+    start_ns: int
+    notes: list[Note]
+
+
+def prepare_sensors(
+    sensors: Mapping[str, SensorColumns], config: Config, start: Start, start_ns: int, end_ns: int
+) -> tuple[dict[str, Measurement], tuple[Note, ...]]:
+    """Prepare the sensors that were read.
+
+    Parameters
+    ----------
+    sensors : mapping of str to SensorColumns
+        Of the dive.
+    start : Start
+        Where the filters start.
+    start_ns, end_ns : int
+        Span of the replay.
+
+    Returns
+    -------
+    dict of str to Measurement
+        By name, without a gate; the rows of a time line from 1 on are theirs, in this order.
+    tuple of Note
+
+    Raises
+    ------
+    LogError
+        A sensor has no reading in the span.
+    """
+    found, notes = dict[str, Measurement](), list[Note]()
+    for row, (name, columns) in enumerate(sensors.items(), start=1):
+        inside = (columns.time_ns > start_ns) & (columns.time_ns <= end_ns)
+        if not inside.any():
+            raise LogError(
+                f"no reading of the {name} lies between the start of the replay and its end",
+                f"check {name}.stamp against imu.stamp, or widen --start and --end",
+            )
+        columns = SensorColumns(columns.time_ns[inside], columns.values[inside])
+        sensor = _Sensor(name, columns, getattr(config, name), start, start_ns, notes)
+        kind, values, sd = _MEASURED[name](sensor)
+        of_sensor = SENSORS[name]
+        measurement = sensor_measurement(
+            name, of_sensor.unit, kind, columns.time_ns, values, sd, axes=of_sensor.components
+        )
+        arm_b = np.array(getattr(sensor.settings, "lever_arm_m", (0.0, 0.0, 0.0)))
+        found[name] = replace(measurement, sensor=row, lever_arm_b=arm_b)
+    return found, tuple(notes)
+
+
+def _depth(sensor: _Sensor) -> Measured:
+    """Return how far down the gauge is from the ellipsoid: its own zero is at the water's surface, or anywhere."""
+    settings: Depth = sensor.settings
+    depth_m, surface_m = sensor.columns.values, settings.surface_height_m
+    if surface_m is None:
+        arm_down_m = float((sensor.start.mat_nb @ np.array(settings.lever_arm_m))[2])
+        surface_m = float(sensor.start.position[2]) - arm_down_m + float(depth_m[0, 0])
+        late_s = (int(sensor.columns.time_ns[0]) - sensor.start_ns) / NS_PER_S
+        text = (
+            f"depth: 0 is taken to be {surface_m:.3f} m above the ellipsoid, by the first reading, {late_s:.2f} s "
+            "after the start, and the height there"
+        )
+        sensor.notes.append(Note("depth_zero", text, hint="depth.surface_height_m says it otherwise"))
+    return DEPTH, depth_m - surface_m, np.array([settings.sd_m])
+
+
+_MEASURED: Final[dict[str, Callable[[_Sensor], Measured]]] = {"depth": _depth}

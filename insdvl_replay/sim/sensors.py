@@ -1,0 +1,51 @@
+"""What the sensors beside IMU and DVL read along a trajectory, and how they err."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from insdvl_replay.core.dive_columns import Floats, SensorColumns
+from insdvl_replay.sim.motion import Motion
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """How often a sensor reads, and how large its white noise is in the unit of its kind, see `UNITS`."""
+
+    sd: float
+    rate_hz: float = 1.0
+
+
+@dataclass(frozen=True)
+class SimulatedSensor:
+    """One kind of sensor.
+
+    Attributes
+    ----------
+    unit : str
+        Of its noise, for the user.
+    si : float
+        One of it in the unit of the readings.
+    reading : callable
+        From the motion to exact readings, shape (k, s).
+    """
+
+    unit: str
+    si: float
+    reading: Callable[[Motion], Floats]
+
+
+def _depth_m(motion: Motion) -> Floats:
+    return np.asarray(-motion.position[:, 2:])
+
+
+SIMULATED: Final[Mapping[str, SimulatedSensor]] = {"depth": SimulatedSensor("m", 1.0, _depth_m)}
+"""By the names of `core.sensors.SENSORS`; at the IMU's place."""
+
+
+def add_sensor_errors(name: str, exact: SensorColumns, errors: SensorErrors, rng: np.random.Generator) -> SensorColumns:
+    """Add white noise to exact readings."""
+    noise = SIMULATED[name].si * errors.sd * rng.standard_normal(exact.values.shape)
+    return SensorColumns(exact.time_ns, exact.values + noise)

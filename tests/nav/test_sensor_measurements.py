@@ -1,0 +1,62 @@
+"""Each H of a sensor beside the DVL against finite differences."""
+
+import numpy as np
+import pytest
+from jacobian import assert_jacobian
+from scipy.spatial.transform import Rotation
+
+from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.nav.innovation import DEPTH, InsAtPing, linearise
+from insdvl_replay.nav.local_earth import place_at
+from insdvl_replay.nav.measurements import Measurement, sensor_measurement, stacked
+from insdvl_replay.nav.position_error import without_error
+from insdvl_replay.nav.state_layout import layout_of
+from insdvl_replay.nav.vector_algebra import matrix, vector
+
+POSITION = (0.57, 0.6, -20.0)
+VELOCITY_N = np.array([0.9, -0.4, 0.1])
+MAT_NB = Rotation.from_euler("ZYX", [2.0, -0.3, 0.25]).as_matrix()
+ARM_B = np.array([-1.8, -0.3, 0.2])
+LAYOUT, STATES = layout_of(("position",)), 15
+
+
+def ins_off_by(dx: Floats) -> InsAtPing:
+    """An INS whose errors are dx: estimated minus true."""
+    place, nothing = place_at(POSITION[0], POSITION[2]), np.zeros((1, 3))
+    return InsAtPing(
+        without_error(POSITION, vector(-dx[12:15]), place),
+        vector(VELOCITY_N + dx[:3]),
+        matrix(Rotation.from_rotvec(dx[3:6]).as_matrix() @ MAT_NB),
+        (0.0, 0.0, -9.8),
+        0,
+        nothing,
+        nothing,
+        nothing,
+        9.8,
+        (0.0, 0.0, 0.0),
+        place,
+    )
+
+
+def of_kind(kind: int, reading: Floats) -> Measurement:
+    made = sensor_measurement("", "", kind, np.arange(1), reading[None], np.ones(len(reading)))
+    made.lever_arm_b[:] = ARM_B
+    return made
+
+
+def linearised(kind: int, reading: Floats, dx: Floats) -> tuple[Floats, Floats]:
+    z, H = np.empty(len(reading)), np.full((len(reading), STATES), np.nan)
+    linearise(stacked([of_kind(kind, reading)]), 0, 0, ins_off_by(dx), LAYOUT, z, H)
+    return z, H
+
+
+@pytest.mark.parametrize(("kind", "reading"), [(DEPTH, np.array([20.0]))], ids=["depth"])
+def test_jacobian(kind: int, reading: Floats) -> None:
+    _, H = linearised(kind, reading, np.zeros(STATES))
+    assert_jacobian(H, lambda dx: linearised(kind, reading, dx)[0], np.zeros(STATES), atol=1e-6, step=1e-3)
+
+
+def test_depth_is_that_of_the_gauge() -> None:
+    """A gauge 1.8 m behind the IMU of a vehicle whose bow is down is higher."""
+    z, _ = linearised(DEPTH, np.array([20.0]), np.zeros(STATES))
+    assert z[0] == pytest.approx((MAT_NB @ ARM_B)[2])

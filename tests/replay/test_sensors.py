@@ -1,0 +1,123 @@
+"""Sensors beside IMU and DVL, from the log to the tables, in worlds whose truth is known."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matched_sensors import SENSORS
+
+from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Initial
+from insdvl_replay.core.dive_columns import Dive, Floats
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.history import History
+from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.writing.dive_log import write_dive
+from insdvl_replay.preparation.prepared import Prepared, prepare_dive
+from insdvl_replay.preparation.running import prepared_timeline, run_one
+from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
+from insdvl_replay.sim.sensors import SensorErrors
+
+MATCHED_IMU = ImuErrors(5e-3, 4.4e-5, 0.01, 0.0, 2e-5, 8e-8)
+MATCHED_DVL = DvlErrors(
+    beam_sd_mps=0.0, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0, velocity_sd_mps=0.01
+)
+POSITION_SD_M = (2.0, 2.0, 1.0)
+
+
+def simulated(seed: int = 1, duration_s: float = 400.0, grade: str = "mems", **sensors: SensorErrors) -> Dive:
+    return simulate_dive("lawnmower", seed=seed, duration_s=duration_s, grade=grade, sensors=sensors)
+
+
+def config(*aiding: str, **changes: object) -> Config:
+    filters = {"baseline": Filter(aiding=("velocity",)), "candidate": Filter(aiding=("velocity", *aiding))}
+    return Config(**{"filters": filters, **changes})  # type: ignore[arg-type]
+
+
+def rms(replay: Replay, filter_: str, axis: int) -> float:
+    return float(np.sqrt(np.nanmean(replay.errors[filter_].position_error_ned_m[:, axis] ** 2)))
+
+
+def used(history: History, measurement: str) -> int:
+    return next(int(one.used.sum()) for one in history.innovations if one.measurement == measurement)
+
+
+def test_a_log_with_a_pressure_gauge_is_read_as_it_was_simulated(tmp_path: Path) -> None:
+    dive = simulated(duration_s=30.0, depth=SensorErrors(0.05, 4.0))
+    write_dive(tmp_path / "dive.mcap", dive)
+    read = read_dive(tmp_path / "dive.mcap", config("depth"))
+    np.testing.assert_array_equal(read.sensors["depth"].time_ns, dive.sensors["depth"].time_ns)
+    apart_m = read.sensors["depth"].values - dive.sensors["depth"].values
+    np.testing.assert_allclose(apart_m - apart_m[0], 0.0, atol=2e-5)  # the atmosphere stands on it, too
+    assert not read_dive(tmp_path / "dive.mcap", config()).sensors  # nobody asked
+
+
+def test_depth_holds_the_height() -> None:
+    replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), config("depth", depth=Depth(sd_m=0.05)))
+    assert used(replay.histories[1], "depth") == 1600
+    assert rms(replay, "candidate", 2) < 0.1
+    assert rms(replay, "baseline", 2) > 0.2
+    assert [note.code for note in replay.notes if note.code.startswith("depth")] == ["depth_zero"]
+
+
+def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
+    settings = config("depth", evaluation=Evaluation(withheld=("depth",)))
+    replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), settings)
+    for history in replay.histories:
+        met = next(one for one in history.innovations if one.measurement == "depth")
+        assert len(met.nis) == 1600
+        assert not met.used.any()
+    np.testing.assert_array_equal(replay.histories[0].velocity_n, replay.histories[1].velocity_n)
+
+
+def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
+    write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0))
+    with pytest.raises(LogError, match="has no DEPTH: no message is of a type known for one"):
+        read_dive(tmp_path / "dive.mcap", config("depth"))
+
+
+# --- Position as a state.
+
+
+def started_off(prepared: Prepared, seed: int) -> Prepared:
+    """Let a filter start from a position that errs as it is told that it may."""
+    start = prepared.alignment.start
+    off_m = np.array(POSITION_SD_M) * np.random.default_rng(seed).standard_normal(3)
+    per_m = np.array([1.0 / 6.37e6, 1.0 / (6.38e6 * np.cos(start.position[0])), -1.0])
+    return replace(
+        prepared, alignment=replace(prepared.alignment, start=replace(start, position=start.position + off_m * per_m))
+    )
+
+
+def position_nees(seed: int, *aiding: str, **sensors: SensorErrors) -> Floats:
+    """NEES of the position over a dive of which the filter is told the truth, shape (k,)."""
+    dive = simulate_dive(
+        "lawnmower", seed=seed, duration_s=400.0, imu_errors=MATCHED_IMU, dvl_errors=MATCHED_DVL, sensors=sensors
+    )
+    settings = Config(
+        noise=SENSORS.noise,
+        initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, position_sd_m=POSITION_SD_M),
+        dvl=SENSORS.dvl,
+        depth=Depth(sd_m=0.05, surface_height_m=0.0),
+        filters={"aided": Filter(aiding=("velocity", *aiding), states=("position",))},
+    )
+    prepared = started_off(prepare_dive(dive, settings), seed)
+    assert dive.reference is not None
+    history = run_one(
+        prepared.filters[0], prepared, prepared_timeline(dive, prepared), cov_ns=dive.reference.time_ns[1:]
+    )
+    replayed = np.isin(history.time_ns, history.cov_ns)
+    reference = dive.reference.rows(np.isin(dive.reference.time_ns, history.cov_ns))
+    apart = history.position[replayed] - reference.position
+    error_m = apart * np.array([6.37e6, 6.38e6 * np.cos(reference.position[0, 0]), -1.0])
+    cov = history.cov[:, 12:15, 12:15]
+    return np.einsum("ki,kij,kj->k", error_m, np.linalg.inv(cov), error_m)
+
+
+def test_position_is_as_far_off_as_the_filter_says() -> None:
+    """The mean NEES of 3 over independent runs; each run is one sample, since a position error stays."""
+    runs = np.array([position_nees(seed, "depth", depth=SensorErrors(0.05, 1.0)).mean() for seed in range(24)])
+    assert 3.0 - 2.5 * runs.std() / np.sqrt(24) < runs.mean() < 3.0 + 2.5 * runs.std() / np.sqrt(24)
+    assert 1.8 < runs.mean() < 4.4
