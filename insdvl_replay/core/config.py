@@ -116,6 +116,24 @@ class Depth(_Section, frozen=True):
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
 
 
+class Heading(_Section, frozen=True):
+    """Where a heading comes from that is not the INS's: an AHRS or a compass; read as the depth is."""
+
+    topic: Annotated[str | None, Comment("left out: found by type")] = None
+    quaternion: Annotated[str | None, Comment("field path, x, y, z, w; left out: by type")] = None
+    heading: Annotated[str | None, Comment("field path, from north over east; left out: by type")] = None
+    angle_unit: Annotated[Literal["deg", "rad"], Comment("deg | rad: of the heading")] = "deg"
+    axes: Annotated[
+        Literal["ned_frd", "enu_flu"] | None, Comment("ned_frd | enu_flu, of a quaternion; left out: enu_flu")
+    ] = None
+    declination_deg: Annotated[
+        Annotated[float, Meta(ge=-180, le=180)], Comment("magnetic north from true north, clockwise, of a compass")
+    ] = 0.0
+    sd_deg: Annotated[Positive, Comment("noise of one reading")] = 2.0
+    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+
+
 class Reference(_Section, frozen=True):
     """The solution to start from and to compare with; position, velocity and attitude are each optional."""
 
@@ -275,6 +293,7 @@ class Config(_Section, frozen=True):
     imu: Imu = Imu()
     dvl: Dvl = Dvl()
     depth: Depth = Depth()
+    heading: Heading = Heading()
     reference: Reference = Reference()
     initial: Initial = Initial()
     noise: Noise = Noise()

@@ -45,6 +45,13 @@ SENSORS: Final[dict[str, Sensor]] = {
         quantities=("depth", "height", "pressure"),
         enough=(frozenset({"depth"}), frozenset({"height"}), frozenset({"pressure"})),
     ),
+    "heading": Sensor(
+        unit="rad",
+        components=(),
+        states=(),
+        quantities=("quaternion", "heading"),
+        enough=(frozenset({"quaternion"}), frozenset({"heading"})),
+    ),
 }
 
 DVL_AIDING: Final = ("velocity", "acceleration")

@@ -7,6 +7,8 @@ velocity      z = C' v + w_eb x l - v_dvl                    H = [ C' | C'[v x] 
 published     z = f + C' g - a_dvl                           H = [ 0 | C'[g x] | I | 0 ]
 windowed      z = slope of the INS over the window - a_dvl   H = [ -[w x]C' | C'[g x] - [w x]C'[v x] | I | [v_b x] ]
 depth         z = -h + (C l)_d - d                           H = [ 0 | (C l)_e, -(C l)_n, 0 | 0 | 0 | 0, 0, 1 ]
+heading       z = atan2(c_e, c_n) - psi                      H = [ 0 | -tan c_n, -tan c_e, 1 | 0 | 0 ], c = C e_x, tan =
+                                                                 c_d / (c_n^2 + c_e^2)
 
 The slope of a body-frame velocity is ``f + C' g - w x v_b``; ``published`` is the paper's model, which leaves out w x
 v_b. ``windowed`` predicts the same weighted sum of velocities that the DVL's slope is, from what the mechanisation
@@ -14,6 +16,7 @@ alone has added to the body velocity between pings. Equations (36) to (46) of Le
 F; see equations/updates.md.
 """
 
+import math
 from typing import Final, NamedTuple
 
 from insdvl_replay.core.compiled import inlined
@@ -37,6 +40,7 @@ from insdvl_replay.nav.vector_algebra import (
 )
 
 DEPTH: Final = 3
+HEADING: Final = 4
 """How the measurements of the sensors beside the DVL are predicted: kinds above those of `measurements`."""
 
 IDENTITY: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -124,7 +128,10 @@ def _linearise_sensor(
 ) -> None:
     H[:] = 0.0
     reading, arm_n = measurements.values[m, row], rotate(ins.mat_nb, row_vector(measurements.lever_arm_b, m))
-    z[0] = _predict_depth(ins, arm_n, layout, H) - reading[0]
+    if measurements.kind[m] == DEPTH:
+        z[0] = _predict_depth(ins, arm_n, layout, H) - reading[0]
+    else:
+        z[0] = _nearest_turn(_predict_heading(ins, H) - reading[0])
 
 
 @inlined
@@ -134,6 +141,21 @@ def _predict_depth(ins: InsAtPing, arm_n: Vector, layout: StateLayout, H: Floats
     if layout.position >= 0:
         H[0, layout.position + 2] = 1.0
     return arm_n[2] - ins.position[2]
+
+
+@inlined
+def _predict_heading(ins: InsAtPing, H: Floats) -> float:
+    """Return where the bow points, atan2(c_e, c_n) of C's first column c, and write its Jacobian."""
+    north, east, down = ins.mat_nb[0][0], ins.mat_nb[1][0], ins.mat_nb[2][0]
+    steep = down / (north * north + east * east)
+    H[0, 3], H[0, 4], H[0, 5] = -steep * north, -steep * east, 1.0
+    return math.atan2(east, north)
+
+
+@inlined
+def _nearest_turn(angle: float) -> float:
+    """Return an angle without its whole turns, in [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @inlined

@@ -6,12 +6,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Config, Depth
+from insdvl_replay.core.config import Config, Depth, Heading
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.sensors import SENSORS
+from insdvl_replay.core.states import DEG
 from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.innovation import DEPTH
+from insdvl_replay.nav.innovation import DEPTH, HEADING
 from insdvl_replay.nav.measurements import Measurement, sensor_measurement
 
 Measured = tuple[int, Floats, Floats]
@@ -91,4 +92,9 @@ def _depth(sensor: _Sensor) -> Measured:
     return DEPTH, depth_m - surface_m, np.array([settings.sd_m])
 
 
-_MEASURED: Final[dict[str, Callable[[_Sensor], Measured]]] = {"depth": _depth}
+def _heading(sensor: _Sensor) -> Measured:
+    settings: Heading = sensor.settings
+    return HEADING, sensor.columns.values, np.array([settings.sd_deg * DEG])
+
+
+_MEASURED: Final[dict[str, Callable[[_Sensor], Measured]]] = {"depth": _depth, "heading": _heading}

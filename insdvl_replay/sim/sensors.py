@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats, SensorColumns
+from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.sim.motion import Motion
 
 
@@ -41,7 +43,15 @@ def _depth_m(motion: Motion) -> Floats:
     return np.asarray(-motion.position[:, 2:])
 
 
-SIMULATED: Final[Mapping[str, SimulatedSensor]] = {"depth": SimulatedSensor("m", 1.0, _depth_m)}
+def _heading_rad(motion: Motion) -> Floats:
+    """Return the headings to twelve digits: no two processors' arcs agree beyond."""
+    return np.asarray(np.round(rpy_from_mat(motion.mat_nb)[:, 2:], 12))
+
+
+SIMULATED: Final[Mapping[str, SimulatedSensor]] = {
+    "depth": SimulatedSensor("m", 1.0, _depth_m),
+    "heading": SimulatedSensor("deg", DEG, _heading_rad),
+}
 """By the names of `core.sensors.SENSORS`; at the IMU's place."""
 
 

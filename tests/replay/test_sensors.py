@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from matched_sensors import SENSORS
 
-from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Initial
+from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Heading, Initial
+from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
@@ -24,6 +25,7 @@ MATCHED_IMU = ImuErrors(5e-3, 4.4e-5, 0.01, 0.0, 2e-5, 8e-8)
 MATCHED_DVL = DvlErrors(
     beam_sd_mps=0.0, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0, velocity_sd_mps=0.01
 )
+MEMS = load_config("mems")
 POSITION_SD_M = (2.0, 2.0, 1.0)
 
 
@@ -76,6 +78,32 @@ def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0))
     with pytest.raises(LogError, match="has no DEPTH: no message is of a type known for one"):
         read_dive(tmp_path / "dive.mcap", config("depth"))
+
+
+def test_a_heading_of_one_degree_holds_a_vehicle_of_small_sensors_for_an_hour() -> None:
+    dive = simulated(seed=3, duration_s=3600.0, heading=SensorErrors(1.0, 1.0))
+    replay = replay_dive(dive, config("heading", heading=Heading(sd_deg=1.0), noise=MEMS.noise, initial=MEMS.initial))
+    off_deg = {name: np.rad2deg(errors.attitude_error_rad[:, 2]) for name, errors in replay.errors.items()}
+    assert np.abs(off_deg["candidate"]).max() < 1.0
+    assert np.abs(off_deg["baseline"]).max() > 5.0
+    met = next(one for one in replay.histories[1].innovations if one.measurement == "heading")
+    assert met.used.all()
+    assert 0.9 < met.nis.mean() < 1.1
+
+
+def test_a_heading_is_read_as_it_was_simulated(tmp_path: Path) -> None:
+    dive = simulated(duration_s=60.0, heading=SensorErrors(1.0, 4.0))
+    write_dive(tmp_path / "dive.mcap", dive)
+    read = read_dive(tmp_path / "dive.mcap", config("heading", heading=Heading(declination_deg=4.5)))
+    apart = read.sensors["heading"].values - dive.sensors["heading"].values - np.deg2rad(4.5)
+    np.testing.assert_allclose(np.exp(1j * apart), 1.0, atol=1e-9)
+
+
+def test_an_imu_that_has_no_orientation_gives_no_heading(tmp_path: Path) -> None:
+    """orientation_covariance[0] = -1 says so."""
+    write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0))
+    with pytest.raises(LogError, match="no message of 3001 can be used"):
+        read_dive(tmp_path / "dive.mcap", config("heading"))
 
 
 # --- Position as a state.

@@ -202,6 +202,14 @@ SENSORS: Final[Mapping[str, Sequence[Types]]] = {
             "blueye.protocol.DepthTel": KnownType({"depth": "depth.value"}, stamp=LOG_TIME),
         }
     ],
+    "heading": [
+        {"geometry_msgs/msg/QuaternionStamped": KnownType({"quaternion": "quaternion"})},
+        {
+            "sensor_msgs/msg/Imu": KnownType(
+                {"quaternion": "orientation", "quaternion_var": "orientation_covariance[0]"}
+            ),
+        },
+    ],
 }
 """Of the sensors of `core.sensors`; of several groups of types, the first that a log has is taken."""
 SENSORS_IF_NAMED: Final[Mapping[str, Types]] = {

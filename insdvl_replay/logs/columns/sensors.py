@@ -5,11 +5,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Config, Depth
+from insdvl_replay.core.config import Config, Depth, Heading
 from insdvl_replay.core.dive_columns import Floats, SensorColumns
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.states import STANDARD_GRAVITY_MPS2
+from insdvl_replay.core.states import DEG, STANDARD_GRAVITY_MPS2
+from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
+from insdvl_replay.geometry.rotation import mat_from_quat, rpy_from_mat
 from insdvl_replay.logs.columns.cleaning import Cleaner
+from insdvl_replay.logs.columns.reference import ANGLE_UNITS
 from insdvl_replay.logs.columns.tables import Table
 
 PRESSURE_UNITS: Final = {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "dbar": 1e4, "bar": 1e5}
@@ -44,4 +47,17 @@ def _depth_m(table: Table, settings: Depth) -> Floats:
     return np.asarray(depth_m[:, None], np.float64)
 
 
-_VALUES: Final[dict[str, Callable[[Table, Any], Floats]]] = {"depth": _depth_m}
+def _heading_rad(table: Table, settings: Heading) -> Floats:
+    """Return the true heading, shape (k, 1): NaN where its message says that there is none."""
+    if "quaternion" in table:
+        mat = mat_from_quat(table.values("quaternion", 4))
+        mat_nb = mat if settings.axes == "ned_frd" else MAT_ENU_NED @ mat @ MAT_FRD_FLU
+        heading = rpy_from_mat(mat_nb)[:, 2]
+        if "quaternion_var" in table:
+            heading = np.where(table.column("quaternion_var") < 0.0, np.nan, heading)
+    else:
+        heading = table.column("heading") * ANGLE_UNITS[settings.angle_unit]
+    return np.asarray((heading + settings.declination_deg * DEG)[:, None])
+
+
+_VALUES: Final[dict[str, Callable[[Table, Any], Floats]]] = {"depth": _depth_m, "heading": _heading_rad}

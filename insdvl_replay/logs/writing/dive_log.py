@@ -1,8 +1,8 @@
 """A dive as a log: what a vehicle's recorder would have written.
 
 ``/imu`` sensor_msgs/Imu, ``/dvl`` marine_acoustic_msgs/Dvl or geometry_msgs/TwistWithCovarianceStamped, ``/reference``
-insdvl_msgs/NavSolution, ``/truth/biases`` insdvl_msgs/SensorBiases, ``/pressure`` sensor_msgs/FluidPressure. Axes are
-forward, starboard, down.
+insdvl_msgs/NavSolution, ``/truth/biases`` insdvl_msgs/SensorBiases, ``/pressure`` sensor_msgs/FluidPressure,
+``/ahrs`` geometry_msgs/QuaternionStamped. Axes are forward, starboard, down.
 
 What is computed here of the columns is the same on every processor: matrices are solved by formulae, since LAPACK sums
 in another order on each, and what goes through a library's arcs is rounded, since their last bits differ.
@@ -27,6 +27,7 @@ from insdvl_replay.core.dive_columns import (
 from insdvl_replay.core.states import STANDARD_GRAVITY_MPS2
 from insdvl_replay.geometry.rotation import rpy_from_mat, turned
 from insdvl_replay.logs.writing.writer import (
+    BASE_LINK,
     DVL,
     IMU,
     NED,
@@ -168,4 +169,12 @@ def _depth(depth: SensorColumns) -> Batch:
     return stamped("/pressure", "sensor_msgs/msg/FluidPressure", depth.time_ns, IMU, columns)
 
 
-_SENSORS: Final[dict[str, Callable[[SensorColumns], Batch]]] = {"depth": _depth}
+def _heading(heading: SensorColumns) -> Batch:
+    """Write a level attitude with the heading, east-north-up and forward-port-up, as its type has it."""
+    half = 0.5 * (0.5 * np.pi - heading.values[:, 0])
+    quat: dict[str, Column] = {"x": 0.0, "y": 0.0, "z": np.round(np.sin(half), 12), "w": np.round(np.cos(half), 12)}
+    columns: dict[str, Column] = {f"quaternion.{axis}": component for axis, component in quat.items()}
+    return stamped("/ahrs", "geometry_msgs/msg/QuaternionStamped", heading.time_ns, BASE_LINK, columns)
+
+
+_SENSORS: Final[dict[str, Callable[[SensorColumns], Batch]]] = {"depth": _depth, "heading": _heading}
