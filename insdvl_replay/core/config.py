@@ -134,6 +134,21 @@ class Heading(_Section, frozen=True):
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
 
 
+class Position(_Section, frozen=True):
+    """Where fixes of the position come from: satellites at the surface, or an acoustic system; read as the depth is."""
+
+    topic: Annotated[str | None, Comment("left out: found by type")] = None
+    latitude: Annotated[str | None, Comment("field path; left out: by type")] = None
+    longitude: Annotated[str | None, Comment("field path; left out: by type")] = None
+    height: Annotated[str | None, Comment("field path, m above the ellipsoid; left out: by type")] = None
+    angle_unit: Annotated[Literal["deg", "rad"], Comment("deg | rad: of latitude and longitude")] = "deg"
+    lever_arm_m: Annotated[Vector, Comment("IMU to the antenna, forward-starboard-down")] = (0.0, 0.0, 0.0)
+    sd_m: Annotated[Positive, Comment("noise of one fix, north and east")] = 2.0
+    height_sd_m: Annotated[Positive | None, Comment("of its height; left out: the height is not used")] = None
+    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+
+
 class Reference(_Section, frozen=True):
     """The solution to start from and to compare with; position, velocity and attitude are each optional."""
 
@@ -294,6 +309,7 @@ class Config(_Section, frozen=True):
     dvl: Dvl = Dvl()
     depth: Depth = Depth()
     heading: Heading = Heading()
+    position: Position = Position()
     reference: Reference = Reference()
     initial: Initial = Initial()
     noise: Noise = Noise()

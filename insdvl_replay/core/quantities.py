@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from insdvl_replay.core.sensors import DVL_AIDING, SENSORS
+from insdvl_replay.core.sensors import AXES_N, DVL_AIDING, SENSORS
 from insdvl_replay.core.states import BA, BG, DV, PHI, POSITION, STATES
 from insdvl_replay.core.words import Consistency
 
@@ -39,8 +39,6 @@ JOINT: Final = "all"
 """The row of all compared states together, in which small errors of some may hide large ones of others."""
 AXES: Final = ("x", "y", "z")
 """Axes of a measurement in b."""
-AXES_N: Final = ("n", "e", "d")
-"""Axes of a measurement in n."""
 
 
 def axis_of(measurement: str, axis: str) -> str:

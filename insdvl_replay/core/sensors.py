@@ -37,6 +37,8 @@ class Sensor:
     enough: tuple[frozenset[str], ...]
 
 
+AXES_N: Final = ("n", "e", "d")
+"""Axes of a measurement in n."""
 SENSORS: Final[dict[str, Sensor]] = {
     "depth": Sensor(
         unit="m",
@@ -51,6 +53,13 @@ SENSORS: Final[dict[str, Sensor]] = {
         states=(),
         quantities=("quaternion", "heading"),
         enough=(frozenset({"quaternion"}), frozenset({"heading"})),
+    ),
+    "position": Sensor(
+        unit="m",
+        components=AXES_N,
+        states=("position",),
+        quantities=("latitude", "longitude", "height"),
+        enough=(frozenset({"latitude", "longitude"}),),
     ),
 }
 

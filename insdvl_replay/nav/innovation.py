@@ -7,6 +7,7 @@ velocity      z = C' v + w_eb x l - v_dvl                    H = [ C' | C'[v x] 
 published     z = f + C' g - a_dvl                           H = [ 0 | C'[g x] | I | 0 ]
 windowed      z = slope of the INS over the window - a_dvl   H = [ -[w x]C' | C'[g x] - [w x]C'[v x] | I | [v_b x] ]
 depth         z = -h + (C l)_d - d                           H = [ 0 | (C l)_e, -(C l)_n, 0 | 0 | 0 | 0, 0, 1 ]
+fix           z = p - p_fix + C l                            H = [ 0 | -[C l x] | 0 | 0 | I ]
 heading       z = atan2(c_e, c_n) - psi                      H = [ 0 | -tan c_n, -tan c_e, 1 | 0 | 0 ], c = C e_x, tan =
                                                                  c_d / (c_n^2 + c_e^2)
 
@@ -23,6 +24,7 @@ from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.local_earth import Place
 from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, WINDOWED, Stack
+from insdvl_replay.nav.position_error import offset_n
 from insdvl_replay.nav.state_layout import TWELVE, StateLayout
 from insdvl_replay.nav.vector_algebra import (
     Matrix,
@@ -41,6 +43,7 @@ from insdvl_replay.nav.vector_algebra import (
 
 DEPTH: Final = 3
 HEADING: Final = 4
+FIX: Final = 5
 """How the measurements of the sensors beside the DVL are predicted: kinds above those of `measurements`."""
 
 IDENTITY: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -130,8 +133,10 @@ def _linearise_sensor(
     reading, arm_n = measurements.values[m, row], rotate(ins.mat_nb, row_vector(measurements.lever_arm_b, m))
     if measurements.kind[m] == DEPTH:
         z[0] = _predict_depth(ins, arm_n, layout, H) - reading[0]
-    else:
+    elif measurements.kind[m] == HEADING:
         z[0] = _nearest_turn(_predict_heading(ins, H) - reading[0])
+    else:
+        _linearise_fix(ins, reading, arm_n, layout, z, H)
 
 
 @inlined
@@ -156,6 +161,18 @@ def _predict_heading(ins: InsAtPing, H: Floats) -> float:
 def _nearest_turn(angle: float) -> float:
     """Return an angle without its whole turns, in [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@inlined
+def _linearise_fix(ins: InsAtPing, fix: Floats, arm_n: Vector, layout: StateLayout, z: Floats, H: Floats) -> None:
+    """Write how far the antenna is from a fix, p - p_fix + C l in n, m, and the Jacobian; both may lack the height."""
+    height_m = fix[2] if len(z) == 3 else ins.position[2]
+    apart_n = add(offset_n(ins.position, (fix[0], fix[1], height_m), ins.place), arm_n)
+    by_turn = skew(scale(-1.0, arm_n))
+    for i in range(len(z)):
+        z[i], (H[i, 3], H[i, 4], H[i, 5]) = apart_n[i], by_turn[i]
+        if layout.position >= 0:
+            H[i, layout.position + i] = 1.0
 
 
 @inlined

@@ -6,13 +6,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Config, Depth, Heading
+from insdvl_replay.core.config import Config, Depth, Heading, Position
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.rotation import wrap_angle
 from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.innovation import DEPTH, HEADING
+from insdvl_replay.nav.innovation import DEPTH, FIX, HEADING
 from insdvl_replay.nav.measurements import Measurement, sensor_measurement
 
 Measured = tuple[int, Floats, Floats]
@@ -69,7 +70,7 @@ def prepare_sensors(
         kind, values, sd = _MEASURED[name](sensor)
         of_sensor = SENSORS[name]
         measurement = sensor_measurement(
-            name, of_sensor.unit, kind, columns.time_ns, values, sd, axes=of_sensor.components
+            name, of_sensor.unit, kind, columns.time_ns, values, sd, axes=of_sensor.components[: values.shape[1]]
         )
         arm_b = np.array(getattr(sensor.settings, "lever_arm_m", (0.0, 0.0, 0.0)))
         found[name] = replace(measurement, sensor=row, lever_arm_b=arm_b)
@@ -97,4 +98,18 @@ def _heading(sensor: _Sensor) -> Measured:
     return HEADING, sensor.columns.values, np.array([settings.sd_deg * DEG])
 
 
-_MEASURED: Final[dict[str, Callable[[_Sensor], Measured]]] = {"depth": _depth, "heading": _heading}
+def _position(sensor: _Sensor) -> Measured:
+    """Return the fixes with longitudes near that of the start, and without heights that are not to be used."""
+    settings: Position = sensor.settings
+    fixes, start_longitude = sensor.columns.values.copy(), float(sensor.start.position[1])
+    fixes[:, 1] = start_longitude + wrap_angle(fixes[:, 1] - start_longitude)
+    sd_m = np.array([settings.sd_m, settings.sd_m, settings.height_sd_m or np.nan])
+    used = slice(2 if settings.height_sd_m is None else 3)
+    return FIX, fixes[:, used], sd_m[used]
+
+
+_MEASURED: Final[dict[str, Callable[[_Sensor], Measured]]] = {
+    "depth": _depth,
+    "heading": _heading,
+    "position": _position,
+}

@@ -8,6 +8,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats, SensorColumns
 from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.sim.motion import Motion
 
@@ -51,6 +52,7 @@ def _heading_rad(motion: Motion) -> Floats:
 SIMULATED: Final[Mapping[str, SimulatedSensor]] = {
     "depth": SimulatedSensor("m", 1.0, _depth_m),
     "heading": SimulatedSensor("deg", DEG, _heading_rad),
+    "position": SimulatedSensor("m", 1.0, lambda motion: motion.position),
 }
 """By the names of `core.sensors.SENSORS`; at the IMU's place."""
 
@@ -58,4 +60,6 @@ SIMULATED: Final[Mapping[str, SimulatedSensor]] = {
 def add_sensor_errors(name: str, exact: SensorColumns, errors: SensorErrors, rng: np.random.Generator) -> SensorColumns:
     """Add white noise to exact readings."""
     noise = SIMULATED[name].si * errors.sd * rng.standard_normal(exact.values.shape)
-    return SensorColumns(exact.time_ns, exact.values + noise)
+    return SensorColumns(
+        exact.time_ns, moved_position(exact.values, noise) if name == "position" else exact.values + noise
+    )

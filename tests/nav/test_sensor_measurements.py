@@ -6,7 +6,7 @@ from jacobian import assert_jacobian
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.nav.innovation import DEPTH, HEADING, InsAtPing, linearise
+from insdvl_replay.nav.innovation import DEPTH, FIX, HEADING, InsAtPing, linearise
 from insdvl_replay.nav.local_earth import place_at
 from insdvl_replay.nav.measurements import Measurement, sensor_measurement, stacked
 from insdvl_replay.nav.position_error import without_error
@@ -50,7 +50,10 @@ def linearised(kind: int, reading: Floats, dx: Floats) -> tuple[Floats, Floats]:
     return z, H
 
 
-@pytest.mark.parametrize(("kind", "reading"), [(DEPTH, np.array([20.0])), (HEADING, np.array([2.0]))])
+@pytest.mark.parametrize(
+    ("kind", "reading"),
+    [(DEPTH, np.array([20.0])), (HEADING, np.array([2.0])), (FIX, np.array(POSITION)), (FIX, np.array(POSITION[:2]))],
+)
 def test_jacobian(kind: int, reading: Floats) -> None:
     _, H = linearised(kind, reading, np.zeros(STATES))
     assert_jacobian(H, lambda dx: linearised(kind, reading, dx)[0], np.zeros(STATES), atol=1e-6, step=1e-3)

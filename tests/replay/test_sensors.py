@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matched_sensors import SENSORS
 
-from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Heading, Initial
+from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Heading, Initial, Position
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import LogError
@@ -104,6 +104,20 @@ def test_an_imu_that_has_no_orientation_gives_no_heading(tmp_path: Path) -> None
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0))
     with pytest.raises(LogError, match="no message of 3001 can be used"):
         read_dive(tmp_path / "dive.mcap", config("heading"))
+
+
+def test_fixes_hold_the_position_and_are_read_as_they_were_simulated(tmp_path: Path) -> None:
+    dive = simulated(duration_s=1500.0, position=SensorErrors(2.0, 0.1))
+    write_dive(tmp_path / "dive.mcap", dive)
+    settings = config("position", position=Position(sd_m=2.0), noise=MEMS.noise, initial=MEMS.initial)
+    read = read_dive(tmp_path / "dive.mcap", settings)
+    np.testing.assert_allclose(read.sensors["position"].values, dive.sensors["position"].values, atol=1e-4)
+    replay = replay_dive(dive, settings)
+    met = next(one for one in replay.histories[1].innovations if one.measurement == "position")
+    assert met.dof == 2
+    assert met.used.all()
+    assert rms(replay, "candidate", 0) < 1.5
+    assert np.hypot(rms(replay, "candidate", 0), rms(replay, "candidate", 1)) < 1.5
 
 
 # --- Position as a state.

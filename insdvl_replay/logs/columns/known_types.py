@@ -210,6 +210,7 @@ SENSORS: Final[Mapping[str, Sequence[Types]]] = {
             ),
         },
     ],
+    "position": [FIX],
 }
 """Of the sensors of `core.sensors`; of several groups of types, the first that a log has is taken."""
 SENSORS_IF_NAMED: Final[Mapping[str, Types]] = {

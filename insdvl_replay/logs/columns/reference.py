@@ -66,7 +66,7 @@ def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
 
 def _position(table: Table, settings: Reference) -> Floats:
     unit = ANGLE_UNITS[settings.angle_unit]
-    latitude, longitude = _of_receiver(table, "latitude") * unit, _of_receiver(table, "longitude") * unit
+    latitude, longitude = of_receiver(table, "latitude") * unit, of_receiver(table, "longitude") * unit
     # The wrapped negative lies in [-pi, pi), so that its negative lies in (-pi, pi].
     return np.stack([latitude, -wrap_angle(-longitude), _height_m(table)], axis=1)
 
@@ -107,13 +107,13 @@ def _note_missing(cleaner: Cleaner, position: Floats | None, velocity_n: Floats 
         cleaner.note_missing("attitudes", mat_nb.reshape(-1, 9))
 
 
-def _of_receiver(table: Table, quantity: str) -> Floats:
+def of_receiver(table: Table, quantity: str) -> Floats:
     """Return one number a message; of several sensors that of the satellite receiver, NaN where it is invalid."""
     if "sensor_id" not in table:
         return table.column(quantity)
-    of_receiver = (table.values("sensor_id") == BLUEYE_GNSS) & (table.values("sensor_valid") > 0.0)
-    chosen = np.where(of_receiver, table.values(quantity), np.nan)
-    return np.asarray(chosen[np.arange(len(chosen)), of_receiver.argmax(axis=1)])
+    satellites = (table.values("sensor_id") == BLUEYE_GNSS) & (table.values("sensor_valid") > 0.0)
+    chosen = np.where(satellites, table.values(quantity), np.nan)
+    return np.asarray(chosen[np.arange(len(chosen)), satellites.argmax(axis=1)])
 
 
 def _attitude(table: Table, settings: Reference) -> Floats | None:

@@ -5,14 +5,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Config, Depth, Heading
+from insdvl_replay.core.config import Config, Depth, Heading, Position
 from insdvl_replay.core.dive_columns import Floats, SensorColumns
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DEG, STANDARD_GRAVITY_MPS2
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat, rpy_from_mat
 from insdvl_replay.logs.columns.cleaning import Cleaner
-from insdvl_replay.logs.columns.reference import ANGLE_UNITS
+from insdvl_replay.logs.columns.reference import ANGLE_UNITS, of_receiver
 from insdvl_replay.logs.columns.tables import Table
 
 PRESSURE_UNITS: Final = {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "dbar": 1e4, "bar": 1e5}
@@ -30,6 +30,8 @@ def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumn
     settings = table.source.completed(getattr(config, name))
     values, cleaner = _VALUES[name](table, settings), Cleaner(table)
     cleaner.keep_finite(values)
+    if "sensor_id" in table:
+        cleaner.drop_repeated_values(values)
     cleaner.drop_repeated_times(values)
     cleaner.require_rows()
     return SensorColumns(cleaner.times, cleaner.kept(values)), cleaner.notes
@@ -60,4 +62,21 @@ def _heading_rad(table: Table, settings: Heading) -> Floats:
     return np.asarray((heading + settings.declination_deg * DEG)[:, None])
 
 
-_VALUES: Final[dict[str, Callable[[Table, Any], Floats]]] = {"depth": _depth_m, "heading": _heading_rad}
+def _position(table: Table, settings: Position) -> Floats:
+    """Return latitude rad, longitude rad, height m, shape (k, 3): NaN where there was no fix."""
+    unit = ANGLE_UNITS[settings.angle_unit]
+    latitude, longitude = (of_receiver(table, name) * unit for name in ("latitude", "longitude"))
+    height_m = table.column("height") if "height" in table else np.zeros(len(table))
+    position = np.stack([latitude, longitude, np.nan_to_num(height_m)], axis=1)
+    lost = (latitude == 0.0) & (longitude == 0.0) | (np.abs(latitude) > 0.5 * np.pi)
+    if "fix_status" in table:
+        lost |= table.column("fix_status") < 0.0
+    position[lost] = np.nan
+    return position
+
+
+_VALUES: Final[dict[str, Callable[[Table, Any], Floats]]] = {
+    "depth": _depth_m,
+    "heading": _heading_rad,
+    "position": _position,
+}

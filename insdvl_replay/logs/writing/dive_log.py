@@ -2,7 +2,7 @@
 
 ``/imu`` sensor_msgs/Imu, ``/dvl`` marine_acoustic_msgs/Dvl or geometry_msgs/TwistWithCovarianceStamped, ``/reference``
 insdvl_msgs/NavSolution, ``/truth/biases`` insdvl_msgs/SensorBiases, ``/pressure`` sensor_msgs/FluidPressure,
-``/ahrs`` geometry_msgs/QuaternionStamped. Axes are forward, starboard, down.
+``/ahrs`` geometry_msgs/QuaternionStamped, ``/gnss`` sensor_msgs/NavSatFix. Axes are forward, starboard, down.
 
 What is computed here of the columns is the same on every processor: matrices are solved by formulae, since LAPACK sums
 in another order on each, and what goes through a library's arcs is rounded, since their last bits differ.
@@ -48,6 +48,8 @@ VELOCITY_DIGITS: Final = 6
 ANGLE_DIGITS: Final = 9
 """Decimals of the reference's angles, rad."""
 
+FIX_DIGITS: Final = 10
+"""Decimals of the degrees of a fix: 11 um."""
 PRESSURE_DIGITS: Final = 1
 """Decimals of a pressure, Pa: a hundredth of a millimetre of water."""
 ATMOSPHERE_PA: Final = 101325.0
@@ -177,4 +179,10 @@ def _heading(heading: SensorColumns) -> Batch:
     return stamped("/ahrs", "geometry_msgs/msg/QuaternionStamped", heading.time_ns, BASE_LINK, columns)
 
 
-_SENSORS: Final[dict[str, Callable[[SensorColumns], Batch]]] = {"depth": _depth, "heading": _heading}
+def _fix(fixes: SensorColumns) -> Batch:
+    latitude_deg, longitude_deg = np.round(np.rad2deg(fixes.values[:, :2]), FIX_DIGITS).T
+    columns = {"latitude": latitude_deg, "longitude": longitude_deg, "altitude": np.round(fixes.values[:, 2], 4)}
+    return stamped("/gnss", "sensor_msgs/msg/NavSatFix", fixes.time_ns, BASE_LINK, columns)
+
+
+_SENSORS: Final[dict[str, Callable[[SensorColumns], Batch]]] = {"depth": _depth, "heading": _heading, "position": _fix}
