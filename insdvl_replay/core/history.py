@@ -1,6 +1,6 @@
 """What one filter believed and when, and each innovation it met."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +114,8 @@ class History:
         One entry for each kind of aiding, in the filter's order.
     states : tuple of State
         What it estimates: the twelve of `states.STATES`, and perhaps more.
+    constants : ndarray, shape (k, c)
+        What it takes the constants of the sensors to be, the last c of its states, SI units.
     """
 
     filter: str
@@ -129,6 +131,7 @@ class History:
     cov: Floats
     innovations: tuple[Innovations, ...]
     states: tuple[State, ...] = STATES
+    constants: Floats = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def estimates_position(self) -> bool:

@@ -91,6 +91,7 @@ def restart(history: History, time_ns: int) -> Start:
         history.cov[of_cov],
         history.accel_bias_b[row],
         history.gyro_bias_b[row],
+        history.constants[row],
     )
 
 

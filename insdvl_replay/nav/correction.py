@@ -88,11 +88,13 @@ def open_state(P: Floats, innovation: Floats, start_var: Floats, updates: Update
 
 
 @inlined
-def correct(state: NavState, P: Floats, dx: Floats, layout: StateLayout, place: Place) -> NavState:
-    """Take ``dx`` out of position, velocity and attitude, and add it to the biases; the error state returns to zero.
+def correct(state: NavState, constants: Floats, P: Floats, dx: Floats, layout: StateLayout, place: Place) -> NavState:
+    """Take ``dx`` out of position, velocity and attitude, add it to biases and constants; errors return to zero.
 
     Parameters
     ----------
+    constants : ndarray, shape (c,)
+        Of the sensors, changed in place.
     P : ndarray, shape (n, n)
         Covariance after the update, carried along.
     dx : ndarray, shape (n,)
@@ -111,6 +113,8 @@ def correct(state: NavState, P: Floats, dx: Floats, layout: StateLayout, place: 
     position, at = state.position, layout.position
     if at >= 0:
         position = without_error(position, (dx[at], dx[at + 1], dx[at + 2]), place)
+    for i in range(len(constants)):
+        constants[i] += dx[layout.constants + i]
     return NavState(
         position,
         velocity_n,

@@ -67,6 +67,7 @@ class _Matrices(NamedTuple):
     standardised: Floats
     dx: Floats
     start_var: Floats
+    constants: Floats
 
 
 def run_filter(
@@ -103,8 +104,8 @@ def run_filter(
     """
     keep_cov = np.isin(timeline.event_ns[timeline.record >= 0], () if cov_ns is None else cov_ns)
     states, stack = states_with(more_states), stacked(measurements)
-    records, updates = new_records(keep_cov, len(states)), new_updates(*stack.values.shape)
-    state, matrices = _state_at(start), _new_matrices(start.cov, stack.values.shape[2])
+    records, updates = new_records(keep_cov, len(states), len(start.constants)), new_updates(*stack.values.shape)
+    state, matrices = _state_at(start), _new_matrices(start, stack.values.shape[2])
     memory = _Memory(*np.zeros((3, int(timeline.ping.max()) + 1, 3)))
     density = (*noise_density.tolist(), *[0.0] * (len(states) - len(noise_density)))
     layout, arm_b = layout_of(more_states), vector(lever_arm_b)
@@ -122,11 +123,13 @@ def _state_at(start: Start) -> NavState:
     )
 
 
-def _new_matrices(cov: Floats, size: int) -> _Matrices:
-    n = len(cov)
+def _new_matrices(start: Start, size: int) -> _Matrices:
+    cov, n, constants = start.cov, len(start.cov), start.constants.copy()
     P, (H, HP, KT, rest) = np.array(cov, order="C"), np.empty((4, size, n))
     (R, S, L), (z, standardised) = np.empty((3, size, size)), np.empty((2, size))
-    return _Matrices(P, P.ravel(), H, HP, KT, rest, R, S, L, z, standardised, np.empty(n), np.diag(cov).copy())
+    return _Matrices(
+        P, P.ravel(), H, HP, KT, rest, R, S, L, z, standardised, np.empty(n), np.diag(cov).copy(), constants
+    )
 
 
 @compiled
@@ -146,7 +149,7 @@ def _run(
     P, P_by_row, velocity_after_b = matrices.P, matrices.P_by_row, (0.0, 0.0, 0.0)
     place, before = place_at(state.position[0], state.position[2]), first_node(timeline)
     gravity = GravityHeight(state.position[2], 0.0, before.time_s)
-    write_record(state, P, records, timeline.record[before.event])
+    write_record(state, matrices.constants, P, records, timeline.record[before.event])
     while not is_last(timeline, before):
         now = next_node(timeline, before)
         dt = now.time_s - before.time_s
@@ -173,14 +176,16 @@ def _run(
         for m in range(len(measurements.kind)):
             row = timeline.rows[measurements.sensor[m], now.event]
             if row >= 0 and measurements.available[m, row]:
-                ins = _ins_now(state, memory, ping, now.specific_force_b, gravity_here, lever_arm_b, place)
+                ins = _ins_now(
+                    state, memory, ping, now.specific_force_b, gravity_here, lever_arm_b, place, matrices.constants
+                )
                 state = _update(state, measurements, m, row, now.time_s, ins, layout, matrices, updates)
                 used = updates.used[m, row]
                 gravity = _aided(gravity, measurements.kind[m], state.position[2], used, now.time_s)
         velocity_after_b = _velocity_b(state) if ping >= 0 else _corrected_b(velocity_after_b, state, unaided_b)
         row = timeline.record[now.event]
         if row >= 0:
-            write_record(state, P, records, row)
+            write_record(state, matrices.constants, P, records, row)
 
 
 @inlined
@@ -215,7 +220,14 @@ def _velocity_b(state: NavState) -> Vector:
 
 @inlined
 def _ins_now(
-    state: NavState, memory: _Memory, ping: int, reading_b: Vector, gravity: float, lever_arm_b: Vector, place: Place
+    state: NavState,
+    memory: _Memory,
+    ping: int,
+    reading_b: Vector,
+    gravity: float,
+    lever_arm_b: Vector,
+    place: Place,
+    constants: Floats,
 ) -> InsAtPing:
     return InsAtPing(
         state.position,
@@ -229,6 +241,7 @@ def _ins_now(
         gravity,
         lever_arm_b,
         place,
+        constants,
     )
 
 
@@ -273,4 +286,4 @@ def _update(
         for k in range(1, size):
             dx[i] += KT[k, i] * z[k]
     update_cov(P, H, R, HP, KT, rest)
-    return correct(state, P, dx, layout, ins.place)
+    return correct(state, matrices.constants, P, dx, layout, ins.place)

@@ -26,6 +26,8 @@ class Start:
         Covariance of the error states, SI units.
     accel_bias_b, gyro_bias_b : ndarray, shape (3,)
         Biases that are known beforehand, m/s^2 and rad/s; zero unless given.
+    constants : ndarray, shape (c,)
+        Of the sensors, that have states of their own.
     """
 
     position: Floats
@@ -34,6 +36,7 @@ class Start:
     cov: Floats
     accel_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
     gyro_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
+    constants: Floats = field(default_factory=lambda: np.zeros(0))
 
     @property
     def sd(self) -> Floats:
@@ -41,13 +44,21 @@ class Start:
         return np.sqrt(np.diagonal(self.cov))
 
 
-def with_more_states(start: Start, more_sd: Floats) -> Start:
-    """Let a start be of more states, which hang together with no other; their standard deviations, shape (n - 12,)."""
+def with_more_states(start: Start, more_sd: Floats, constants: int) -> Start:
+    """Let a start be of more states, which hang together with no other.
+
+    Parameters
+    ----------
+    more_sd : ndarray, shape (n - 12,)
+        Their standard deviations.
+    constants : int
+        How many of them are constants of the sensors, which are taken to be zero.
+    """
     if not len(more_sd):
         return start
     n, cov = len(start.cov), np.diag(np.concatenate([start.sd, more_sd]) ** 2)
     cov[:n, :n] = start.cov
-    return replace(start, cov=cov)
+    return replace(start, cov=cov, constants=np.zeros(constants))
 
 
 def start_cov(sd: Floats, mat_nb: Floats, level: Level | None, velocity_by_dvl_n: Floats | None) -> Floats:

@@ -75,6 +75,8 @@ class InsAtPing(NamedTuple):
         IMU to DVL, m.
     place : Place
         What there is to know of the Earth here.
+    constants : ndarray, shape (c,)
+        What the constants of the sensors are taken to be, in the order of their states.
     """
 
     position: Vector
@@ -88,6 +90,7 @@ class InsAtPing(NamedTuple):
     gravity: float
     lever_arm_b: Vector
     place: Place
+    constants: Floats
 
 
 @inlined

@@ -20,7 +20,7 @@ from insdvl_replay.nav.kalman import cholesky, innovation_cov, multiply, transpo
 from insdvl_replay.nav.local_earth import place_at
 from insdvl_replay.nav.measurements import Measurement, Stack, stacked
 from insdvl_replay.nav.nominal_motion import NominalPings
-from insdvl_replay.nav.state_layout import ABSENT, TWELVE, StateLayout
+from insdvl_replay.nav.state_layout import TWELVE, TWELVE_ALONE
 from insdvl_replay.nav.vector_algebra import Vector, row_matrix, row_vector, vector
 
 TOLERANCE: Final = 3e-6
@@ -166,7 +166,7 @@ def _write_jacobians(
 ) -> None:
     """Write the Jacobian of each ping. What only the innovation needs is left at zero."""
     unused, unused_b, z = (0.0, 0.0, 0.0), np.zeros(pings.velocity_n.shape), np.empty(3)
-    nowhere = place_at(0.0, 0.0)
+    nowhere, nothing = place_at(0.0, 0.0), np.empty(0)
     for ping in rows:
         ins = InsAtPing(
             unused,
@@ -180,8 +180,9 @@ def _write_jacobians(
             pings.gravity[ping],
             lever_arm_b,
             nowhere,
+            nothing,
         )
-        linearise(measurement, 0, ping, ins, StateLayout(ABSENT), z, H[ping])
+        linearise(measurement, 0, ping, ins, TWELVE_ALONE, z, H[ping])
 
 
 def remaining_cov(

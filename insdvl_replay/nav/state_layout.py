@@ -14,8 +14,13 @@ TWELVE: Final = len(STATES)
 
 
 class StateLayout(NamedTuple):
-    """The first row of each block of `states.MORE_STATES`, `ABSENT` where a filter does without."""
+    """The first row of each block of `states.MORE_STATES`, `ABSENT` where a filter does without.
 
+    Those behind the position are constants of the sensors: nothing lets them grow, and what is found of them is added
+    to what they are taken to be, as with biases. The first of them has the row ``constants``, or would have it.
+    """
+
+    constants: int
     position: int
 
 
@@ -25,4 +30,8 @@ def layout_of(more: Collection[str]) -> StateLayout:
     for name, block in MORE_STATES.items():
         first[name] = row if name in more else ABSENT
         row += len(block) if name in more else 0
-    return StateLayout(**first)
+    return StateLayout(TWELVE + (len(MORE_STATES["position"]) if "position" in more else 0), **first)
+
+
+TWELVE_ALONE: Final = layout_of(())
+"""Of a filter that has no more."""

@@ -25,6 +25,7 @@ class Records(NamedTuple):
     mat_nb: Floats
     accel_bias_b: Floats
     gyro_bias_b: Floats
+    constants: Floats
     sd: Floats
     cov_row: NDArray[np.int64]
     cov: Floats
@@ -48,7 +49,7 @@ class Updates(NamedTuple):
     reopened_s: Floats
 
 
-def new_records(keep_cov: NDArray[np.bool_], states: int) -> Records:
+def new_records(keep_cov: NDArray[np.bool_], states: int, constants: int) -> Records:
     """Make room for the states at recorded events, with all of P at those that are to keep it."""
     rows = len(keep_cov)
     return Records(
@@ -57,6 +58,7 @@ def new_records(keep_cov: NDArray[np.bool_], states: int) -> Records:
         mat_nb=np.empty((rows, 3, 3)),
         accel_bias_b=np.empty((rows, 3)),
         gyro_bias_b=np.empty((rows, 3)),
+        constants=np.empty((rows, constants)),
         sd=np.empty((rows, states)),
         cov_row=np.where(keep_cov, np.cumsum(keep_cov) - 1, -1),
         cov=np.empty((int(keep_cov.sum()), states, states)),
@@ -79,13 +81,15 @@ def new_updates(measurements: int, readings: int, size: int) -> Updates:
 
 
 @inlined
-def write_record(state: NavState, P: Floats, records: Records, row: int) -> None:
+def write_record(state: NavState, constants: Floats, P: Floats, records: Records, row: int) -> None:
     """Write down the navigation state and what its covariance P says, as a row."""
     write_row_vector(state.position, records.position, row)
     write_row_vector(state.velocity_n, records.velocity_n, row)
     write_row_matrix(state.mat_nb, records.mat_nb, row)
     write_row_vector(state.accel_bias_b, records.accel_bias_b, row)
     write_row_vector(state.gyro_bias_b, records.gyro_bias_b, row)
+    for i in range(len(constants)):
+        records.constants[row, i] = constants[i]
     for i in range(P.shape[0]):
         records.sd[row, i] = math.sqrt(P[i, i])
     cov_row = records.cov_row[row]
@@ -158,4 +162,5 @@ def history_of(
         cov_ns=time_ns[records.cov_row >= 0],
         cov=records.cov,
         innovations=tuple(innovations),
+        constants=records.constants,
     )

@@ -80,6 +80,11 @@ class ResolvedFilter:
         return chi_square_quantile(self.gate_probability, size)
 
     @property
+    def constants(self) -> int:
+        """How many of its states are constants of the sensors."""
+        return sum(len(MORE_STATES[block]) for block in self.states if block != "position")
+
+    @property
     def noise_density(self) -> Floats:
         """Process noise, shape (12,), see `error_model.noise_density`."""
         return noise_density(**msgspec.structs.asdict(self.inertial_noise))

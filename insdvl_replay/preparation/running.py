@@ -74,7 +74,7 @@ def run_one(
     return run_filter(
         filter_.name,
         timeline,
-        with_more_states(prepared.alignment.start, filter_.more_sd),
+        with_more_states(prepared.alignment.start, filter_.more_sd, filter_.constants),
         filter_.noise_density,
         filter_.measurements(prepared.velocities, prepared.mounting, prepared.gaps, prepared.sensors),
         prepared.mounting.lever_arm_b,

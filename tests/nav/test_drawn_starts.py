@@ -95,7 +95,7 @@ def test_a_correction_takes_out_what_was_drawn(degrees: float) -> None:
         vector(off.accel_bias_b),
         vector(off.gyro_bias_b),
     )
-    corrected = correct(state, start.cov.copy(), error, layout_of(()), place_at(*off.position[::2]))
+    corrected = correct(state, np.empty(0), start.cov.copy(), error, layout_of(()), place_at(*off.position[::2]))
     np.testing.assert_allclose(corrected.velocity_n, start.velocity_n, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(corrected.mat_nb, start.mat_nb, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(corrected.accel_bias_b, start.accel_bias_b, rtol=0.0, atol=1e-16)

@@ -35,6 +35,7 @@ def ins_off_by(dx: Floats) -> InsAtPing:
         9.8,
         (0.0, 0.0, 0.0),
         place,
+        np.empty(0),
     )
 
 
