@@ -212,6 +212,8 @@ class Initial(_Section, frozen=True):
         tuple[Positive, Positive, Positive],
         Comment("north, east, down; of filters that estimate the position, as those aided by depth do"),
     ] = (1.0, 1.0, 1.0)
+    dvl_scale_sd_pct: Annotated[Positive, Comment("of filters that estimate the DVL's scale")] = 0.5
+    dvl_yaw_sd_deg: Annotated[Positive, Comment("of filters that estimate how the DVL is turned about down")] = 1.0
     accel_bias_sd_mg: Annotated[Positive, Comment("each axis")] = 50.0
     gyro_bias_sd_degph: Annotated[Positive, Comment("each axis")] = 10.0
 

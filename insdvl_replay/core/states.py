@@ -79,6 +79,8 @@ STATES: Final[tuple[State, ...]] = (
 
 MORE_STATES: Final[dict[str, tuple[State, ...]]] = {
     "position": tuple(_triplet(0, "dp", "position error", "δp", "ned", "m", "m", 1.0)),
+    "dvl_scale": (State(0, "dvl_scale", "scale error of the DVL", "κ", "1", "%", 0.01),),
+    "dvl_yaw": (State(0, "dvl_yaw", "yaw of the DVL's mounting", "ψ", "rad", "deg", DEG),),
 }
 """Blocks of states that a filter can have beside the twelve, in the order in which they follow them."""
 

@@ -8,7 +8,8 @@ misalignment, ``xi = v_hat - C_hat C' v``, for misalignments of any size; its fi
 The errors are counted from the estimate, so that a correction moves the point from which they are counted. Which
 heading error looks like which velocity error depends on the velocity: turned as a whole about down, a dive looks the
 same to DVL and IMU, and ``dv = -v x phi`` goes with the turn ``phi``. A filter that corrects v and leaves P as it was
-takes the difference between the old and the new v for a sight of the heading.
+takes the difference between the old and the new v for a sight of the heading. The same holds of the DVL's scale and
+yaw: what they read too much looks like a velocity that is as much larger, or turned, and the more the v is.
 
 Source: Barrau and Bonnabel, "The Invariant Extended Kalman Filter as a Stable Observer"; see
 equations/kalman_filter.md.
@@ -25,6 +26,7 @@ from insdvl_replay.nav.state_layout import TWELVE, StateLayout
 from insdvl_replay.nav.state_log import Updates
 from insdvl_replay.nav.strapdown import NavState
 from insdvl_replay.nav.vector_algebra import (
+    Matrix,
     Vector,
     add,
     compose,
@@ -108,8 +110,9 @@ def correct(state: NavState, constants: Floats, P: Floats, dx: Floats, layout: S
     misalignment, before_n = (dx[3], dx[4], dx[5]), state.velocity_n
     invariant_error = add((dx[0], dx[1], dx[2]), cross(before_n, misalignment))
     turn_back = rotation_from_vector(scale(-1.0, misalignment))
-    velocity_n = rotate(turn_back, subtract(before_n, invariant_error))
+    velocity_n, mat_nb = rotate(turn_back, subtract(before_n, invariant_error)), compose(turn_back, state.mat_nb)
     keep_invariant_error(P, subtract(before_n, velocity_n))
+    _keep_what_the_dvl_reads(P, subtract(before_n, velocity_n), mat_nb, constants, layout)
     position, at = state.position, layout.position
     if at >= 0:
         position = without_error(position, (dx[at], dx[at + 1], dx[at + 2]), place)
@@ -118,7 +121,7 @@ def correct(state: NavState, constants: Floats, P: Floats, dx: Floats, layout: S
     return NavState(
         position,
         velocity_n,
-        compose(turn_back, state.mat_nb),
+        mat_nb,
         add(state.accel_bias_b, (dx[6], dx[7], dx[8])),
         add(state.gyro_bias_b, (dx[9], dx[10], dx[11])),
     )
@@ -148,6 +151,33 @@ def keep_invariant_error(P: Floats, velocity_change_n: Vector) -> None:
         P[j, 0] += y * down - z * east
         P[j, 1] += z * north - x * down
         P[j, 2] += x * east - y * north
+    for i in range(3):
+        for j in range(i):
+            P[i, j] = P[j, i]
+
+
+@inlined
+def _keep_what_the_dvl_reads(
+    P: Floats, velocity_change_n: Vector, mat_nb: Matrix, constants: Floats, layout: StateLayout
+) -> None:
+    """Do as `keep_invariant_error` for ``dv - v k / (1 + k_hat) + C e_z x v psi``, of which a DVL's velocities tell."""
+    if layout.dvl_scale >= 0:
+        factor = 1.0 + constants[layout.dvl_scale - layout.constants]
+        _add_to_velocity_error(P, layout.dvl_scale, scale(-1.0 / factor, velocity_change_n))
+    if layout.dvl_yaw >= 0:
+        down_n = (mat_nb[0][2], mat_nb[1][2], mat_nb[2][2])
+        _add_to_velocity_error(P, layout.dvl_yaw, cross(down_n, velocity_change_n))
+
+
+@inlined
+def _add_to_velocity_error(P: Floats, state: int, share: Vector) -> None:
+    """Express the covariance with ``dv <- dv + share x`` of one state x."""
+    for i in range(3):
+        for j in range(P.shape[0]):
+            P[i, j] += share[i] * P[state, j]
+    for i in range(3):
+        for j in range(P.shape[0]):
+            P[j, i] += share[i] * P[j, state]
     for i in range(3):
         for j in range(i):
             P[i, j] = P[j, i]

@@ -39,6 +39,7 @@ from insdvl_replay.nav.vector_algebra import (
     skew,
     transpose,
     write_blocks,
+    write_column_vector,
 )
 
 DEPTH: Final = 3
@@ -107,13 +108,15 @@ def linearise(measurements: Stack, m: int, row: int, ins: InsAtPing, layout: Sta
         Written.
     """
     if measurements.kind[m] <= WINDOWED:
-        _linearise_dvl(measurements, m, row, ins, z, H)
+        _linearise_dvl(measurements, m, row, ins, layout, z, H)
     else:
         _linearise_sensor(measurements, m, row, ins, layout, z, H)
 
 
 @inlined
-def _linearise_dvl(measurements: Stack, m: int, row: int, ins: InsAtPing, z: Floats, H: Floats) -> None:
+def _linearise_dvl(
+    measurements: Stack, m: int, row: int, ins: InsAtPing, layout: StateLayout, z: Floats, H: Floats
+) -> None:
     for i in range(3):
         for j in range(TWELVE, H.shape[1]):
             H[i, j] = 0.0
@@ -124,8 +127,41 @@ def _linearise_dvl(measurements: Stack, m: int, row: int, ins: InsAtPing, z: Flo
         predicted_b = _predict_specific_force(ins, H)
     else:
         predicted_b = _predict_slope(measurements, m, ins, row, H)
+    if layout.dvl_scale >= 0 or layout.dvl_yaw >= 0:
+        predicted_b = _as_the_dvl_reads(predicted_b, ins, layout, H)
     for i in range(3):
         z[i] = predicted_b[i] - measurements.values[m, row, i]
+
+
+@inlined
+def _as_the_dvl_reads(predicted_b: Vector, ins: InsAtPing, layout: StateLayout, H: Floats) -> Vector:
+    """Turn and stretch a prediction as the DVL does, ``u <- (1 + k) R_z(psi)' u``, and its Jacobian likewise.
+
+    Of what is left of k and psi, true minus estimated, z then has ``-u / (1 + k)`` and ``(-u_y, u_x, 0)``.
+    """
+    factor, yaw = 1.0, 0.0
+    if layout.dvl_scale >= 0:
+        factor += ins.constants[layout.dvl_scale - layout.constants]
+    if layout.dvl_yaw >= 0:
+        yaw += ins.constants[layout.dvl_yaw - layout.constants]
+    along, across = factor * math.cos(yaw), factor * math.sin(yaw)
+    for j in range(H.shape[1]):
+        x, y = H[0, j], H[1, j]
+        H[0, j], H[1, j], H[2, j] = along * x + across * y, along * y - across * x, factor * H[2, j]
+    x, y, z = predicted_b
+    read_b = (along * x + across * y, along * y - across * x, factor * z)
+    write_dvl_constants(read_b, ins.constants, layout, H)
+    return read_b
+
+
+@inlined
+def write_dvl_constants(read_b: Vector, constants: Floats, layout: StateLayout, H: Floats) -> None:
+    """Write what an innovation says of scale and yaw, where this is what the DVL reads but for noise."""
+    if layout.dvl_scale >= 0:
+        factor = 1.0 + constants[layout.dvl_scale - layout.constants]
+        write_column_vector(scale(-1.0 / factor, read_b), H, layout.dvl_scale)
+    if layout.dvl_yaw >= 0:
+        write_column_vector((-read_b[1], read_b[0], 0.0), H, layout.dvl_yaw)
 
 
 @inlined

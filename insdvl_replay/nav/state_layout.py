@@ -22,6 +22,8 @@ class StateLayout(NamedTuple):
 
     constants: int
     position: int
+    dvl_scale: int
+    dvl_yaw: int
 
 
 def layout_of(more: Collection[str]) -> StateLayout:

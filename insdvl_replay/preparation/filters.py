@@ -12,7 +12,7 @@ import numpy as np
 from insdvl_replay.core.config import Acceleration, Config, Filter, Initial, Noise
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.sensors import states_for
-from insdvl_replay.core.states import MORE_STATES
+from insdvl_replay.core.states import DEG, MORE_STATES
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.error_model import noise_density
@@ -173,6 +173,8 @@ def _states(filter_: Filter, withheld: Collection[str]) -> tuple[str, ...]:
 
 MORE_SD: Final[dict[str, Callable[[Initial], Floats]]] = {
     "position": lambda initial: np.array(initial.position_sd_m),
+    "dvl_scale": lambda initial: np.array([0.01 * initial.dvl_scale_sd_pct]),
+    "dvl_yaw": lambda initial: np.array([DEG * initial.dvl_yaw_sd_deg]),
 }
 """Standard deviations of the blocks of `states.MORE_STATES` at the start, SI units."""
 

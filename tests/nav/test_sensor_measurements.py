@@ -1,4 +1,6 @@
-"""Each H of a sensor beside the DVL against finite differences."""
+"""Each H of a sensor beside the DVL, and of the states beside the twelve, against finite differences."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.innovation import DEPTH, FIX, HEADING, InsAtPing, linearise
 from insdvl_replay.nav.local_earth import place_at
-from insdvl_replay.nav.measurements import Measurement, sensor_measurement, stacked
+from insdvl_replay.nav.measurements import VELOCITY, Measurement, sensor_measurement, stacked
 from insdvl_replay.nav.position_error import without_error
 from insdvl_replay.nav.state_layout import layout_of
 from insdvl_replay.nav.vector_algebra import matrix, vector
@@ -17,7 +19,8 @@ POSITION = (0.57, 0.6, -20.0)
 VELOCITY_N = np.array([0.9, -0.4, 0.1])
 MAT_NB = Rotation.from_euler("ZYX", [2.0, -0.3, 0.25]).as_matrix()
 ARM_B = np.array([-1.8, -0.3, 0.2])
-LAYOUT, STATES = layout_of(("position",)), 15
+LAYOUT, STATES = layout_of(("position", "dvl_scale", "dvl_yaw")), 17
+SCALE, YAW = 0.03, 0.2
 
 
 def ins_off_by(dx: Floats) -> InsAtPing:
@@ -35,7 +38,7 @@ def ins_off_by(dx: Floats) -> InsAtPing:
         9.8,
         (0.0, 0.0, 0.0),
         place,
-        np.empty(0),
+        np.array([SCALE, YAW]) - dx[15:],
     )
 
 
@@ -58,6 +61,24 @@ def linearised(kind: int, reading: Floats, dx: Floats) -> tuple[Floats, Floats]:
 def test_jacobian(kind: int, reading: Floats) -> None:
     _, H = linearised(kind, reading, np.zeros(STATES))
     assert_jacobian(H, lambda dx: linearised(kind, reading, dx)[0], np.zeros(STATES), atol=1e-6, step=1e-3)
+
+
+def test_jacobian_of_a_velocity_whose_scale_and_yaw_are_estimated() -> None:
+    pings = np.array([[0.9, -0.4, 0.1]])
+    velocity = replace(
+        of_kind(VELOCITY, pings[0]), velocity_weights=np.zeros((1, 1)), interval_weights=np.zeros((1, 0))
+    )
+
+    def innovation(dx: Floats) -> Floats:
+        linearise(stacked([velocity]), 0, 0, ins_off_by(dx), LAYOUT, z, H)
+        return z.copy()
+
+    z, H = np.empty(3), np.full((3, STATES), np.nan)
+    innovation(np.zeros(STATES))
+    assert_jacobian(H.copy(), innovation, np.zeros(STATES), atol=1e-6, step=1e-4)
+    reading_b = MAT_NB.T @ VELOCITY_N * (1.0 + SCALE)
+    turned = Rotation.from_euler("z", -YAW).apply(reading_b) - pings[0]
+    np.testing.assert_allclose(innovation(np.zeros(STATES)), turned, atol=1e-12)
 
 
 def test_headings_on_both_sides_of_south_are_near_each_other() -> None:

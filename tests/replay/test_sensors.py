@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from matched_sensors import SENSORS
@@ -163,3 +164,59 @@ def test_position_is_as_far_off_as_the_filter_says() -> None:
     runs = np.array([position_nees(seed, "depth", depth=SensorErrors(0.05, 1.0)).mean() for seed in range(24)])
     assert 3.0 - 2.5 * runs.std() / np.sqrt(24) < runs.mean() < 3.0 + 2.5 * runs.std() / np.sqrt(24)
     assert 1.8 < runs.mean() < 4.4
+
+
+# --- The DVL's scale and yaw as states.
+
+
+WHITE = 5e-4
+"""m/s/sqrt(s), of tactical accelerometers."""
+
+
+def with_wrong_dvl(scenario: str, seed: int, scale: float, yaw_deg: float) -> History:
+    """A dive with fixes whose DVL reads too much and is turned, through a filter that estimates both."""
+    dive = simulate_dive(
+        scenario,
+        seed=seed,
+        duration_s=900.0,
+        imu_errors=replace(MATCHED_IMU, accel_white_mps_rts=WHITE),
+        dvl_errors=MATCHED_DVL,
+        mounting_rpy_deg=(0.0, 0.0, yaw_deg),
+        sensors={"position": SensorErrors(1.0, 1.0), "heading": SensorErrors(0.5, 1.0)},
+    )
+    assert dive.dvl.beam_velocity_mps is not None
+    dive = replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=dive.dvl.beam_velocity_mps * (1.0 + scale)))
+    aided = Filter(aiding=("velocity", "position", "heading"), states=("dvl_scale", "dvl_yaw"))
+    settings = Config(
+        noise=msgspec.structs.replace(SENSORS.noise, accel_white_mps_rts=WHITE),
+        initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, dvl_scale_sd_pct=1.0, dvl_yaw_sd_deg=2.0),
+        dvl=SENSORS.dvl,
+        position=Position(sd_m=1.0),
+        heading=Heading(sd_deg=0.5),
+        filters={"aided": aided},
+    )
+    prepared = prepare_dive(dive, settings)
+    return run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared))
+
+
+def test_a_scale_of_one_percent_and_a_yaw_are_found_in_turns_with_fixes() -> None:
+    off = []
+    for seed in range(8):
+        history = with_wrong_dvl("lawnmower", seed, 0.01, 1.5)
+        np.testing.assert_array_less(history.sd[-1, 15:], [4e-3, 4e-3])
+        off.append((history.constants[-1] - [0.01, np.deg2rad(1.5)]) / history.sd[-1, 15:])
+    assert (np.sqrt(np.mean(np.square(off), axis=0)) < 1.5).all(), off
+
+
+@pytest.mark.parametrize("grade", ["fog", "tactical", "mems"])
+def test_without_fixes_a_straight_line_leaves_the_scale_alone(grade: str) -> None:
+    dive = simulate_dive("straight", seed=2, duration_s=400.0, grade=grade)
+    assert dive.dvl.beam_velocity_mps is not None
+    dive = replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=dive.dvl.beam_velocity_mps * 1.01))
+    settings = load_config(grade, None, ["initial.velocity_sd_mps=1.0"])
+    scaled = {"scaled": Filter(aiding=("velocity",), states=("dvl_scale",))}
+    prepared = prepare_dive(dive, msgspec.structs.replace(settings, filters=scaled))
+    history = run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared))
+    start_sd = history.sd[0, 12]
+    assert abs(history.constants[-1, 0]) < 0.1 * start_sd
+    assert history.sd[-1, 12] > 0.99 * start_sd
