@@ -178,6 +178,10 @@ def _check_words(words: Sequence[str], known: Collection[str], source: TomlSourc
 def _check_filter(filter_: Filter, key: str, where: str) -> None:
     if not filter_.aiding:
         raise ConfigError(f"{where}: {key}.aiding names nothing", 'aiding = ["velocity"]')
+    if {"velocity", "beams"} <= set(filter_.aiding):
+        raise ConfigError(
+            f"{where}: {key} is told of every ping twice, by its velocity and its beams", 'aiding = ["beams"]'
+        )
     acceleration = filter_.acceleration
     if "acceleration" in filter_.aiding and acceleration is None:
         raise ConfigError(

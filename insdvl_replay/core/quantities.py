@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from insdvl_replay.core.sensors import AXES_N, DVL_AIDING, SENSORS
+from insdvl_replay.core.sensors import AXES_N, SENSORS
 from insdvl_replay.core.states import BA, BG, DV, PHI, POSITION, STATES
 from insdvl_replay.core.words import Consistency
 
@@ -51,8 +51,13 @@ def is_whole(measurement: str) -> bool:
     return not measurement.endswith(tuple(axis_of("", axis) for axis in (*AXES, *AXES_N)))
 
 
-MEASUREMENTS: Final = {
-    **dict.fromkeys(DVL_AIDING, AXES),
+PARITY: Final = "parity"
+"""How the four beams of a ping agree: noise that is measured without a filter."""
+MEASUREMENTS: Final[dict[str, tuple[str, ...]]] = {
+    "velocity": AXES,
+    "acceleration": AXES,
+    **{f"beam_{number}": () for number in range(1, 5)},
+    PARITY: (),
     **{name: sensor.components for name, sensor in SENSORS.items()},
 }
 """What filters are aided by, each with the names of its components."""

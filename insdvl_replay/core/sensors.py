@@ -63,7 +63,7 @@ SENSORS: Final[dict[str, Sensor]] = {
     ),
 }
 
-DVL_AIDING: Final = ("velocity", "acceleration")
+DVL_AIDING: Final = ("velocity", "acceleration", "beams")
 """What the DVL aids by."""
 AIDING: Final = (*DVL_AIDING, *SENSORS)
 """Words for what a filter can be aided by."""

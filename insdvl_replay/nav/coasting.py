@@ -6,6 +6,7 @@ NIS whether it knows.
 """
 
 from collections.abc import Collection
+from typing import Final
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from insdvl_replay.nav.local_earth import HOLD_AFTER_S
 from insdvl_replay.nav.measurements import Measurement, withheld
 from insdvl_replay.nav.state_layout import TWELVE
 from insdvl_replay.nav.timeline import PINGS, Timeline
+
+OF_VELOCITY: Final = ("velocity", "beam_")
+"""How the names of measurements begin that hold the height."""
 
 
 def coast(
@@ -97,8 +101,8 @@ def restart(history: History, time_ns: int) -> Start:
 
 def _height_drift_m(history: History, until_ns: int) -> float:
     """Sum up by what the height has moved while that of gravity was held, see `local_earth.GravityHeight`."""
-    used_ns = [of_kind.time_ns[of_kind.used] for of_kind in history.innovations if of_kind.measurement == "velocity"]
-    aided_ns = np.concatenate([history.time_ns[:1], *used_ns])
+    holding = [of_kind for of_kind in history.innovations if of_kind.measurement.startswith(OF_VELOCITY)]
+    aided_ns = np.unique(np.concatenate([history.time_ns[:1], *(one.time_ns[one.used] for one in holding)]))
     aided_ns = aided_ns[aided_ns <= until_ns]
     held_ns = aided_ns[:-1] + int(HOLD_AFTER_S * NS_PER_S)
     outages = held_ns < aided_ns[1:]

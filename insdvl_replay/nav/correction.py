@@ -56,7 +56,7 @@ def locks_out(updates: Updates, m: int, nis: float, time_s: float, reopen_after:
 
 
 @inlined
-def open_state(P: Floats, innovation: Floats, start_var: Floats, updates: Updates, m: int, time_s: float) -> None:
+def open_state(P: Floats, square: float, start_var: Floats, updates: Updates, m: int, time_s: float) -> None:
     """Let the velocity be as uncertain on each axis as the innovation is large: the next gain sets it to the DVL's.
 
     Other states keep their uncertainty and their correlations with the velocity, and hardly move. A filter that is lost
@@ -67,8 +67,8 @@ def open_state(P: Floats, innovation: Floats, start_var: Floats, updates: Update
     ----------
     P : ndarray, shape (n, n)
         Covariance; variances grow, in place.
-    innovation : ndarray, shape (s,)
-        z, m/s.
+    square : float
+        Of the innovation, m^2/s^2.
     start_var : ndarray, shape (n,)
         Variances at the start.
     updates : Updates
@@ -81,9 +81,6 @@ def open_state(P: Floats, innovation: Floats, start_var: Floats, updates: Update
     if time_s - updates.reopened_s[m] <= SOON_S:
         for i in range(3, TWELVE):
             P[i, i] += start_var[i]
-    square = 0.0
-    for i in range(len(innovation)):
-        square += innovation[i] * innovation[i]
     for i in range(3):
         P[i, i] += square
     updates.reopened_s[m], updates.refused_in_a_row[m] = time_s, 0

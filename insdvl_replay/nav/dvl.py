@@ -62,6 +62,40 @@ class DvlVelocities:
         )
 
 
+@dataclass(frozen=True)
+class DvlBeams:
+    """Velocities along the beams, in the directions that they have in body axes.
+
+    Attributes
+    ----------
+    time_ns : ndarray, shape (k,)
+        Times of validity of the pings that have a beam at all.
+    beam_velocity_mps : ndarray, shape (k, beams)
+        With the scale divided out; NaN where a beam is lost.
+    directions_b : ndarray, shape (beams, 3)
+        Unit vectors.
+    """
+
+    time_ns: TimeNs
+    beam_velocity_mps: Floats
+    directions_b: Floats
+
+    def within(self, start_ns: int, end_ns: int) -> "DvlBeams":
+        """Keep the pings after the start and up to the end."""
+        inside = (self.time_ns > start_ns) & (self.time_ns <= end_ns)
+        return replace(self, time_ns=self.time_ns[inside], beam_velocity_mps=self.beam_velocity_mps[inside])
+
+
+def dvl_beams(dvl: DvlColumns, mounting: DvlMounting, start_ns: int, end_ns: int) -> DvlBeams | None:
+    """Return the beams of a DVL one by one, after the start and up to the end; None of one that reports velocities."""
+    if dvl.beam_velocity_mps is None or dvl.beam_vectors_d is None:
+        return None
+    inside = (dvl.time_ns > start_ns) & (dvl.time_ns <= end_ns)
+    heard = np.isfinite(dvl.beam_velocity_mps).any(axis=1) & inside
+    velocity_mps = dvl.beam_velocity_mps[heard] / mounting.scale
+    return DvlBeams(dvl.time_ns[heard], velocity_mps, dvl.beam_vectors_d @ mounting.mat_bd.T)
+
+
 def dvl_velocities(
     dvl: DvlColumns, mounting: DvlMounting | None = None, max_residual_mps: float = np.inf
 ) -> DvlVelocities:

@@ -4,7 +4,7 @@ One loop for every filter. What a filter is aided by is the tuple of its measure
 """
 
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import DEPTH, InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square, transposed_gain, update_cov
 from insdvl_replay.nav.local_earth import GravityHeight, Place, followed, gravity_at, place_about, place_at
-from insdvl_replay.nav.measurements import VELOCITY, Measurement, Stack, stacked
+from insdvl_replay.nav.measurements import BEAM, VELOCITY, Measurement, Stack, stacked
 from insdvl_replay.nav.position_error import position_growth, propagate_position_cov
 from insdvl_replay.nav.state_layout import StateLayout, layout_of
 from insdvl_replay.nav.state_log import (
@@ -31,7 +31,7 @@ from insdvl_replay.nav.state_log import (
     write_update,
 )
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
-from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, mean, next_node
+from insdvl_replay.nav.timeline import PINGS, Node, Timeline, first_node, is_event, is_last, mean, next_node
 from insdvl_replay.nav.vector_algebra import (
     Vector,
     add,
@@ -41,6 +41,10 @@ from insdvl_replay.nav.vector_algebra import (
     vector,
     write_row_vector,
 )
+
+BEAMS_TO_AXES: Final = 4.0
+"""The square of a velocity error is at most so many times the sum of its squares along the beams of a Janus at 20 deg
+or more."""
 
 
 class _Memory(NamedTuple):
@@ -105,7 +109,7 @@ def run_filter(
     keep_cov = np.isin(timeline.event_ns[timeline.record >= 0], () if cov_ns is None else cov_ns)
     states, stack = states_with(more_states), stacked(measurements)
     records, updates = new_records(keep_cov, len(states), len(start.constants)), new_updates(*stack.values.shape)
-    state, matrices = _state_at(start), _new_matrices(start, stack.values.shape[2])
+    state, matrices = _state_at(start), _new_matrices(start, max(3, stack.values.shape[2]))
     memory = _Memory(*np.zeros((3, int(timeline.ping.max()) + 1, 3)))
     density = (*noise_density.tolist(), *[0.0] * (len(states) - len(noise_density)))
     layout, arm_b = layout_of(more_states), vector(lever_arm_b)
@@ -173,19 +177,50 @@ def _run(
         ping, unaided_b = timeline.rows[PINGS, now.event], _velocity_b(state)
         if ping >= 0:
             _note_motion(state, memory, ping, now.angular_rate_b, motion, velocity_after_b)
-        for m in range(len(measurements.kind)):
-            row = timeline.rows[measurements.sensor[m], now.event]
-            if row >= 0 and measurements.available[m, row]:
-                ins = _ins_now(
-                    state, memory, ping, now.specific_force_b, gravity_here, lever_arm_b, place, matrices.constants
-                )
-                state = _update(state, measurements, m, row, now.time_s, ins, layout, matrices, updates)
-                used = updates.used[m, row]
-                gravity = _aided(gravity, measurements.kind[m], state.position[2], used, now.time_s)
+        carried = (now.angular_rate_b, now.specific_force_b, gravity_here, lever_arm_b)
+        state, gravity = _meet_readings(
+            timeline, now, state, motion, place, gravity, carried, layout, measurements, memory, matrices, updates
+        )
         velocity_after_b = _velocity_b(state) if ping >= 0 else _corrected_b(velocity_after_b, state, unaided_b)
         row = timeline.record[now.event]
         if row >= 0:
             write_record(state, matrices.constants, P, records, row)
+
+
+@inlined
+def _meet_readings(
+    timeline: Timeline,
+    now: Node,
+    state: NavState,
+    motion: Motion,
+    place: Place,
+    gravity: GravityHeight,
+    carried: tuple[Vector, Vector, float, Vector],
+    layout: StateLayout,
+    measurements: Stack,
+    memory: _Memory,
+    matrices: _Matrices,
+    updates: Updates,
+) -> tuple[NavState, GravityHeight]:
+    """Update by all that is measured at an event, in the order of the measurements."""
+    estimated, refused_square, time_s = False, 0.0, now.time_s
+    for m in range(len(measurements.kind)):
+        row = timeline.rows[measurements.sensor[m], now.event]
+        if row >= 0 and measurements.available[m, row]:
+            ping = timeline.rows[PINGS, now.event]
+            ins = _ins_now(state, motion, memory, ping, carried, place, matrices.constants)
+            used, square = _update(measurements, m, row, time_s, ins, layout, estimated, matrices, updates)
+            refused_square += square
+            estimated = estimated or used
+        if measurements.goes_on[m]:
+            continue
+        if estimated:
+            state = correct(state, matrices.constants, matrices.P, matrices.dx, layout, place)
+            gravity = _aided(gravity, measurements.kind[m], state.position[2], time_s)
+        elif measurements.kind[m] == BEAM and refused_square > 0.0:
+            _count_lost_ping(refused_square, measurements, m, time_s, matrices, updates)
+        estimated, refused_square = False, 0.0
+    return state, gravity
 
 
 @inlined
@@ -195,11 +230,11 @@ def _corrected_b(velocity_after_b: Vector, state: NavState, unaided_b: Vector) -
 
 
 @inlined
-def _aided(gravity: GravityHeight, kind: int, height_m: float, used: bool, time_s: float) -> GravityHeight:
+def _aided(gravity: GravityHeight, kind: int, height_m: float, time_s: float) -> GravityHeight:
     """Note that a velocity was used, which holds the height, or a height itself, after which none is drifted."""
-    if used and kind == DEPTH:
+    if kind == DEPTH:
         return GravityHeight(height_m, 0.0, time_s)
-    return GravityHeight(gravity.height_m, gravity.drift_m, time_s) if used and kind == VELOCITY else gravity
+    return GravityHeight(gravity.height_m, gravity.drift_m, time_s) if kind in (VELOCITY, BEAM) else gravity
 
 
 @inlined
@@ -221,19 +256,19 @@ def _velocity_b(state: NavState) -> Vector:
 @inlined
 def _ins_now(
     state: NavState,
+    motion: Motion,
     memory: _Memory,
     ping: int,
-    reading_b: Vector,
-    gravity: float,
-    lever_arm_b: Vector,
+    carried: tuple[Vector, Vector, float, Vector],
     place: Place,
     constants: Floats,
 ) -> InsAtPing:
+    rate_b, force_b, gravity, lever_arm_b = carried
     return InsAtPing(
         state.position,
         state.velocity_n,
         state.mat_nb,
-        subtract(reading_b, state.accel_bias_b),
+        subtract(force_b, state.accel_bias_b),
         ping,
         memory.rate_nb_b,
         memory.rate_eb_b,
@@ -241,28 +276,46 @@ def _ins_now(
         gravity,
         lever_arm_b,
         place,
+        _rate_eb_b(state, motion, rate_b),
         constants,
     )
 
 
 @inlined
+def _rate_eb_b(state: NavState, motion: Motion, reading_b: Vector) -> Vector:
+    return subtract(subtract(reading_b, state.gyro_bias_b), rotate_back(motion.mat_nb, motion.rate_ie_n))
+
+
+@inlined
 def _update(
-    state: NavState,
     measurements: Stack,
     m: int,
     row: int,
     time_s: float,
     ins: InsAtPing,
     layout: StateLayout,
+    goes_on: bool,
     matrices: _Matrices,
     updates: Updates,
-) -> NavState:
-    """Judge an innovation by its gate, use it if it passes, and write down both."""
+) -> tuple[bool, float]:
+    """Judge an innovation by its gate, use it if it passes, and write down both.
+
+    What is used changes P and the estimated errors ``dx``, to which those of the measurements before it are added if it
+    goes on with their reading. The state is corrected by all of them.
+
+    Returns
+    -------
+    used : bool
+    square : float
+        Of an innovation that was not used; else 0.
+    """
     P, dx, size = matrices.P, matrices.dx, measurements.size[m]
     H, HP, KT, rest = matrices.H[:size], matrices.HP[:size], matrices.KT[:size], matrices.rest[:size]
     R, S, L = matrices.R[:size, :size], matrices.S[:size, :size], matrices.L[:size, :size]
     z, standardised = matrices.z[:size], matrices.standardised[:size]
-    linearise(measurements, m, row, ins, layout, z, H)
+    linearise(measurements, m, row, ins, layout, z, matrices.H[: max(size, 3)])
+    if goes_on:
+        _take_off(H, dx, z)
     for i in range(size):
         for j in range(size):
             R[i, j] = measurements.cov[m, row, i, j]
@@ -270,20 +323,47 @@ def _update(
     cholesky(S, L)
     nis = normalised_square(L, z, standardised)
     used = nis <= measurements.gate[m]
-    reopened = not used and locks_out(updates, m, nis, time_s, measurements.reopen_after[m])
+    alone = measurements.kind[m] != BEAM
+    reopened = not used and alone and locks_out(updates, m, nis, time_s, measurements.reopen_after[m])
     write_update(updates, m, row, z, S, L, nis, used or reopened, reopened)
     if reopened:
-        open_state(P, z, matrices.start_var, updates, m, time_s)
+        open_state(P, _square(z), matrices.start_var, updates, m, time_s)
         innovation_cov(P, H, R, HP, S)
         cholesky(S, L)
     elif used:
         updates.refused_in_a_row[m] = 0
     else:
-        return state
+        return False, _square(z)
     transposed_gain(HP, L, KT)
     for i in range(len(dx)):
-        dx[i] = KT[0, i] * z[0]
+        estimate = KT[0, i] * z[0]
         for k in range(1, size):
-            dx[i] += KT[k, i] * z[k]
+            estimate += KT[k, i] * z[k]
+        dx[i] = dx[i] + estimate if goes_on else estimate
     update_cov(P, H, R, HP, KT, rest)
-    return correct(state, matrices.constants, P, dx, layout, ins.place)
+    return True, 0.0
+
+
+@inlined
+def _take_off(H: Floats, dx: Floats, z: Floats) -> None:
+    """Take off an innovation what errors that are estimated already leave of it, ``z <- z - H dx``."""
+    for i in range(len(z)):
+        for j in range(len(dx)):
+            z[i] -= H[i, j] * dx[j]
+
+
+@inlined
+def _square(z: Floats) -> float:
+    total = 0.0
+    for i in range(len(z)):
+        total += z[i] * z[i]
+    return total
+
+
+@inlined
+def _count_lost_ping(
+    square: float, measurements: Stack, m: int, time_s: float, matrices: _Matrices, updates: Updates
+) -> None:
+    """Count a ping of which no beam passed; after so many in a row the next one sets the INS to the DVL."""
+    if locks_out(updates, m, square, time_s, measurements.reopen_after[m]):
+        open_state(matrices.P, BEAMS_TO_AXES * square, matrices.start_var, updates, m, time_s)

@@ -6,6 +6,7 @@
 velocity      z = C' v + w_eb x l - v_dvl                    H = [ C' | C'[v x] | 0 | -[l x] ]
 published     z = f + C' g - a_dvl                           H = [ 0 | C'[g x] | I | 0 ]
 windowed      z = slope of the INS over the window - a_dvl   H = [ -[w x]C' | C'[g x] - [w x]C'[v x] | I | [v_b x] ]
+beam          z = b' (C' v + w_eb x l) - y                    H = b' [ C' | C'[v x] | 0 | -[l x] ]
 depth         z = -h + (C l)_d - d                           H = [ 0 | (C l)_e, -(C l)_n, 0 | 0 | 0 | 0, 0, 1 ]
 fix           z = p - p_fix + C l                            H = [ 0 | -[C l x] | 0 | 0 | I ]
 heading       z = atan2(c_e, c_n) - psi                      H = [ 0 | -tan c_n, -tan c_e, 1 | 0 | 0 ], c = C e_x, tan =
@@ -23,7 +24,7 @@ from typing import Final, NamedTuple
 from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.local_earth import Place
-from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, WINDOWED, Stack
+from insdvl_replay.nav.measurements import BEAM, PUBLISHED, VELOCITY, WINDOWED, Stack
 from insdvl_replay.nav.position_error import offset_n
 from insdvl_replay.nav.state_layout import TWELVE, StateLayout
 from insdvl_replay.nav.vector_algebra import (
@@ -33,6 +34,7 @@ from insdvl_replay.nav.vector_algebra import (
     add_matrices,
     compose,
     cross,
+    dot,
     rotate,
     row_vector,
     scale,
@@ -42,9 +44,9 @@ from insdvl_replay.nav.vector_algebra import (
     write_column_vector,
 )
 
-DEPTH: Final = 3
-HEADING: Final = 4
-FIX: Final = 5
+DEPTH: Final = 4
+HEADING: Final = 5
+FIX: Final = 6
 """How the measurements of the sensors beside the DVL are predicted: kinds above those of `measurements`."""
 
 IDENTITY: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -76,6 +78,8 @@ class InsAtPing(NamedTuple):
         IMU to DVL, m.
     place : Place
         What there is to know of the Earth here.
+    rate_eb_now_b : tuple of 3 float
+        Angular rate of the body against the Earth, rad/s.
     constants : ndarray, shape (c,)
         What the constants of the sensors are taken to be, in the order of their states.
     """
@@ -91,6 +95,7 @@ class InsAtPing(NamedTuple):
     gravity: float
     lever_arm_b: Vector
     place: Place
+    rate_eb_now_b: Vector
     constants: Floats
 
 
@@ -109,8 +114,23 @@ def linearise(measurements: Stack, m: int, row: int, ins: InsAtPing, layout: Sta
     """
     if measurements.kind[m] <= WINDOWED:
         _linearise_dvl(measurements, m, row, ins, layout, z, H)
+    elif measurements.kind[m] == BEAM:
+        _linearise_beam(measurements, m, row, ins, layout, z, H)
     else:
         _linearise_sensor(measurements, m, row, ins, layout, z, H)
+
+
+@inlined
+def _linearise_beam(
+    measurements: Stack, m: int, row: int, ins: InsAtPing, layout: StateLayout, z: Floats, H: Floats
+) -> None:
+    """Write what one beam says: the part of the velocity along it. H has room for three rows, of which one stays."""
+    predicted_b, b = _predict_velocity(ins, ins.rate_eb_now_b, H), row_vector(measurements.direction_b, m)
+    if layout.dvl_scale >= 0 or layout.dvl_yaw >= 0:
+        predicted_b = _as_the_dvl_reads(predicted_b, ins, layout, H)
+    for j in range(H.shape[1]):
+        H[0, j] = b[0] * H[0, j] + b[1] * H[1, j] + b[2] * H[2, j]
+    z[0] = dot(b, predicted_b) - measurements.values[m, row, 0]
 
 
 @inlined
@@ -122,7 +142,7 @@ def _linearise_dvl(
             H[i, j] = 0.0
     kind = measurements.kind[m]
     if kind == VELOCITY:
-        predicted_b = _predict_velocity(ins, row, H)
+        predicted_b = _predict_velocity(ins, row_vector(ins.rate_eb_b, row), H)
     elif kind == PUBLISHED:
         predicted_b = _predict_specific_force(ins, H)
     else:
@@ -215,12 +235,12 @@ def _linearise_fix(ins: InsAtPing, fix: Floats, arm_n: Vector, layout: StateLayo
 
 
 @inlined
-def _predict_velocity(ins: InsAtPing, ping: int, H: Floats) -> Vector:
+def _predict_velocity(ins: InsAtPing, rate_eb_b: Vector, H: Floats) -> Vector:
     """Return the velocity at the DVL, C' v + w_eb x l, and write its Jacobian, [ C' | C'[v x] | 0 | -[l x] ]."""
     mat_bn = transpose(ins.mat_nb)
     turned = compose(mat_bn, skew(ins.velocity_n))
     write_blocks((mat_bn, turned, ZERO, skew(scale(-1.0, ins.lever_arm_b))), H)
-    return add(rotate(mat_bn, ins.velocity_n), cross(row_vector(ins.rate_eb_b, ping), ins.lever_arm_b))
+    return add(rotate(mat_bn, ins.velocity_n), cross(rate_eb_b, ins.lever_arm_b))
 
 
 @inlined

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs, seconds
-from insdvl_replay.nav.dvl import DvlVelocities, slope_windows, windowed_sum
-from insdvl_replay.nav.timeline import PINGS
+from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities, slope_windows, windowed_sum
+from insdvl_replay.nav.timeline import BEAMS, PINGS
 
 VELOCITY: Final = 0
 PUBLISHED: Final = 1
 WINDOWED: Final = 2
+BEAM: Final = 3
 NOTHING_PASSES: Final = -1.0
 """A gate below any NIS."""
 NEVER_REOPENED: Final = 0
@@ -55,6 +56,10 @@ class Measurement:
         Weights W of the window's intervals.
     lever_arm_b : ndarray, shape (3,)
         IMU to the sensor, m; of the DVL the filter is told it by itself.
+    direction_b : ndarray, shape (3,)
+        Of a beam.
+    goes_on : bool
+        The next measurement is of the same reading: the state is corrected by both together.
     axes : tuple of str
         Names of the components; none of a measurement that has one.
     """
@@ -72,6 +77,8 @@ class Measurement:
     velocity_weights: Floats
     interval_weights: Floats
     lever_arm_b: Floats = field(default_factory=lambda: np.zeros(3))
+    direction_b: Floats = field(default_factory=lambda: np.zeros(3))
+    goes_on: bool = False
     axes: tuple[str, ...] = ()
 
     @property
@@ -105,6 +112,8 @@ class Stack(NamedTuple):
     velocity_weights: Floats
     interval_weights: Floats
     lever_arm_b: Floats
+    direction_b: Floats
+    goes_on: NDArray[np.bool_]
     gate: Floats
     reopen_after: NDArray[np.int64]
 
@@ -138,6 +147,8 @@ def stacked(measurements: Sequence[Measurement]) -> Stack:
         velocity_weights=columns["velocity_weights"],
         interval_weights=columns["interval_weights"],
         lever_arm_b=np.stack([one.lever_arm_b for one in measurements]),
+        direction_b=np.stack([one.direction_b for one in measurements]),
+        goes_on=np.array([one.goes_on for one in measurements]),
         gate=np.array([one.gate for one in measurements]),
         reopen_after=np.array([one.reopen_after for one in measurements]),
     )
@@ -203,6 +214,46 @@ def velocity_measurement(velocities: DvlVelocities, cov_b: Floats, gate: float, 
         interval_weights=np.zeros((m, 0)),
         axes=("x", "y", "z"),
     )
+
+
+def beam_measurements(dvl: DvlBeams, sd_mps: float, gate: float, reopen_after: int) -> tuple[Measurement, ...]:
+    """Aid by the velocities along the beams, each judged by itself, and measure how they agree.
+
+    Parameters
+    ----------
+    dvl : DvlBeams
+        k pings.
+    sd_mps : float
+        Noise of one beam.
+    gate : float
+        Largest NIS of a beam that is used.
+    reopen_after : int
+        Pings in a row of which no beam was used, after which the velocity's uncertainty is opened; 0: never.
+
+    Returns
+    -------
+    tuple of Measurement
+        One for each beam, ``beam_1`` and so on, as measurements of one reading.
+    """
+    beams = dvl.beam_velocity_mps.shape[1]
+    found = []
+    for beam in range(beams):
+        reading = dvl.beam_velocity_mps[:, beam : beam + 1]
+        one = sensor_measurement(
+            f"beam_{beam + 1}", "m/s", BEAM, dvl.time_ns, np.nan_to_num(reading), np.array([sd_mps])
+        )
+        found.append(
+            replace(
+                one,
+                sensor=BEAMS,
+                available=np.isfinite(reading[:, 0]),
+                gate=gate,
+                reopen_after=reopen_after,
+                direction_b=dvl.directions_b[beam],
+                goes_on=beam < beams - 1,
+            )
+        )
+    return tuple(found)
 
 
 def acceleration_measurement(

@@ -180,6 +180,7 @@ def _write_jacobians(
             pings.gravity[ping],
             lever_arm_b,
             nowhere,
+            unused,
             nothing,
         )
         linearise(measurement, 0, ping, ins, TWELVE_ALONE, z, H[ping])

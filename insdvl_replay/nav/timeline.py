@@ -19,6 +19,9 @@ from insdvl_replay.nav.vector_algebra import Vector, add, row_vector, scale, sub
 
 PINGS: Final = 0
 """The sensor whose readings are the DVL's pings: its row in the time line."""
+BEAMS: Final = 1
+"""The one whose readings are pings of which any beam was heard; those of other sensors come behind."""
+FIRST_OTHER: Final = 2
 BRIDGE_STEP_S: Final = 1.0
 """Spacing of the nodes inside a gap: short enough that growing uncertainties see each other grow."""
 
@@ -165,6 +168,9 @@ class Node(NamedTuple):
     angular_rate_b: Vector
 
 
+NEVER: Final = np.empty(0, np.int64)
+
+
 def build_timeline(
     imu: ImuColumns,
     ping_ns: TimeNs,
@@ -173,6 +179,7 @@ def build_timeline(
     end_ns: int,
     gaps: Gaps = NO_GAPS,
     others_ns: Sequence[TimeNs] = (),
+    beams_ns: TimeNs = NEVER,
 ) -> Timeline:
     """Set pings, readings of other sensors and reference times among the IMU's samples.
 
@@ -191,6 +198,8 @@ def build_timeline(
     others_ns : sequence of ndarray, shape (k,)
         Times of the readings of each further sensor, increasing, after the start and up to the end. No state is kept
         for them.
+    beams_ns : ndarray, shape (k,)
+        Times of pings of which any beam was heard, where a filter is aided by single beams.
 
     Raises
     ------
@@ -199,13 +208,13 @@ def build_timeline(
     """
     if start_ns < imu.time_ns[0] or end_ns > imu.time_ns[-1]:
         raise ValueError("the span lies outside the IMU's samples")
-    sensors_ns = (ping_ns, *others_ns)
+    sensors_ns = (ping_ns, beams_ns, *others_ns)
     if any(len(time_ns) and (time_ns[0] <= start_ns or time_ns[-1] > end_ns) for time_ns in sensors_ns):
         raise ValueError("a reading lies outside the span")
     gaps = gaps.within(start_ns, end_ns)
     ends_ns = np.array([start_ns, end_ns], dtype=np.int64)
     recorded_ns = distinct(np.concatenate([ends_ns, ping_ns, _inside(reference_ns, ends_ns)]))
-    event_ns = distinct(np.concatenate([recorded_ns, *others_ns, _inside(gaps.node_ns(), ends_ns)]))
+    event_ns = distinct(np.concatenate([recorded_ns, *sensors_ns, _inside(gaps.node_ns(), ends_ns)]))
     covering = slice(np.searchsorted(imu.time_ns, start_ns, side="right") - 1, np.searchsorted(imu.time_ns, end_ns) + 1)
     return Timeline(
         _for_the_loop(imu.time_ns[covering]),

@@ -11,10 +11,11 @@ import numpy as np
 
 from insdvl_replay.core.config import Acceleration, Config, Filter, Initial, Noise
 from insdvl_replay.core.dive_columns import Floats, TimeNs
+from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.sensors import states_for
 from insdvl_replay.core.states import DEG, MORE_STATES
 from insdvl_replay.geometry.beams import DvlMounting
-from insdvl_replay.nav.dvl import DvlVelocities
+from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities
 from insdvl_replay.nav.error_model import noise_density
 from insdvl_replay.nav.levelling import SensorNoise
 from insdvl_replay.nav.measurements import (
@@ -22,6 +23,7 @@ from insdvl_replay.nav.measurements import (
     WINDOWED,
     Measurement,
     acceleration_measurement,
+    beam_measurements,
     velocity_cov,
     velocity_measurement,
     withheld,
@@ -99,6 +101,7 @@ class ResolvedFilter:
         mounting: DvlMounting,
         gaps: Gaps = NO_GAPS,
         sensors: Mapping[str, Measurement] = NO_SENSORS,
+        beams: DvlBeams | None = None,
     ) -> tuple[Measurement, ...]:
         """Prepare what the filter is aided by, in its order, then what is withheld from it.
 
@@ -108,13 +111,32 @@ class ResolvedFilter:
         ----------
         sensors : mapping of str to Measurement
             From `sensors.prepare_sensors`.
+        beams : DvlBeams or None
+            Of a DVL that has them.
         """
         cov_b = self._ping_cov(velocities) + lever_arm_velocity_cov(gaps, velocities.time_ns, mounting.lever_arm_b)
-        told = [word for word in self.aiding if word not in self.withheld]
-        return (
-            *(self._measurement(word, velocities, cov_b, gaps, sensors) for word in told),
-            *(withheld(sensors[name]) for name in self.withheld),
-        )
+        found = list[Measurement]()
+        for word in (word for word in self.aiding if word not in self.withheld):
+            if word == "beams":
+                found += self._beams(velocities, beams)
+            else:
+                found.append(self._measurement(word, velocities, cov_b, gaps, sensors))
+        return (*found, *(withheld(sensors[name]) for name in self.withheld))
+
+    def _beams(self, velocities: DvlVelocities, beams: DvlBeams | None) -> tuple[Measurement, ...]:
+        """Prepare beams, whose noise follows from that of velocities if only this is told."""
+        if beams is None:
+            raise ConfigError(
+                f"filters.{self.name} is aided by beams, and the DVL gives velocities alone",
+                'aiding = ["velocity"]; dvl.kind and dvl.beam_velocity say where beams stand',
+            )
+        return beam_measurements(beams, self.beam_sd_mps(velocities), self.gate(1), self.gate_reopen_after)
+
+    def beam_sd_mps(self, velocities: DvlVelocities) -> float:
+        """Return the noise of one beam: that of which all beams make, in the mean of the axes, that of a velocity."""
+        if self.dvl_noise.key == "beam_sd_mps":
+            return self.dvl_noise.sd_mps
+        return self.dvl_noise.sd_mps / float(np.sqrt(np.trace(velocities.full_unit_cov_b) / 3.0))
 
     def _measurement(
         self, word: str, velocities: DvlVelocities, cov_b: Floats, gaps: Gaps, sensors: Mapping[str, Measurement]

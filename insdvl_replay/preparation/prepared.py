@@ -13,7 +13,7 @@ from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy
-from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
+from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities, dvl_beams, dvl_velocities
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.alignment import Alignment, align
@@ -41,6 +41,8 @@ class Prepared:
         The IMU's long gaps inside the span, which the filters bridge.
     filters : tuple of ResolvedFilter
         The first is the baseline.
+    beams : DvlBeams or None
+        Single beams inside the span, if a filter is aided by them.
     sensors : dict of str to Measurement
         What else was read, see `sensors.prepare_sensors`.
     notes : tuple of Note
@@ -53,6 +55,7 @@ class Prepared:
     gaps: Gaps
     mounting: DvlMounting
     filters: tuple[ResolvedFilter, ...]
+    beams: DvlBeams | None
     sensors: dict[str, Measurement]
     notes: tuple[Note, ...]
 
@@ -120,9 +123,11 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         )
         sensors, sensor_notes = prepare_sensors(dive.sensors, config, alignment.start, alignment.start_ns, end_ns)
     inside = velocities.within(alignment.start_ns, end_ns)
+    by_beams = any("beams" in filter_.aiding for filter_ in filters)
+    beams = dvl_beams(dive.dvl, mounting, alignment.start_ns, end_ns) if by_beams else None
     notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside) + sensor_notes
     gaps = gaps.within(alignment.start_ns, end_ns)
-    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, sensors, notes)
+    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, beams, sensors, notes)
 
 
 def _velocities(dive: Dive, mounting: DvlMounting, limit_mps: float | None) -> tuple[DvlVelocities, tuple[Note, ...]]:

@@ -18,11 +18,12 @@ from insdvl_replay.core.runtime import begin, each, return_freed_memory
 from insdvl_replay.evaluation.coasting import Coast, Coasts, coast_of, distance_along_m
 from insdvl_replay.evaluation.coasting_windows import CoastingPlan, plan_coasting
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors, RunFromStart, drawn_errors, run_from_start
+from insdvl_replay.nav.beam_parity import parity_innovations
 from insdvl_replay.nav.coasting import coast
 from insdvl_replay.nav.drawn_starts import drawn_starts
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.initial_state import Start, with_more_states
-from insdvl_replay.nav.timeline import PINGS, Timeline, build_timeline
+from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.prepared import Prepared
 
@@ -71,16 +72,20 @@ def run_one(
     filter_: ResolvedFilter, prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None
 ) -> History:
     """Run one filter over the time line of a prepared dive; ``cov_ns`` as of `run_filters`."""
-    return run_filter(
+    history = run_filter(
         filter_.name,
         timeline,
         with_more_states(prepared.alignment.start, filter_.more_sd, filter_.constants),
         filter_.noise_density,
-        filter_.measurements(prepared.velocities, prepared.mounting, prepared.gaps, prepared.sensors),
+        filter_.measurements(prepared.velocities, prepared.mounting, prepared.gaps, prepared.sensors, prepared.beams),
         prepared.mounting.lever_arm_b,
         more_states=filter_.states,
         cov_ns=cov_ns,
     )
+    if prepared.beams is None or "beams" not in filter_.aiding:
+        return history
+    parity = parity_innovations(prepared.beams, filter_.beam_sd_mps(prepared.velocities))
+    return replace(history, innovations=(*history.innovations, *parity))
 
 
 def prepared_timeline(dive: Dive, prepared: Prepared) -> Timeline:
@@ -94,6 +99,7 @@ def prepared_timeline(dive: Dive, prepared: Prepared) -> Timeline:
         prepared.end_ns,
         prepared.gaps,
         [sensor.valid_ns for sensor in prepared.sensors.values()],
+        NEVER if prepared.beams is None else prepared.beams.time_ns,
     )
 
 
@@ -130,7 +136,9 @@ def _coasts_of_one(
     by_velocity = replace(filter_, aiding=("velocity",), withheld=())
     measured = prepared.velocities, prepared.mounting, prepared.gaps
     (velocity,) = by_velocity.measurements(*measured)
-    still_told = [one for one in filter_.measurements(*measured, prepared.sensors) if one.sensor != PINGS]
+    still_told = [
+        one for one in filter_.measurements(*measured, prepared.sensors, prepared.beams) if one.sensor >= FIRST_OTHER
+    ]
     run_on = partial(
         coast, history, timeline, noise_density=filter_.noise_density, measurements=(velocity, *still_told),
         lever_arm_b=prepared.mounting.lever_arm_b, more_states=filter_.states,
@@ -186,6 +194,7 @@ def _first_part(dive: Dive, prepared: Prepared, samples: int) -> tuple[Dive, Pre
         prepared,
         velocities=prepared.velocities.within(start_ns, end_ns),
         gaps=prepared.gaps.within(start_ns, end_ns),
+        beams=None if prepared.beams is None else prepared.beams.within(start_ns, end_ns),
         sensors={name: sensor.until(end_ns) for name, sensor in prepared.sensors.items()},
         end_ns=end_ns,
     )

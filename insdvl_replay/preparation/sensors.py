@@ -15,6 +15,7 @@ from insdvl_replay.geometry.rotation import wrap_angle
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import DEPTH, FIX, HEADING
 from insdvl_replay.nav.measurements import Measurement, sensor_measurement
+from insdvl_replay.nav.timeline import FIRST_OTHER
 
 Measured = tuple[int, Floats, Floats]
 """Kind of the prediction; values, shape (k, s); and their standard deviations, of a shape that fits the values."""
@@ -49,7 +50,7 @@ def prepare_sensors(
     Returns
     -------
     dict of str to Measurement
-        By name, without a gate; the rows of a time line from 1 on are theirs, in this order.
+        By name, without a gate; the rows of a time line from `timeline.FIRST_OTHER` on are theirs, in this order.
     tuple of Note
 
     Raises
@@ -58,7 +59,7 @@ def prepare_sensors(
         A sensor has no reading in the span.
     """
     found, notes = dict[str, Measurement](), list[Note]()
-    for row, (name, columns) in enumerate(sensors.items(), start=1):
+    for row, (name, columns) in enumerate(sensors.items(), start=FIRST_OTHER):
         inside = (columns.time_ns > start_ns) & (columns.time_ns <= end_ns)
         if not inside.any():
             raise LogError(

@@ -97,7 +97,7 @@ def simulated_run(setup: MonteCarloSetup, seed: int) -> tuple[RunErrors, ...]:
     filters = resolve_filters(config, from_beams=velocities.from_beams)
     alignment = Alignment(start_ns, drawn_start(setup, seed), ())
     sensors, _ = prepare_sensors(dive.sensors, config, alignment.start, start_ns, end_ns)
-    start = Prepared(velocities, alignment, end_ns, NO_GAPS, mounting, filters, sensors, ())
+    start = Prepared(velocities, alignment, end_ns, NO_GAPS, mounting, filters, None, sensors, ())
     timeline = prepared_timeline(dive, start)
     histories = (run_one(filter_, start, timeline, cov_ns=dive.reference.time_ns) for filter_ in filters)
     return tuple(run_errors(history, dive.reference, dive.truth) for history in histories)

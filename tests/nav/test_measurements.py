@@ -67,6 +67,7 @@ def at_ping(dx: Floats) -> InsAtPing:
         GRAVITY,
         vector(ARM_B),
         place_at(*POSITION[::2]),
+        vector(RATE_NB_B + dx[9:12]),
         np.empty(0),
     )
 

@@ -38,6 +38,7 @@ def ins_off_by(dx: Floats) -> InsAtPing:
         9.8,
         (0.0, 0.0, 0.0),
         place,
+        (0.0, 0.0, 0.0),
         np.array([SCALE, YAW]) - dx[15:],
     )
 

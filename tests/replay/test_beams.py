@@ -1,0 +1,154 @@
+"""Beams one by one: what the velocity update says of three and more, and what it cannot of one and two."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from matched_sensors import SENSORS
+
+from insdvl_replay.core.config import Config, Dvl, Evaluation, Filter, Initial
+from insdvl_replay.core.dive_columns import Dive
+from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.running import prepared_timeline, run_filters
+from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, LostBeam
+
+BEAM_SD_MPS = 0.01
+IMU = ImuErrors(5e-4, 4.4e-5, 0.01, 0.0, 2e-5, 8e-8)
+ARM_M = (0.5, -0.2, 0.3)
+DIVE_S = 600.0
+LOST = (200.0, 260.0)
+
+
+def simulated(seed: int, **changes: object) -> Dive:
+    errors = DvlErrors(BEAM_SD_MPS, 0.0, 0.0, 0.0)
+    return simulate_dive(
+        "lawnmower", seed=seed, duration_s=DIVE_S, dvl_rate_hz=2.0, imu_errors=IMU, dvl_errors=errors,
+        lever_arm_m=ARM_M, mounting_rpy_deg=(2.0, -3.0, 40.0), **changes,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def settings(gate_probability: float = 1.0) -> Config:
+    return Config(
+        noise=msgspec.structs.replace(SENSORS.noise, accel_white_mps_rts=5e-4),
+        initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1),
+        dvl=Dvl(beam_sd_mps=BEAM_SD_MPS, lever_arm_m=ARM_M, mounting_rpy_deg=(2.0, -3.0, 40.0)),
+        evaluation=Evaluation(starts=1),
+        filters={
+            "baseline": Filter(aiding=("velocity",), gate_probability=gate_probability),
+            "single": Filter(aiding=("beams",), gate_probability=gate_probability),
+        },
+    )
+
+
+def histories(dive: Dive, config: Config) -> tuple[History, ...]:
+    prepared = prepare_dive(dive, config)
+    timeline = prepared_timeline(dive, prepared)
+    return run_filters(prepared, timeline, cov_ns=timeline.event_ns[-1:])
+
+
+def met(history: History, name: str) -> Innovations:
+    return next(one for one in history.innovations if one.measurement == name)
+
+
+def test_with_all_beams_the_posterior_is_that_of_the_velocity() -> None:
+    by_velocity, by_beams = histories(simulated(1), settings())
+    sd = by_velocity.sd[-1]
+    np.testing.assert_allclose(by_beams.cov[-1] / np.outer(sd, sd), by_velocity.cov[-1] / np.outer(sd, sd), atol=1e-9)
+    np.testing.assert_allclose(by_beams.velocity_n, by_velocity.velocity_n, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(by_beams.mat_nb, by_velocity.mat_nb, rtol=0.0, atol=1e-10)
+
+
+def test_one_update_by_three_or_four_beams_is_that_of_the_velocity_to_rounding() -> None:
+    """After the first ping alone, where nothing has had time to drift apart."""
+    for lost in ((), (LostBeam(2, 0.0, 10.0),)):
+        dive = simulate_dive(
+            "straight", seed=3, duration_s=1.0, imu_errors=IMU, lost_beams=lost,
+            dvl_errors=DvlErrors(BEAM_SD_MPS, 0.0, 0.0, 0.0),
+        )  # fmt: skip
+        config = settings()
+        config = Config(noise=config.noise, initial=config.initial, dvl=Dvl(beam_sd_mps=0.01), filters=config.filters)
+        by_velocity, by_beams = histories(dive, config)
+        sd = by_velocity.sd[1]
+        np.testing.assert_allclose(by_beams.sd[1] / sd, 1.0, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(by_beams.velocity_n[1], by_velocity.velocity_n[1], rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(by_beams.mat_nb[1], by_velocity.mat_nb[1], rtol=0.0, atol=1e-12)
+
+
+def test_nis_of_the_beams_is_that_of_the_velocity_and_of_the_parity() -> None:
+    by_velocity, by_beams = histories(simulated(2), settings())
+    of_beams = sum(met(by_beams, f"beam_{number}").nis for number in range(1, 5))
+    np.testing.assert_allclose(of_beams, met(by_velocity, "velocity").nis + met(by_beams, "parity").nis, rtol=1e-6)
+    assert met(by_beams, "parity").nis.mean() == pytest.approx(1.0, abs=0.15)
+
+
+def horizontal_drift_m(replay: Replay, name: str) -> float:
+    """How far the error has moved while beams were lost."""
+    errors = replay.errors[name]
+    at = np.searchsorted(errors.time_ns, errors.time_ns[0] + (np.array(LOST) * 1e9).astype(np.int64))
+    moved_m = np.diff(errors.position_error_ned_m[at, :2], axis=0)
+    return float(np.hypot(*moved_m[0]))
+
+
+def test_two_beams_are_better_than_none_and_worse_than_all() -> None:
+    """Over 60 s, rms of eight dives."""
+    every = range(4)
+    losses = {"none": [], "two": [1, 2], "all": [*every]}
+    drift = {}
+    for name, beams in losses.items():
+        lost = [LostBeam(beam, *LOST) for beam in beams]
+        replays = [replay_dive(simulated(seed, lost_beams=lost), settings()) for seed in range(8)]
+        drift[name] = np.sqrt(np.mean([horizontal_drift_m(replay, "single") ** 2 for replay in replays]))
+        nis = np.concatenate([one.nis for replay in replays for one in replay.histories[1].innovations[:4]])
+        assert 0.9 < nis.mean() < 1.1
+    assert drift["none"] < 0.7 * drift["two"] < 0.5 * drift["all"], drift
+
+
+def test_pings_of_few_beams_are_not_lost() -> None:
+    """30 % of the pings with three beams or fewer: NIS stays right, and no ping is without use."""
+    dive = simulated(5)
+    assert dive.dvl.beam_velocity_mps is not None
+    rng, beams = np.random.default_rng(1), dive.dvl.beam_velocity_mps.copy()
+    for row in np.flatnonzero(rng.random(len(beams)) < 0.3):
+        beams[row, rng.permutation(4)[: rng.integers(1, 4)]] = np.nan
+    by_velocity, by_beams = histories(replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=beams)), settings())
+    used = sum(int(met(by_beams, f"beam_{number}").used.sum()) for number in range(1, 5))
+    assert used == np.isfinite(beams).sum()
+    assert len(met(by_velocity, "velocity").nis) < len(beams) - 100
+    nis = np.concatenate([one.nis for one in by_beams.innovations[:4]])
+    assert 0.9 < nis.mean() < 1.1
+
+
+def test_a_beam_that_errs_is_refused_and_the_others_are_used() -> None:
+    dive = simulated(6)
+    assert dive.dvl.beam_velocity_mps is not None
+    beams = dive.dvl.beam_velocity_mps.copy()
+    beams[100:140, 2] += 0.5
+    _, by_beams = histories(replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=beams)), settings(0.999))
+    assert not met(by_beams, "beam_3").used[100:140].any()
+    for number in (1, 2, 4):
+        assert met(by_beams, f"beam_{number}").used[100:140].mean() > 0.9
+
+
+def test_a_filter_that_is_lost_is_set_to_its_beams_again() -> None:
+    """Its start is off by 3 m/s, of which it is told 0.05."""
+    dive = simulated(7)
+    config = settings(0.999)
+    prepared = prepare_dive(dive, config)
+    start = prepared.alignment.start
+    off = replace(start, velocity_n=start.velocity_n + np.array([2.0, -2.0, 0.3]))
+    prepared = replace(prepared, alignment=replace(prepared.alignment, start=off))
+    by_velocity, by_beams = run_filters(prepared, prepared_timeline(dive, prepared))
+    np.testing.assert_allclose(by_beams.velocity_n[-1], by_velocity.velocity_n[-1], rtol=0.0, atol=0.05)
+
+
+def test_velocities_alone_have_no_beams() -> None:
+    dive = simulated(1)
+    velocity_d = np.zeros((len(dive.dvl.time_ns), 3))
+    plain = replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=None, beam_vectors_d=None, velocity_d=velocity_d))
+    with pytest.raises(ConfigError, match=r"filters.single is aided by beams, and the DVL gives velocities alone"):
+        histories(plain, settings())
