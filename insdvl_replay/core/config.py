@@ -263,6 +263,10 @@ class Filter(_Section, frozen=True):
         Positive | None, Comment("goes before both keys of [dvl]; this and beam_sd_mps left out: from [dvl]")
     ] = None
     beam_sd_mps: Annotated[Positive | None, Comment("where there are beams, goes before all others")] = None
+    dvl_noise: Annotated[
+        Literal["fixed", "adaptive", "student-t"],
+        Comment("fixed | adaptive (by the innovations) | student-t (outliers are expected): R of velocity and beams"),
+    ] = "fixed"
     acceleration: Acceleration | None = None
 
 

@@ -18,6 +18,7 @@ from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import DEPTH, InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square, transposed_gain, update_cov
 from insdvl_replay.nav.local_earth import GravityHeight, Place, followed, gravity_at, place_about, place_at
+from insdvl_replay.nav.measurement_noise import FIXED, STUDENT_T, adapted_factor, outlier_factor
 from insdvl_replay.nav.measurements import BEAM, VELOCITY, Measurement, Stack, stacked
 from insdvl_replay.nav.position_error import position_growth, propagate_position_cov
 from insdvl_replay.nav.state_layout import StateLayout, layout_of
@@ -318,10 +319,15 @@ def _update(
         _take_off(H, dx, z)
     for i in range(size):
         for j in range(size):
-            R[i, j] = measurements.cov[m, row, i, j]
+            R[i, j] = updates.noise_factor[m] * measurements.cov[m, row, i, j]
     innovation_cov(P, H, R, HP, S)
     cholesky(S, L)
     nis = normalised_square(L, z, standardised)
+    if measurements.noise[m] != FIXED and nis <= measurements.gate[m]:
+        _scale(R, _noise_factor(measurements.noise[m], m, nis, z, S, R, updates))
+        innovation_cov(P, H, R, HP, S)
+        cholesky(S, L)
+        nis = normalised_square(L, z, standardised)
     used = nis <= measurements.gate[m]
     alone = measurements.kind[m] != BEAM
     reopened = not used and alone and locks_out(updates, m, nis, time_s, measurements.reopen_after[m])
@@ -350,6 +356,24 @@ def _take_off(H: Floats, dx: Floats, z: Floats) -> None:
     for i in range(len(z)):
         for j in range(len(dx)):
             z[i] -= H[i, j] * dx[j]
+
+
+@inlined
+def _noise_factor(kind: int, m: int, nis: float, z: Floats, S: Floats, R: Floats, updates: Updates) -> float:
+    """Return by how much larger an innovation says that R is, and remember it where the noise is followed."""
+    if kind == STUDENT_T:
+        return outlier_factor(nis, len(z))
+    before: float = updates.noise_factor[m]
+    after = adapted_factor(before, z, S, R)
+    updates.noise_factor[m] = after
+    return after / before
+
+
+@inlined
+def _scale(R: Floats, factor: float) -> None:
+    for i in range(len(R)):
+        for j in range(len(R)):
+            R[i, j] *= factor
 
 
 @inlined

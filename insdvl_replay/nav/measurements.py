@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs, seconds
 from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities, slope_windows, windowed_sum
+from insdvl_replay.nav.measurement_noise import FIXED
 from insdvl_replay.nav.timeline import BEAMS, PINGS
 
 VELOCITY: Final = 0
@@ -58,6 +59,8 @@ class Measurement:
         IMU to the sensor, m; of the DVL the filter is told it by itself.
     direction_b : ndarray, shape (3,)
         Of a beam.
+    noise : int
+        How R is taken, see `measurement_noise`.
     goes_on : bool
         The next measurement is of the same reading: the state is corrected by both together.
     axes : tuple of str
@@ -78,6 +81,7 @@ class Measurement:
     interval_weights: Floats
     lever_arm_b: Floats = field(default_factory=lambda: np.zeros(3))
     direction_b: Floats = field(default_factory=lambda: np.zeros(3))
+    noise: int = FIXED
     goes_on: bool = False
     axes: tuple[str, ...] = ()
 
@@ -113,6 +117,7 @@ class Stack(NamedTuple):
     interval_weights: Floats
     lever_arm_b: Floats
     direction_b: Floats
+    noise: NDArray[np.int64]
     goes_on: NDArray[np.bool_]
     gate: Floats
     reopen_after: NDArray[np.int64]
@@ -148,6 +153,7 @@ def stacked(measurements: Sequence[Measurement]) -> Stack:
         interval_weights=columns["interval_weights"],
         lever_arm_b=np.stack([one.lever_arm_b for one in measurements]),
         direction_b=np.stack([one.direction_b for one in measurements]),
+        noise=np.array([one.noise for one in measurements]),
         goes_on=np.array([one.goes_on for one in measurements]),
         gate=np.array([one.gate for one in measurements]),
         reopen_after=np.array([one.reopen_after for one in measurements]),

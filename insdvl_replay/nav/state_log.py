@@ -35,7 +35,7 @@ class Updates(NamedTuple):
     """Innovations, first axis measurement, second axis reading; and how far each kind is in a run of rejections.
 
     ``refused_in_a_row`` counts the rejections up to now, ``refused_s`` is the time of the last, and ``reopened_s`` that
-    of the last reading that was used in spite of the gate.
+    of the last reading that was used in spite of the gate. ``noise_factor`` is how much larger R is found to be.
     """
 
     innovation: Floats
@@ -47,6 +47,7 @@ class Updates(NamedTuple):
     refused_in_a_row: NDArray[np.int64]
     refused_s: Floats
     reopened_s: Floats
+    noise_factor: Floats
 
 
 def new_records(keep_cov: NDArray[np.bool_], states: int, constants: int) -> Records:
@@ -77,6 +78,7 @@ def new_updates(measurements: int, readings: int, size: int) -> Updates:
         refused_in_a_row=np.zeros(measurements, dtype=np.int64),
         refused_s=np.full(measurements, -np.inf),
         reopened_s=np.full(measurements, -np.inf),
+        noise_factor=np.ones(measurements),
     )
 
 

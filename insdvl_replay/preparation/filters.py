@@ -18,6 +18,7 @@ from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities
 from insdvl_replay.nav.error_model import noise_density
 from insdvl_replay.nav.levelling import SensorNoise
+from insdvl_replay.nav.measurement_noise import ADAPTIVE, FIXED, STUDENT_T
 from insdvl_replay.nav.measurements import (
     PUBLISHED,
     WINDOWED,
@@ -59,6 +60,8 @@ class ResolvedFilter:
         Names in `states.MORE_STATES` of what it estimates beside the twelve.
     withheld : tuple of str
         Sensors of whose readings it is not told, but by which it is judged.
+    measurement_noise : int
+        How R of velocity and beams is taken, see `nav.measurement_noise`.
     more_sd : ndarray, shape (n - 12,)
         Standard deviations of these states at the start, SI units.
     """
@@ -72,6 +75,7 @@ class ResolvedFilter:
     acceleration: Acceleration
     states: tuple[str, ...]
     withheld: tuple[str, ...]
+    measurement_noise: int
     more_sd: Floats
 
     def gate(self, size: int) -> float:
@@ -130,7 +134,8 @@ class ResolvedFilter:
                 f"filters.{self.name} is aided by beams, and the DVL gives velocities alone",
                 'aiding = ["velocity"]; dvl.kind and dvl.beam_velocity say where beams stand',
             )
-        return beam_measurements(beams, self.beam_sd_mps(velocities), self.gate(1), self.gate_reopen_after)
+        found = beam_measurements(beams, self.beam_sd_mps(velocities), self.gate(1), self.gate_reopen_after)
+        return tuple(dataclasses.replace(one, noise=self.measurement_noise) for one in found)
 
     def beam_sd_mps(self, velocities: DvlVelocities) -> float:
         """Return the noise of one beam: that of which all beams make, in the mean of the axes, that of a velocity."""
@@ -142,7 +147,8 @@ class ResolvedFilter:
         self, word: str, velocities: DvlVelocities, cov_b: Floats, gaps: Gaps, sensors: Mapping[str, Measurement]
     ) -> Measurement:
         if word == "velocity":
-            return velocity_measurement(velocities, cov_b, self.gate(3), self.gate_reopen_after)
+            velocity = velocity_measurement(velocities, cov_b, self.gate(3), self.gate_reopen_after)
+            return dataclasses.replace(velocity, noise=self.measurement_noise)
         if word == "acceleration":
             return _seen(self._acceleration(velocities, cov_b), velocities.time_ns, gaps)
         return dataclasses.replace(sensors[word], gate=self.gate(sensors[word].size))
@@ -183,6 +189,7 @@ def resolve_filter(name: str, filter_: Filter, config: Config, *, from_beams: bo
         filter_.acceleration or Acceleration(),
         states := _states(filter_, config.evaluation.withheld),
         config.evaluation.withheld,
+        MEASUREMENT_NOISE[filter_.dvl_noise],
         np.concatenate([np.empty(0), *(MORE_SD[block](config.initial) for block in states)]),
     )
 
@@ -193,6 +200,7 @@ def _states(filter_: Filter, withheld: Collection[str]) -> tuple[str, ...]:
     return tuple(block for block in MORE_STATES if block in needed)
 
 
+MEASUREMENT_NOISE: Final = {"fixed": FIXED, "adaptive": ADAPTIVE, "student-t": STUDENT_T}
 MORE_SD: Final[dict[str, Callable[[Initial], Floats]]] = {
     "position": lambda initial: np.array(initial.position_sd_m),
     "dvl_scale": lambda initial: np.array([0.01 * initial.dvl_scale_sd_pct]),
