@@ -162,7 +162,7 @@ def columns_of(dive: Dive) -> dict[str, np.ndarray]:
 def test_a_dive_has_the_same_columns_in_both_encodings(tmp_path: Path) -> None:
     """Roles are found by types, which ROS 1 names `package/Type`."""
     ros1, ros2 = tmp_path / "ros1.mcap", tmp_path / "ros2.mcap"
-    ros1.write_bytes(other_bags.ros1_mcap())
+    other_bags.ros1_mcap(ros1)
     ros2.write_bytes(written())
     one, other = read_dive(ros1, Config()), read_dive(ros2, Config())
     assert {channel.type_name for channel in one.channels if channel.role == "imu"} == {"sensor_msgs/Imu"}
