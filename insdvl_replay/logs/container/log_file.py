@@ -26,6 +26,8 @@ class LogFile(ABC):
         What wrote the log.
     has_summary : bool
         Whether the file closes with a summary that can be believed, or is of a format that needs none.
+    chunk_count : int
+        How many chunks there are, if the format has any.
     compression : tuple of str
         The ways in which parts of it are compressed, ``none`` for those that are not.
     """
@@ -34,6 +36,7 @@ class LogFile(ABC):
     profile: str
     library: str
     has_summary: bool
+    chunk_count: int = 0
     compression: tuple[str, ...]
 
     def __init__(self, file: MappedFile) -> None:
@@ -47,14 +50,10 @@ class LogFile(ABC):
         return len(self._data)
 
     @property
-    def chunk_count(self) -> int:
-        """How many chunks there are."""
-        return 0
-
-    @property
-    @abstractmethod
     def span_ns(self) -> Span | None:
         """First and last log time; None without messages."""
+        times = [times for times in self.log_times().values() if times.size]
+        return (min(int(one.min()) for one in times), max(int(one.max()) for one in times)) if times else None
 
     @property
     def metadata(self) -> Iterator[Any]:

@@ -139,7 +139,7 @@ class McapFile(LogFile):
         return self._index.summary.statistics is not None or bool(self._index.summary.chunks)
 
     @property
-    def chunk_count(self) -> int:
+    def chunk_count(self) -> int:  # type: ignore[override]
         """How many chunks there are."""
         return len(self._chunk_headers())
 

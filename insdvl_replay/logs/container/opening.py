@@ -1,12 +1,14 @@
 """Which format a file is of, by its first bytes: names tell nothing."""
 
 from pathlib import Path
+from typing import Final
 
 from insdvl_replay.logs.container.log_file import LogFile
 from insdvl_replay.logs.container.mapped_file import MappedFile
 from insdvl_replay.logs.container.mcap_file import McapFile
 
-_SQLITE = b"SQLite format 3\0"
+_SQLITE: Final = b"SQLite format 3\0"
+_BAG: Final = b"#ROSBAG V2.0\n"
 
 
 def open_log_file(path: Path) -> LogFile:
@@ -24,4 +26,8 @@ def open_log_file(path: Path) -> LogFile:
         from insdvl_replay.logs.container.sqlite_file import SqliteFile
 
         return SqliteFile(file)
+    if bytes(file.data[: len(_BAG)]) == _BAG:
+        from insdvl_replay.logs.container.bag_file import BagFile
+
+        return BagFile(file)
     return McapFile(file)

@@ -25,7 +25,7 @@ from insdvl_replay.logs.container.blocks import Block, TimedBlock
 from insdvl_replay.logs.container.log_file import LogFile
 from insdvl_replay.logs.container.loss import COPY_AGAIN
 from insdvl_replay.logs.container.mapped_file import MappedFile, UnusableFileError
-from insdvl_replay.logs.container.records import LogChannel, Span
+from insdvl_replay.logs.container.records import LogChannel
 
 _HEADER_SIZE: Final = 100
 _MOST_TOPICS: Final = 1 << 16
@@ -81,11 +81,6 @@ class SqliteFile(LogFile):
             self._ids, self._topic_ids, self._times = self._messages()
             self._channel_ids = self._channels_of_rows()
             self.channels = tuple(self._channels(listed))
-
-    @property
-    def span_ns(self) -> Span | None:
-        """First and last log time; None without messages."""
-        return (int(self._times.min()), int(self._times.max())) if self._times.size else None
 
     @property
     def notes(self) -> tuple[Note, ...]:
