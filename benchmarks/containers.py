@@ -27,7 +27,16 @@ GOAL = "ROS 1 in MCAP is to take at most 1.3 times as long."
 CDR = "CDR in MCAP"
 WRITERS: dict[str, Callable[[Path, bytes], Path]] = {
     "ROS 1 in MCAP": lambda folder, log: other_bags.ros1_mcap(folder / "ros1.mcap", log),
+    ".db3": lambda folder, log: sqlite(folder, log),
+    ".bag, lz4": lambda folder, log: other_bags.bag(folder / "lz4.bag", "lz4", log),
+    ".bag, bz2": lambda folder, log: other_bags.bag(folder / "bz2.bag", "bz2", log),
 }
+
+
+def sqlite(folder: Path, log: bytes) -> Path:
+    """Write the one part of a bag, without the folder around it."""
+    bag = other_bags.ros2_bag(folder / "iron", log=log)
+    return (bag / "iron.db3").rename(folder / "iron.db3")
 
 
 def in_turn(logs: dict[str, Path]) -> dict[str, dict[str, float]]:

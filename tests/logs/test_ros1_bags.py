@@ -235,7 +235,7 @@ LIKE = message(0, 1, 0, b"")
 @pytest.mark.slow
 def test_a_small_bag_cannot_ask_for_much(inside: bytes, tmp_path: Path) -> None:
     """Chunks that bz2 packs ten thousand times; together they open to no more than a log of their size may hold."""
-    one = chunk(inside * ((60 << 20) // len(inside)), "bz2")
+    one = chunk(inside * ((16 << 20) // len(inside)), "bz2")
     assert len(one) < 20_000
     path = tmp_path / "bomb.bag"
     path.write_bytes(unclosed(*[one] * 30))
