@@ -10,6 +10,8 @@ import numpy as np
 import other_bags
 import pytest
 from recorded_parts import write_part
+from rosbags import rosbag2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from small_logs import SPAN_S, written
 
 from insdvl_replay.core.config import Config
@@ -19,6 +21,7 @@ from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.container.mapped_file import UnusableFileError
 from insdvl_replay.logs.container.recording import open_recording
+from insdvl_replay.logs.encoding.ros2msg import definition_text, full_name
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +97,16 @@ def test_parts_of_both_kinds_are_one_dive(whole: Dive, tmp_path: Path) -> None:
     (folder / "c.db3").write_bytes(b"")
     with pytest.raises(LogError, match=r"metadata\.yaml: does not list c\.db3"):
         read_dive(folder, Config())
+
+
+def test_messages_that_are_compressed_one_by_one_are_named(tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    with rosbag2.Writer(folder, version=9) as writer:
+        writer.set_compression(rosbag2.CompressionMode.MESSAGE, rosbag2.CompressionFormat.ZSTD)
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        for topic in ("/imu", "/dvl"):
+            writer.add_connection(topic, "sensor_msgs/msg/Imu", typestore=store)
+    assert "each message is compressed for itself" in refusal(folder)
 
 
 def test_nothing_is_written_where_nothing_may_be(iron: Path, whole: Dive, tmp_path: Path) -> None:
@@ -239,3 +252,14 @@ def test_real_dives_give_the_columns_of_their_mcap(snapir: Path, tmp_path: Path)
         for name, values in vars(expected.reference).items():
             if isinstance(values, np.ndarray):
                 np.testing.assert_array_equal(vars(dive.reference)[name], values, err_msg=name)
+
+
+def test_the_definition_of_ds_sensor_msgs_is_that_of_its_publisher() -> None:
+    """By the checksum that ROS 1 makes of it, as it stands in what rosmsg generated for others."""
+    store, name = get_typestore(Stores.ROS1_NOETIC), "ds_sensor_msgs/msg/Dvl"
+    first, *others = definition_text(name).split(f"{'=' * 80}\n")
+    texts = {name: first} | {one.partition("\n")[0].removeprefix("MSG: "): one.partition("\n")[2] for one in others}
+    for type_name, text in texts.items():
+        types = get_types_from_msg(text, full_name(type_name))
+        store.register({one: fields for one, fields in types.items() if one not in store.fielddefs})
+    assert store.generate_msgdef(name)[1] == "2a3b47c6dbf3a5cd6beadbe10a71f170"

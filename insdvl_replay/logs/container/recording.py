@@ -270,6 +270,9 @@ def _listed(metadata: Path) -> list[str] | None:
     names = information.get("relative_file_paths") if isinstance(information, dict) else None
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise LogError("lists no files", by_name, metadata)
+    if str(information.get("compression_mode")).upper() == "MESSAGE":
+        hint = "`ros2 bag convert` writes them as they are"
+        raise LogError("says that each message is compressed for itself", hint, metadata)
     return names
 
 
