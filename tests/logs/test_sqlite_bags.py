@@ -101,8 +101,9 @@ def test_parts_of_both_kinds_are_one_dive(whole: Dive, tmp_path: Path) -> None:
 
 def test_messages_that_are_compressed_one_by_one_are_named(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
-    with rosbag2.Writer(folder, version=9) as writer:
-        writer.set_compression(rosbag2.CompressionMode.MESSAGE, rosbag2.CompressionFormat.ZSTD)
+    writer = rosbag2.Writer(folder, version=9)
+    writer.set_compression(rosbag2.CompressionMode.MESSAGE, rosbag2.CompressionFormat.ZSTD)
+    with writer:
         store = get_typestore(Stores.ROS2_HUMBLE)
         for topic in ("/imu", "/dvl"):
             writer.add_connection(topic, "sensor_msgs/msg/Imu", typestore=store)

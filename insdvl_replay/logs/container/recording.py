@@ -267,7 +267,8 @@ def _listed(metadata: Path) -> list[str] | None:
     except (YAMLError, ValueError, RecursionError) as error:  # also a day or a number that cannot be
         raise LogError("is no YAML", by_name, metadata) from error
     information = content.get(_INFORMATION) if isinstance(content, dict) else None
-    names = information.get("relative_file_paths") if isinstance(information, dict) else None
+    information = information if isinstance(information, dict) else {}
+    names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise LogError("lists no files", by_name, metadata)
     if str(information.get("compression_mode")).upper() == "MESSAGE":
