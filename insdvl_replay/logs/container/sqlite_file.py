@@ -9,6 +9,7 @@ https://gitlab.com/ternaris/rosbags.
 
 import os
 import sqlite3
+import weakref
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -159,6 +160,7 @@ class SqliteFile(LogFile):
         """Open it so that nothing in it can do more than give its rows."""
         name = quote(os.fsencode(os.path.realpath(self.path)))
         base = sqlite3.connect(f"file:{name}?mode=ro&immutable=1", uri=True, check_same_thread=False)
+        weakref.finalize(self, base.close)
         base.text_factory = lambda text: text.decode("utf-8", "replace")
         # No row is larger than the file, whatever its table computes.
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(len(self._data), 1 << 20))
