@@ -38,6 +38,7 @@ lint: .venv/test.stamp
 # Makes logs of up to 3 GB in the temporary folder and removes them; takes some half an hour.
 bench: .venv/bench.stamp
 	$(BIN)/python benchmarks/reading.py
+	$(BIN)/python benchmarks/containers.py
 	PYTHONPATH=tests $(BIN)/python benchmarks/filtering.py
 	PYTHONPATH=tests $(BIN)/python benchmarks/work.py
 	$(BIN)/python benchmarks/outages.py

@@ -60,6 +60,7 @@ def mutate(arguments: argparse.Namespace, folder: Path) -> bool:
     count = arguments.count or MUTANTS
     seeds = range(arguments.seed, arguments.seed + count)
     bases = (short_logs if arguments.short else all_logs)(folder / "bases")
+    bases = [base for base in bases if arguments.only in base.path.name]
     outcomes = campaign(bases, seeds, arguments.jobs, folder, arguments.keep)
     text = (
         f"{count} mutants of {len(bases)} logs, from seed {arguments.seed}; each replayed with and without "
@@ -156,7 +157,7 @@ def main() -> None:
     parser.add_argument("attack", choices=[*ATTACKS, "all"])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, help="how many; each attack has its own number")
-    parser.add_argument("--only", default="", metavar="TEXT", help="bombs and names whose name has this in it")
+    parser.add_argument("--only", default="", metavar="TEXT", help="logs, bombs and names whose name has this in it")
     parser.add_argument("--jobs", type=int, default=2, help="of mutate")
     parser.add_argument("--short", action="store_true", help="damage only short logs")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the mutants that show defects")

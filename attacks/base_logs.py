@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 
+import other_bags
 import unknown_logs
 from content import content_of, file_of
 from mcap.writer import CompressionType, Writer
@@ -24,6 +25,20 @@ CONTAINERS = {
     "loose": {"use_chunking": False, "enable_data_crcs": True},
     "bare": {"enable_crcs": False, "compression": CompressionType.NONE},
 }
+
+BAGS: dict[str, Callable[[Path, bytes], Path]] = {
+    "ros1.mcap": other_bags.ros1_mcap,
+    "bz2.bag": lambda path, log: other_bags.bag(path, "bz2", log),
+    "lz4.bag": lambda path, log: other_bags.bag(path, "lz4", log),
+    "iron.db3": lambda path, log: _part(other_bags.ros2_bag(path.with_suffix(""), log=log)),
+    "humble.db3": lambda path, log: _part(other_bags.ros2_bag(path.with_suffix(""), log=log, humble=True)),
+}
+"""The same dive as others record it. rosbags writes lz4 without the checksum that roscpp writes."""
+PROTECTED = ("ros1.mcap", "bz2.bag")
+
+
+def _part(folder: Path) -> Path:
+    return folder / f"{folder.name}.db3"
 
 
 @dataclass(frozen=True)
@@ -57,6 +72,9 @@ def short_logs(folder: Path) -> list[Base]:
         path = folder / f"{name}.mcap"
         path.write_bytes(_rewritten(known.read_bytes(), options))
         found.append(Base(path, protected=name != "bare", weight=6))
+    for name, write in BAGS.items():
+        path = write(folder / name, known.read_bytes())
+        found.append(Base(path, protected=name in PROTECTED, weight=6))
     writers = {"cdr": unknown_logs.nested_cdr, "json": unknown_logs.bare_json, "protobuf": unknown_logs.protobuf}
     return [*found, *(_unknown(folder, name, write) for name, write in writers.items())]
 

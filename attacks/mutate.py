@@ -13,6 +13,7 @@ from pathlib import Path
 from random import Random
 from tempfile import mkdtemp
 
+import bag_harm
 import fixed_harm
 import raw_harm
 from base_logs import Base
@@ -87,7 +88,8 @@ def mutant(seed: int, cleans: list[Clean]) -> tuple[Clean, str, str, bytes]:
     rng = Random(seed)
     clean = rng.choices(cleans, [one.base.weight for one in cleans])[0]
     kind = "raw" if rng.random() < 0.6 else "fixed"
-    harms, data = HARMED[kind](clean.base.path.read_bytes(), rng)
+    data = clean.base.path.read_bytes()
+    harms, data = bag_harm.harmed(data, rng, kind) if bag_harm.harms_of(data) else HARMED[kind](data, rng)
     return clean, kind, harms, data
 
 

@@ -80,7 +80,7 @@ def replay_log(
     Parameters
     ----------
     path : Path or sequence of Path
-        An MCAP file, a bag folder, or several of them that are one dive.
+        A log, a bag folder, or several of them that are one dive.
     allow_damaged : bool
         Replay what can be believed of a damaged log; what is lost is a note.
     name : str, optional

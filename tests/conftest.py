@@ -35,6 +35,12 @@ def ufmil() -> Path:
 
 
 @pytest.fixture(scope="session")
+def ros1() -> Path:
+    """Folder of a simulated vehicle's .bag, and the same as .mcap."""
+    return _shared("data/ros1", "a log of ROS 1")
+
+
+@pytest.fixture(scope="session")
 def paper() -> Path:
     """Folder with the paper's tables."""
     return _shared("paper", "the paper's tables")

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
+from insdvl_replay.core.dive_record import LOG_SUFFIXES
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.plain_text import is_writable, read_text
 from insdvl_replay.results.folder import is_result
 
-LOG_SUFFIX: Final = ".mcap"
 LIST_SUFFIX: Final = ".txt"
 """Ending of a file that lists dives, one a line."""
 BAG_METADATA: Final = "metadata.yaml"
@@ -22,9 +22,10 @@ _MAGIC: Final = frozenset("*?[")
 def find_dives(names: Sequence[str], beside: Path = Path(), *, results: bool = False) -> list[Path]:
     """Find the dives that are meant.
 
-    A name is an .mcap file; a bag folder; a folder, which stands for every log and bag below it; a pattern with ``*``,
-    ``?`` or ``**``; or a .txt file that names one of these on each line, seen from its own folder, ``#`` begins a
-    comment. Hidden folders are passed over.
+    A name is a log, .mcap, .db3 or .bag; a bag folder; a folder, which stands for every log and bag below it; a pattern
+    with ``*``, ``?`` or ``**``; or a .txt file that names one of these on each line, seen from its own folder, ``#``
+    begins a comment. Hidden folders are passed over. Where a folder or a pattern stands for logs that differ in their
+    ending alone, they are one log before and after it was converted, and one of them is taken, .mcap first.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ def _meant(name: str, beside: Path, *, results: bool, lists: bool = True) -> lis
         return [path]
     else:
         matches = sorted(map(Path, glob.glob(str(path), recursive=True)))  # noqa: PTH207  # follows `**` from any root
-        found = [dive for match in matches for dive in _matched(match, results=results)]
+        found = [dive for match in _once_each(matches) for dive in _matched(match, results=results)]
     if not found:
         kinds = "logs, bags or results" if results else "logs or bags"
         raise ConfigError(f"{path}: no dive is found there", f"{kinds} are looked for; is the path seen from here?")
@@ -80,8 +81,15 @@ def _matched(path: Path, *, results: bool) -> Iterator[Path]:
     """Take from a pattern's matches what can be a dive."""
     if path.is_dir():
         yield from _in_folder(path, results=results)
-    elif path.suffix == LOG_SUFFIX:
+    elif path.suffix in LOG_SUFFIXES:
         yield path
+
+
+def _once_each(paths: Sequence[Path]) -> list[Path]:
+    """Leave out the logs that stand there converted, too."""
+    there = set(paths)
+    better = {suffix: LOG_SUFFIXES[:place] for place, suffix in enumerate(LOG_SUFFIXES)}
+    return [path for path in paths if there.isdisjoint(map(path.with_suffix, better.get(path.suffix, ())))]
 
 
 def _real(path: Path) -> str:
@@ -100,9 +108,9 @@ def _in_folder(folder: Path, *, results: bool, above: frozenset[str] = frozenset
     if (folder / BAG_METADATA).is_file():
         yield folder
         return
-    logs = [path for path in folder.glob(f"*{LOG_SUFFIX}") if path.is_file()]
+    logs = [path for suffix in LOG_SUFFIXES for path in folder.glob(f"*{suffix}") if path.is_file()]
     folders = [Path(entry) for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith(".")]
-    for path in sorted([*logs, *folders]):
+    for path in sorted([*_once_each(logs), *folders]):
         if path.is_dir():
             yield from _in_folder(path, results=results, above=above | {real})
         else:

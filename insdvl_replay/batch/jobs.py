@@ -55,7 +55,7 @@ class ReplayJob:
     Attributes
     ----------
     logs : tuple of Path
-        An MCAP file or a bag, or several of them that are one dive.
+        A log or a bag, or several of them that are one dive.
     name : Path
         The one of them after which the dive is named.
     target : Path

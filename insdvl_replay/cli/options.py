@@ -86,7 +86,9 @@ Preset = Annotated[
 ]
 Logs = Annotated[
     list[str],
-    typer.Argument(metavar="LOG...", help="MCAP files, bags, folders of them, quoted patterns, or .txt lists."),
+    typer.Argument(
+        metavar="LOG...", help="Logs (.mcap, .db3, .bag), bags, folders of them, quoted patterns, or .txt lists."
+    ),
 ]
 OneDive = Annotated[bool, typer.Option("--one-dive", help="Read all files as one dive, named after the first by name.")]
 Scenario = Annotated[

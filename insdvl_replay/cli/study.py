@@ -109,7 +109,7 @@ def montecarlo(
 
 @study.command()
 def window(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded dives, MCAP files.")],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded dives: logs or bags.")],
     longest: Annotated[
         int, typer.Option("--longest", metavar="N", min=2, max=1000, help="Try windows of 2 to N velocities.")
     ] = 10,

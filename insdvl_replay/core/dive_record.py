@@ -66,6 +66,8 @@ class Channel:
     messages: int
 
 
+LOG_SUFFIXES: Final = (".mcap", ".db3", ".bag")
+"""Endings of logs. Of those that differ in nothing else the first is the one that a log was converted to."""
 NAMELESS: Final = "dive"
 """What a dive is called whose file has no name but dots."""
 LONGEST_NAME: Final = 255

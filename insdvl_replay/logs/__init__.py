@@ -1,4 +1,4 @@
-"""Logs: the only room that knows MCAP and ROS 2.
+"""Logs: the only room that knows MCAP, and the bags and messages of ROS.
 
 `container` finds the messages in a file as blocks of bytes, `encoding` takes the fields out of their bytes, and
 `columns` makes of them the clean columns of the roles; `reader` joins the three. `writing` goes the other way.

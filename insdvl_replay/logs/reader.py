@@ -28,7 +28,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     Parameters
     ----------
     path : Path or sequence of Path
-        An MCAP file, a folder with the parts of one recording, or several of them that are one dive.
+        A log, MCAP, .db3 or .bag, a folder with the parts of one recording, or several of them that are one dive.
     config : Config
         Names topics, fields, units and axes where the types do not tell them.
     allow_damaged : bool

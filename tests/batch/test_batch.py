@@ -127,6 +127,20 @@ def test_names_stand_for_dives(name: str, found: str, tree: Path) -> None:
     assert [str(path.relative_to(tree)) for path in find_dives([name], tree)] == found.split()
 
 
+def test_logs_of_every_kind_are_dives_and_converted_ones_once(tmp_path: Path) -> None:
+    for name in ("x.bag", "x.mcap", "y.bag", "z.db3", "z.bag", "older/x.bag", "bag/0.db3", "bag/metadata.yaml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+
+    def found(name: str) -> list[str]:
+        return [str(path.relative_to(tmp_path)) for path in find_dives([name], tmp_path)]
+
+    assert found(".") == ["bag", "older/x.bag", "x.mcap", "y.bag", "z.db3"]
+    assert found("?.*") == ["x.mcap", "y.bag", "z.db3"]
+    assert found("*.bag") == ["x.bag", "y.bag", "z.bag"]
+    assert found("x.bag") == ["x.bag"]
+
+
 def test_results_are_dives_only_where_they_are_wanted(tree: Path) -> None:
     assert tree / "replay" / "a" in find_dives(["."], tree, results=True)
     with pytest.raises(ConfigError, match=r"replay: no dive is found there"):

@@ -239,7 +239,7 @@ def test_strict_turns_warnings_into_exit_3_and_keeps_the_result(dive: Path, tmp_
         (["run", "DIVE", "--set", "filters.aided.acceleration.window=1"], 2, "`int` >= 2, found 1", "config"),
         (["run", "DIVE", "-c", "absent.toml"], 2, "absent.toml: cannot be read", "-c"),
         (["run", "absent.mcap"], 3, "absent.mcap", ""),
-        (["inspect", "text.mcap"], 3, "text.mcap: is not an MCAP file", "name an .mcap file"),
+        (["inspect", "text.mcap"], 3, "text.mcap: is not an MCAP file", "name an .mcap, .db3 or .bag file"),
         (["inspect", "DIVE", "--set", "imu.topik=/imu"], 2, "key 'imu.topik' is not known", "did you mean imu.topic?"),
         (["run", "text.mcap"], 3, "text.mcap", ""),
         (["run", "DIVE", "-o", "taken"], 2, "taken/straight: exists", "--force"),

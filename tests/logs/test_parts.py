@@ -118,7 +118,7 @@ def test_a_part_that_is_compressed_as_a_whole_is_named(bag: Path, whole: Dive) -
 
 
 def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"is a folder without \.mcap files"):
+    with pytest.raises(LogError, match=r"is a folder without \.mcap or \.db3 or \.bag files"):
         bag_parts(tmp_path)
 
 

@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from small_logs import small_log, true_messages
 
 ATTACK = Path(__file__).parents[2] / "attacks" / "attack.py"
-MUTANTS = 200
+MUTANTS = 300
 
 
 def attacked(*arguments: str) -> subprocess.CompletedProcess[str]:

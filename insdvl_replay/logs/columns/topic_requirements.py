@@ -14,6 +14,7 @@ from insdvl_replay.logs.columns import known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
 from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.fields import Kinds, channel_paths, check_encoding, find_path, split_paths
+from insdvl_replay.logs.encoding.ros2msg import full_name
 
 BOW_DOWN: Final = "_bow_down"
 """Ends the name of a pitch with the opposite sign."""
@@ -106,9 +107,9 @@ class TopicRequirement:
     latency_s: float = 0.0
 
     def known(self, type_name: str) -> KnownType | None:
-        """Return what is known of a type."""
-        groups = (*self.by_type, self.if_named)
-        return next((types[type_name] for types in groups if type_name in types), None)
+        """Return what is known of a type, which ROS 1 calls ``package/Type``."""
+        groups, name = (*self.by_type, self.if_named), full_name(type_name)
+        return next((types[name] for types in groups if name in types), None)
 
     def source(self, topic: str, channels: Sequence[LogChannel]) -> Source:
         """Make a topic the source of the role."""

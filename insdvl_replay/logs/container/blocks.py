@@ -91,6 +91,40 @@ class Block:
         return replace(self, starts=self.starts[rows], lengths=self.lengths[rows])
 
 
+@dataclass(frozen=True)
+class TimedBlock(Block):
+    """Messages of a container that has other records: their payloads start and are as long as told, and so their times.
+
+    When each was recorded, shape (k,), ns; when it was published such a container does not tell.
+    """
+
+    time_ns: TimeNs
+
+    @property
+    def offsets(self) -> NDArray[np.int64]:
+        """Where in the buffer each message's payload starts, shape (k,)."""
+        return self.starts
+
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """How many bytes each message's payload has, shape (k,)."""
+        return self.lengths
+
+    @property
+    def log_time(self) -> TimeNs:
+        """When each message was recorded, shape (k,), ns."""
+        return self.time_ns
+
+    @property
+    def publish_time(self) -> TimeNs:
+        """The same, for want of another."""
+        return self.time_ns
+
+    def part(self, rows: slice) -> "TimedBlock":
+        """Return some of the messages."""
+        return replace(self, starts=self.starts[rows], lengths=self.lengths[rows], time_ns=self.time_ns[rows])
+
+
 def by_channel(buffer: memoryview, records: Records) -> dict[int, Block]:
     """Part the messages among records by their channels."""
     messages = records.where(records.opcodes == Opcode.MESSAGE)

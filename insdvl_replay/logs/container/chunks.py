@@ -101,7 +101,7 @@ def opened_size(data: memoryview, chunk: Chunk) -> int:
     if chunk.kind == "unchunked":
         return 0
     header = chunk_header(data, chunk.offset, chunk.length)
-    most = _room(chunk.end - header.compressed_start)
+    most = room_of(chunk.end - header.compressed_start)
     if chunk.kind == "truncated":
         return _size_of_truncated(header, most)
     return header.size if header.compression and header.size <= most else 0
@@ -118,7 +118,7 @@ def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
     if len(compressed) != header.compressed_size:
         found = f"a chunk says it has {header.compressed_size} compressed bytes; there are {len(compressed)}"
         raise DamageError(chunk.offset, found)
-    content = _decompressed(compressed, header.compression, header.size, chunk.offset)
+    content = decompressed(compressed, header.compression, header.size, chunk.offset)
     if len(content) != header.size:
         raise DamageError(chunk.offset, f"a chunk opens to {len(content)} bytes where {header.size} were announced")
     if header.crc and zlib_ng.crc32(content) != header.crc:
@@ -126,8 +126,9 @@ def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
     return content
 
 
-def _decompressed(compressed: memoryview, compression: str, size: int, offset: int) -> memoryview:
-    if compression and size > _room(len(compressed)):
+def decompressed(compressed: memoryview, compression: str, size: int, offset: int) -> memoryview:
+    """Decompress the bytes of a chunk that stands somewhere, or give them where they are not compressed."""
+    if compression and size > room_of(len(compressed)):
         raise DamageError(offset, f"a chunk of {len(compressed)} compressed bytes says it opens to {size}")
     try:
         if compression == "":
@@ -145,7 +146,7 @@ def _decompressed(compressed: memoryview, compression: str, size: int, offset: i
 
 def _decompressed_start(compressed: memoryview, header: ChunkHeader, offset: int) -> memoryview:
     """Decompress as much as the bytes that are left give; what opens to too much is counted first, and never held."""
-    size = _size_of_truncated(header, _room(len(compressed)))
+    size = _size_of_truncated(header, room_of(len(compressed)))
     try:
         opened = 0
         for piece in _pieces(compressed, header.compression):
@@ -173,7 +174,7 @@ def _pieces(compressed: memoryview, compression: str) -> Iterator[bytes]:
         yield decompressor.decompress(b"", max_length=_PIECE)
 
 
-def _room(compressed_size: int) -> int:
+def room_of(compressed_size: int) -> int:
     """Return the bytes to which those of one chunk may open."""
     return min(most_opened(compressed_size), LARGEST_CHUNK)
 

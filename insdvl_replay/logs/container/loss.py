@@ -20,7 +20,7 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container.blocks import MESSAGE, gather, read_chunk
 from insdvl_replay.logs.container.chunks import Chunk, chunk_header
 from insdvl_replay.logs.container.mcap_index import Loss, McapIndex
-from insdvl_replay.logs.container.records import RECORD_HEADER_SIZE, DamageError, Span, plausible_span
+from insdvl_replay.logs.container.records import RECORD_HEADER_SIZE, Damage, DamageError, Span, plausible_span
 
 COPY_AGAIN: Final = "copy the log again from the recorder if it still has it"
 """What helps where messages are lost."""
@@ -69,19 +69,24 @@ _SHORTEST_S: Final = 0.0005
 
 def damage_note(name: str, data: memoryview, mcap_index: McapIndex) -> Note:
     """State what was found and lost in a damaged log."""
-    # Checksums are checked beside the reading, and what is found first is a matter of chance.
-    damages = sorted(mcap_index.damages, key=lambda damage: damage.offset)
-    shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
-    more = f"; and {len(damages) - _SHOWN} more" if len(damages) > _SHOWN else ""
-    places = "1 place" if len(damages) == 1 else f"{len(damages)} places"
     found, missing, duplicates = losses(data, mcap_index), mcap_index.missing, duplicate_messages(data, mcap_index)
     if duplicates:
         # Copies of messages from elsewhere tell nothing of the time around them.
         found = [replace(loss, span_ns=None) for loss in found]
         missing = None if missing is None else missing + duplicates
     loss = loss_text(found, missing, is_cut=mcap_index.is_cut)
-    text = f"{name} is damaged in {places}, {loss} ({shown}{more})"
-    return Note("log_damaged", text, len(damages), Severity.WARNING, COPY_AGAIN)
+    text = f"{name} is damaged in {places_text(mcap_index.damages, loss)}"
+    return Note("log_damaged", text, len(mcap_index.damages), Severity.WARNING, COPY_AGAIN)
+
+
+def places_text(found: Iterable[Damage], loss: str) -> str:
+    """State in how many places a log is damaged, what was lost, and what stands in the first of them."""
+    # Checksums are checked beside the reading, and what is found first is a matter of chance.
+    damages = sorted(found, key=lambda damage: damage.offset)
+    shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
+    more = f"; and {len(damages) - _SHOWN} more" if len(damages) > _SHOWN else ""
+    places = "1 place" if len(damages) == 1 else f"{len(damages)} places"
+    return f"{places}, {loss} ({shown}{more})"
 
 
 def loss_text(found: Sequence[Loss], missing: int | None, *, is_cut: bool) -> str:

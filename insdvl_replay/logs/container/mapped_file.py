@@ -136,7 +136,7 @@ class Digest(NamedTuple):
 
 
 class UnusableFileError(LogError):
-    """A file of which neither the first bytes nor the last are those of an MCAP file."""
+    """A file of which nothing can be used: it is of no format that is read, or no part of it can be believed."""
 
 
 class ChangedLogError(LogError):
@@ -246,19 +246,16 @@ class MappedFile:
 _HEADER_CONTENT: Final = len(MAGIC) + RECORD_HEADER_SIZE
 """Where the content of the first record starts."""
 _OTHER_FORMATS: Final = {
-    b"SQLite format 3": ("a ROS 2 bag in SQLite", "`ros2 bag convert` writes it as MCAP"),
-    b"#ROSBAG V2.0": ("a ROS 1 bag", "`mcap convert in.bag out.mcap` writes it as MCAP"),
+    b"#ROSBAG V1": ("a bag of ROS 1 before 2010", "`rosbag fix` writes it as version 2.0"),
     b"\x28\xb5\x2f\xfd": ("compressed as a whole with zstd", "`zstd -d {path}` unpacks it"),
 }
 
 
-def mapped(path: Path) -> MappedFile:
-    """Map an MCAP file into memory, also one of which the opening bytes are damaged."""
-    file = MappedFile(path)
+def require_mcap(file: MappedFile) -> None:
+    """Refuse a file that is no MCAP file, which it is, too, if only its opening bytes are damaged."""
     start = bytes(file.data[:16])
     if not start.startswith(MAGIC) and not _goes_on_like_mcap(file.data):
-        raise _not_mcap(path, start)
-    return file
+        raise _not_mcap(file.path, start)
 
 
 def _goes_on_like_mcap(data: memoryview) -> bool:
@@ -271,6 +268,7 @@ def _goes_on_like_mcap(data: memoryview) -> bool:
 def _not_mcap(path: Path, start: bytes) -> LogError:
     for magic, (name, hint) in _OTHER_FORMATS.items():
         if start.startswith(magic):
-            return LogError(f"is {name}, not an MCAP file", hint.format(path=path), path)
+            return LogError(f"is {name}, which is not read", hint.format(path=path), path)
     found = start[:8].hex(" ")
-    return UnusableFileError(f"is not an MCAP file: it starts with bytes '{found}'", "name an .mcap file", path)
+    what = f"is not an MCAP file, nor a bag: it starts with bytes '{found}'"
+    return UnusableFileError(what, "name an .mcap, .db3 or .bag file", path)

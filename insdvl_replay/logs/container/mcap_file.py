@@ -7,8 +7,6 @@ Source: the MCAP specification, https://mcap.dev/spec.
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -19,8 +17,9 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container.blocks import Block, Content, content_of, index_entries
 from insdvl_replay.logs.container.chunks import Chunk, ChunkHeader, chunk_header, open_chunk, opened_size
+from insdvl_replay.logs.container.log_file import LogFile
 from insdvl_replay.logs.container.loss import COPY_AGAIN, chunk_span, damage_note
-from insdvl_replay.logs.container.mapped_file import Digest, MappedFile, mapped
+from insdvl_replay.logs.container.mapped_file import Digest, MappedFile, require_mcap
 from insdvl_replay.logs.container.mcap_index import McapIndex
 from insdvl_replay.logs.container.records import (
     Attachment,
@@ -103,19 +102,18 @@ _END_OF_TIME_NS: Final = 2**63
 """Times are signed in numpy as in ROS, and unsigned in the format."""
 
 
-class McapFile:
+class McapFile(LogFile):
     """An MCAP file, open for reading. Damage is collected; whether it is allowed is for the recording to say.
 
     Raises
     ------
-    LogError
-        The file cannot be opened, or is no MCAP file.
+    UnusableFileError
+        It is no MCAP file.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._file = mapped(path)
-        self._data = self._file.data
+    def __init__(self, file: MappedFile) -> None:
+        super().__init__(file)
+        require_mcap(file)
         with self._file.watched():
             self._index = build_index(self._data, self._file.release)
         self._file.release(0, len(self._data))
@@ -126,27 +124,27 @@ class McapFile:
         )
 
     @property
-    def profile(self) -> str:
+    def profile(self) -> str:  # type: ignore[override]
         """What the recorder promises to follow, ``ros2`` for ROS 2."""
         return self._index.header.profile if self._index.header else ""
 
     @property
-    def library(self) -> str:
+    def library(self) -> str:  # type: ignore[override]
         """What wrote the log."""
         return self._index.header.library if self._index.header else ""
 
     @property
-    def has_summary(self) -> bool:
+    def has_summary(self) -> bool:  # type: ignore[override]
         """Whether the log closes with a summary that can be believed."""
         return self._index.summary.statistics is not None or bool(self._index.summary.chunks)
 
     @property
-    def chunk_count(self) -> int:
+    def chunk_count(self) -> int:  # type: ignore[override]
         """How many chunks there are."""
         return len(self._chunk_headers())
 
     @property
-    def compression(self) -> tuple[str, ...]:
+    def compression(self) -> tuple[str, ...]:  # type: ignore[override]
         """The ways in which chunks are compressed, ``none`` for those that are not."""
         return tuple(sorted({header.compression or "none" for header in self._chunk_headers()}))
 
@@ -155,11 +153,6 @@ class McapFile:
         """First and last log time; None without messages."""
         spans = [span for chunk in self._index.chunks.values() if (span := chunk_span(self._data, chunk))]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
-
-    @property
-    def size_bytes(self) -> int:
-        """How large the file is."""
-        return len(self._data)
 
     @property
     def schemas(self) -> Mapping[int, records.Schema]:
@@ -217,16 +210,6 @@ class McapFile:
         """Note wrong checksums that only a whole pass can check."""
         for damage in digest.damages:
             self._index.add_damage(damage)
-
-    def require_unchanged(self) -> None:
-        """Refuse the file if it is no longer what it was when it was opened."""
-        self._file.require_unchanged()
-
-    @contextmanager
-    def watched(self) -> Iterator[None]:
-        """Refuse the file if it has changed by the end since it was opened, above all if that made something fail."""
-        with self._file.watched():
-            yield
 
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the messages of some channels, a chunk at a time; chunks without them stay closed."""

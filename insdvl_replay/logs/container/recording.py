@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from insdvl_replay.core.dive_columns import TimeNs
+from insdvl_replay.core.dive_record import LOG_SUFFIXES
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.plain_text import read_text
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container.blocks import Block
+from insdvl_replay.logs.container.log_file import LogFile
 from insdvl_replay.logs.container.loss import COPY_AGAIN, damaged_file_error
 from insdvl_replay.logs.container.mapped_file import Digest, UnusableFileError
-from insdvl_replay.logs.container.mcap_file import McapFile
+from insdvl_replay.logs.container.opening import open_log_file
 
 CHANNELS_OF_A_PART: Final = 1 << 16
 """A channel id has 16 bits."""
@@ -27,15 +29,15 @@ Step = TypeVar("Step")
 
 
 class Recording:
-    """One or several MCAP files, open for reading as one log.
+    """One or several files, open for reading as one log.
 
     A path stands for the whole: the folder of a bag, or one of the files. A damaged file is refused with the place and
-    what could be saved. Where damage is allowed, it is read as far as its bytes can be believed, and files that are
-    empty or not MCAP at all are done without.
+    what could be saved. Where damage is allowed, it is read as far as its bytes can be believed, and files of
+    which nothing can be used are done without.
 
     Attributes
     ----------
-    parts : tuple of McapFile
+    parts : tuple of LogFile
         In the order of their first log times.
     channels : tuple of LogChannel
         Of all parts; their ids count on from part to part, so that none occurs twice.
@@ -57,11 +59,11 @@ class Recording:
         )
         self._raise_if_damaged()
 
-    def _opened(self, files: Iterable[Path]) -> Iterator[McapFile]:
+    def _opened(self, files: Iterable[Path]) -> Iterator[LogFile]:
         for file in sorted(files):
             try:
                 # One file must not be refused before it is known what could be saved of all.
-                yield McapFile(file)
+                yield open_log_file(file)
             except UnusableFileError as error:
                 self._unusable[file] = error
 
@@ -89,7 +91,7 @@ class Recording:
             yield Note("files_overlap", text, len(overlaps))
 
     def log_times(self) -> dict[int, TimeNs]:
-        """Return the log times of all messages by channel, shape (k,), ns, as `McapFile.log_times`."""
+        """Return the log times of all messages by channel, shape (k,), ns, as `LogFile.log_times`."""
         times = {
             channel_id + number * CHANNELS_OF_A_PART: times
             for number, part in enumerate(self.parts)
@@ -164,7 +166,7 @@ def _sha256(file: Path) -> str:
         raise LogError(f"cannot be read any more: {error.strerror}", "read a copy of the recording", file) from error
 
 
-def _start(part: McapFile) -> tuple[float, str]:
+def _start(part: LogFile) -> tuple[float, str]:
     """Sort files without messages behind all others, and those that begin together by their names."""
     return (part.span_ns[0] if part.span_ns else float("inf"), part.path.name)
 
@@ -180,18 +182,24 @@ _PACKED: Final = ".zstd"
 def bag_parts(path: Path) -> tuple[Path, ...]:
     """Find the files of a bag."""
     listed = _listed(path / METADATA)
-    found = sorted(path.glob("*.mcap"))
+    found = _with_suffix(path)
     if listed is None:
         parts = tuple(found)
     else:
         parts = tuple(_unpacked(path / name) for name in listed)
         _require_all(path / METADATA, parts, found)
-    for packed in sorted(path.glob(f"*.mcap{_PACKED}")):
+    for packed in _with_suffix(path, _PACKED):
         if packed.with_suffix("") not in parts:
             raise LogError("is compressed as a whole with zstd", f"`zstd -d {packed}` unpacks it", packed)
     if not parts:
-        raise LogError("is a folder without .mcap files", "name a log, or a folder with the parts of one", path)
+        what = f"is a folder without {' or '.join(LOG_SUFFIXES)} files"
+        raise LogError(what, "name a log, or a folder with the parts of one", path)
     return parts
+
+
+def _with_suffix(folder: Path, behind: str = "") -> list[Path]:
+    """Find the logs of a folder, by their names."""
+    return sorted(path for suffix in LOG_SUFFIXES for path in folder.glob(f"*{suffix}{behind}"))
 
 
 def _unpacked(part: Path) -> Path:
@@ -217,14 +225,15 @@ def _require_all(metadata: Path, parts: tuple[Path, ...], found: list[Path]) -> 
         if other not in parts:
             raise LogError(
                 f"does not list {other.name}, which lies beside the parts of the bag",
-                f"move it away, or read all .mcap files of the folder: {_by_name(metadata)}",
+                f"move it away, or read all logs of the folder: {_by_name(metadata)}",
                 metadata,
             )
 
 
 def _by_name(metadata: Path) -> str:
     """State how a bag is read without its list."""
-    return f"{metadata.parent / '*.mcap'} --one-dive"
+    suffix = next((path.suffix for path in _with_suffix(metadata.parent)), LOG_SUFFIXES[0])
+    return f"{metadata.parent / f'*{suffix}'} --one-dive"
 
 
 def _is_plain(events: Iterable[Any]) -> bool:
@@ -247,7 +256,7 @@ def _listed(metadata: Path) -> list[str] | None:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
-    by_name = f"read the .mcap files beside it: {_by_name(metadata)}"
+    by_name = f"read the logs beside it: {_by_name(metadata)}"
     try:
         text, yaml = read_text(metadata), YAML(typ="safe", pure=True)
         if not _is_plain(yaml.parse(text)):
@@ -258,9 +267,13 @@ def _listed(metadata: Path) -> list[str] | None:
     except (YAMLError, ValueError, RecursionError) as error:  # also a day or a number that cannot be
         raise LogError("is no YAML", by_name, metadata) from error
     information = content.get(_INFORMATION) if isinstance(content, dict) else None
-    names = information.get("relative_file_paths") if isinstance(information, dict) else None
+    information = information if isinstance(information, dict) else {}
+    names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise LogError("lists no files", by_name, metadata)
+    if str(information.get("compression_mode")).upper() == "MESSAGE":
+        hint = "`ros2 bag convert` writes them as they are"
+        raise LogError("says that each message is compressed for itself", hint, metadata)
     return names
 
 
@@ -270,7 +283,7 @@ def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) 
     Parameters
     ----------
     path : Path or sequence of Path
-        An MCAP file, a folder of them, or several; their order does not matter.
+        A log, a folder of them, or several; their order does not matter.
     allow_damaged : bool
         Read what can be believed of damaged files.
 

@@ -92,7 +92,12 @@ def fields_hint(known: Kinds, path: str) -> str:
     return f'its fields are {listed}{more}; "p, q, r" sets fields side by side'
 
 
-ENCODINGS: Final = {"cdr": ("ros2msg", ""), "protobuf": ("protobuf",), "json": ("jsonschema", "")}
+ENCODINGS: Final = {
+    "cdr": ("ros2msg", ""),
+    "ros1": ("ros1msg",),
+    "protobuf": ("protobuf",),
+    "json": ("jsonschema", ""),
+}
 """Of each encoding of messages that can be read, the encodings of its schemas."""
 
 
@@ -123,10 +128,11 @@ def channel_paths(channel: LogChannel) -> Kinds:
         from insdvl_replay.logs.encoding.json_fields import json_paths
 
         return json_paths(channel.schema_data)
-    from insdvl_replay.logs.encoding.cdr import cdr_paths, definitions_by
+    from insdvl_replay.logs.encoding.binary_fields import binary_paths, definitions_by
     from insdvl_replay.logs.encoding.ros2msg import full_name
 
-    return dict(cdr_paths(definitions_by(channel.type_name, channel.schema_text), full_name(channel.type_name)))
+    definitions = definitions_by(channel.type_name, channel.schema_text, channel.encoding)
+    return dict(binary_paths(definitions, full_name(channel.type_name)))
 
 
 def open_reader(channel: LogChannel, paths: Sequence[str]) -> FieldReader:
@@ -145,6 +151,7 @@ def open_reader(channel: LogChannel, paths: Sequence[str]) -> FieldReader:
         from insdvl_replay.logs.encoding.json_fields import JsonReader
 
         return JsonReader(channel.type_name, channel.schema_data, paths)
-    from insdvl_replay.logs.encoding.cdr import CdrReader, definitions_by
+    from insdvl_replay.logs.encoding.binary_fields import WIRES, BinaryReader, definitions_by
 
-    return CdrReader(definitions_by(channel.type_name, channel.schema_text), channel.type_name, paths)
+    definitions = definitions_by(channel.type_name, channel.schema_text, channel.encoding)
+    return BinaryReader(definitions, channel.type_name, paths, WIRES[channel.encoding])

@@ -8,7 +8,7 @@ from insdvl_replay.core.compiled import compiled, inlined
 
 @compiled
 def read_bits(data: NDArray[np.uint8], starts: NDArray[np.int64], places: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Do what `cdr.read_bits` does, touching each byte that is wanted once, and no other."""
+    """Do what `binary_fields.read_bits` does, touching each byte that is wanted once, and no other."""
     bits = np.empty((places.shape[1], starts.size), np.int64)
     for number in range(places.shape[1]):
         offset, size, signed = places[0, number], places[1, number], places[2, number]

@@ -1,9 +1,9 @@
-"""The ROS 2 interface language: the text of a message type, parsed and assembled.
+"""The interface language of ROS 2, and of ROS 1: the text of a message type, parsed and assembled.
 
 A log carries for every type the text of its definition and of all types in it, one after the other. The types that the
 tool itself writes or knows by name stand as files: the project's own in ``schemas/insdvl_msgs``, those of others in
 ``definitions``. Source: https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html and the MCAP registry of
-well-known schema encodings, https://mcap.dev/spec/registry.
+well-known schema encodings, https://mcap.dev/spec/registry; for ROS 1 http://wiki.ros.org/msg.
 """
 
 import re
@@ -46,9 +46,6 @@ _LINE: Final = re.compile(
     r"\s+(?P<name>[A-Za-z]\w*)(?:\s*(?P<constant>=)|\s|#|$)"
 )
 
-_RECORD_AGAIN: Final = "record the log again with complete schemas, as `ros2 bag record --storage mcap` writes them"
-_ONLY_ROS2MSG: Final = "schemas must be of encoding ros2msg, as `ros2 bag record --storage mcap` writes them"
-
 
 @dataclass(frozen=True)
 class Field:
@@ -80,15 +77,67 @@ class Definition:
     fields: tuple[Field, ...]
 
 
-_EMPTY: Final = (Field("structure_needs_at_least_one_member", "uint8", "single", 1),)
+@dataclass(frozen=True)
+class Dialect:
+    """In what ROS 1 and ROS 2 differ.
+
+    Attributes
+    ----------
+    schema_encoding, recorder : str
+        Name of the encoding in MCAP, and what writes it there.
+    synonyms : mapping of str to str
+        Primitive types of other names.
+    builtin : mapping of str to Definition
+        Structures that no text defines.
+    empty : tuple of Field
+        What stands in the place of no fields.
+    """
+
+    schema_encoding: str
+    recorder: str
+    synonyms: Mapping[str, str]
+    builtin: Mapping[str, Definition]
+    empty: tuple[Field, ...]
+
+    @property
+    def record_again(self) -> str:
+        """What helps where a schema is not complete."""
+        return f"record the log again with complete schemas, as {self.recorder} writes them"
+
+    @property
+    def only_this(self) -> str:
+        """What helps where a schema is of another language."""
+        return f"schemas must be of encoding {self.schema_encoding}, as {self.recorder} writes them"
 
 
-def parse_definitions(type_name: str, text: str) -> dict[str, Definition]:
+def _time(name: str, number: str) -> Definition:
+    return Definition(name, (Field("sec", number, "single", 1), Field("nanosec", number, "single", 1)))
+
+
+ROS2MSG: Final = Dialect(
+    schema_encoding="ros2msg",
+    recorder="`ros2 bag record --storage mcap`",
+    synonyms={},
+    builtin={},
+    empty=(Field("structure_needs_at_least_one_member", "uint8", "single", 1),),
+)
+ROS1MSG: Final = Dialect(
+    schema_encoding="ros1msg",
+    recorder="`mcap convert`",
+    synonyms={"byte": "int8", "char": "uint8"},
+    builtin={"time": _time("time", "uint32"), "duration": _time("duration", "int32")},
+    empty=(),
+)
+"""Its times have the field names of ROS 2, so that paths are the same."""
+
+
+def parse_definitions(type_name: str, text: str, dialect: Dialect = ROS2MSG) -> dict[str, Definition]:
     """Parse the full text of a type."""
     definitions: dict[str, Definition] = {}
-    for name, section in _sections(type_name, text):
-        definitions.setdefault(name, Definition(name, tuple(_fields(name, section)) or _EMPTY))
-    _check_complete(type_name, definitions)
+    for name, section in _sections(type_name, text, dialect):
+        definitions.setdefault(name, Definition(name, tuple(_fields(name, section, dialect)) or dialect.empty))
+    definitions |= dialect.builtin
+    _check_complete(type_name, definitions, dialect)
     return definitions
 
 
@@ -105,7 +154,7 @@ def full_name(type_name: str) -> str:
     return type_name if type_name.count("/") != 1 else type_name.replace("/", "/msg/")
 
 
-def _sections(type_name: str, text: str) -> Iterator[tuple[str, str]]:
+def _sections(type_name: str, text: str, dialect: Dialect) -> Iterator[tuple[str, str]]:
     first, *others = _ANY_SEPARATOR.split(text.replace("\r\n", "\n"))
     yield full_name(type_name), first
     for section in others:
@@ -114,20 +163,22 @@ def _sections(type_name: str, text: str) -> Iterator[tuple[str, str]]:
             start = section.strip().partition("\n")[0]
             raise LogError(
                 f"{type_name}: a section of the schema starts with '{start}' where 'MSG: package/Type' belongs",
-                _ONLY_ROS2MSG,
+                dialect.only_this,
             )
         yield full_name(heading[1]), section[heading.end() :]
 
 
-def _check_complete(type_name: str, definitions: Mapping[str, Definition]) -> None:
+def _check_complete(type_name: str, definitions: Mapping[str, Definition], dialect: Dialect) -> None:
     graph = {name: [field.type_name for field in definition.fields] for name, definition in definitions.items()}
     for name, used in graph.items():
         for missing in (other for other in used if "/" in other and other not in definitions):
-            raise LogError(f"{type_name}: the schema uses {missing} in {name} and does not define it", _RECORD_AGAIN)
+            what = f"{type_name}: the schema uses {missing} in {name} and does not define it"
+            raise LogError(what, dialect.record_again)
     try:
         inner_first = tuple(TopologicalSorter(graph).static_order())
     except CycleError as error:
-        raise LogError(f"{type_name}: the schema's type {error.args[1][0]} contains itself", _RECORD_AGAIN) from error
+        what = f"{type_name}: the schema's type {error.args[1][0]} contains itself"
+        raise LogError(what, dialect.record_again) from error
     _check_size(type_name, definitions, inner_first)
 
 
@@ -143,7 +194,7 @@ def _check_size(type_name: str, definitions: Mapping[str, Definition], inner_fir
             raise too_large(type_name)
 
 
-def _fields(type_name: str, section: str) -> Iterator[Field]:
+def _fields(type_name: str, section: str, dialect: Dialect) -> Iterator[Field]:
     package = type_name.partition("/")[0]
     for line in section.splitlines():
         statement = line.strip()
@@ -151,13 +202,13 @@ def _fields(type_name: str, section: str) -> Iterator[Field]:
             continue
         match = _LINE.match(statement)
         if match is None:
-            raise LogError(f"{type_name}: '{statement}' in the schema is no field", _ONLY_ROS2MSG)
+            raise LogError(f"{type_name}: '{statement}' in the schema is no field", dialect.only_this)
         if match["constant"] is None:
-            yield _field(package, match)
+            yield _field(package, match, dialect)
 
 
-def _field(package: str, match: re.Match[str]) -> Field:
-    type_name = _resolved(package, match["base"])
+def _field(package: str, match: re.Match[str], dialect: Dialect) -> Field:
+    type_name = _resolved(package, match["base"], dialect)
     if match["brackets"] is None:
         return Field(match["name"], type_name, "single", 1)
     if match["bounded"] or not match["length"]:
@@ -166,12 +217,13 @@ def _field(package: str, match: re.Match[str]) -> Field:
     length = int(match["length"]) if len(match["length"]) <= len(str(_LONGEST_ARRAY)) else 0
     if not 0 < length <= _LONGEST_ARRAY:
         array = f"{match['base']}[{match['length'][:12]}]"
-        raise LogError(f"{package}: the schema has an array '{array}', which is none or too long", _RECORD_AGAIN)
+        raise LogError(f"{package}: the schema has an array '{array}', which is none or too long", dialect.record_again)
     return Field(match["name"], type_name, "array", length)
 
 
-def _resolved(package: str, base: str) -> str:
-    if base in PRIMITIVES or base in ("string", "wstring"):
+def _resolved(package: str, base: str, dialect: Dialect) -> str:
+    base = dialect.synonyms.get(base, base)
+    if base in PRIMITIVES or base in ("string", "wstring") or base in dialect.builtin:
         return base
     if base == "Header":
         return "std_msgs/msg/Header"
@@ -182,7 +234,7 @@ def _with_dependencies(type_name: str) -> list[str]:
     """List a type and all types in it, each once, in the order in which they are met."""
     names = [type_name]
     for name in names:
-        for field in _fields(name, _known_text(name)):
+        for field in _fields(name, _known_text(name), ROS2MSG):
             if "/" in field.type_name and field.type_name not in names:
                 names.append(field.type_name)
     return names
@@ -195,7 +247,7 @@ def _known_text(type_name: str) -> str:
         file = folder / package / "msg" / f"{name}.msg"
         if file.is_file():
             return file.read_text("utf-8")
-    raise LogError(f"{type_name}: no definition of this type comes with the tool", _RECORD_AGAIN)
+    raise LogError(f"{type_name}: no definition of this type comes with the tool", ROS2MSG.record_again)
 
 
 def _definition_folders() -> tuple[Path, ...]:

@@ -1,4 +1,4 @@
-"""Columns of chosen fields from CDR messages: where their numbers stand in a layout, and what the bits say.
+"""Columns of chosen fields from messages in CDR or of ROS 1: where numbers stand in a layout, and what the bits say.
 
 Messages whose strings and sequences have the same lengths share one `layout`, and are read together. In most logs all
 messages of a channel do.
@@ -17,11 +17,18 @@ from insdvl_replay.core.compiled import is_loaded
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.container.blocks import Block, gather
 from insdvl_replay.logs.encoding.fields import Columns, check_path
-from insdvl_replay.logs.encoding.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
-from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES, Definition, definition_text, full_name, parse_definitions
+from insdvl_replay.logs.encoding.layout import CDR, ENCAPSULATION, ROS1, Layout, Wire, dynamic_lengths, layout_of
+from insdvl_replay.logs.encoding.ros2msg import (
+    PRIMITIVES,
+    ROS1MSG,
+    Definition,
+    definition_text,
+    full_name,
+    parse_definitions,
+)
 
 LITTLE_ENDIAN: Final = int.from_bytes(ENCAPSULATION[:2], "little")
-"""The first word of messages that can be read."""
+"""The first word of messages in CDR that can be read."""
 WORD: Final = np.dtype("<u2")
 """How it stands there."""
 MOST_NUMBERS: Final = 1 << 16
@@ -36,9 +43,9 @@ _Run = tuple[slice, np.dtype[Any]]
 class Numbers:
     """The numbers in the messages of one layout that some paths mean, `MOST_NUMBERS` at most."""
 
-    def __init__(self, layout: Layout, paths: Sequence[str]) -> None:
-        self._words = np.array([LITTLE_ENDIAN, *layout.lengths])[:, None]
-        places = [*_places(WORD, 0)]
+    def __init__(self, layout: Layout, paths: Sequence[str], wire: Wire) -> None:
+        self._words = np.array([*([LITTLE_ENDIAN] if wire.head else ()), *layout.lengths], np.int64)[:, None]
+        places = [*_places(WORD, 0)] if wire.head else []
         for offset in layout.length_offsets:
             places += _places(_LENGTH, offset)
         self._runs: dict[str, list[_Run]] = {path: [] for path in paths}
@@ -50,7 +57,7 @@ class Numbers:
                 first = runs.pop()[0].start if goes_on else len(places)
                 places += _places(dtype, offset)
                 runs.append((slice(first, len(places)), dtype.base))
-        self._places = np.array(places, np.int64).T.copy()
+        self._places = np.array(places, np.int64).reshape(-1, 3).T.copy()
 
     def read(self, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> tuple[NDArray[np.bool_], Columns]:
         """Read messages that have the size of the layout: which of them have it, and the numbers of these by path."""
@@ -150,21 +157,23 @@ _ENCAPSULATIONS: Final = {
     0x0A: "a big-endian XCDR2 parameter list",
     0x0B: "an XCDR2 parameter list",
 }
-_LONGEST_PADDING: Final = 3
 Rows = NDArray[np.int64]
 
 
-class CdrReader:
+class BinaryReader:
     """Reads some fields of all messages of one type, which stands among its definitions with all types in it."""
 
-    def __init__(self, definitions: Mapping[str, Definition], type_name: str, paths: Sequence[str]) -> None:
+    def __init__(
+        self, definitions: Mapping[str, Definition], type_name: str, paths: Sequence[str], wire: Wire = CDR
+    ) -> None:
         self._definitions = definitions
         self._type_name = full_name(type_name)
         self._paths = tuple(paths)
+        self._wire = wire
         self._layouts: dict[tuple[int, ...], Layout] = {}
         self._numbers: dict[tuple[int, ...], Numbers] = {}
         self._latest: Layout | None = None
-        self.known = dict(cdr_paths(definitions, self._type_name))
+        self.known = dict(binary_paths(definitions, self._type_name))
         for path in paths:
             check_path(path, self.known, self._type_name)
 
@@ -199,7 +208,8 @@ class CdrReader:
             rows, columns = self._with_layout(block, data, left, self._latest)
             if rows.size:
                 return rows, columns
-        self._check_encapsulation(block, data)
+        if self._wire.head:
+            self._check_encapsulation(block, data)
         layout = self._latest = self._layout(block, int(left[0]))
         rows, columns = self._with_layout(block, data, left, layout)
         if not rows.size:
@@ -213,21 +223,21 @@ class CdrReader:
         """Read those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
         # All that is read of a message lies inside its record, since none is shorter than the layout.
         padding = block.sizes[rows] - layout.size
-        rows = _chosen(rows, (padding >= 0) & (padding <= _LONGEST_PADDING))
+        rows = _chosen(rows, (padding >= 0) & (padding <= self._wire.most_padding))
         fits, columns = self._numbers_of(layout).read(data, block.offsets[rows])
         return _chosen(rows, fits), columns
 
     def _layout(self, block: Block, row: int) -> Layout:
         start = int(block.offsets[row])
         message = block.buffer[start : start + int(block.sizes[row])]
-        lengths = dynamic_lengths(self._definitions, self._type_name, message)
+        lengths = dynamic_lengths(self._definitions, self._type_name, message, self._wire)
         if lengths not in self._layouts:
-            self._layouts[lengths] = layout_of(self._definitions, self._type_name, lengths)
+            self._layouts[lengths] = layout_of(self._definitions, self._type_name, lengths, self._wire)
         return self._layouts[lengths]
 
     def _numbers_of(self, layout: Layout) -> Numbers:
         if layout.lengths not in self._numbers:
-            self._numbers[layout.lengths] = Numbers(layout, self._paths)
+            self._numbers[layout.lengths] = Numbers(layout, self._paths, self._wire)
         return self._numbers[layout.lengths]
 
 
@@ -236,13 +246,19 @@ def _chosen(rows: Rows, mask: NDArray[np.bool_]) -> Rows:
     return rows if mask.all() else rows[mask]
 
 
+WIRES: Final = {"cdr": CDR, "ros1": ROS1}
+"""By the names of the encodings in MCAP, https://mcap.dev/spec/registry."""
+
+
 @cache
-def definitions_by(type_name: str, schema_text: str) -> dict[str, Definition]:
-    """Parse a schema; one that is empty is that of a known type."""
+def definitions_by(type_name: str, schema_text: str, encoding: str) -> dict[str, Definition]:
+    """Parse a schema; one of ROS 2 that is empty is that of a known type."""
+    if encoding == "ros1":
+        return parse_definitions(type_name, schema_text, ROS1MSG)
     return parse_definitions(type_name, schema_text if schema_text.strip() else definition_text(type_name))
 
 
-def cdr_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:
+def binary_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:
     """List every path that a type knows."""
     for field in definitions[type_name].fields:
         path = f"{prefix}{field.name}"
@@ -251,7 +267,7 @@ def cdr_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str
             path = f"{path}[*]"
             yield path, field.type_name
         if field.type_name not in PRIMITIVES and field.type_name in definitions:
-            yield from cdr_paths(definitions, field.type_name, f"{path}.")
+            yield from binary_paths(definitions, field.type_name, f"{path}.")
 
 
 def _joined(parts: Sequence[tuple[Rows, NDArray[Any]]]) -> NDArray[Any]:

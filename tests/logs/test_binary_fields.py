@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.encoding import number_loops
-from insdvl_replay.logs.encoding.cdr import CdrReader, read_bits_plainly
+from insdvl_replay.logs.encoding.binary_fields import BinaryReader, read_bits_plainly
 from insdvl_replay.logs.encoding.ros2msg import parse_definitions
 
 TYPE = "test_msgs/msg/Ping"
@@ -43,8 +43,8 @@ def serialised(pings: list[dict]) -> list[bytes]:
     ]
 
 
-def reader(*paths: str) -> CdrReader:
-    return CdrReader(parse_definitions(TYPE, TEXT), TYPE, paths)
+def reader(*paths: str) -> BinaryReader:
+    return BinaryReader(parse_definitions(TYPE, TEXT), TYPE, paths)
 
 
 def random_pings(count: int, labels: list[str], beams: list[int]) -> list[dict]:
@@ -96,7 +96,7 @@ def test_structure_means_all_numbers_in_it() -> None:
 def test_type_without_strings_and_sequences() -> None:
     definitions = parse_definitions("test_msgs/msg/Beam", BEAM)
     payload = b"\x00\x01\x00\x00" + b"\x07" + bytes(7) + np.float64(2.5).tobytes()
-    columns = CdrReader(definitions, "test_msgs/msg/Beam", ["velocity"]).columns(block_of([payload, payload]))
+    columns = BinaryReader(definitions, "test_msgs/msg/Beam", ["velocity"]).columns(block_of([payload, payload]))
     np.testing.assert_array_equal(columns["velocity"], [[2.5], [2.5]])
 
 
@@ -145,7 +145,7 @@ def test_numbers_of_every_kind_are_read_as_by_struct_wherever_they_stand() -> No
         values = struct.unpack_from(f"<41{letter}", content, place)
         expected += [[values[0]], list(values[1:]), [values[8]]]
         place += 41 * size
-    columns = CdrReader(parse_definitions(TYPE, text), TYPE, paths).columns(
+    columns = BinaryReader(parse_definitions(TYPE, text), TYPE, paths).columns(
         block_of([b"\0\1\0\0" + content[:place]] * 3)
     )
     for path, values in zip(paths, expected, strict=True):
