@@ -23,7 +23,7 @@ FLOOR: Final = 0.1
 CEILING: Final = 10.0
 """Limits of the factor: a noise further off is a fault of the settings."""
 DEGREES_OF_FREEDOM: Final = 20.0
-"""Of Student's t: with the 4 that are often taken clean dives drift by 8 % more, and outliers are kept out no better."""
+"""Of Student's t: with the 4 that are often taken clean dives drift by 8 % more; outliers are kept out no better."""
 
 
 @inlined
