@@ -198,7 +198,7 @@ def _word_of_convergence(interval: RatioInterval) -> EvidenceWord:
 
 
 def _ends(interval: RatioInterval) -> tuple[float, float, float, float]:
-    return interval.ratio, interval.low, interval.high, interval.effective_samples
+    return interval.ratio, interval.low, interval.high, interval.independent
 
 
 def _rms(squared: Floats) -> float:

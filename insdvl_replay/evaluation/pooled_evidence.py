@@ -15,7 +15,14 @@ from insdvl_replay.core.words import EvidenceWord, Judgement
 from insdvl_replay.evaluation.evidence import HONESTY
 from insdvl_replay.evaluation.over_dives import Pooled, pooled_ratio
 from insdvl_replay.evaluation.paired_statistics import word_of
-from insdvl_replay.evaluation.verdicts import AGAINST, changed, interval_in_words, judgement_of, spoken_of
+from insdvl_replay.evaluation.verdicts import (
+    AGAINST,
+    changed,
+    interval_in_words,
+    judgement_of,
+    left_undecided,
+    spoken_of,
+)
 
 EVERY_DIVE: Final = "*"
 """Stands in place of a dive's name."""
@@ -103,7 +110,8 @@ def pooled_sentence(pooled: PooledCandidate) -> str:
         return f"{pooled.name} is NOT JUDGED against {pooled.baseline}: {found}."
     named = "; ".join(_in_words(row) for row in spoken_of(judgement, pooled.rows, DECIDING_TOGETHER))
     found = named or "there is nothing to measure it by"
-    return f"{pooled.name} {AGAINST[judgement]} {pooled.baseline} over {dives}: {found}."
+    left = left_undecided(judgement, pooled.rows, DECIDING_TOGETHER)
+    return f"{pooled.name} {AGAINST[judgement]} {pooled.baseline} over {dives}: {found}{left}."
 
 
 def _in_words(row: PooledRow) -> str:

@@ -99,6 +99,11 @@ def number(value: float | None) -> str:
     return f"{value:.2e}"
 
 
+def significant(value: float | None) -> str:
+    """Write a number with two significant digits, for a narrow column."""
+    return MISSING if value is None or math.isnan(value) else f"{value:.2g}"
+
+
 def counted(count: int, noun: str) -> str:
     """Write how many there are of something."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
