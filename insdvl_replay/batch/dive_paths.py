@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.plain_text import is_writable, read_text
+from insdvl_replay.core.plain_text import NaturalKey, is_writable, natural_key, read_text
 from insdvl_replay.results.folder import is_result
 
 LOG_SUFFIX: Final = ".mcap"
@@ -59,6 +59,10 @@ def find_dives(names: Sequence[str], beside: Path = Path(), *, results: bool = F
     return list(found.values())
 
 
+def _natural(path: Path) -> tuple[NaturalKey, ...]:
+    return tuple(map(natural_key, path.parts))
+
+
 def _meant(name: str, beside: Path, *, results: bool, lists: bool = True) -> list[Path]:
     path = beside / name
     if lists and path.suffix == LIST_SUFFIX and path.is_file():
@@ -68,7 +72,7 @@ def _meant(name: str, beside: Path, *, results: bool, lists: bool = True) -> lis
     elif path.exists() or not _MAGIC & set(name):
         return [path]
     else:
-        matches = sorted(map(Path, glob.glob(str(path), recursive=True)))  # noqa: PTH207  # follows `**` from any root
+        matches = sorted(map(Path, glob.glob(str(path), recursive=True)), key=_natural)  # noqa: PTH207  # follows `**` from any root
         found = [dive for match in matches for dive in _matched(match, results=results)]
     if not found:
         kinds = "logs, bags or results" if results else "logs or bags"
@@ -102,7 +106,7 @@ def _in_folder(folder: Path, *, results: bool, above: frozenset[str] = frozenset
         return
     logs = [path for path in folder.glob(f"*{LOG_SUFFIX}") if path.is_file()]
     folders = [Path(entry) for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith(".")]
-    for path in sorted([*logs, *folders]):
+    for path in sorted([*logs, *folders], key=_natural):
         if path.is_dir():
             yield from _in_folder(path, results=results, above=above | {real})
         else:

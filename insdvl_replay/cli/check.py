@@ -5,7 +5,18 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.options import CheckFormat, Jobs, Rerun, Scheduler, SchedulerTimeout, Settings, Verbose
+from insdvl_replay.cli.options import (
+    AllowDamaged,
+    CheckFormat,
+    Jobs,
+    Preset,
+    Quiet,
+    Rerun,
+    Scheduler,
+    SchedulerTimeout,
+    Settings,
+    Verbose,
+)
 
 
 def check(
@@ -26,7 +37,9 @@ def check(
             "-c", "--config", metavar="FILE", help="Settings in place of those named in GATES. May be repeated."
         ),
     ] = [],  # noqa: B006
+    preset: Preset = None,
     settings: Settings = [],  # noqa: B006
+    allow_damaged: AllowDamaged = False,
     format_: Annotated[CheckFormat, typer.Option("--format", help="How it is told.")] = CheckFormat.TEXT,
     output: Annotated[
         Path | None, typer.Option("--output", metavar="FILE", help="Write it here, and text to stdout.")
@@ -39,6 +52,7 @@ def check(
     scheduler_timeout: SchedulerTimeout = 60.0,
     rerun: Rerun = False,
     verbose: Verbose = 0,
+    quiet: Quiet = False,
 ) -> int:
     """Hold dives against gates, for a job that runs every night.
 
@@ -53,8 +67,9 @@ def check(
       insdvl-replay check gates.toml replay/dive
     """
     from insdvl_replay.batch.cluster import Cluster
-    from insdvl_replay.cli.gated_dives import CheckOptions, OutputOptions, check_dives
+    from insdvl_replay.cli.gated_dives import CheckOptions, GivenSettings, OutputOptions, check_dives
 
     cluster = None if scheduler is None else Cluster(scheduler, scheduler_timeout)
-    options = CheckOptions(results, jobs, cluster, rerun, update)
-    return check_dives(gates, dives, config, settings, options, OutputOptions(format_, output, summary, verbose))
+    options = CheckOptions(results, jobs, cluster, rerun, update, allow_damaged)
+    given = GivenSettings(preset, tuple(config), tuple(settings))
+    return check_dives(gates, dives, given, options, OutputOptions(format_, output, summary, verbose, quiet))

@@ -56,6 +56,16 @@ class OutputOptions:
     file: Path | None
     summary: Path | None
     verbosity: int
+    quiet: bool
+
+
+@dataclass(frozen=True)
+class GivenSettings:
+    """Settings of the command line, which stand in place of those that the gate file names, or on top of them."""
+
+    preset: str | None
+    config: tuple[Path, ...]
+    settings: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -67,13 +77,13 @@ class CheckOptions:
     cluster: Cluster | None
     rerun: bool
     update: bool
+    allow_damaged: bool
 
 
 def check_dives(
     path: Path,
     dives: Sequence[str],
-    config: Sequence[Path],
-    settings: Sequence[str],
+    given: GivenSettings,
     check: CheckOptions,
     output: OutputOptions,
 ) -> int:
@@ -84,7 +94,8 @@ def check_dives(
         raise ConfigError(f"{path}: names no dives", f'`insdvl-replay check {path} DIVE...`, or dives = ["*.mcap"]')
     paths = find_dives(chosen, beside, results=True)
     _require_own_names(output, [path, *paths])
-    options = ReplayOptions(_settings(gates, config, settings), allow_damaged=gates.content.allow_damaged)
+    damaged = check.allow_damaged or gates.content.allow_damaged
+    options = ReplayOptions(_settings(gates, given), allow_damaged=damaged)
     require_known_names(gates, None if any(map(_is_result, paths)) else list(options.config.filters))
     checked = list(_checked(paths, options, check))
     codes = [log_failure(result, output.verbosity) for _, result in checked if isinstance(result, Exception)]
@@ -112,16 +123,16 @@ def _require_own_names(output: OutputOptions, inputs: Sequence[Path]) -> None:
                 raise ConfigError(f"{path}: is what is checked", "give it another name")
 
 
-def _settings(gates: Gates, config: Sequence[Path], settings: Sequence[str]) -> Config:
-    named = gates.content.config
+def _settings(gates: Gates, given: GivenSettings) -> Config:
+    named, config = gates.content.config, given.config
     if not config and named is not None:
         file = gates.path.parent / named
         with looked_for(file):
             if not file.is_file():
                 found = f"{gates.path}: config names {file}, which is no file"
                 raise ConfigError(found, "paths are seen from the gate file")
-        config = [file]
-    return load_config(gates.content.preset, config, settings)
+        config = (file,)
+    return load_config(given.preset or gates.content.preset, config, given.settings)
 
 
 def _is_result(path: Path) -> bool:
@@ -150,7 +161,10 @@ def _update(gates: Gates, checked: Sequence[Checked]) -> None:
 
 
 def _report(result: CheckResult, output: OutputOptions) -> None:
-    written = WRITTEN[output.format](result)
+    if output.quiet and output.format is CheckFormat.TEXT:
+        written = f"{check_sentence(result)}\n"
+    else:
+        written = WRITTEN[output.format](result)
     if output.file is None:
         write_stdout(written, commands=output.format is CheckFormat.GITHUB)
     else:

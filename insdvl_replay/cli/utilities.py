@@ -81,7 +81,9 @@ def config(
     preset: Preset = None,
     file: Annotated[
         list[Path],
-        typer.Option("--from", metavar="FILE", help="Settings as TOML, on top of the preset. May be repeated."),
+        typer.Option(
+            "-c", "--config", "--from", metavar="FILE", help="Settings as TOML, on top of the preset. May be repeated."
+        ),
     ] = [],  # noqa: B006
     settings: Settings = [],  # noqa: B006
     verbose: Verbose = 0,
@@ -93,7 +95,7 @@ def config(
     \b
     Example:
       insdvl-replay config --preset fog > vehicle.toml
-      insdvl-replay config --from vehicle.toml --set dvl.scale=1.01
+      insdvl-replay config -c vehicle.toml --set dvl.scale=1.01
     """
     from insdvl_replay.core.config_file import load_config, render_toml
 

@@ -132,7 +132,7 @@ def _verdict(tables: Tables, baseline: str, candidate: str, unsound: Mapping[str
         else f"{_measured(candidate, baseline, judgement, evidence)}. "
         f"It {_believes(believed_pct, baseline)}{_of_belief(believed_pct, belief, tables, evidence)}"
     )
-    trust = _on_trust(_trust(tables, candidate), _trust(tables, baseline), candidate, baseline)
+    trust = trust_sentence(tables, candidate, baseline)
     shared = "" if independent or not _has_reference(tables) else f" {SHARED}"
     return Candidate(
         verdict=f"{measured}. {trust}{shared}",
@@ -276,7 +276,9 @@ def _where(table: Sequence[CredibilityRow], name: str, credibility: str) -> str:
     return f" in {' and '.join(grave)}" if len(grave) < len(groups) else ""
 
 
-def _on_trust(trust: str, of_baseline: str, candidate: str, baseline: str) -> str:
+def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
+    """State whether innovations and errors of a candidate, and of the baseline, are as large as each says."""
+    trust, of_baseline = _trust(tables, candidate), _trust(tables, baseline)
     if trust != of_baseline:
         return f"{candidate} is {trust}, {baseline} {of_baseline}."
     return "Too few updates to judge either." if trust == Consistency.TOO_FEW else f"Both filters are {trust}."

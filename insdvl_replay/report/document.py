@@ -51,6 +51,8 @@ class DisplayTable:
         What the rows cannot say.
     title_apart : bool
         On a terminal the title has a line of its own, and is not folded to the width of a narrow table.
+    spare : tuple of int
+        Columns that a terminal leaves out where it is too narrow for all, the first of them first.
     """
 
     title: str
@@ -59,6 +61,7 @@ class DisplayTable:
     rows: tuple[tuple[CellText, ...], ...]
     footnote: str = ""
     title_apart: bool = False
+    spare: tuple[int, ...] = ()
 
 
 Row = TypeVar("Row")
@@ -66,7 +69,13 @@ Column = tuple[str, str, Callable[[Row], CellText]]
 """Name, alignment, and what stands there."""
 
 
-def table_of(title: str, rows: Sequence[Row], columns: Sequence[Column[Row]], footnote: str = "") -> DisplayTable:
+def table_of(
+    title: str,
+    rows: Sequence[Row],
+    columns: Sequence[Column[Row]],
+    footnote: str = "",
+    spare: tuple[int, ...] = (),
+) -> DisplayTable:
     """Lay out rows, a column for each thing that is said of them."""
     return DisplayTable(
         title,
@@ -74,6 +83,7 @@ def table_of(title: str, rows: Sequence[Row], columns: Sequence[Column[Row]], fo
         "".join(letter for _, letter, _ in columns),
         tuple(tuple(text(row) for _, _, text in columns) for row in rows),
         footnote,
+        spare=spare,
     )
 
 
@@ -158,7 +168,7 @@ class Remark:
 class Sentences:
     """Sentences that stand together, apart from what is before them."""
 
-    lines: tuple[str | Remark, ...]
+    lines: tuple[str | Remark | Callout, ...]
 
 
 @dataclass(frozen=True)

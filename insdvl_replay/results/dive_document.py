@@ -4,12 +4,9 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from typing import Final
 
-from msgspec.structs import astuple
-
-from insdvl_replay.core.tables import Candidate, each_table
+from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Belief, Judgement
 from insdvl_replay.evaluation.evidence import NAMES
-from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import (
     LONG,
     PAGE,
@@ -92,14 +89,6 @@ def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: 
         settings_details(settings),
     ]
     return page(dive_document(report, drawn, behind))
-
-
-def report_csv(report: Report) -> str:
-    """Write the tables one after the other."""
-    return blocks_csv(
-        "table",
-        {layout.name: (tuple(layout.columns), map(astuple, rows)) for layout, rows in each_table(report.tables)},
-    )
 
 
 def heading(report: Report) -> str:
