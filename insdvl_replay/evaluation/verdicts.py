@@ -105,10 +105,10 @@ def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
     """Return the gravest verdict among the groups of states, of errors against the reference.
 
     All states together may be consistent with roll and pitch far off, below velocities that hardly err. Where no group
-    could be compared, what the first says of that is returned.
+    could be compared, what the first says of that is returned; early results have no groups.
     """
     words = [row.verdict for row in _groups(table, filter_name)]
-    return _gravest(words) if set(words) & set(GRAVEST_FIRST) else words[0]
+    return _gravest(words) if set(words) & set(GRAVEST_FIRST) else next(iter(words), Consistency.NO_REFERENCE)
 
 
 def _groups(table: Sequence[CredibilityRow], filter_name: str) -> list[CredibilityRow]:
