@@ -16,7 +16,6 @@ from msgspec.structs import replace
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import (
-    COASTING_WINDOWS_S,
     CONVERGED,
     CREDIBILITY_GROUPS,
     VERDICTS_BEST_FIRST,
@@ -32,23 +31,6 @@ from insdvl_replay.evaluation.over_dives import holm
 from insdvl_replay.evaluation.paired_statistics import RatioInterval, paired_ratio, windows_ratio, word_of
 
 HONESTY: Final = "honesty"
-NAMES: Final = {
-    "drift_30s": "drift in 30 s",
-    "drift_60s": "drift in 60 s",
-    "drift_100m": "drift in 100 m",
-    "velocity_along": "velocity along",
-    "velocity_across": "velocity across",
-    "depth_60s": "depth in 60 s",
-    "level": "level",
-    "heading": "heading",
-    **{f"coasting_{window}s": f"coasting {window} s" for window in COASTING_WINDOWS_S},
-    "convergence_velocity": "velocity settled",
-    "convergence_level": "level settled",
-    "convergence_heading": "heading settled",
-    "nis": "NIS / dof",
-    "nees": "NEES / dof",
-}
-"""How people are told of a quantity."""
 NOTABLY: Final = 1.1
 """A mean NIS or NEES nearer to its degrees of freedom by less is as honest."""
 SOONER: Final = 0.25

@@ -11,13 +11,13 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, DECIDING, VERDICTS_BEST_FIRST, is_whole
+from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, DECIDING, NAMES, VERDICTS_BEST_FIRST, is_whole
 from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.evaluation.evidence import HONESTY, NAMES
+from insdvl_replay.evaluation.evidence import HONESTY
 
 NOTABLE_PCT: Final = 5.0
 """A smaller gain is not spoken of as one that somebody believes in."""

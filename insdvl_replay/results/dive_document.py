@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from typing import Final
 
+from insdvl_replay.core.quantities import NAMES
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Belief, Judgement
-from insdvl_replay.evaluation.evidence import NAMES
 from insdvl_replay.report.document import (
     LONG,
     PAGE,

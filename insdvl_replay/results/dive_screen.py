@@ -6,12 +6,12 @@ One dive, of up to two candidates, fits 24 lines of 80 columns; of more candidat
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER
+from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER, NAMES
 from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Belief, EvidenceWord, Judgement
-from insdvl_replay.evaluation.evidence import HONESTY, NAMES
+from insdvl_replay.evaluation.evidence import HONESTY
 from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
 from insdvl_replay.report.document import (
     MISSING,
