@@ -36,6 +36,8 @@ class ReplayOptions:
         Add the baseline with its noise fitted.
     trajectories : bool
         Write TUM files, too.
+    histories : bool
+        Write replay.mcap.
     version, sources : str
         Of the tool, which workers elsewhere must have, too.
     """
@@ -44,6 +46,7 @@ class ReplayOptions:
     allow_damaged: bool = False
     control: bool = False
     trajectories: bool = False
+    histories: bool = True
     version: str = __version__
     sources: str = field(default_factory=sources_digest)
 
@@ -195,7 +198,7 @@ def replay_into(job: ReplayJob) -> bytes:
             "--scheduler needs workers that see the same files under the same paths",
         )
     with result_folder(job.target, force=True) as folder:
-        save_replay(replay, folder)
+        save_replay(replay, folder, histories=job.options.histories)
         if job.options.trajectories:
             save_trajectories(replay, folder)
         report = decode_report((folder / COMPLETE).read_bytes())

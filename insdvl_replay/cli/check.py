@@ -17,6 +17,7 @@ from insdvl_replay.cli.options import (
     Settings,
     Verbose,
 )
+from insdvl_replay.core.errors import ConfigError
 
 
 def check(
@@ -47,6 +48,18 @@ def check(
     summary: Annotated[
         Path | None, typer.Option("--summary-file", metavar="FILE", help="Add it here, too, as Markdown.")
     ] = None,
+    only: Annotated[
+        list[str], typer.Option("--only", metavar="GATE", help="Gates of this name or pattern alone. May be repeated.")
+    ] = [],  # noqa: B006
+    skip: Annotated[
+        list[str], typer.Option("--skip", metavar="GATE", help="No gates of this name or pattern. May be repeated.")
+    ] = [],  # noqa: B006
+    shard: Annotated[
+        str, typer.Option("--shard", metavar="I/N", help="Every N-th dive from the I-th: a part of the archive.")
+    ] = "1/1",
+    histories: Annotated[
+        bool, typer.Option("--keep-histories", help="Write replay.mcap, the largest file of a result, too.")
+    ] = False,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     scheduler_timeout: SchedulerTimeout = 60.0,
@@ -65,11 +78,21 @@ def check(
       insdvl-replay check gates.toml
       insdvl-replay check gates.toml --jobs 4 --format junit --output gates.xml
       insdvl-replay check gates.toml replay/dive
+      insdvl-replay check gates.toml --only "position*" --shard 1/1
     """
     from insdvl_replay.batch.cluster import Cluster
     from insdvl_replay.cli.gated_dives import CheckOptions, GivenSettings, OutputOptions, check_dives
 
     cluster = None if scheduler is None else Cluster(scheduler, scheduler_timeout)
-    options = CheckOptions(results, jobs, cluster, rerun, update, allow_damaged)
+    options = CheckOptions(
+        results, jobs, cluster, rerun, update, allow_damaged, histories, tuple(only), tuple(skip), _shard(shard)
+    )
     given = GivenSettings(preset, tuple(config), tuple(settings))
     return check_dives(gates, dives, given, options, OutputOptions(format_, output, summary, verbose, quiet))
+
+
+def _shard(text: str) -> tuple[int, int]:
+    part, slash, parts = text.partition("/")
+    if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+        raise ConfigError(f"--shard {text}: is not a part such as 1/4", "--shard 1/4, --shard 2/4 and so on")
+    return int(part), int(parts)

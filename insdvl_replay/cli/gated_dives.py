@@ -23,7 +23,7 @@ from insdvl_replay.gates.checking import (
     evaluate_gates,
     write_baselines,
 )
-from insdvl_replay.gates.gate_file import Gates, load_gates, require_known_names
+from insdvl_replay.gates.gate_file import Gates, chosen_gates, load_gates, require_known_names
 from insdvl_replay.gates.model import CheckResult
 from insdvl_replay.gates.output import (
     baseline_text,
@@ -78,6 +78,10 @@ class CheckOptions:
     rerun: bool
     update: bool
     allow_damaged: bool
+    histories: bool
+    only: tuple[str, ...] = ()
+    skip: tuple[str, ...] = ()
+    shard: tuple[int, int] = (1, 1)
 
 
 def check_dives(
@@ -88,17 +92,18 @@ def check_dives(
     output: OutputOptions,
 ) -> int:
     """Hold dives against gates."""
-    gates = load_gates(path)
+    gates = chosen_gates(load_gates(path), check.only, check.skip)
     chosen, beside = (dives, Path()) if dives else (gates.content.dives, path.parent)
     if not chosen:
         raise ConfigError(f"{path}: names no dives", f'`insdvl-replay check {path} DIVE...`, or dives = ["*.mcap"]')
-    paths = find_dives(chosen, beside, results=True)
+    part, parts = check.shard
+    paths = find_dives(chosen, beside, results=True)[part - 1 :: parts]
     _require_own_names(output, [path, *paths])
     damaged = check.allow_damaged or gates.content.allow_damaged
-    options = ReplayOptions(_settings(gates, given), allow_damaged=damaged)
+    options = ReplayOptions(_settings(gates, given), allow_damaged=damaged, histories=check.histories)
     require_known_names(gates, None if any(map(_is_result, paths)) else list(options.config.filters))
     checked = list(_checked(paths, options, check))
-    codes = [log_failure(result, output.verbosity) for _, result in checked if isinstance(result, Exception)]
+    codes = [log_failure(result, output.verbosity) for _, result, _ in checked if isinstance(result, Exception)]
     if check.update:
         _update(gates, checked)
     result = evaluate_gates(gates, checked)
@@ -149,7 +154,7 @@ def _checked(paths: Sequence[Path], options: ReplayOptions, check: CheckOptions)
                 yield from checked_results(path)
             else:
                 outcome = next(replays)
-                yield checked_replay(outcome.job.target.name, outcome.result)
+                yield checked_replay(outcome.job.target, outcome.result)
 
 
 def _update(gates: Gates, checked: Sequence[Checked]) -> None:

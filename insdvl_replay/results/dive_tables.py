@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, Protocol, TypeVar
 
+from insdvl_replay.core.pooled_row import PooledRow
 from insdvl_replay.core.quantities import NAMES, is_whole
 from insdvl_replay.core.rows import (
     CoastingRow,
@@ -17,7 +18,7 @@ from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Judgement, ReferenceStatus
 from insdvl_replay.evaluation.evidence import HONESTY
-from insdvl_replay.evaluation.pooled_evidence import PooledCandidate, PooledRow
+from insdvl_replay.evaluation.pooled_evidence import PooledCandidate
 from insdvl_replay.report.document import (
     MISSING,
     Column,

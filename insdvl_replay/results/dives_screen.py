@@ -7,12 +7,13 @@ from functools import partial
 from typing import Final
 
 from insdvl_replay.core.plain_text import natural_key
+from insdvl_replay.core.pooled_row import PooledRow
 from insdvl_replay.core.quantities import DECIDING_TOGETHER, NAMES
 from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import GateStatus, Judgement, Severity
 from insdvl_replay.evaluation.evidence import HONESTY
-from insdvl_replay.evaluation.pooled_evidence import PooledCandidate, PooledRow
+from insdvl_replay.evaluation.pooled_evidence import PooledCandidate
 from insdvl_replay.evaluation.verdicts import spoken_of
 from insdvl_replay.report.document import (
     MISSING,

@@ -31,8 +31,8 @@ DOCUMENTED = {
     "check": [
         "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--preset NAME",
         "--set KEY=VALUE", "--allow-damaged",
-        "--format <text|md|json|junit|github>", "--output FILE", "--summary-file FILE", "--jobs N", "--scheduler ADDR",
-        "--scheduler-patience S",
+        "--format <text|md|json|junit|github>", "--output FILE", "--summary-file FILE", "--only GATE",
+        "--skip GATE", "--shard I/N", "--keep-histories", "--jobs N", "--scheduler ADDR", "--scheduler-patience S",
         "--rerun", "-v, --verbose", "-q, --quiet", "-h, --help",
     ],
     "inspect": [
