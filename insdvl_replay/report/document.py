@@ -11,7 +11,7 @@ from typing import Final, Literal, TypeVar
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.states import STATES
-from insdvl_replay.report.plots.panel import Figure
+from insdvl_replay.report.plots.panel import Figure, Panel
 
 MISSING: Final = "-"
 _LABELS: Final = {state.id: state.label for state in STATES}
@@ -132,8 +132,8 @@ def percent(value: float | None) -> str:
 Format = Literal["terminal", "markdown", "latex", "html"]
 PRINTED: Final[tuple[Format, ...]] = ("terminal", "markdown", "latex")
 PAGE: Final[tuple[Format, ...]] = ("html",)
-LONG: Final[tuple[Format, ...]] = ("markdown", "latex", "html")
-"""What is too long for a terminal."""
+PRINTED_LONG: Final[tuple[Format, ...]] = ("markdown", "latex")
+"""Of what is printed, that which is not too long."""
 
 
 @dataclass(frozen=True)
@@ -210,6 +210,22 @@ class Details:
 
 
 @dataclass(frozen=True)
+class Folded:
+    """Tables of a page that are folded away under a line; on paper they are left out."""
+
+    title: str
+    tables: tuple[DisplayTable, ...]
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures of a page that stand in one row, each a panel, or a fragment with a title of its own."""
+
+    shown: tuple[Panel | str, ...]
+    caption: str
+
+
+@dataclass(frozen=True)
 class Html:
     """A fragment of a page that is HTML already."""
 
@@ -226,7 +242,7 @@ class Only:
 
 Text = str | Title | Callout | Remark
 """Of one sentence; plain text becomes a paragraph."""
-OfPage = Heading | LinkedTable | Facts | Details | Figure | Html
+OfPage = Heading | LinkedTable | Facts | Details | Folded | Pictures | Figure | Html
 """What pages alone can show."""
 Part = Text | Sentences | Code | DisplayTable | OfPage | Only
 Document = Sequence[Part]

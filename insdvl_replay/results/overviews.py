@@ -181,12 +181,18 @@ def _dives_table(outcomes: Sequence[Report | Failure]) -> tuple[DisplayTable, tu
 def _opening(outcomes: Sequence[Report | Failure]) -> Iterator[Callout]:
     """State how many candidates are better, worse, or neither."""
     reports = [outcome for outcome in outcomes if isinstance(outcome, Report)]
-    counts = Counter(candidate.improvement for report in reports for candidate in report.filters.values())
+    counts: dict[str, Counter[str]] = {}
+    for report in reports:
+        for name, candidate in report.filters.items():
+            counts.setdefault(name, Counter())[candidate.improvement] += 1
     for pooled in pooled_candidates(outcomes):
         yield Callout(pooled_sentence(pooled), TONES.get(pooled.judgement, ""))
     if counts:
-        found = ", ".join(f"{count} {word}" for word, count in counts.most_common())
-        yield Callout(f"Dive by dive, against the baseline: {found}.")
+        found = (
+            f"{name}: {', '.join(f'{count} {word}' for word, count in words.most_common())}"
+            for name, words in counts.items()
+        )
+        yield Callout(f"Dive by dive, against the baseline: {'; '.join(found)}.")
 
 
 def _index_rows(outcome: Report | Failure) -> Iterator[tuple[tuple[str, ...], str]]:

@@ -17,7 +17,7 @@ from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
 from insdvl_replay.replay import Replay
 from insdvl_replay.report.csv_tables import structs_csv
 from insdvl_replay.results.dive_document import dive_page
-from insdvl_replay.results.dive_figures import replay_coverage, replay_figures
+from insdvl_replay.results.dive_figures import replay_coverage, replay_figures, replay_first_panels
 from insdvl_replay.results.folder import PAGE, REFERENCE_TRAJECTORY, REPLAY_LOG, TRAJECTORY_FILE, trajectory_file
 from insdvl_replay.results.json_report import Report, build_report, encode_report, this_tool
 from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference
@@ -118,7 +118,9 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     (folder / "run.log").write_text(run_log(report), "utf-8")
     begin("drawing the report")
     strips = replay_coverage(replay)  # before the figures, which hold much until they are drawn
-    (folder / PAGE).write_bytes(dive_page(report, replay_figures(replay), strips, settings))
+    (folder / PAGE).write_bytes(
+        dive_page(report, replay_first_panels(replay), replay_figures(replay), strips, settings)
+    )
     (folder / "report.json").write_bytes(encode_report(report))
 
 

@@ -63,7 +63,7 @@ import insdvl_replay.replay as hall
 import insdvl_replay.results.result_files as disk
 from insdvl_replay.cli import main
 
-def save_half(replay, folder):
+def save_half(replay, folder, **how):
     (folder / "report.json").write_text("half")
     print("half-written", flush=True)
     time.sleep(60)
