@@ -38,6 +38,8 @@ class ReplayOptions:
         Write TUM files, too.
     histories : bool
         Write replay.mcap.
+    history_format : str
+        In which the history of each filter is written beside it; empty for none.
     version, sources : str
         Of the tool, which workers elsewhere must have, too.
     """
@@ -47,6 +49,7 @@ class ReplayOptions:
     control: bool = False
     trajectories: bool = False
     histories: bool = True
+    history_format: str = ""
     version: str = __version__
     sources: str = field(default_factory=sources_digest)
 
@@ -186,7 +189,7 @@ def replay_into(job: ReplayJob) -> bytes:
         )
     from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
     from insdvl_replay.replay import replay_log
-    from insdvl_replay.results.result_files import save_replay, save_trajectories
+    from insdvl_replay.results.result_files import save_histories, save_replay, save_trajectories
 
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     run = replay_with_tuned_baseline if job.options.control else replay_log
@@ -201,6 +204,8 @@ def replay_into(job: ReplayJob) -> bytes:
         save_replay(replay, folder, histories=job.options.histories)
         if job.options.trajectories:
             save_trajectories(replay, folder)
+        if job.options.history_format:
+            save_histories(replay, folder, job.options.history_format)
         report = decode_report((folder / COMPLETE).read_bytes())
         tool = msgspec.structs.replace(
             report.tool, started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3)

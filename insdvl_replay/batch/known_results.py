@@ -20,6 +20,7 @@ from insdvl_replay.results.folder import (
     NOT_JSON,
     REPLAY_LOG,
     damaged_files,
+    history_file,
     require_replaceable_folder,
     trajectory_file,
 )
@@ -82,6 +83,8 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
         report = decode_report((job.target / COMPLETE).read_bytes())
         filters = [report.baseline, *report.filters] if job.options.trajectories else []
         wanted = {*map(trajectory_file, filters), *([REPLAY_LOG] if job.options.histories else [])}
+        if job.options.history_format:
+            wanted |= {history_file(name, job.options.history_format) for name in (report.baseline, *report.filters)}
         same = (
             (report.tool.version, report.tool.sources) == (job.options.version, job.options.sources)
             and report.versions == package_versions()

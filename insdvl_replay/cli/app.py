@@ -8,6 +8,7 @@ from insdvl_replay import __version__
 from insdvl_replay.cli.calibrate import calibrate
 from insdvl_replay.cli.check import check
 from insdvl_replay.cli.compare import compare
+from insdvl_replay.cli.figure import figure
 from insdvl_replay.cli.inspection import inspect
 from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.options import PlainCommand
@@ -19,7 +20,7 @@ from insdvl_replay.cli.utilities import compile_, config, schema, simulate
 app = typer.Typer(
     rich_markup_mode=None, pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]}
 )
-for command in (run, compare, check, inspect, calibrate, simulate, config, schema):
+for command in (run, compare, check, inspect, calibrate, figure, simulate, config, schema):
     app.command(cls=PlainCommand)(command)
 app.command("compile", cls=PlainCommand)(compile_)
 app.add_typer(study, name="study")

@@ -55,6 +55,13 @@ class Format(StrEnum):
     LATEX = "latex"
 
 
+class HistoryFormat(StrEnum):
+    """How histories are written."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+
+
 class ComparisonFormat(StrEnum):
     """How a comparison is printed: as all tables are, or as a page."""
 

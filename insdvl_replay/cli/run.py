@@ -14,6 +14,7 @@ from insdvl_replay.cli.options import (
     End,
     Force,
     Format,
+    HistoryFormat,
     Jobs,
     Logs,
     OneDive,
@@ -53,6 +54,9 @@ def run(
     tum: Annotated[
         bool, typer.Option("--tum", help="Write trajectories for evo, too: filter_NAME.tum and reference.tum.")
     ] = False,
+    history: Annotated[
+        HistoryFormat | None, typer.Option("--history", help="Write the whole history of each filter, too.")
+    ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
@@ -86,12 +90,22 @@ def run(
     from insdvl_replay.cli.dives import RunOptions, replay_dives
     from insdvl_replay.core.config_file import load_config
 
+    if history is HistoryFormat.PARQUET:
+        from insdvl_replay.results.histories import require_parquet
+
+        require_parquet()
     drawn = [] if starts is None else [f"evaluation.starts={starts}"]
     resolved = load_config(preset, config, [*settings, *span_settings(start, end), *drawn])
     cluster = None if scheduler is None else Cluster(scheduler, scheduler_timeout)
     return replay_dives(
         logs,
         output,
-        ReplayOptions(resolved, allow_damaged=allow_damaged, control=control, trajectories=tum),
+        ReplayOptions(
+            resolved,
+            allow_damaged=allow_damaged,
+            control=control,
+            trajectories=tum,
+            history_format=history.value if history else "",
+        ),
         RunOptions(format_, tuple(tables), one_dive, strict, force, rerun, jobs, cluster, verbose, quiet),
     )

@@ -14,6 +14,7 @@ GROUPS: Final = {
     "misalignment_sd": tuple(f"{state.id}_sd" for state in STATES[PHI]),
     "accelerometer_bias_sd": tuple(f"{state.id}_sd" for state in STATES[BA]),
     "gyro_bias_sd": tuple(f"{state.id}_sd" for state in STATES[BG]),
+    "nis": ("nis_velocity", "nis_acceleration"),
     "error": ("position_error_m", "depth_error_m", "velocity_error_mps", "level_error_deg", "heading_error_deg"),
 }
 """Quantities that are compared together: a difference is small beside the largest of its group."""

@@ -70,6 +70,13 @@ def page(document: Document, script: str = "") -> bytes:
     return "\n".join(lines).encode()
 
 
+def fragment(document: Document) -> str:
+    """Render a document as a part of somebody else's page, such as a notebook, with no style of its own."""
+    parts = [part for part in document if not isinstance(part, Title)]
+    titles = "".join(f"<h3>{escape(part.text)}</h3>" for part in document if isinstance(part, Title))
+    return f"<div>{titles}{''.join(_html(part) for part in parts)}</div>"
+
+
 def is_page(data: bytes) -> bool:
     """Return whether a file is a page of ours."""
     return _SIGNATURE.encode() in data[:1000]
@@ -94,6 +101,12 @@ def _table(table: DisplayTable, links: Sequence[str] = ()) -> str:
 
 
 def _table_title(title: str) -> str:
+    if not title:
+        return ""
+    return _named_title(title)
+
+
+def _named_title(title: str) -> str:
     """Render the title of a table: what stands before its colon, or all of it, is its name."""
     name, colon, rest = title.partition(": ")
     return f"<h3><b>{escape(name + colon.rstrip())}</b>{' ' if rest else ''}{escape(rest)}</h3>"

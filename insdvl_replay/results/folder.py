@@ -102,6 +102,11 @@ class _Label(msgspec.Struct):
     files: dict[str, str] = {}
 
 
+def history_file(name: str, format_: str) -> str:
+    """Name the file of a filter's whole history, in ``csv`` or ``parquet``."""
+    return f"history_{name}.{format_}"
+
+
 def trajectory_file(name: str) -> str:
     """Name the file of a filter's trajectory; no filter's name makes it that of the reference."""
     return f"filter_{name}.tum"

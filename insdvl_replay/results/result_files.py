@@ -19,6 +19,7 @@ from insdvl_replay.report.csv_tables import structs_csv
 from insdvl_replay.results.dive_document import dive_page
 from insdvl_replay.results.dive_figures import replay_coverage, replay_figures, replay_first_panels
 from insdvl_replay.results.folder import PAGE, REFERENCE_TRAJECTORY, REPLAY_LOG, TRAJECTORY_FILE, trajectory_file
+from insdvl_replay.results.histories import write_history
 from insdvl_replay.results.json_report import Report, build_report, encode_report, this_tool
 from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
@@ -45,6 +46,12 @@ def save_trajectories(replay: Replay, folder: Path) -> None:
     text = tum_trajectory(reference.time_ns[inside], reference.position[inside], reference.mat_nb[inside], origin)
     if text:
         (folder / REFERENCE_TRAJECTORY).write_bytes(text)
+
+
+def save_histories(replay: Replay, folder: Path, format_: str) -> None:
+    """Write the whole history of each filter, as CSV or Parquet."""
+    for history in replay.histories:
+        write_history(history, folder, format_)
 
 
 def tum_trajectory(time_ns: TimeNs, position: Floats, mat_nb: Floats, origin: Floats) -> bytes:

@@ -5,15 +5,17 @@ reference. numpy reads it: ``names``, ``columns``, ``time_s``, ``sha256`` of the
 times, columns).
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.core.quantities import MEASUREMENTS
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG, STATES
 from insdvl_replay.core.trajectory_columns import COLUMNS, GROUPS
 from insdvl_replay.geometry.frames import north_east_down_m
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
     from insdvl_replay.evaluation.reference import ReferenceErrors
     from insdvl_replay.replay import Replay
 
+_CURVE: Final = "curve_"
+"""Begins the name of an array that is no sample of a second."""
 _HELD_NS: Final = 10 * NS_PER_S
 """An error against the reference stands for so long after the time of the reference."""
 
@@ -43,12 +47,16 @@ class Trajectory:
         From the start of the replay.
     values : ndarray, shape (filters, k, columns)
         In the order of `COLUMNS`; NaN where nothing is known.
+    curves : dict of str to ndarray
+        Measured convergence, by quantity: ``QUANTITY_time_s``, shape (g,), and ``QUANTITY_rms`` and
+        ``QUANTITY_believed``, shape (filters, g), SI units.
     """
 
     sha256: str
     names: tuple[str, ...]
     time_s: Floats
     values: Floats
+    curves: Mapping[str, Floats] = field(default_factory=dict)
 
     def of(self, name: str, column: str) -> Floats:
         """Return one column of one filter, shape (k,)."""
@@ -62,12 +70,28 @@ def trajectory_of(replay: "Replay") -> Trajectory:
     origin = replay.histories[0].position[0]
     values = np.stack(
         [
-            np.column_stack([_states(history, grid_ns, origin), _errors(replay.errors.get(history.filter), grid_ns)])
+            np.column_stack(
+                [
+                    _states(history, grid_ns, origin),
+                    _nis(history, grid_ns),
+                    _errors(replay.errors.get(history.filter), grid_ns),
+                ]
+            )
             for history in replay.histories
         ]
     )
     names = tuple(history.filter for history in replay.histories)
-    return Trajectory(replay.dive.sha256, names, (grid_ns - replay.start_ns) / NS_PER_S, values)
+    return Trajectory(replay.dive.sha256, names, (grid_ns - replay.start_ns) / NS_PER_S, values, _curves(replay))
+
+
+def _curves(replay: "Replay") -> dict[str, Floats]:
+    names = [history.filter for history in replay.histories]
+    found: dict[str, Floats] = {}
+    for quantity, curve in replay.curves.convergence.items():
+        found[f"{quantity}_time_s"] = curve.time_s
+        found[f"{quantity}_rms"] = np.stack([curve.rms[name] for name in names])
+        found[f"{quantity}_believed"] = np.stack([curve.believed[name] for name in names])
+    return found
 
 
 def _states(history: "History", grid_ns: TimeNs, origin: Floats) -> Floats:
@@ -83,6 +107,16 @@ def _states(history: "History", grid_ns: TimeNs, origin: Floats) -> Floats:
             history.sd[rows] / np.array([state.factor for state in STATES]),
         ]
     )
+
+
+def _nis(history: "History", grid_ns: TimeNs) -> Floats:
+    """Return the NIS of the last update of each measurement, over its degrees of freedom; NaN before the first."""
+    found = np.full((len(grid_ns), len(MEASUREMENTS)), np.nan)
+    for met in history.innovations:
+        if len(met.time_ns):
+            rows, begun = _last_before(met.time_ns, grid_ns), grid_ns >= met.time_ns[0]
+            found[begun, MEASUREMENTS.index(met.measurement)] = met.nis[rows[begun]] / met.dof
+    return found
 
 
 def _errors(errors: "ReferenceErrors | None", grid_ns: TimeNs) -> Floats:
@@ -114,15 +148,16 @@ def _last_before(time_ns: TimeNs, grid_ns: TimeNs) -> NDArray[np.int64]:
 
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
     """Write a trajectory; the same one gives the same bytes."""
+    arrays: dict[str, Any] = {
+        "sha256": np.array(trajectory.sha256),
+        "names": np.array(trajectory.names),
+        "columns": np.array(COLUMNS),
+        "time_s": trajectory.time_s,
+        "values": trajectory.values,
+        **{f"{_CURVE}{name}": curve for name, curve in trajectory.curves.items()},
+    }
     with path.open("wb") as file:
-        np.savez(
-            file,
-            sha256=np.array(trajectory.sha256),
-            names=np.array(trajectory.names),
-            columns=np.array(COLUMNS),
-            time_s=trajectory.time_s,
-            values=trajectory.values,
-        )
+        np.savez(file, **arrays)
 
 
 def read_trajectory(path: Path) -> Trajectory | None:
@@ -131,8 +166,8 @@ def read_trajectory(path: Path) -> Trajectory | None:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             if tuple(stored["columns"].tolist()) != COLUMNS:
                 return None
-            return Trajectory(
-                str(stored["sha256"]), tuple(stored["names"].tolist()), stored["time_s"], stored["values"]
-            )
+            curves = {name.removeprefix(_CURVE): stored[name] for name in stored.files if name.startswith(_CURVE)}
+            names = tuple(stored["names"].tolist())
+            return Trajectory(str(stored["sha256"]), names, stored["time_s"], stored["values"], curves)
     except (OSError, ValueError, KeyError, EOFError, TypeError, BadZipFile):
         return None

@@ -18,7 +18,7 @@ DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--starts K", "--format <table|json|csv|md|latex>", "--table NAME",
-        "--allow-damaged", "--one-dive", "--control", "--tum", "--strict", "--jobs N", "--scheduler ADDR",
+        "--allow-damaged", "--one-dive", "--control", "--tum", "--history <csv|parquet>", "--strict", "--jobs N", "--scheduler ADDR",
         "--scheduler-patience S",
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
     ],
@@ -43,6 +43,10 @@ DOCUMENTED = {
         "LOG...", "-o, --output FILE", "--page FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
         "--only NAMES", "--reference", "--delays <each|one>", "--mounting <known|unknown>", "--hold-out SHARE|DIVE",
         "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose", "-h, --help",
+    ],
+    "figure": [
+        "RESULT", "KIND", "-o, --output FILE", "--format <pdf|svg|png|pgf>", "--width MM", "--states NAMES", "--force",
+        "-v, --verbose", "-h, --help",
     ],
     "simulate": [
         "SCENARIO", "-o, --output LOG", "--seed N", "--duration S", "--imu GRADE", "--outage START:END",
