@@ -18,8 +18,8 @@ DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--starts K", "--format <table|json|csv|md|latex>", "--table NAME",
-        "--allow-damaged", "--one-dive", "--control", "--tum", "--history <csv|parquet>", "--strict", "--jobs N", "--scheduler ADDR",
-        "--scheduler-patience S",
+        "--allow-damaged", "--one-dive", "--control", "--tum", "--history <csv|parquet>", "--strict", "--jobs N",
+        "--scheduler ADDR", "--scheduler-patience S",
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
     ],
     "compare": [
