@@ -6,7 +6,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insdvl_replay.cli.options import AllowDamaged, ConfigFiles, Force, Format, Logs, OneDive, Preset, Settings, Verbose
+from insdvl_replay.cli.options import (
+    AllowDamaged,
+    Color,
+    Colored,
+    ConfigFiles,
+    Force,
+    Format,
+    Logs,
+    OneDive,
+    Preset,
+    Settings,
+    Verbose,
+)
 
 if TYPE_CHECKING:
     from insdvl_replay.calibration.dives import ReadDive
@@ -60,6 +72,7 @@ def calibrate(
     one_dive: OneDive = False,
     force: Force = False,
     verbose: Verbose = 0,
+    color: Colored = Color.AUTO,
 ) -> int:
     """Estimate where the DVL sits, how it is turned, how late and how long it reads.
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from insdvl_replay.cli.options import (
+    Color,
+    Colored,
     ConfigFiles,
     End,
     Force,
@@ -68,6 +70,7 @@ def montecarlo(
     format_: StudyFormat = Format.TABLE,
     force: Force = False,
     verbose: Verbose = 0,
+    color: Colored = Color.AUTO,
 ) -> None:
     """Simulate a dive many times and hold the filters' uncertainty against their true errors.
 
@@ -129,6 +132,7 @@ def window(
     format_: StudyFormat = Format.TABLE,
     force: Force = False,
     verbose: Verbose = 0,
+    color: Colored = Color.AUTO,
 ) -> int:
     """Find the number of past velocities that makes the best acceleration.
 
@@ -179,6 +183,7 @@ def observability(
     format_: StudyFormat = Format.TABLE,
     force: Force = False,
     verbose: Verbose = 0,
+    color: Colored = Color.AUTO,
 ) -> None:
     """Say which errors at the start of a dive its measurements can tell apart, and which they cannot.
 

@@ -48,11 +48,12 @@ def simulate(
       insdvl-replay simulate figure-eight -o dive.mcap --imu tactical --seed 7
       insdvl-replay simulate straight -o dive.mcap --outage 60:90 --lost-beam 2:120:180
     """
+    from insdvl_replay.cli.screen import spinner
     from insdvl_replay.logs.writing.dive_log import write_dive
     from insdvl_replay.results.folder import result_file
     from insdvl_replay.sim.dive import simulate_dive
 
-    with result_file(output, force=force) as path:
+    with result_file(output, force=force) as path, spinner(f"simulating {scenario}"):
         dive = simulate_dive(
             scenario,
             seed=seed,

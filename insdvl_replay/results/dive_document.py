@@ -44,6 +44,7 @@ _LOUD: Final = (Judgement.WORSE, Judgement.NOT_JUDGED)
 _MEASURED_BY: Final = {"phi_n": "level", "phi_e": "level", "phi_d": "heading"}
 """States of which a piece of evidence tells, and which."""
 MEANING: Final = "Shaded behind panels over time: the vehicle turns (grey), or the DVL has no velocity (ochre)."
+_MOST_GAINS: Final = 2
 _FULL_PCT: Final = 100.0
 """Longer bars end at the edge; the number beside them says it all."""
 
@@ -184,16 +185,22 @@ def _figure(title: str, caption: str, content: str) -> Html:
 
 def _bars(report: Report) -> Iterator[str]:
     """Draw what each candidate believes to have gained beside what was measured, where both are known."""
-    for name in report.filters:
-        gains = list(_gains(report, name))
-        if gains:
-            rows = "".join(_gain_row(*gain) for gain in gains)
-            yield (
-                f"<section><h3><b>{escape(visible(name))}</b>: smaller errors, believed (blue) and "
-                'measured</h3><table class="bars"><thead><tr><th>quantity</th><th class="r">believed</th>'
-                '<th class="r">measured</th><th class="axis"><span>&minus;100 %</span><span>0</span>'
-                f"<span>100 %</span></th></tr></thead><tbody>{rows}</tbody></table></section>"
-            )
+    gains = {name: list(_gains(report, name)) for name in report.filters}
+    known = {name: found for name, found in gains.items() if found}
+    if known:
+        # Beside several candidates there is room for the mean, and for one of the states that have a measured error.
+        most = _MOST_GAINS if len(known) > 1 else None
+        rows = "".join(
+            f'<tr><th scope="rowgroup" colspan="4"><b>{escape(visible(name))}</b></th></tr>'
+            + "".join(_gain_row(*gain) for gain in found[:most])
+            for name, found in known.items()
+        )
+        yield (
+            '<section><h3>smaller errors, <b>believed</b> (blue) and <b>measured</b></h3><table class="bars"><thead>'
+            '<tr><th>quantity</th><th class="r">believed</th><th class="r">measured</th><th class="axis">'
+            "<span>&minus;100 %</span><span>0</span><span>100 %</span></th></tr></thead>"
+            f"<tbody>{rows}</tbody></table></section>"
+        )
 
 
 def _gains(report: Report, name: str) -> Iterator[tuple[str, float | None, float | None]]:

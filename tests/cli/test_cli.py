@@ -37,12 +37,14 @@ DOCUMENTED = {
     ],
     "inspect": [
         "LOG...", "--deep", "--propose FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
-        "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose", "-h, --help",
+        "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose",
+        "--color <auto|always|never>", "-h, --help",
     ],
     "calibrate": [
         "LOG...", "-o, --output FILE", "--page FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
         "--only NAMES", "--reference", "--delays <each|one>", "--mounting <known|unknown>", "--hold-out SHARE|DIVE",
-        "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose", "-h, --help",
+        "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose",
+        "--color <auto|always|never>", "-h, --help",
     ],
     "figure": [
         "RESULT", "KIND", "-o, --output FILE", "--format <pdf|svg|png|pgf>", "--width MM", "--states NAMES", "--force",
@@ -58,7 +60,8 @@ DOCUMENTED = {
     "study montecarlo": [
         "SCENARIO", "--runs N", "--seed N", "--run K", "--duration S", "--imu GRADE", "--outage START:END", "--jobs N",
         "-o, --output DIR", "--png", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
-        "--format <table|json|csv|md|latex>", "--force", "-v, --verbose", "-h, --help",
+        "--format <table|json|csv|md|latex>", "--force", "-v, --verbose",
+        "--color <auto|always|never>", "-h, --help",
     ],
 }  # fmt: skip
 WITH_STAND_IN = """
