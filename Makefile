@@ -5,7 +5,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: demo test extras quick processors check lint bench judge attack lock samples schemas pictures readme reproduce clean
+.PHONY: demo test extras quick processors check lint bench judge attack lock samples schemas pictures readme reproduce docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
@@ -78,6 +78,11 @@ pictures: .venv/run.stamp
 
 readme: .venv/run.stamp
 	$(BIN)/python pages/readme.py
+
+# The pages as a site, in build/site; a link that leads nowhere is an error.
+docs: .venv/test.stamp
+	$(BIN)/python pages/site_pages.py build/pages
+	$(BIN)/python -m mkdocs build --strict --quiet
 
 # Needs the eight dives of the AUV Snapir, in ../shared/data/snapir or where DIVES says.
 DIVES ?= ../shared/data/snapir

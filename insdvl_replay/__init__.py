@@ -32,4 +32,20 @@ Biases are what remains in the readings: ``reading = true + bias``.
 What is missing is NaN with a word that says why, never 0.
 """
 
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from insdvl_replay.api import Result, load_config, read_result, replay_log
+
+__all__ = ["Result", "__version__", "load_config", "read_result", "replay_log"]
+
+
+def __getattr__(name: str) -> Any:
+    """Load the public names when they are asked for: whoever wants help on a command must not wait for numpy."""
+    if name in __all__:
+        from insdvl_replay import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

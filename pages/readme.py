@@ -18,7 +18,8 @@ PAPER = {"straight": (18.76, 56.73), "figure_eight": (40.0, 54.0)}
 def run_sample(name: str, output: str) -> str:
     """Run ``insdvl-replay run`` on a sample log, into a pipe."""
     command = [sys.executable, "-m", "insdvl_replay", "run", f"sample_logs/{name}.mcap", "--output", output]
-    return subprocess.run(command, cwd=PROJECT, check=True, capture_output=True, text=True).stdout.strip()
+    done = subprocess.run(command, cwd=PROJECT, check=True, capture_output=True, text=True)
+    return done.stdout.strip().replace(f"{output}/", "replay/")
 
 
 def tour() -> str:

@@ -19,11 +19,12 @@ from written import PROJECT, markdown_table, renewed
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.pooled_row import PooledRow
+from insdvl_replay.core.quantities import NAMES
 from insdvl_replay.core.states import NINE
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.evaluation.ensemble import Ensemble
-from insdvl_replay.evaluation.evidence import NAMES
-from insdvl_replay.evaluation.pooled_evidence import PooledRow, pooled_evidence
+from insdvl_replay.evaluation.pooled_evidence import pooled_evidence
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.studies.montecarlo import study_montecarlo

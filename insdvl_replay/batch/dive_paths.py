@@ -8,7 +8,7 @@ from typing import Final
 
 from insdvl_replay.core.dive_record import LOG_SUFFIXES
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.plain_text import is_writable, read_text
+from insdvl_replay.core.plain_text import NaturalKey, is_writable, natural_key, read_text
 from insdvl_replay.results.folder import is_result
 
 LIST_SUFFIX: Final = ".txt"
@@ -60,6 +60,10 @@ def find_dives(names: Sequence[str], beside: Path = Path(), *, results: bool = F
     return list(found.values())
 
 
+def _natural(path: Path) -> tuple[NaturalKey, ...]:
+    return tuple(map(natural_key, path.parts))
+
+
 def _meant(name: str, beside: Path, *, results: bool, lists: bool = True) -> list[Path]:
     path = beside / name
     if lists and path.suffix == LIST_SUFFIX and path.is_file():
@@ -69,7 +73,7 @@ def _meant(name: str, beside: Path, *, results: bool, lists: bool = True) -> lis
     elif path.exists() or not _MAGIC & set(name):
         return [path]
     else:
-        matches = sorted(map(Path, glob.glob(str(path), recursive=True)))  # noqa: PTH207  # follows `**` from any root
+        matches = sorted(map(Path, glob.glob(str(path), recursive=True)), key=_natural)  # noqa: PTH207  # follows `**` from any root
         found = [dive for match in _once_each(matches) for dive in _matched(match, results=results)]
     if not found:
         kinds = "logs, bags or results" if results else "logs or bags"
@@ -110,7 +114,7 @@ def _in_folder(folder: Path, *, results: bool, above: frozenset[str] = frozenset
         return
     logs = [path for suffix in LOG_SUFFIXES for path in folder.glob(f"*{suffix}") if path.is_file()]
     folders = [Path(entry) for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith(".")]
-    for path in sorted([*_once_each(logs), *folders]):
+    for path in sorted([*_once_each(logs), *folders], key=_natural):
         if path.is_dir():
             yield from _in_folder(path, results=results, above=above | {real})
         else:

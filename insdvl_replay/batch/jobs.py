@@ -36,6 +36,10 @@ class ReplayOptions:
         Add the baseline with its noise fitted.
     trajectories : bool
         Write TUM files, too.
+    histories : bool
+        Write replay.mcap.
+    history_format : str
+        In which the history of each filter is written beside it; empty for none.
     version, sources : str
         Of the tool, which workers elsewhere must have, too.
     """
@@ -44,6 +48,8 @@ class ReplayOptions:
     allow_damaged: bool = False
     control: bool = False
     trajectories: bool = False
+    histories: bool = True
+    history_format: str = ""
     version: str = __version__
     sources: str = field(default_factory=sources_digest)
 
@@ -183,7 +189,7 @@ def replay_into(job: ReplayJob) -> bytes:
         )
     from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
     from insdvl_replay.replay import replay_log
-    from insdvl_replay.results.result_files import save_replay, save_trajectories
+    from insdvl_replay.results.result_files import save_histories, save_replay, save_trajectories
 
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     run = replay_with_tuned_baseline if job.options.control else replay_log
@@ -195,9 +201,11 @@ def replay_into(job: ReplayJob) -> bytes:
             "--scheduler needs workers that see the same files under the same paths",
         )
     with result_folder(job.target, force=True) as folder:
-        save_replay(replay, folder)
+        save_replay(replay, folder, histories=job.options.histories)
         if job.options.trajectories:
             save_trajectories(replay, folder)
+        if job.options.history_format:
+            save_histories(replay, folder, job.options.history_format)
         report = decode_report((folder / COMPLETE).read_bytes())
         tool = msgspec.structs.replace(
             report.tool, started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3)

@@ -15,7 +15,15 @@ from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.words import Severity
-from insdvl_replay.results.folder import COMPLETE, NOT_JSON, damaged_files, require_replaceable_folder, trajectory_file
+from insdvl_replay.results.folder import (
+    COMPLETE,
+    NOT_JSON,
+    REPLAY_LOG,
+    damaged_files,
+    history_file,
+    require_replaceable_folder,
+    trajectory_file,
+)
 from insdvl_replay.results.json_report import Report, decode_report, package_versions
 from insdvl_replay.results.workspace import clear_leftovers
 
@@ -74,12 +82,15 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
     try:
         report = decode_report((job.target / COMPLETE).read_bytes())
         filters = [report.baseline, *report.filters] if job.options.trajectories else []
+        wanted = {*map(trajectory_file, filters), *([REPLAY_LOG] if job.options.histories else [])}
+        if job.options.history_format:
+            wanted |= {history_file(name, job.options.history_format) for name in (report.baseline, *report.filters)}
         same = (
             (report.tool.version, report.tool.sources) == (job.options.version, job.options.sources)
             and report.versions == package_versions()
             and report.log.name == job.target.name
             and _is_of(job.options, report)
-            and set(map(trajectory_file, filters)) <= set(report.files)
+            and wanted <= set(report.files)
             and log_digest(job) == report.log.sha256
         )
         damaged = damaged_files(job.target) if same else []

@@ -8,17 +8,21 @@ from insdvl_replay import __version__
 from insdvl_replay.cli.calibrate import calibrate
 from insdvl_replay.cli.check import check
 from insdvl_replay.cli.compare import compare
+from insdvl_replay.cli.figure import figure
 from insdvl_replay.cli.inspection import inspect
 from insdvl_replay.cli.messages import write_stdout
+from insdvl_replay.cli.options import PlainCommand
 from insdvl_replay.cli.run import run
 from insdvl_replay.cli.study import study
 from insdvl_replay.cli.utilities import compile_, config, schema, simulate
 
 # Plain help: rich would add 0.1 s to it, and cut it where it is piped.
-app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
-for command in (run, compare, check, inspect, calibrate, simulate, config, schema):
-    app.command()(command)
-app.command("compile")(compile_)
+app = typer.Typer(
+    rich_markup_mode=None, pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]}
+)
+for command in (run, compare, check, inspect, calibrate, figure, simulate, config, schema):
+    app.command(cls=PlainCommand)(command)
+app.command("compile", cls=PlainCommand)(compile_)
 app.add_typer(study, name="study")
 
 

@@ -6,7 +6,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insdvl_replay.cli.options import ConfigFiles, Force, Format, Logs, OneDive, Preset, Settings, Verbose
+from insdvl_replay.cli.options import (
+    AllowDamaged,
+    Color,
+    Colored,
+    ConfigFiles,
+    Force,
+    Format,
+    Logs,
+    OneDive,
+    Preset,
+    Settings,
+    Verbose,
+)
 
 if TYPE_CHECKING:
     from insdvl_replay.calibration.dives import ReadDive
@@ -56,12 +68,11 @@ def calibrate(
         ),
     ] = [],  # noqa: B006
     format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
-    allow_damaged: Annotated[
-        bool, typer.Option("--allow-damaged", help="Use what can be read of a damaged log; what is lost is said.")
-    ] = False,
+    allow_damaged: AllowDamaged = False,
     one_dive: OneDive = False,
     force: Force = False,
     verbose: Verbose = 0,
+    color: Colored = Color.AUTO,
 ) -> int:
     """Estimate where the DVL sits, how it is turned, how late and how long it reads.
 

@@ -5,7 +5,19 @@ from typing import Annotated
 
 import typer
 
-from insdvl_replay.cli.options import CheckFormat, Jobs, Rerun, Scheduler, SchedulerTimeout, Settings, Verbose
+from insdvl_replay.cli.options import (
+    AllowDamaged,
+    CheckFormat,
+    Jobs,
+    Preset,
+    Quiet,
+    Rerun,
+    Scheduler,
+    SchedulerTimeout,
+    Settings,
+    Verbose,
+)
+from insdvl_replay.core.errors import ConfigError
 
 
 def check(
@@ -26,7 +38,9 @@ def check(
             "-c", "--config", metavar="FILE", help="Settings in place of those named in GATES. May be repeated."
         ),
     ] = [],  # noqa: B006
+    preset: Preset = None,
     settings: Settings = [],  # noqa: B006
+    allow_damaged: AllowDamaged = False,
     format_: Annotated[CheckFormat, typer.Option("--format", help="How it is told.")] = CheckFormat.TEXT,
     output: Annotated[
         Path | None, typer.Option("--output", metavar="FILE", help="Write it here, and text to stdout.")
@@ -34,11 +48,24 @@ def check(
     summary: Annotated[
         Path | None, typer.Option("--summary-file", metavar="FILE", help="Add it here, too, as Markdown.")
     ] = None,
+    only: Annotated[
+        list[str], typer.Option("--only", metavar="GATE", help="Gates of this name or pattern alone. May be repeated.")
+    ] = [],  # noqa: B006
+    skip: Annotated[
+        list[str], typer.Option("--skip", metavar="GATE", help="No gates of this name or pattern. May be repeated.")
+    ] = [],  # noqa: B006
+    shard: Annotated[
+        str, typer.Option("--shard", metavar="I/N", help="Every N-th dive from the I-th: a part of the archive.")
+    ] = "1/1",
+    histories: Annotated[
+        bool, typer.Option("--keep-histories", help="Write replay.mcap, the largest file of a result, too.")
+    ] = False,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     scheduler_timeout: SchedulerTimeout = 60.0,
     rerun: Rerun = False,
     verbose: Verbose = 0,
+    quiet: Quiet = False,
 ) -> int:
     """Hold dives against gates, for a job that runs every night.
 
@@ -51,10 +78,21 @@ def check(
       insdvl-replay check gates.toml
       insdvl-replay check gates.toml --jobs 4 --format junit --output gates.xml
       insdvl-replay check gates.toml replay/dive
+      insdvl-replay check gates.toml --only "position*" --shard 1/1
     """
     from insdvl_replay.batch.cluster import Cluster
-    from insdvl_replay.cli.gated_dives import CheckOptions, OutputOptions, check_dives
+    from insdvl_replay.cli.gated_dives import CheckOptions, GivenSettings, OutputOptions, check_dives
 
     cluster = None if scheduler is None else Cluster(scheduler, scheduler_timeout)
-    options = CheckOptions(results, jobs, cluster, rerun, update)
-    return check_dives(gates, dives, config, settings, options, OutputOptions(format_, output, summary, verbose))
+    options = CheckOptions(
+        results, jobs, cluster, rerun, update, allow_damaged, histories, tuple(only), tuple(skip), _shard(shard)
+    )
+    given = GivenSettings(preset, tuple(config), tuple(settings))
+    return check_dives(gates, dives, given, options, OutputOptions(format_, output, summary, verbose, quiet))
+
+
+def _shard(text: str) -> tuple[int, int]:
+    part, slash, parts = text.partition("/")
+    if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+        raise ConfigError(f"--shard {text}: is not a part such as 1/4", "--shard 1/4, --shard 2/4 and so on")
+    return int(part), int(parts)

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from insdvl_replay.cli.messages import log_notes, write_stdout
-from insdvl_replay.cli.options import ComparisonFormat, Sort, Verbose
+from insdvl_replay.cli.options import Color, Colored, ComparisonFormat, Quiet, Sort, Verbose
 
 
 def compare(
@@ -29,7 +29,10 @@ def compare(
         str | None,
         typer.Option(metavar="P%", help="Up to here a change is none. Left out: up to the last printed digit."),
     ] = None,
-    only_changed: Annotated[bool, typer.Option("--only-changed", help="Leave out what is the same.")] = False,
+    only_changed: Annotated[
+        bool, typer.Option("--only-changed", help="Show all values that moved, and not the evidence alone.")
+    ] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Show all values, also those that are the same.")] = False,
     sort: Annotated[Sort, typer.Option(help="The order of rows.")] = Sort.TABLE,
     fail_on: Annotated[
         str | None,
@@ -37,11 +40,13 @@ def compare(
     ] = None,
     format_: Annotated[ComparisonFormat, typer.Option("--format", help="How it is printed.")] = ComparisonFormat.TABLE,
     verbose: Verbose = 0,
+    quiet: Quiet = False,
+    color: Colored = Color.AUTO,
 ) -> None:
     """Compare stored results: what moved, by how much, and whether that is better.
 
-    What differs in tool, settings and log comes first. Dives are matched by the hash of their log, then by name. Rows
-    that are gone and numbers that were lost count as worse.
+    Verdicts that changed come first, then what differs in settings, tool and log, and the evidence that moved. Dives
+    are matched by the hash of their log, then by name. Rows that are gone and numbers that were lost count as worse.
 
     \b
     Example:
@@ -52,25 +57,40 @@ def compare(
     from insdvl_replay.cli.screen import in_format
     from insdvl_replay.comparison.comparison import Selection, compare_results
     from insdvl_replay.comparison.display_tables import in_order
-    from insdvl_replay.comparison.document import comparison_csv, comparison_document, violation_sentence
+    from insdvl_replay.comparison.document import (
+        brief_document,
+        comparison_csv,
+        comparison_document,
+        comparison_page,
+        opening_lines,
+        violation_sentence,
+    )
     from insdvl_replay.comparison.fail_on import find_violation, parse_limit, parse_percentage
     from insdvl_replay.comparison.filter_pairs import parse_pairs
     from insdvl_replay.core.errors import LimitError
+    from insdvl_replay.core.plain_text import visible
     from insdvl_replay.results.json_report import as_json
 
     limit = None if fail_on is None else parse_limit(fail_on)
     tolerance_pct = None if tolerance is None else parse_percentage(tolerance, "--tolerance ")
     selection = Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
     comparison = compare_results(old, new, selection)
-    ordered = in_order(comparison, sort.value, only_changed=only_changed)
-    write_stdout(
-        in_format(
-            format_,
-            document=lambda: comparison_document(ordered),
-            json=lambda: as_json(ordered),
-            csv=lambda: comparison_csv(ordered),
+    ordered = in_order(comparison, sort.value, only_changed=not everything)
+    chosen = everything or only_changed or tables or columns or dives or sort is not Sort.TABLE
+    documents = {ComparisonFormat.HTML: comparison_page, ComparisonFormat.LATEX: comparison_document}
+    lay_out = documents.get(format_, comparison_document if chosen else brief_document)
+    whole = in_order(comparison, sort.value, only_changed=only_changed)
+    if quiet and format_ is ComparisonFormat.TABLE:
+        write_stdout("".join(f"{visible(line)}\n" for line in opening_lines(comparison)[:1]))
+    else:
+        write_stdout(
+            in_format(
+                format_,
+                document=lambda: lay_out(ordered),
+                json=lambda: as_json(whole),
+                csv=lambda: comparison_csv(whole),
+            )
         )
-    )
     log_notes(comparison.notes, verbose=verbose > 0)
     if limit is not None and (found := find_violation(comparison, limit)):
         raise LimitError(violation_sentence(found))

@@ -1,5 +1,6 @@
 """Replay dives on as many workers as wanted, print each result in the order of the logs, and go on when one fails."""
 
+import sys
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -15,10 +16,15 @@ from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, wr
 from insdvl_replay.cli.options import Format
 from insdvl_replay.cli.screen import DivesBar, compiling, in_format, spinner
 from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.words import Severity
+from insdvl_replay.report.document import Only, Part
 from insdvl_replay.report.page import is_page
-from insdvl_replay.results.dive_document import dive_document, report_csv
-from insdvl_replay.results.folder import require_replaceable_file, result_file
+from insdvl_replay.results.chosen_tables import csv_of, json_of, require_tables, tables_named
+from insdvl_replay.results.dive_document import dive_document, heading
+from insdvl_replay.results.dive_screen import dive_screen
+from insdvl_replay.results.dives_screen import dives_screen
+from insdvl_replay.results.folder import PAGE, require_replaceable_file, result_file
 from insdvl_replay.results.json_report import Report, encode_report
 from insdvl_replay.results.overviews import (
     Failure,
@@ -26,14 +32,15 @@ from insdvl_replay.results.overviews import (
     index_page,
     is_evidence,
     is_summary,
-    pooled_sentences,
+    overview_parts,
     summary_csv,
 )
 
+INDEX: Final = "index.html"
 OVERVIEWS: Final = {
     "summary.csv": (summary_csv, is_summary),
     "evidence.csv": (evidence_csv, is_evidence),
-    "index.html": (index_page, is_page),
+    INDEX: (index_page, is_page),
 }
 """What lays several dives beside each other, and by the name of its file is known from somebody else's work."""
 
@@ -46,6 +53,8 @@ class RunOptions:
     ----------
     format : Format
         Of what is printed.
+    tables : tuple of str
+        Those that are printed, by name; empty for what the format shows.
     one_dive : bool
         All logs are one dive; else each is one.
     strict : bool
@@ -59,10 +68,13 @@ class RunOptions:
     cluster : Cluster, optional
         In place of this machine.
     verbosity : int
-        1: print all notes, not the warnings alone; 2: also where in the code an error arose.
+        1: print all tables and notes, not the screen and the warnings alone; 2: also where in the code an error arose.
+    quiet : bool
+        Print a line a dive, and errors.
     """
 
     format: Format
+    tables: tuple[str, ...]
     one_dive: bool
     strict: bool
     force: bool
@@ -70,16 +82,28 @@ class RunOptions:
     jobs: int
     cluster: Cluster | None
     verbosity: int
+    quiet: bool
+
+    @property
+    def talks(self) -> bool:
+        """Whether stderr names each result and warning: not beside a screen, which has them, on the same terminal."""
+        return not (self.quiet or (self.shows_screen and sys.stderr.isatty()))
+
+    @property
+    def shows_screen(self) -> bool:
+        """Whether the answer alone is shown."""
+        return self.format is Format.TABLE and not (self.tables or self.verbosity or self.quiet)
 
 
 def replay_dives(names: Sequence[str], output: Path, options: ReplayOptions, run: RunOptions) -> int:
     """Replay dives, one result folder each, and a summary if there are several."""
+    require_tables(run.tables)
     dives = plan_jobs(find_dives(names), output, options, one_dive=run.one_dive)
     if len(dives) > 1:
         _require_own_names(dives, output, force=run.force)
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
-    together = run.format is Format.JSON and len(dives) > 1
+    unchanged = 0
     for outcome in outcomes(dives, run.jobs, run.cluster, force=run.force, rerun=run.rerun):
         name = outcome.job.target.name
         if isinstance(outcome.result, Exception):
@@ -87,14 +111,29 @@ def replay_dives(names: Sequence[str], output: Path, options: ReplayOptions, run
             codes[name] = log_failure(outcome.result, run.verbosity)
             continue
         reports.append(outcome.result)
-        codes[name] = _report_result(outcome, outcome.result, run, quiet=together)
-    if together:
-        write_stdout(encode_report([report for report in reports if isinstance(report, Report)]).decode())
+        unchanged += outcome.unchanged
+        codes[name] = _report_result(outcome, outcome.result, run, alone=len(dives) == 1)
     if len(dives) > 1:
-        if run.format is Format.TABLE:
-            write_stdout("".join(f"{sentence}\n" for sentence in pooled_sentences(reports)))
-        _summarise(reports, codes, output)
+        _summarise(reports, output, quiet=not run.talks)
+        if unchanged and not (run.quiet or run.talks):
+            log_to_stderr(f"unchanged: {unchanged} of {len(dives)} dives")
+        write_stdout(_together(reports, run, str(output / INDEX)))
+        _report_failed(reports, codes)
     return max(codes.values())
+
+
+def _together(reports: Sequence[Report | Failure], run: RunOptions, index: str) -> str:
+    """Write what is printed once all of several dives are done."""
+    done = [report for report in reports if isinstance(report, Report)]
+    if run.format is Format.JSON:
+        return (json_of(done, run.tables) if run.tables else encode_report(done)).decode()
+    if run.format is Format.CSV:
+        return csv_of(done, run.tables)
+    if run.quiet:
+        return ""
+    overview: list[Part] = [] if run.tables else dives_screen(reports, index)
+    shown = [Only(("terminal",), tuple(overview))] if run.format is Format.TABLE else overview_parts(reports)
+    return in_format(run.format, document=lambda: shown, json=bytes, csv=str)
 
 
 def outcomes(
@@ -104,7 +143,9 @@ def outcomes(
     known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
     changed = [dive for dive in dives if dive.target not in known]
     workers = local_workers(max(1, min(jobs, len(changed)))) if cluster is None else cluster_workers(cluster)
-    if len(changed) == 1:
+    if not changed:
+        yield from replay_jobs(dives, known, workers, after_dive=lambda _: None)
+    elif len(changed) == 1:
         with spinner(f"replaying {changed[0].name.name}{compiling()}"):
             finished = list(replay_jobs(dives, known, workers, after_dive=lambda _: None))
         yield from finished
@@ -126,19 +167,37 @@ def _with_bar(
                     yield outcome
 
 
-def _report_result(outcome: Outcome, report: Report, run: RunOptions, *, quiet: bool) -> int:
-    if not quiet:
-        write_stdout(
-            in_format(
-                run.format,
-                document=lambda: dive_document(report),
-                json=lambda: encode_report(report),
-                csv=lambda: report_csv(report),
-            )
-        )
-    log_notes(report.notes, verbose=run.verbosity > 0)
-    log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {outcome.job.target}")
+def _report_result(outcome: Outcome, report: Report, run: RunOptions, *, alone: bool) -> int:
+    """Print what is printed of one dive: of several, their screen and what machines read come once all are done."""
+    if run.talks or (alone and not run.quiet):
+        log_notes(report.notes, verbose=run.verbosity > 0)
+    if outcome.unchanged and alone and not (run.quiet or run.talks):
+        log_to_stderr(f"unchanged {outcome.job.target}")
+    if run.quiet and run.format is Format.TABLE:
+        write_stdout(f"{visible(heading(report))}\n")
+    elif alone or not (run.shows_screen or run.format in (Format.JSON, Format.CSV)):
+        write_stdout(_printed(outcome, report, run))
+    if run.talks:
+        log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {outcome.job.target}")
     return _fail_on_warnings(report, run.verbosity) if run.strict else 0
+
+
+def _printed(outcome: Outcome, report: Report, run: RunOptions) -> str:
+    page = str(outcome.job.target / PAGE)
+
+    def document() -> Sequence[Part]:
+        if run.tables:
+            return [table for name in run.tables for table in tables_named(report, name)]
+        if run.shows_screen:
+            return dive_screen(report, page)
+        return dive_document(report)
+
+    return in_format(
+        run.format,
+        document=document,
+        json=lambda: json_of([report], run.tables) if run.tables else encode_report(report),
+        csv=lambda: csv_of([report], run.tables),
+    )
 
 
 def _fail_on_warnings(report: Report, verbosity: int) -> int:
@@ -166,11 +225,15 @@ def _require_own_names(dives: Sequence[ReplayJob], output: Path, *, force: bool)
         require_replaceable_file(path, force=force or (path.is_file() and is_own(path.read_bytes())))
 
 
-def _summarise(reports: Sequence[Report | Failure], codes: dict[str, int], output: Path) -> None:
+def _summarise(reports: Sequence[Report | Failure], output: Path, *, quiet: bool) -> None:
     for overview, (write, _) in OVERVIEWS.items():
         with result_file(output / overview, force=True) as file:
             file.write_bytes(write(reports))
-        log_to_stderr(f"wrote {output / overview}")
+        if not quiet:
+            log_to_stderr(f"wrote {output / overview}")
+
+
+def _report_failed(reports: Sequence[Report | Failure], codes: dict[str, int]) -> None:
     if failed := [name for name, code in codes.items() if code]:
         reasons = [report.reason for report in reports if isinstance(report, Failure)]
         first = f"; the first: {reasons[0]}" if reasons else ""

@@ -23,7 +23,7 @@ from insdvl_replay.gates.checking import (
     evaluate_gates,
     write_baselines,
 )
-from insdvl_replay.gates.gate_file import Gates, load_gates, require_known_names
+from insdvl_replay.gates.gate_file import Gates, chosen_gates, load_gates, require_known_names
 from insdvl_replay.gates.model import CheckResult
 from insdvl_replay.gates.output import (
     baseline_text,
@@ -56,6 +56,16 @@ class OutputOptions:
     file: Path | None
     summary: Path | None
     verbosity: int
+    quiet: bool
+
+
+@dataclass(frozen=True)
+class GivenSettings:
+    """Settings of the command line, which stand in place of those that the gate file names, or on top of them."""
+
+    preset: str | None
+    config: tuple[Path, ...]
+    settings: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -67,27 +77,33 @@ class CheckOptions:
     cluster: Cluster | None
     rerun: bool
     update: bool
+    allow_damaged: bool
+    histories: bool
+    only: tuple[str, ...] = ()
+    skip: tuple[str, ...] = ()
+    shard: tuple[int, int] = (1, 1)
 
 
 def check_dives(
     path: Path,
     dives: Sequence[str],
-    config: Sequence[Path],
-    settings: Sequence[str],
+    given: GivenSettings,
     check: CheckOptions,
     output: OutputOptions,
 ) -> int:
     """Hold dives against gates."""
-    gates = load_gates(path)
+    gates = chosen_gates(load_gates(path), check.only, check.skip)
     chosen, beside = (dives, Path()) if dives else (gates.content.dives, path.parent)
     if not chosen:
         raise ConfigError(f"{path}: names no dives", f'`insdvl-replay check {path} DIVE...`, or dives = ["*.mcap"]')
-    paths = find_dives(chosen, beside, results=True)
+    part, parts = check.shard
+    paths = find_dives(chosen, beside, results=True)[part - 1 :: parts]
     _require_own_names(output, [path, *paths])
-    options = ReplayOptions(_settings(gates, config, settings), allow_damaged=gates.content.allow_damaged)
+    damaged = check.allow_damaged or gates.content.allow_damaged
+    options = ReplayOptions(_settings(gates, given), allow_damaged=damaged, histories=check.histories)
     require_known_names(gates, None if any(map(_is_result, paths)) else list(options.config.filters))
     checked = list(_checked(paths, options, check))
-    codes = [log_failure(result, output.verbosity) for _, result in checked if isinstance(result, Exception)]
+    codes = [log_failure(result, output.verbosity) for _, result, _ in checked if isinstance(result, Exception)]
     if check.update:
         _update(gates, checked)
     result = evaluate_gates(gates, checked)
@@ -112,16 +128,16 @@ def _require_own_names(output: OutputOptions, inputs: Sequence[Path]) -> None:
                 raise ConfigError(f"{path}: is what is checked", "give it another name")
 
 
-def _settings(gates: Gates, config: Sequence[Path], settings: Sequence[str]) -> Config:
-    named = gates.content.config
+def _settings(gates: Gates, given: GivenSettings) -> Config:
+    named, config = gates.content.config, given.config
     if not config and named is not None:
         file = gates.path.parent / named
         with looked_for(file):
             if not file.is_file():
                 found = f"{gates.path}: config names {file}, which is no file"
                 raise ConfigError(found, "paths are seen from the gate file")
-        config = [file]
-    return load_config(gates.content.preset, config, settings)
+        config = (file,)
+    return load_config(given.preset or gates.content.preset, config, given.settings)
 
 
 def _is_result(path: Path) -> bool:
@@ -138,7 +154,7 @@ def _checked(paths: Sequence[Path], options: ReplayOptions, check: CheckOptions)
                 yield from checked_results(path)
             else:
                 outcome = next(replays)
-                yield checked_replay(outcome.job.target.name, outcome.result)
+                yield checked_replay(outcome.job.target, outcome.result)
 
 
 def _update(gates: Gates, checked: Sequence[Checked]) -> None:
@@ -150,7 +166,10 @@ def _update(gates: Gates, checked: Sequence[Checked]) -> None:
 
 
 def _report(result: CheckResult, output: OutputOptions) -> None:
-    written = WRITTEN[output.format](result)
+    if output.quiet and output.format is CheckFormat.TEXT:
+        written = f"{check_sentence(result)}\n"
+    else:
+        written = WRITTEN[output.format](result)
     if output.file is None:
         write_stdout(written, commands=output.format is CheckFormat.GITHUB)
     else:

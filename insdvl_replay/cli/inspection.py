@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from insdvl_replay.cli.messages import log_failure, write_stdout
-from insdvl_replay.cli.options import ConfigFiles, Force, Format, Logs, OneDive, Preset, Settings, Verbose
+from insdvl_replay.cli.options import (
+    Color,
+    Colored,
+    ConfigFiles,
+    Force,
+    Format,
+    Logs,
+    OneDive,
+    Preset,
+    Settings,
+    Verbose,
+)
 
 if TYPE_CHECKING:
     from insdvl_replay.core.config import Config
@@ -33,6 +44,7 @@ def inspect(
     one_dive: OneDive = False,
     force: Force = False,
     verbose: Verbose = 0,
+    color: Colored = Color.AUTO,
 ) -> int:
     """Say what is in a log, which topics a replay would use and why, and what would stop it.
 

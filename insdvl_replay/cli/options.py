@@ -1,13 +1,23 @@
 """Options that several commands share, and the words that options choose from."""
 
+import re
 from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer.core import TyperCommand
 
 from insdvl_replay.core.errors import ConfigError
+
+
+class PlainCommand(TyperCommand):
+    """A command whose help has no words of Python: arguments that may be several are written so already."""
+
+    def get_help(self, ctx: typer.Context) -> str:  # type: ignore[override]
+        """Return the help."""
+        return re.sub(r" <list\[\w+\]>", lambda kind: " " * len(kind[0]), super().get_help(ctx))
 
 
 def preset_names(incomplete: str) -> list[str]:
@@ -43,6 +53,13 @@ class Format(StrEnum):
     CSV = "csv"
     MARKDOWN = "md"
     LATEX = "latex"
+
+
+class HistoryFormat(StrEnum):
+    """How histories are written."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
 
 
 class ComparisonFormat(StrEnum):
@@ -89,6 +106,13 @@ Logs = Annotated[
     typer.Argument(
         metavar="LOG...", help="Logs (.mcap, .db3, .bag), bags, folders of them, quoted patterns, or .txt lists."
     ),
+]
+Start = Annotated[
+    float | None, typer.Option("--start", metavar="T", help="Start here, in seconds from the first IMU sample.")
+]
+End = Annotated[float | None, typer.Option("--end", metavar="T", help="End here, likewise.")]
+AllowDamaged = Annotated[
+    bool, typer.Option("--allow-damaged", help="Use what can be read of a damaged log; what is lost is said.")
 ]
 OneDive = Annotated[bool, typer.Option("--one-dive", help="Read all files as one dive, named after the first by name.")]
 Scenario = Annotated[
@@ -141,6 +165,44 @@ Verbose = Annotated[
         help="Say more; twice, also where in the code an error arose.",
     ),
 ]
+
+
+Quiet = Annotated[
+    bool, typer.Option("-q", "--quiet", help="Say less: the verdict in a line, errors, and the exit code.")
+]
+
+
+class Color(StrEnum):
+    """Whether words have colours."""
+
+    AUTO = "auto"
+    ALWAYS = "always"
+    NEVER = "never"
+
+
+def _choose_color(color: Color) -> Color:
+    from insdvl_replay.cli.screen import Colors
+
+    Colors.wanted = None if color is Color.AUTO else color is Color.ALWAYS
+    return color
+
+
+Colored = Annotated[
+    Color,
+    typer.Option(
+        "--color",
+        callback=_choose_color,
+        help="Color the words on filters: on a terminal, unless NO_COLOR is set; always; never.",
+    ),
+]
+ChosenTables = Annotated[
+    list[str], typer.Option("--table", metavar="NAME", help="This table alone, and all of it. May be repeated.")
+]
+
+
+def span_settings(start: float | None, end: float | None) -> list[str]:
+    """Return ``--start`` and ``--end`` as settings."""
+    return [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
 
 
 def outage_spans(texts: list[str]) -> list[tuple[float, float]]:

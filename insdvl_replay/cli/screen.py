@@ -1,9 +1,11 @@
 """The terminal's width, colour and spinner, as rich sees them."""
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+from typing import Literal
 
 from rich.console import Console, RenderableType
 
@@ -37,9 +39,28 @@ def in_format(
     return printed(for_terminal(document()))
 
 
+class Colors:
+    """Whether stdout has colours: as ``--color`` wants it; without a wish, on a terminal unless NO_COLOR is set."""
+
+    wanted: bool | None = None
+
+    @classmethod
+    def system(cls) -> Literal["auto", "standard"] | None:
+        """Return what rich calls the kind of colours."""
+        if cls.wanted is None:
+            return None if os.environ.get("NO_COLOR") else "auto"
+        return "standard" if cls.wanted else None
+
+
 def printed(content: RenderableType) -> str:
     """Lay tables out for stdout: as wide as the terminal, or as wide as it takes."""
-    console = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else PIPED_COLUMNS)
+    console = Console(
+        file=sys.stdout,
+        highlight=False,
+        width=None if sys.stdout.isatty() else PIPED_COLUMNS,
+        color_system=Colors.system(),
+        force_terminal=Colors.wanted or None,
+    )
     with console.capture() as capture:
         console.print(content, crop=False)
     return "\n".join(line.rstrip() for line in capture.get().split("\n"))

@@ -6,15 +6,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from insdvl_replay.cli.options import (
+    Color,
+    Colored,
     ConfigFiles,
+    End,
     Force,
     Format,
+    Logs,
     Outages,
+    PlainCommand,
     Preset,
     Scenario,
     Settings,
+    Start,
     Verbose,
     outage_spans,
+    span_settings,
 )
 
 if TYPE_CHECKING:
@@ -33,7 +40,7 @@ def about_studies() -> None:
     """Ask more than one replay can answer; each study writes tables as CSV, and pictures."""
 
 
-@study.command()
+@study.command(cls=PlainCommand)
 def montecarlo(
     scenario: Scenario,
     runs: Annotated[int, typer.Option(metavar="N", min=2, help="How many dives to simulate.")] = 100,
@@ -63,6 +70,7 @@ def montecarlo(
     format_: StudyFormat = Format.TABLE,
     force: Force = False,
     verbose: Verbose = 0,
+    color: Colored = Color.AUTO,
 ) -> None:
     """Simulate a dive many times and hold the filters' uncertainty against their true errors.
 
@@ -107,12 +115,15 @@ def montecarlo(
     log_to_stderr(f"wrote {target}")
 
 
-@study.command()
+@study.command(cls=PlainCommand)
 def window(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded dives: logs or bags.")],
+    logs: Logs,
     longest: Annotated[
         int, typer.Option("--longest", metavar="N", min=2, max=1000, help="Try windows of 2 to N velocities.")
     ] = 10,
+    start: Start = None,
+    end: End = None,
+    jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Dives at the same time.")] = 1,
     output: StudyOutput = Path("study"),
     png: Annotated[bool, typer.Option("--png", help="Draw the picture as PNG, too.")] = False,
     config: ConfigFiles = [],  # noqa: B006
@@ -121,6 +132,7 @@ def window(
     format_: StudyFormat = Format.TABLE,
     force: Force = False,
     verbose: Verbose = 0,
+    color: Colored = Color.AUTO,
 ) -> int:
     """Find the number of past velocities that makes the best acceleration.
 
@@ -133,6 +145,7 @@ def window(
       insdvl-replay study window dives/*.mcap -c vehicle.toml
       insdvl-replay study window dive.mcap --longest 20
     """
+    from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.cli.messages import log_notes, log_to_stderr
     from insdvl_replay.cli.screen import spinner
     from insdvl_replay.core.config_file import load_config
@@ -140,10 +153,11 @@ def window(
     from insdvl_replay.results.folder import require_replaceable_folder, result_folder
     from insdvl_replay.studies.window import LEFT_OUT, save_window, study_window
 
-    resolved, target = load_config(preset, config, settings), output / "window"
+    resolved, target = load_config(preset, config, [*settings, *span_settings(start, end)]), output / "window"
+    dives = find_dives(logs)
     require_replaceable_folder(target, force=force)
     with spinner("comparing accelerations"):
-        report = study_window(logs, resolved, longest)
+        report = study_window(dives, resolved, longest, jobs=jobs)
     with result_folder(target, force=force) as folder:
         save_window(report, folder, png=png)
     _print(report, format_)
@@ -151,17 +165,15 @@ def window(
     log_to_stderr(f"wrote {target}")
     left_out = [note.text for note in report.notes if note.code == LEFT_OUT]
     if left_out:
-        log_to_stderr(f"error: {len(left_out)} of {len(logs)} logs could not be used; the first: {left_out[0]}")
+        log_to_stderr(f"error: {len(left_out)} of {len(dives)} logs could not be used; the first: {left_out[0]}")
     return LogError.exit_code if left_out else 0
 
 
-@study.command()
+@study.command(cls=PlainCommand)
 def observability(
     dive: Annotated[str, typer.Argument(metavar="LOG|SCENARIO", help="A recorded dive, or a scenario by its name.")],
-    start: Annotated[
-        float | None, typer.Option(metavar="T", help="Start here, in seconds from the first IMU sample.")
-    ] = None,
-    end: Annotated[float | None, typer.Option(metavar="T", help="End here, likewise.")] = None,
+    start: Start = None,
+    end: End = None,
     no_earth_rate: Annotated[bool, typer.Option("--no-earth-rate", help="Let the Earth be flat and at rest.")] = False,
     output: StudyOutput = Path("study"),
     png: Annotated[bool, typer.Option("--png", help="Draw the picture as PNG, too.")] = False,
@@ -171,6 +183,7 @@ def observability(
     format_: StudyFormat = Format.TABLE,
     force: Force = False,
     verbose: Verbose = 0,
+    color: Colored = Color.AUTO,
 ) -> None:
     """Say which errors at the start of a dive its measurements can tell apart, and which they cannot.
 
@@ -189,8 +202,7 @@ def observability(
     from insdvl_replay.results.folder import require_replaceable_folder, result_folder
     from insdvl_replay.studies.observability import save_observability, study_observability
 
-    spans = [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
-    resolved = load_config(preset, config, [*settings, *spans])
+    resolved = load_config(preset, config, [*settings, *span_settings(start, end)])
     target = output / f"observability-{dive_name(Path(dive))}"
     require_replaceable_folder(target, force=force)
     with spinner(f"stacking the measurements{compiling()}"):

@@ -58,11 +58,12 @@ def simulate(
       insdvl-replay simulate straight -o dive.mcap --outage 60:90 --lost-beam 2:120:180
       insdvl-replay simulate lawnmower -o dive.mcap --imu mems --sensor depth=0.05@4
     """
+    from insdvl_replay.cli.screen import spinner
     from insdvl_replay.logs.writing.dive_log import write_dive
     from insdvl_replay.results.folder import result_file
     from insdvl_replay.sim.dive import simulate_dive
 
-    with result_file(output, force=force) as path:
+    with result_file(output, force=force) as path, spinner(f"simulating {scenario}"):
         dive = simulate_dive(
             scenario,
             seed=seed,
@@ -107,7 +108,9 @@ def config(
     preset: Preset = None,
     file: Annotated[
         list[Path],
-        typer.Option("--from", metavar="FILE", help="Settings as TOML, on top of the preset. May be repeated."),
+        typer.Option(
+            "-c", "--config", "--from", metavar="FILE", help="Settings as TOML, on top of the preset. May be repeated."
+        ),
     ] = [],  # noqa: B006
     settings: Settings = [],  # noqa: B006
     verbose: Verbose = 0,
@@ -119,7 +122,7 @@ def config(
     \b
     Example:
       insdvl-replay config --preset fog > vehicle.toml
-      insdvl-replay config --from vehicle.toml --set dvl.scale=1.01
+      insdvl-replay config -c vehicle.toml --set dvl.scale=1.01
     """
     from insdvl_replay.core.config_file import load_config, render_toml
 

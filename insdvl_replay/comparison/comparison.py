@@ -135,6 +135,7 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
         aggregates=aggregates(changes),
         changes=tuple(changes),
         notes=tuple(notes),
+        baseline=next((new.report.baseline for _, new in pairs), ""),
     )
 
 

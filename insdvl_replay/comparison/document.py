@@ -4,6 +4,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, fields, replace
 from typing import Final
 
+from insdvl_replay.comparison.brief import (
+    brief_aggregates,
+    brief_changes,
+    brief_differences,
+    dot_plot,
+    moved_elsewhere,
+)
 from insdvl_replay.comparison.display_tables import aggregate_tables, change_tables, described, growth, place
 from insdvl_replay.core.changes import (
     Aggregate,
@@ -18,19 +25,62 @@ from insdvl_replay.core.changes import (
 from insdvl_replay.core.tables import CANDIDATES
 from insdvl_replay.core.words import ChangeWord
 from insdvl_replay.report.csv_tables import blocks_csv
-from insdvl_replay.report.document import MISSING, Callout, DisplayTable, Only, Part, Sentences, Title, counted
+from insdvl_replay.report.document import MISSING, Callout, DisplayTable, Heading, Only, Part, Sentences, Title, counted
 
 _HASH_DIGITS: Final = 12
+MOST_BESIDE: Final = 12
+"""So many values that moved beside the evidence are shown in brief."""
+ALIKE: Final = "tool, settings and log do not differ"
 _NAMED_DIVES: Final = 2
 
 
-def comparison_document(comparison: Comparison) -> list[Part]:
-    """Lay out a comparison."""
+def brief_document(comparison: Comparison) -> list[Part]:
+    """Lay out what changed: verdicts, what differs beside the tables, and the evidence that moved."""
+    matched = _matched(comparison)
+    baseline = comparison.baseline
+    apart = [dive for dive in comparison.dives if dive.tally is None]
+    moved = (
+        brief_aggregates(comparison.aggregates, baseline)
+        if len(matched) > 1
+        else brief_changes(comparison.changes, baseline)
+    )
+    shown = [*moved] or (_few(comparison) if len(matched) == 1 else [])
+    unpaired = [f"{_only_side(dive)}: {dive.log}" for dive in apart]
+    return [
+        Title(_title(comparison)),
+        *map(Callout, _changed_verdicts(comparison) if matched else ()),
+        *([] if any(_changed_verdicts(comparison)) else ["no verdict changed"]),
+        *(brief_differences(comparison.differences) if comparison.differences else [ALIKE]),
+        *(replace(table, title_apart=True) for table in shown),
+        *([Sentences(tuple(unpaired))] if unpaired else []),
+        Sentences((moved_elsewhere(comparison),)),
+    ]
+
+
+def _few(comparison: Comparison) -> list[DisplayTable]:
+    """Lay out what moved in tables other than the evidence, where it is little."""
+    moved = [change for change in comparison.changes if change.word != ChangeWord.SAME]
+    return change_tables(moved) if len(moved) <= MOST_BESIDE else []
+
+
+def comparison_page(comparison: Comparison) -> list[Part]:
+    """Lay out the page of a comparison: what is brief first, one picture of all dives, then every table."""
+    _, *whole = comparison_document(comparison)
+    return [*brief_document(comparison), *dot_plot(comparison, comparison.baseline), Heading("All that moved"), *whole]
+
+
+def _title(comparison: Comparison) -> str:
     matched = _matched(comparison)
     what = matched[0].log if len(matched) == 1 else f"{len(matched)} dives"
+    return f"{what}: {comparison.new} against {comparison.old}"
+
+
+def comparison_document(comparison: Comparison) -> list[Part]:
+    """Lay out all of a comparison."""
+    matched = _matched(comparison)
     rest = "the values of one dive: --dive NAME; those of all: --format csv or --format json"
     return [
-        Title(f"{what}: {comparison.new} against {comparison.old}"),
+        Title(_title(comparison)),
         *map(Callout, opening_lines(comparison)),
         *(replace(table, title_apart=True) for table in comparison_tables(comparison)),
         *([Only(("terminal", "markdown", "html"), (Sentences((rest,)),))] if len(matched) > 1 else []),
@@ -48,7 +98,7 @@ def opening_lines(comparison: Comparison) -> list[str]:
         if change is not None:
             lines.append(f"{name}: {described(change)}")
     if not comparison.differences:
-        lines.append("tool, settings and log do not differ")
+        lines.append(ALIKE)
     return [*_changed_verdicts(comparison), *lines]
 
 

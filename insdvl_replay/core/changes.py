@@ -154,6 +154,8 @@ class Comparison:
         Of all dives.
     by_table : dict of str to Tally
         Likewise, for each table.
+    baseline : str
+        Name of the filter that the candidates of the new results are held against; the first, if there are several.
     """
 
     old: str
@@ -166,6 +168,7 @@ class Comparison:
     aggregates: tuple[Aggregate, ...]
     changes: tuple[Change, ...]
     notes: tuple[Note, ...] = field(default=())
+    baseline: str = ""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ _ACTING: Final = frozenset(("Cc", "Cf", "Cs", "Zl", "Zp"))
 """Categories of Unicode: control, format that is not seen (bidi, joiners), lone surrogates, breaks of lines."""
 _COMMAND: Final = re.compile(r"^([^\S\n]*):(?=:)", re.MULTILINE)
 _OLD_COMMAND: Final = re.compile(r"#(?=#\w*\[)")
+_RUNS: Final = re.compile(r"\d+|\D+")
 _MOST_BYTES: Final = 1 << 24
 """Of a text that is read: more than anybody writes by hand; a device may go on without end."""
 
@@ -30,6 +31,14 @@ def read_text(path: Path) -> str:
     if len(data) > _MOST_BYTES:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
     return data.decode("utf-8-sig")
+
+
+NaturalKey = tuple[tuple[bool, int, str], ...]
+
+
+def natural_key(text: str) -> NaturalKey:
+    """Return a key that sorts names by their letters, and the numbers in them by size: dive 2 before dive 10."""
+    return tuple((not word.isdecimal(), int(word) if word.isdecimal() else 0, word) for word in _RUNS.findall(text))
 
 
 def visible(text: str) -> str:

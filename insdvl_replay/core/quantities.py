@@ -90,3 +90,20 @@ DECIDING_TOGETHER: Final = (*DECIDING, *_CONVERGENCE)
 """Those by which several dives decide. Of one dive, convergence knows how the starts scatter, but not the sensors."""
 EVIDENCE_QUANTITIES: Final = (*ACCURACY, *_COASTING, *_CONVERGENCE, "nis", "nees")
 """Rows of evidence, each name once."""
+NAMES: Final = {
+    "drift_30s": "drift in 30 s",
+    "drift_60s": "drift in 60 s",
+    "drift_100m": "drift in 100 m",
+    "velocity_along": "velocity along",
+    "velocity_across": "velocity across",
+    "depth_60s": "depth in 60 s",
+    "level": "level",
+    "heading": "heading",
+    **{f"coasting_{window}s": f"coasting {window} s" for window in COASTING_WINDOWS_S},
+    "convergence_velocity": "velocity settled",
+    "convergence_level": "level settled",
+    "convergence_heading": "heading settled",
+    "nis": "NIS / dof",
+    "nees": "NEES / dof",
+}
+"""How people are told of a quantity."""

@@ -217,7 +217,7 @@ class EvidenceRow(Struct, frozen=True):
     ]
     low: Number
     high: Number
-    effective_samples: Annotated[Number, Column("How many independent values the dive holds.")]
+    effective_samples: Annotated[Number, Column("How many independent values the ratio and its interval rest on.")]
     starts: Annotated[
         int, Column("Starts that were replayed, and stretches of the dive or windows that were compared.")
     ]

@@ -14,6 +14,7 @@ from msgspec import Struct
 
 from insdvl_replay.core.errors import ConfigError, error_context, require_known
 from insdvl_replay.core.plain_text import read_text
+from insdvl_replay.core.value_wanted import value_wanted
 
 KeyPath = tuple[str | int, ...]
 """Names of tables and keys from the top, and places in arrays among them."""
@@ -106,7 +107,7 @@ class TomlSource:
         if reason.startswith("Expected `object`") and name and not name.endswith("]"):
             raise ConfigError(f"{name} is a section, found {_shortened(value)}", f"write [{name}]")
         found = f", found {_shortened(value)}" if keys else ""
-        raise ConfigError(f"{f'{name}: ' if name else ''}{reason[:1].lower()}{reason[1:]}{found}", self.hint)
+        raise ConfigError(f"{f'{name}: ' if name else ''}{value_wanted(reason)}{found}", self.hint)
 
 
 def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> TomlSource:

@@ -58,6 +58,26 @@ class ConvergenceCurves(NamedTuple):
     limit: float
 
 
+class PositionCurve(NamedTuple):
+    """The horizontal position errors of one filter over time.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (k,)
+        After the start.
+    median_m, low_m, high_m : ndarray, shape (k,)
+        Middle, smallest and largest over the starts; NaN where none is known.
+    starts : int
+        Drawn ones; the dive's own, if there is no other.
+    """
+
+    time_s: Floats
+    median_m: Floats
+    low_m: Floats
+    high_m: Floats
+    starts: int
+
+
 @dataclass(frozen=True)
 class Curves:
     """All that is drawn of the evidence on one dive.
@@ -68,10 +88,13 @@ class Curves:
         By filter; empty where the dive is too short.
     convergence : dict of str to ConvergenceCurves
         By quantity of `quantities.CONVERGED`; empty without a reference or drawn starts.
+    position : dict of str to PositionCurve
+        By filter; empty without positions of a reference.
     """
 
     coasting: Mapping[str, CoastingCurve]
     convergence: Mapping[str, ConvergenceCurves]
+    position: Mapping[str, PositionCurve]
 
 
 def curves_of(drawn: Sequence[DrawnErrors], coasts: Coasts) -> Curves:
@@ -82,7 +105,21 @@ def curves_of(drawn: Sequence[DrawnErrors], coasts: Coasts) -> Curves:
     drawn : sequence of DrawnErrors
         Of the filters, the baseline first; empty without a reference.
     """
-    return Curves(coasting_curves(coasts), convergence_curves(drawn))
+    return Curves(coasting_curves(coasts), convergence_curves(drawn), position_curves(drawn))
+
+
+def position_curves(drawn: Sequence[DrawnErrors]) -> dict[str, PositionCurve]:
+    """Gather the horizontal position errors of each filter from its drawn starts, or from its own alone."""
+    found = {}
+    for of_one in drawn:
+        ned_m = np.stack([run.position_error_ned_m for run in of_one.against_reference])
+        with np.errstate(over="ignore", invalid="ignore"):
+            error_m = np.hypot(ned_m[..., 0], ned_m[..., 1])
+        if np.isfinite(error_m).all(axis=0).any():
+            shown = error_m[1:] if len(error_m) > 1 else error_m
+            ends = np.median(shown, axis=0), shown.min(axis=0), shown.max(axis=0)
+            found[of_one.filter] = PositionCurve(of_one.time_s, *ends, len(shown))
+    return found
 
 
 def coasting_curves(coasts: Coasts) -> dict[str, CoastingCurve]:

@@ -17,7 +17,6 @@ from msgspec.structs import replace
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
-    COASTING_WINDOWS_S,
     CONVERGED,
     VERDICTS_BEST_FIRST,
     is_whole,
@@ -32,23 +31,6 @@ from insdvl_replay.evaluation.over_dives import holm
 from insdvl_replay.evaluation.paired_statistics import RatioInterval, paired_ratio, windows_ratio, word_of
 
 HONESTY: Final = "honesty"
-NAMES: Final = {
-    "drift_30s": "drift in 30 s",
-    "drift_60s": "drift in 60 s",
-    "drift_100m": "drift in 100 m",
-    "velocity_along": "velocity along",
-    "velocity_across": "velocity across",
-    "depth_60s": "depth in 60 s",
-    "level": "level",
-    "heading": "heading",
-    **{f"coasting_{window}s": f"coasting {window} s" for window in COASTING_WINDOWS_S},
-    "convergence_velocity": "velocity settled",
-    "convergence_level": "level settled",
-    "convergence_heading": "heading settled",
-    "nis": "NIS / dof",
-    "nees": "NEES / dof",
-}
-"""How people are told of a quantity."""
 NOTABLY: Final = 1.1
 """A mean NIS or NEES nearer to its degrees of freedom by less is as honest."""
 SOONER: Final = 0.25
@@ -198,7 +180,7 @@ def _word_of_convergence(interval: RatioInterval) -> EvidenceWord:
 
 
 def _ends(interval: RatioInterval) -> tuple[float, float, float, float]:
-    return interval.ratio, interval.low, interval.high, interval.effective_samples
+    return interval.ratio, interval.low, interval.high, interval.independent
 
 
 def _rms(squared: Floats) -> float:

@@ -7,6 +7,7 @@ observations", 1989, for moving blocks; Diebold and Mariano, "Comparing predicti
 differential of losses; Satterthwaite, 1946, for the freedom of a sum of variances; Schuirmann, 1987, for equivalence.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -38,7 +39,10 @@ Indices = NDArray[np.int64]
 
 
 class RatioInterval(NamedTuple):
-    """Candidate over baseline, with the 95 % and the 90 % interval; all NaN where nothing could be compared."""
+    """Candidate over baseline, with the 95 % and the 90 % interval; all NaN where nothing could be compared.
+
+    Student's intervals have a freedom, which may be much less than the effective samples by which a word is allowed.
+    """
 
     ratio: float
     low: float
@@ -46,6 +50,12 @@ class RatioInterval(NamedTuple):
     low90: float
     high90: float
     effective_samples: float
+    freedom: float = math.inf
+
+    @property
+    def independent(self) -> float:
+        """How many independent values the interval rests on: never more than it has degrees of freedom, and one."""
+        return min(self.effective_samples, self.freedom + 1.0)
 
 
 NAN: Final = float("nan")
@@ -186,14 +196,14 @@ def _freedom(first: float, first_freedom: float, second: float, second_freedom: 
 def _student_interval(log_ratio: float, log_sd: float, freedom: float, effective: float) -> RatioInterval:
     widths = [float(stdtrit(freedom, tail)) * log_sd for tail in TAILS]
     ends = [log_ratio + sign * width for width in widths for sign in (-1.0, 1.0)]
-    return _interval(log_ratio, ends, effective)
+    return _interval(log_ratio, ends, effective, freedom)
 
 
-def _interval(log_ratio: float, log_ends: Sequence[float], effective: float) -> RatioInterval:
+def _interval(log_ratio: float, log_ends: Sequence[float], effective: float, freedom: float) -> RatioInterval:
     # A filter that broke down may be worse beyond all numbers: infinitely.
     with np.errstate(over="ignore", invalid="ignore"):
         low, high, low90, high90 = np.exp(log_ends).tolist()
-    return RatioInterval(float(np.exp(log_ratio)), low, high, low90, high90, effective)
+    return RatioInterval(float(np.exp(log_ratio)), low, high, low90, high90, effective, freedom)
 
 
 def _effective_over_starts(differential: Floats) -> float:

@@ -2,46 +2,32 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final
+from typing import Final
 
 import numpy as np
-from msgspec import Struct
 
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.pooled_row import PooledRow
 from insdvl_replay.core.quantities import DECIDING_TOGETHER, EVIDENCE_QUANTITIES
 from insdvl_replay.core.rows import EvidenceRow
-from insdvl_replay.core.table_layout import Column, Number, finite
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import EvidenceWord, Judgement
 from insdvl_replay.evaluation.evidence import HONESTY
 from insdvl_replay.evaluation.over_dives import Pooled, pooled_ratio
 from insdvl_replay.evaluation.paired_statistics import word_of
-from insdvl_replay.evaluation.verdicts import AGAINST, changed, interval_in_words, judgement_of, spoken_of
+from insdvl_replay.evaluation.verdicts import (
+    AGAINST,
+    changed,
+    interval_in_words,
+    judgement_of,
+    left_undecided,
+    spoken_of,
+)
 
 EVERY_DIVE: Final = "*"
 """Stands in place of a dive's name."""
 OF_FIRST, OF_OTHERS = 0.05, 0.01
 """Largest p with which the first piece of evidence decides, and each behind it: all of eight dives agree."""
-
-
-class PooledRow(Struct, frozen=True):
-    """One piece of evidence on a candidate beside the baseline, over several dives."""
-
-    about: ClassVar = "One piece of evidence on a candidate beside the baseline, over several dives."
-
-    log: Annotated[str, Column("Every dive, candidate, kind of evidence and quantity.")]
-    filter: str
-    evidence: str
-    quantity: str
-    unit: Annotated[str, Column("Unit of the two values, which are medians over the dives.")]
-    baseline: Number
-    value: Number
-    ratio: Annotated[Number, Column("Hodges-Lehmann estimate over the dives' ratios, and its exact 95 % interval.")]
-    low: Number
-    high: Number
-    dives: Annotated[int, Column("Dives that have a ratio, and those of them in which the candidate errs less.")]
-    dives_won: int
-    p: Annotated[Number, Column("Of Wilcoxon's exact signed-rank test, two-sided.")]
-    word: str
 
 
 def pooled_evidence(candidate: str, dives: Sequence[Sequence[EvidenceRow]]) -> list[PooledRow]:
@@ -103,7 +89,8 @@ def pooled_sentence(pooled: PooledCandidate) -> str:
         return f"{pooled.name} is NOT JUDGED against {pooled.baseline}: {found}."
     named = "; ".join(_in_words(row) for row in spoken_of(judgement, pooled.rows, DECIDING_TOGETHER))
     found = named or "there is nothing to measure it by"
-    return f"{pooled.name} {AGAINST[judgement]} {pooled.baseline} over {dives}: {found}."
+    left = left_undecided(judgement, pooled.rows, DECIDING_TOGETHER)
+    return f"{pooled.name} {AGAINST[judgement]} {pooled.baseline} over {dives}: {found}{left}."
 
 
 def _in_words(row: PooledRow) -> str:

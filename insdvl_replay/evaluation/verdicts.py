@@ -11,13 +11,13 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.quantities import ALL_CREDIBILITY_GROUPS, DECIDING, VERDICTS_BEST_FIRST, is_whole
+from insdvl_replay.core.quantities import ALL_CREDIBILITY_GROUPS, DECIDING, NAMES, VERDICTS_BEST_FIRST, is_whole
 from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.evaluation.evidence import HONESTY, NAMES
+from insdvl_replay.evaluation.evidence import HONESTY
 
 NOTABLE_PCT: Final = 5.0
 """A smaller gain is not spoken of as one that somebody believes in."""
@@ -26,6 +26,8 @@ BORNE_OUT: Final = 0.5
 COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
 """Quantities whose median change stands for the error against the reference."""
 GRAVEST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.TOO_FEW)
+FEWEST_STARTS: Final = 8
+"""From fewer drawn starts nothing is said of what is believed: it is mostly that errors of the start wear off."""
 MANY_TIMES: Final = 3.0
 """From here on, nobody reads percent."""
 MOST_NAMED: Final = 2
@@ -77,7 +79,7 @@ def judgement_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) ->
 def belief_of(believed_pct: float, rows: Sequence[EvidenceRow]) -> Belief:
     """Return whether at least half of what is believed was measured; undecided where the interval holds both."""
     measured = [row for row in rows if row.evidence == "accuracy" and row.ratio is not None]
-    if not measured or not believed_pct >= NOTABLE_PCT:
+    if not measured or not believed_pct >= NOTABLE_PCT or not _has_starts(measured):
         return Belief.UNDECIDED
     least_pct, most_pct = (
         100.0 * (1.0 - float(np.median([finite(getattr(row, end)) for row in measured]))) for end in ("high", "low")
@@ -85,6 +87,10 @@ def belief_of(believed_pct: float, rows: Sequence[EvidenceRow]) -> Belief:
     if least_pct >= BORNE_OUT * believed_pct:
         return Belief.BORNE_OUT
     return Belief.NOT_BORNE_OUT if most_pct < BORNE_OUT * believed_pct else Belief.UNDECIDED
+
+
+def _has_starts(measured: Iterable[EvidenceRow]) -> bool:
+    return max(row.starts for row in measured) >= FEWEST_STARTS
 
 
 def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
@@ -99,10 +105,10 @@ def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
     """Return the gravest verdict among the groups of states, of errors against the reference.
 
     All states together may be consistent with roll and pitch far off, below velocities that hardly err. Where no group
-    could be compared, what the first says of that is returned.
+    could be compared, what the first says of that is returned; early results have no groups.
     """
     words = [row.verdict for row in _groups(table, filter_name)]
-    return _gravest(words) if set(words) & set(GRAVEST_FIRST) else words[0]
+    return _gravest(words) if set(words) & set(GRAVEST_FIRST) else next(iter(words), Consistency.NO_REFERENCE)
 
 
 def _groups(table: Sequence[CredibilityRow], filter_name: str) -> list[CredibilityRow]:
@@ -126,7 +132,7 @@ def _verdict(tables: Tables, baseline: str, candidate: str, unsound: Mapping[str
         else f"{_measured(candidate, baseline, judgement, evidence)}. "
         f"It {_believes(believed_pct, baseline)}{_of_belief(believed_pct, belief, tables, evidence)}"
     )
-    trust = _on_trust(_trust(tables, candidate), _trust(tables, baseline), candidate, baseline)
+    trust = trust_sentence(tables, candidate, baseline)
     shared = "" if independent or not _has_reference(tables) else f" {SHARED}"
     return Candidate(
         verdict=f"{measured}. {trust}{shared}",
@@ -153,7 +159,15 @@ AGAINST: Final = {
 def _measured(candidate: str, baseline: str, judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
     """State what was measured, by the pieces of evidence that decided, or those that could have."""
     named = "; ".join(map(_in_words, spoken_of(judgement, evidence))) or "there is nothing to measure it by"
-    return f"{candidate} {AGAINST[judgement]} {baseline}: {named}{_on_honesty(evidence)}"
+    left = left_undecided(judgement, evidence)
+    return f"{candidate} {AGAINST[judgement]} {baseline}: {named}{left}{_on_honesty(evidence)}"
+
+
+def left_undecided(judgement: Judgement, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
+    """Name what is undecided where the first piece alone makes filters equivalent, as the end of a sentence."""
+    words = (row.quantity for row in rows if row.quantity in deciding and row.word == EvidenceWord.UNDECIDED)
+    names = [NAMES[quantity] for quantity in words] if judgement == Judgement.EQUIVALENT else []
+    return f"; undecided: {', '.join(names)}" if names else ""
 
 
 def spoken_of(judgement: Judgement, rows: Iterable[P], deciding: Collection[str] = DECIDING) -> list[P]:
@@ -230,8 +244,11 @@ def _of_belief(believed_pct: float, belief: Belief, tables: Tables, evidence: Se
     """State whether what is believed is borne out; that there is no reference is said of the dive, once."""
     if not believed_pct >= NOTABLE_PCT or not _has_reference(tables):
         return ""
-    if not any(row.evidence == "accuracy" for row in evidence):
+    measured = [row for row in evidence if row.evidence == "accuracy"]
+    if not measured:
         return ", and the reference does not tell whether that is so"
+    if not _has_starts(measured):
+        return f", and it takes {FEWEST_STARTS} drawn starts to tell whether that is so"
     return {
         Belief.BORNE_OUT: ", and that is borne out",
         Belief.NOT_BORNE_OUT: ", and that is NOT borne out",
@@ -259,7 +276,9 @@ def _where(table: Sequence[CredibilityRow], name: str, credibility: str) -> str:
     return f" in {' and '.join(grave)}" if len(grave) < len(groups) else ""
 
 
-def _on_trust(trust: str, of_baseline: str, candidate: str, baseline: str) -> str:
+def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
+    """State whether innovations and errors of a candidate, and of the baseline, are as large as each says."""
+    trust, of_baseline = _trust(tables, candidate), _trust(tables, baseline)
     if trust != of_baseline:
         return f"{candidate} is {trust}, {baseline} {of_baseline}."
     return "Too few updates to judge either." if trust == Consistency.TOO_FEW else f"Both filters are {trust}."

@@ -4,16 +4,21 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Final
 
-from insdvl_replay.core.errors import ConfigError, error_context, require_known
+from msgspec.structs import replace
+
+from insdvl_replay.core.errors import ConfigError, error_context, listed, require_known
 from insdvl_replay.core.plain_text import is_writable
 from insdvl_replay.core.strict_toml import TomlSource, read_toml
 from insdvl_replay.core.table_layout import TableLayout
-from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
+from insdvl_replay.core.tables import CANDIDATES
 from insdvl_replay.core.words import GateLevel
-from insdvl_replay.gates.model import ANY, LOG, Gate, GateFile
+from insdvl_replay.gates.judged_cells import LAYOUTS
+from insdvl_replay.gates.model import ANY, LOG, POOLED, TRAJECTORY, Gate, GateFile
+from insdvl_replay.gates.trajectory_keys import OF_TIME, check_trajectory_gate
 
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
 
@@ -63,6 +68,30 @@ def load_gates(path: Path) -> Gates:
     return Gates(path, content, tuple(place.line() for place in places))
 
 
+def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gates:
+    """Keep the gates whose names are like one of the patterns, and like none of those to be left out.
+
+    Raises
+    ------
+    ConfigError
+        No gate is left, or a pattern is like no name.
+    """
+    names = [gate.name for gate in gates.content.gate]
+    for pattern in (*only, *skip):
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise ConfigError(f"{gates.path}: no gate is called '{pattern}'", f"gates: {listed(names)}")
+    kept = [
+        (gate, line)
+        for gate, line in zip(gates.content.gate, gates.lines, strict=True)
+        if (not only or any(fnmatchcase(gate.name, pattern) for pattern in only))
+        and not any(fnmatchcase(gate.name, pattern) for pattern in skip)
+    ]
+    if not kept:
+        raise ConfigError(f"{gates.path}: no gate is left", "leave out --skip, or widen --only")
+    chosen, lines = zip(*kept, strict=True)
+    return Gates(gates.path, replace(gates.content, gate=chosen), lines)
+
+
 def _count(source: TomlSource) -> int:
     """Count the gates; what is no array of them is refused when all is converted."""
     gates = source.content.get("gate")
@@ -71,6 +100,21 @@ def _count(source: TomlSource) -> int:
 
 def _check_gate(gate: Gate) -> None:
     _check_limits(gate)
+    if gate.table == TRAJECTORY:
+        check_trajectory_gate(gate)
+        return
+    _check_cells(gate)
+
+
+def _check_cells(gate: Gate) -> None:
+    if not gate.column:
+        raise ConfigError(f"'{gate.name}' names no column", EXAMPLE)
+    if foreign := [key for key in (*OF_TIME, "max_abs", "max_rel") if getattr(gate, key)]:
+        raise ConfigError(f"'{gate.name}': {foreign[0]} is for table = \"{TRAJECTORY}\"", "min, max, or max_worse_abs")
+    if gate.table == POOLED and (gate.baseline is not None or gate.share_of_dives_pct is not None or gate.dives):
+        raise ConfigError(
+            f"'{gate.name}': the pooled evidence is of all dives, without a baseline", "min, max or equals"
+        )
     allowances = (gate.max_worse_pct, gate.max_worse_abs)
     if gate.baseline is not None and (strange := re.search(r"\{.*?\}", gate.baseline.replace(LOG, ""))):
         raise ConfigError(f"baseline: {strange[0]} is not known", f"{LOG} stands for the dive's name")
@@ -110,6 +154,10 @@ def require_known_names(gates: Gates, filters: Sequence[str] | None) -> None:
         Those that will be replayed, the baseline first; None if there are stored results, which may have others.
     """
     for gate in gates.content.gate:
+        if gate.table == TRAJECTORY:
+            with error_context(gates.where(gate)):
+                require_known("filter", gate.filter, [ANY, *(filters or (gate.filter,))])
+            continue
         with error_context(gates.where(gate)):
             layouts = _layouts(gate)
             _require_known_rows(gate, layouts, filters)
@@ -122,7 +170,7 @@ def require_known_names(gates: Gates, filters: Sequence[str] | None) -> None:
 
 def _layouts(gate: Gate) -> list[TableLayout]:
     """Return the tables that a gate means: those of its name that have its column."""
-    require_known("table", gate.table, [ANY, *(layout.name for layout in LAYOUTS)])
+    require_known("table", gate.table, [ANY, TRAJECTORY, *(layout.name for layout in LAYOUTS)])
     named = [layout for layout in LAYOUTS if gate.table in (ANY, layout.name)]
     require_known("column", gate.column, _unique(column for layout in named for column in _columns(layout)))
     return [layout for layout in named if gate.column in _columns(layout)]

@@ -5,14 +5,15 @@ import math
 from collections.abc import Iterator
 from typing import Final, TypeGuard
 
+from insdvl_replay.core.pooled_row import PooledRow
 from insdvl_replay.core.stored_report import Cell, Row, StoredReport
-from insdvl_replay.core.table_layout import PERCENTAGE, TableLayout
+from insdvl_replay.core.table_layout import PERCENTAGE, TableLayout, layout_of
 from insdvl_replay.core.tables import CANDIDATES, TABLES
 from insdvl_replay.core.words import Judgement, ReferenceStatus
 from insdvl_replay.evaluation.row_changes import agree, rounding, rounding_pct, rows_of, size, size_change_pct, within
-from insdvl_replay.gates.model import ANY, Finding, Gate
+from insdvl_replay.gates.model import ANY, POOLED, Finding, Gate
 
-LAYOUTS = (*TABLES, CANDIDATES)
+LAYOUTS = (*TABLES, CANDIDATES, layout_of(POOLED, PooledRow))
 OF_GAIN: Final = frozenset(
     (
         ("filters", "belief"),
@@ -37,6 +38,16 @@ def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | Non
     return (Finding(gate.table, gate.filter, gate.row, gate.column, None, None, sentence, passed=False),)
 
 
+def gated_rows(gate: Gate, report: StoredReport) -> Iterator[tuple[TableLayout, Row]]:
+    """Yield each row that a gate means, cut down to what names it and what a comparison with it needs."""
+    for layout in LAYOUTS:
+        if gate.table in (ANY, layout.name):
+            needed = ("log", "filter", layout.key, "unit", "dof", gate.column)
+            for row in rows_of(report, layout):
+                if _is_meant(gate, layout, row):
+                    yield layout, {name: row[name] for name in needed if name in row}
+
+
 def _findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> Iterator[Finding]:
     for layout in LAYOUTS:
         if gate.table not in (ANY, layout.name):
@@ -56,6 +67,8 @@ def _findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -
                 row.get(gate.column),
                 f"{_cell(gate, layout, row)} {complaint or _statement(layout, row, gate.column, was)}",
                 passed=not complaint,
+                unit=_unit(layout, row, gate.column).strip(),
+                allowed=_allowed(gate),
             )
         yield from _removed_rows(gate, layout, before, report)
 

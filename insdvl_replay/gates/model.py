@@ -13,7 +13,14 @@ ANY: Final = "*"
 LOG: Final = "{log}"
 """Stands in the path of a baseline for the dive's name."""
 
+POOLED: Final = "pooled"
+"""The table of what all dives say together, as in ``evidence.csv`` beside them."""
+TRAJECTORY: Final = "trajectory"
+"""What is compared sample by sample."""
+EVERY_DIVE: Final = "*"
+"""Stands for the name of a dive where all are meant together."""
 Allowance = Annotated[float, Meta(ge=0)]
+Share = Annotated[float, Meta(ge=0, le=100)]
 
 
 class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -38,19 +45,37 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         a percentage itself.
     max_worse_abs : float, optional
         The same in the unit of the value. Of two allowances the larger one counts.
+    max_abs, max_rel : optional
+        By how much samples of a trajectory may differ: by column in its unit; as a share of the largest of its group.
+    within : tuple of float, optional
+        The band in which a quantity of the trajectory, the row, is to stay.
+    share_pct, longest_outside_s, at_s : float, optional
+        For which share of the samples; for how long it may be outside; at which time alone. Else all samples.
+    dives : tuple of str
+        Patterns of the names of the dives that are meant; empty for all.
+    share_of_dives_pct : float, optional
+        The gate holds if so many of the dives that are meant pass it.
     """
 
     name: str
     table: str
     filter: str = ANY
     row: str = ANY
-    column: str
+    column: str = ""
     min: float | None = None
     max: float | None = None
     equals: str | int | float | tuple[str | int | float, ...] | None = None
     baseline: str | None = None
     max_worse_pct: Allowance | None = None
     max_worse_abs: Allowance | None = None
+    max_abs: dict[str, Allowance] = {}
+    max_rel: Allowance | None = None
+    within: tuple[float, float] | None = None
+    share_pct: Share | None = None
+    longest_outside_s: Allowance | None = None
+    at_s: Allowance | None = None
+    dives: tuple[str, ...] = ()
+    share_of_dives_pct: Share | None = None
     level: GateLevel = GateLevel.ERROR
 
 
@@ -87,6 +112,10 @@ class Finding(Struct, frozen=True):
         None for what is missing.
     sentence : str
         What is, and what is wanted.
+    unit : str
+        Of the two values.
+    allowed : str
+        By how much it may be worse than the baseline's.
     """
 
     table: str
@@ -97,6 +126,8 @@ class Finding(Struct, frozen=True):
     value: Cell
     sentence: str
     passed: bool
+    unit: str = ""
+    allowed: str = ""
 
 
 class Judgement(Struct, frozen=True):
@@ -110,6 +141,8 @@ class Judgement(Struct, frozen=True):
         Why it is not passed, one sentence each.
     line : int
         Where the gate stands in its file; 0 if that is not known.
+    is_trajectory : bool
+        The gate holds the trajectory against its baseline.
     """
 
     dive: str
@@ -118,6 +151,7 @@ class Judgement(Struct, frozen=True):
     reasons: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     line: int = 0
+    is_trajectory: bool = False
 
 
 class CheckResult(Struct, frozen=True):

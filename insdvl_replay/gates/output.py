@@ -9,8 +9,9 @@ from msgspec import Meta, Struct
 
 from insdvl_replay.core.plain_text import visible, visible_lines
 from insdvl_replay.core.stored_report import Cell
+from insdvl_replay.core.table_layout import PERCENTAGE
 from insdvl_replay.core.words import GateStatus
-from insdvl_replay.gates.model import CheckResult, Finding, Judgement
+from insdvl_replay.gates.model import EVERY_DIVE, TRAJECTORY, CheckResult, Finding, Judgement
 from insdvl_replay.report.document import MISSING, DisplayTable, Part, Title, counted
 from insdvl_replay.report.markdown import as_markdown
 from insdvl_replay.results.json_report import Tool, as_json, this_tool
@@ -75,6 +76,8 @@ _COUNTED: Final[dict[GateStatus, str]] = {
     GateStatus.OFF: "off",
     GateStatus.PASSED: "passed",
 }
+MOST_MOVED: Final = 30
+"""Values that moved and stand in the Markdown; of more the rest is counted."""
 MOST_ANNOTATIONS: Final = 10
 """Annotations of a level that a step on GitHub shows; what is beyond that is counted in the last one."""
 
@@ -94,9 +97,21 @@ class CheckReport(Struct, frozen=True):
 
 def check_sentence(result: CheckResult) -> str:
     """Count what became of the gates, in one sentence."""
-    dives = len({judgement.dive for judgement in result.judgements})
+    dives = len({judgement.dive for judgement in result.judgements} - {EVERY_DIVE})
     counts = ", ".join(f"{count} {word}" for status, word in _COUNTED.items() if (count := result.count(status)) > 0)
-    return f"{counted(len(_gates(result)), 'gate')} on {counted(dives, 'dive')}: {counts}"
+    where = counted(dives, "dive") if dives else "all dives together"
+    return f"{counted(len(_gates(result)), 'gate')} on {where}: {counts}"
+
+
+def trajectory_sentence(result: CheckResult) -> str:
+    """Count the dives whose trajectory changed; empty without a gate that holds one against its baseline."""
+    held = [item for item in result.judgements if item.is_trajectory]
+    if not held:
+        return ""
+    errors = {item.dive for item in held if item.status == GateStatus.UNUSABLE or not item.findings}
+    changed = {item.dive for item in held if not all(finding.passed for finding in item.findings)} - errors
+    unchanged = {item.dive for item in held} - errors - changed
+    return f"trajectories: {len(changed)} changed, {len(unchanged)} unchanged, {len(errors)} errors"
 
 
 def check_text(result: CheckResult) -> str:
@@ -108,17 +123,44 @@ def check_text(result: CheckResult) -> str:
     if lines:
         lines.append("")
     lines += [f"{name}: {passed}" for name, passed in _passed(result)]
-    return "".join(f"{visible(line)}\n" for line in (*lines, "", check_sentence(result)))
+    counts = [line for line in (trajectory_sentence(result), check_sentence(result)) if line]
+    return "".join(f"{visible(line)}\n" for line in (*lines, "", *counts))
 
 
 def check_markdown(result: CheckResult) -> str:
     """Lay the same out in Markdown."""
-    parts: list[Part] = [Title("Gates"), check_sentence(result)]
+    parts: list[Part] = [Title("Gates"), *filter(None, (check_sentence(result), trajectory_sentence(result)))]
     if missed := _missed(result):
         rows = tuple((WORDS[item.status], item.dive, item.gate, "; ".join(item.reasons)) for item in missed)
         parts.append(DisplayTable("What did not pass", ("", "dive", "gate", "why"), "llll", rows))
+    parts += _before_and_after(result)
     parts.append(DisplayTable("Gates", ("gate", "passed"), "ll", tuple(_passed(result))))
     return as_markdown(parts)
+
+
+def _before_and_after(result: CheckResult) -> list[DisplayTable]:
+    """Lay out the gated values that moved against their baselines, those that did not pass first."""
+    moved = [
+        (item.dive, finding)
+        for item in result.judgements
+        for finding in item.findings
+        if finding.was is not None and _short_text(finding.was) != _short_text(finding.value)
+    ]
+    moved.sort(key=lambda one: one[1].passed)
+    rows = tuple(
+        (
+            dive,
+            f"{finding.table} {finding.filter} {finding.row}: {finding.column}",
+            _short_text(finding.was),
+            f"{_short_text(finding.value)}{f' {finding.unit}' if finding.unit else ''}",
+            _growth(finding),
+            "" if finding.passed else WORDS[GateStatus.FAILED],
+        )
+        for dive, finding in moved[:MOST_MOVED]
+    )
+    more = f"and {len(moved) - MOST_MOVED} more" if len(moved) > MOST_MOVED else ""
+    header = ("dive", "value", "before", "after", "change", "")
+    return [DisplayTable("Before and after", header, "llrrrl", rows, more)] if rows else []
 
 
 def check_json(result: CheckResult) -> str:
@@ -160,12 +202,22 @@ def baseline_text(changes: Sequence[tuple[str, Finding]]) -> str:
     str
         A line for each value that is new or moved in what it shows, and how many are as before.
     """
-    moved = [(dive, finding) for dive, finding in changes if _value_text(finding.was) != _value_text(finding.value)]
-    lines = [f"{dive}: {_movement(finding)}" for dive, finding in moved]
-    return "".join(
-        f"{visible(line)}\n"
-        for line in (*lines, f"{counted(len(moved), 'value')} new or moved, {len(changes) - len(moved)} as before")
-    )
+    moved = [(dive, finding) for dive, finding in changes if _has_moved(finding)]
+    shown = [(dive, finding) for dive, finding in moved if _is_seen(finding)]
+    lines = [f"{dive}: {_movement(finding)}" for dive, finding in shown]
+    unseen = f"{len(moved) - len(shown)} by less than four digits show, " if len(moved) > len(shown) else ""
+    count = f"{counted(len(shown), 'value')} new or moved, {unseen}{len(changes) - len(moved)} as before"
+    return "".join(f"{visible(line)}\n" for line in (*lines, count))
+
+
+def _has_moved(finding: Finding) -> bool:
+    if finding.table == TRAJECTORY:
+        return not finding.passed
+    return _value_text(finding.was) != _value_text(finding.value)
+
+
+def _is_seen(finding: Finding) -> bool:
+    return finding.table == TRAJECTORY or _short_text(finding.was) != _short_text(finding.value)
 
 
 def _commands(level: str, file: str, judgements: Sequence[Judgement]) -> list[str]:
@@ -194,9 +246,28 @@ def _property(text: str) -> str:
 
 
 def _movement(finding: Finding) -> str:
+    """State in a line what becomes of a value in the baseline: from, to, by how much, and what is allowed."""
+    if finding.table == TRAJECTORY:
+        return f"trajectory of {finding.sentence.replace(': is not in the baseline', ' is new')}"
     cell = f"{finding.table} {finding.filter} {finding.row}: {finding.column}"
-    now = _value_text(finding.value)
-    return f"{cell} is new: {now}" if finding.was is None else f"{cell} goes from {_value_text(finding.was)} to {now}"
+    now = f"{_short_text(finding.value)}{f' {finding.unit}' if finding.unit else ''}"
+    if finding.was is None:
+        return f"{cell} is new: {now}"
+    allowed = f", {finding.allowed} allowed" if finding.allowed else ""
+    return f"{cell} goes from {_short_text(finding.was)} to {now} ({_growth(finding)}{allowed})"
+
+
+def _growth(finding: Finding) -> str:
+    was, now = finding.was, finding.value
+    if not isinstance(was, int | float) or not isinstance(now, int | float):
+        return "changed"
+    if finding.column.endswith(PERCENTAGE):
+        return f"{now - was:+.3g} points"
+    return f"{100.0 * (now - was) / abs(was):+.3g} %" if was else "from zero"
+
+
+def _short_text(value: Cell) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else _value_text(value)
 
 
 def _value_text(value: Cell) -> str:
@@ -219,6 +290,9 @@ def _passed(result: CheckResult) -> list[tuple[str, str]]:
     rows = []
     for name in _gates(result):
         own = [judgement for judgement in result.judgements if judgement.gate == name]
+        if own[0].dive == EVERY_DIVE:
+            rows.append((name, f"{WORDS[own[0].status]}, all dives together"))
+            continue
         passed = sum(judgement.status == GateStatus.PASSED for judgement in own)
         rows.append(
             (name, "off" if own[0].status == GateStatus.OFF else f"passed by {passed} of {counted(len(own), 'dive')}")

@@ -11,7 +11,7 @@ from typing import Final, Literal, TypeVar
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.states import STATES
-from insdvl_replay.report.plots.panel import Figure
+from insdvl_replay.report.plots.panel import Figure, Panel
 
 MISSING: Final = "-"
 _LABELS: Final = {state.id: state.label for state in STATES}
@@ -51,6 +51,8 @@ class DisplayTable:
         What the rows cannot say.
     title_apart : bool
         On a terminal the title has a line of its own, and is not folded to the width of a narrow table.
+    spare : tuple of int
+        Columns that a terminal leaves out where it is too narrow for all, the first of them first.
     """
 
     title: str
@@ -59,6 +61,7 @@ class DisplayTable:
     rows: tuple[tuple[CellText, ...], ...]
     footnote: str = ""
     title_apart: bool = False
+    spare: tuple[int, ...] = ()
 
 
 Row = TypeVar("Row")
@@ -66,7 +69,13 @@ Column = tuple[str, str, Callable[[Row], CellText]]
 """Name, alignment, and what stands there."""
 
 
-def table_of(title: str, rows: Sequence[Row], columns: Sequence[Column[Row]], footnote: str = "") -> DisplayTable:
+def table_of(
+    title: str,
+    rows: Sequence[Row],
+    columns: Sequence[Column[Row]],
+    footnote: str = "",
+    spare: tuple[int, ...] = (),
+) -> DisplayTable:
     """Lay out rows, a column for each thing that is said of them."""
     return DisplayTable(
         title,
@@ -74,6 +83,7 @@ def table_of(title: str, rows: Sequence[Row], columns: Sequence[Column[Row]], fo
         "".join(letter for _, letter, _ in columns),
         tuple(tuple(text(row) for _, _, text in columns) for row in rows),
         footnote,
+        spare=spare,
     )
 
 
@@ -99,6 +109,11 @@ def number(value: float | None) -> str:
     return f"{value:.2e}"
 
 
+def significant(value: float | None) -> str:
+    """Write a number with two significant digits, for a narrow column."""
+    return MISSING if value is None or math.isnan(value) else f"{value:.2g}"
+
+
 def counted(count: int, noun: str) -> str:
     """Write how many there are of something."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
@@ -117,8 +132,8 @@ def percent(value: float | None) -> str:
 Format = Literal["terminal", "markdown", "latex", "html"]
 PRINTED: Final[tuple[Format, ...]] = ("terminal", "markdown", "latex")
 PAGE: Final[tuple[Format, ...]] = ("html",)
-LONG: Final[tuple[Format, ...]] = ("markdown", "latex", "html")
-"""What is too long for a terminal."""
+PRINTED_LONG: Final[tuple[Format, ...]] = ("markdown", "latex")
+"""Of what is printed, that which is not too long."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +168,7 @@ class Remark:
 class Sentences:
     """Sentences that stand together, apart from what is before them."""
 
-    lines: tuple[str | Remark, ...]
+    lines: tuple[str | Remark | Callout, ...]
 
 
 @dataclass(frozen=True)
@@ -195,6 +210,22 @@ class Details:
 
 
 @dataclass(frozen=True)
+class Folded:
+    """Tables of a page that are folded away under a line; on paper they are left out."""
+
+    title: str
+    tables: tuple[DisplayTable, ...]
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures of a page that stand in one row, each a panel, or a fragment with a title of its own."""
+
+    shown: tuple[Panel | str, ...]
+    caption: str
+
+
+@dataclass(frozen=True)
 class Html:
     """A fragment of a page that is HTML already."""
 
@@ -211,7 +242,7 @@ class Only:
 
 Text = str | Title | Callout | Remark
 """Of one sentence; plain text becomes a paragraph."""
-OfPage = Heading | LinkedTable | Facts | Details | Figure | Html
+OfPage = Heading | LinkedTable | Facts | Details | Folded | Pictures | Figure | Html
 """What pages alone can show."""
 Part = Text | Sentences | Code | DisplayTable | OfPage | Only
 Document = Sequence[Part]

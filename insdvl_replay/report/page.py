@@ -15,17 +15,19 @@ from insdvl_replay.report.document import (
     DisplayTable,
     Document,
     Facts,
+    Folded,
     Heading,
     Html,
     LinkedTable,
     Part,
+    Pictures,
     Remark,
     Sentences,
     Title,
     cell_lines,
     parts_for,
 )
-from insdvl_replay.report.plots.panel import Figure
+from insdvl_replay.report.plots.panel import Figure, Panel
 from insdvl_replay.report.plots.svg import panel_svg
 
 _POINTS: Final = ("rejected",)
@@ -68,6 +70,13 @@ def page(document: Document, script: str = "") -> bytes:
     return "\n".join(lines).encode()
 
 
+def fragment(document: Document) -> str:
+    """Render a document as a part of somebody else's page, such as a notebook, with no style of its own."""
+    parts = [part for part in document if not isinstance(part, Title)]
+    titles = "".join(f"<h3>{escape(part.text)}</h3>" for part in document if isinstance(part, Title))
+    return f"<div>{titles}{''.join(_html(part) for part in parts)}</div>"
+
+
 def is_page(data: bytes) -> bool:
     """Return whether a file is a page of ours."""
     return _SIGNATURE.encode() in data[:1000]
@@ -92,6 +101,12 @@ def _table(table: DisplayTable, links: Sequence[str] = ()) -> str:
 
 
 def _table_title(title: str) -> str:
+    if not title:
+        return ""
+    return _named_title(title)
+
+
+def _named_title(title: str) -> str:
     """Render the title of a table: what stands before its colon, or all of it, is its name."""
     name, colon, rest = title.partition(": ")
     return f"<h3><b>{escape(name + colon.rstrip())}</b>{' ' if rest else ''}{escape(rest)}</h3>"
@@ -105,12 +120,36 @@ def _kind(cell: str, kind: str) -> str:
 def _figure(figure: Figure) -> str:
     """Render a figure: what it shows, how it is read, and its panels."""
     legend = "".join(f"<li>{_key(style)}{escape(label)}</li>" for style, label in figure.legend)
-    panels = "\n".join(panel_svg(panel) for panel in figure.panels)
+    panels = "\n".join(
+        _zoomed(panel, f"{_anchor(figure.title)}-{number}") for number, panel in enumerate(figure.panels, 1)
+    )
     content = f'<div class="panels">{panels}</div>' if panels else '<p class="footnote">nothing to draw</p>'
     return (
         f"<figure><figcaption><strong>{escape(figure.title)}</strong><span>{escape(figure.caption)}</span>"
         f'<ul class="legend">{legend}</ul></figcaption>{content}</figure>'
     )
+
+
+def _zoomed(panel: Panel, anchor: str) -> str:
+    """Render a panel that a click shows alone, as large as the window; another leads back. No script is needed."""
+    return (
+        f'<div class="zoom{" tall" if panel.equal and not panel.low else ""}" id="{anchor}">'
+        f'<a class="open" href="#{anchor}" title="larger">{panel_svg(panel)}</a>'
+        f'<a class="close" href="#{anchor}-back">back</a><i id="{anchor}-back"></i></div>'
+    )
+
+
+def _pictures(part: Pictures) -> str:
+    shown = "\n".join(
+        f"<div>{one}</div>" if isinstance(one, str) else _zoomed(one, f"first-{number}")
+        for number, one in enumerate(part.shown, 1)
+    )
+    return f'<div class="first">{shown}</div><p class="footnote">{escape(part.caption)}</p>'
+
+
+def _folded(part: Folded) -> str:
+    tables = "\n".join(map(_table, part.tables))
+    return f'<details class="fold"><summary>{escape(part.title)}</summary><div class="tables">{tables}</div></details>'
 
 
 def _laid_out(parts: Sequence[Part]) -> list[str]:
@@ -144,8 +183,8 @@ def _block(part: Part) -> str:
             return _table(part)
         case LinkedTable(table, links):
             return _table(table, links)
-        case Figure():
-            return _figure(part)
+        case Figure() | Folded() | Pictures():
+            return _drawn(part)
         case Facts(named):
             pairs = "".join(f"<dt>{escape(name)}</dt><dd>{escape(fact)}</dd>" for name, fact in named.items())
             return f"<dl>{pairs}</dl>"
@@ -156,6 +195,15 @@ def _block(part: Part) -> str:
         case Html(text):
             return text
     raise ValueError(f"{type(part).__name__} is no part of a page's body")
+
+
+def _drawn(part: Figure | Folded | Pictures) -> str:
+    match part:
+        case Figure():
+            return _figure(part)
+        case Folded():
+            return _folded(part)
+    return _pictures(part)
 
 
 def escape(text: str) -> str:

@@ -1,27 +1,32 @@
 """What is shown of one dive: what to think of it, its tables; on its page also figures, losses and provenance."""
 
-from collections.abc import Iterator, Sequence
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
-from typing import Final
+from typing import Any, Final
 
-from msgspec.structs import astuple
+import msgspec
 
-from insdvl_replay.core.tables import Candidate, each_table
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.quantities import NAMES
+from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Belief, Judgement
-from insdvl_replay.evaluation.evidence import NAMES
-from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import (
-    LONG,
     PAGE,
     PRINTED,
+    PRINTED_LONG,
     Callout,
+    Code,
     DisplayTable,
     Facts,
+    Folded,
     Heading,
     Html,
     LinkedTable,
     Only,
     Part,
+    Pictures,
     Sentences,
     Title,
     losses,
@@ -30,7 +35,7 @@ from insdvl_replay.report.document import (
     settings_details,
 )
 from insdvl_replay.report.page import page
-from insdvl_replay.report.plots.panel import Figure
+from insdvl_replay.report.plots.panel import Figure, Panel
 from insdvl_replay.results.dive_tables import TONES, evidence_tables, filter_tables, glance_table
 from insdvl_replay.results.json_report import Report
 from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference, reference_tables, track_fit_line
@@ -38,44 +43,56 @@ from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference, 
 _LOUD: Final = (Judgement.WORSE, Judgement.NOT_JUDGED)
 _MEASURED_BY: Final = {"phi_n": "level", "phi_e": "level", "phi_d": "heading"}
 """States of which a piece of evidence tells, and which."""
+MEANING: Final = "Shaded behind panels over time: the vehicle turns (grey), or the DVL has no velocity (ochre)."
+_MOST_GAINS: Final = 2
 _FULL_PCT: Final = 100.0
 """Longer bars end at the edge; the number beside them says it all."""
 
 
-def dive_document(report: Report, figures: Sequence[Part] = (), behind: Sequence[Part] = ()) -> list[Part]:
+def dive_document(
+    report: Report, first: Sequence[Part] = (), figures: Sequence[Part] = (), behind: Sequence[Part] = ()
+) -> list[Part]:
     """Lay out a report: what was measured, then what the filters say of themselves.
 
     Parameters
     ----------
+    first : sequence of Part
+        What stands between the verdict and the evidence.
     figures : sequence of Part
         What stands behind the evidence.
     behind : sequence of Part
         What stands behind all tables.
     """
-    glance = [LinkedTable(glance_table(report), ())] if report.filters else []
+    evidence, tables = list(evidence_tables(report)), list(filter_tables(report))
+    glance = [glance_table(report)] if report.filters else []
+    references = reference_tables(report)
+    folded = [Folded(table.title, (table,)) for table in (*evidence[len(report.filters) :], *references, *tables)]
     return [
         Only(PRINTED, (Title(heading(report)),)),
         Only(PAGE, (Title(_replayed(report)),)),
         *(Callout(candidate.verdict, TONES.get(candidate.improvement, "")) for candidate in report.filters.values()),
-        *glance,
+        *first,
+        Only(PAGE, tuple(evidence[: len(report.filters)])),
         *track_fit_line(report),
         *([] if has_reference(report) else [NO_REFERENCE]),
-        Heading("Evidence"),
-        *evidence_tables(report),
-        Only(LONG, tuple(reference_tables(report))),
+        Only(PRINTED, tuple(evidence)),
+        Only(PRINTED_LONG, tuple(references)),
         *figures,
         Heading("Tables"),
-        *filter_tables(report),
+        *(LinkedTable(table, ()) for table in glance),
+        Only(PAGE, tuple(folded)),
+        Only(PRINTED, tuple(tables)),
         Only(PRINTED, (Sentences(closing_lines(report)),)),
         *behind,
     ]
 
 
-def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: str) -> bytes:
+def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure], strips: str, settings: str) -> bytes:
     """Write the page of a replay; the same replay gives the same bytes."""
+    caption = "Lines are the middle of the runs from all starts, shaded where the runs lie. " if len(first) > 1 else ""
+    opening = [Pictures((*first, *_bars(report)), f"{caption}A click on a picture shows it alone. {MEANING}")]
     drawn: list[Part] = [
         Heading("Figures"),
-        _bars(report),
         *figures,
         _figure(
             "What they had to go on: sensors and gaps",
@@ -89,17 +106,25 @@ def dive_page(report: Report, figures: Sequence[Figure], strips: str, settings: 
         losses(report.notes),
         Heading("Provenance"),
         *_provenance(report),
+        Code(changed_settings(report.config), "toml"),
         settings_details(settings),
     ]
-    return page(dive_document(report, drawn, behind))
+    return page(dive_document(report, opening, drawn, behind))
 
 
-def report_csv(report: Report) -> str:
-    """Write the tables one after the other."""
-    return blocks_csv(
-        "table",
-        {layout.name: (tuple(layout.columns), map(astuple, rows)) for layout, rows in each_table(report.tables)},
-    )
+def changed_settings(config: Mapping[str, Any]) -> str:
+    """Write the settings that are not the defaults, a line each."""
+    usual = dict(_flattened(msgspec.to_builtins(Config())))
+    lines = [f"{key} = {json.dumps(value)}" for key, value in _flattened(config) if usual.get(key, ...) != value]
+    return "\n".join(["# what differs from the defaults", *lines] if lines else ["# the defaults"])
+
+
+def _flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in settings.items():
+        if isinstance(value, dict) and value:
+            yield from _flattened(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", list(value) if isinstance(value, tuple) else value
 
 
 def heading(report: Report) -> str:
@@ -158,46 +183,36 @@ def _figure(title: str, caption: str, content: str) -> Html:
     return Html(f"<figure><figcaption><strong>{title}</strong><span>{caption}</span></figcaption>{content}</figure>")
 
 
-def _bars(report: Report) -> Html:
-    """Draw what each candidate believes to have gained over the baseline and, where it was measured, what it has."""
-    upper = "what a filter believes to have gained, by its own covariance."
-    title, caption = (
-        (
-            "Believed against measured: how much smaller the errors are",
-            f"Upper bars, blue: {upper} Lower bars: what was measured, see the evidence for its interval.",
+def _bars(report: Report) -> Iterator[str]:
+    """Draw what each candidate believes to have gained beside what was measured, where both are known."""
+    gains = {name: list(_gains(report, name)) for name in report.filters}
+    known = {name: found for name, found in gains.items() if found}
+    if known:
+        # Beside several candidates there is room for the mean, and for one of the states that have a measured error.
+        most = _MOST_GAINS if len(known) > 1 else None
+        rows = "".join(
+            f'<tr><th scope="rowgroup" colspan="4"><b>{escape(visible(name))}</b></th></tr>'
+            + "".join(_gain_row(*gain) for gain in found[:most])
+            for name, found in known.items()
         )
-        if any(_measured_pct(report, name) for name in report.filters)
-        else ("Believed: how much smaller the errors are", f"Bars: {upper}")
-    )
-    return _figure(
-        title, caption, f'<div class="tables">{"".join(_bars_of(report, name) for name in report.filters)}</div>'
-    )
-
-
-def _bars_of(report: Report, name: str) -> str:
-    known = bool(_measured_pct(report, name))
-    rows = "".join(_gain_row(*gain, known=known) for gain in _gains(report, name))
-    title = f"{name} against {report.baseline}"
-    measured = '<th class="r">measured</th>' if known else ""
-    return (
-        f'<section><h3><b>{escape(title)}</b></h3><table class="bars"><thead><tr><th>quantity</th>'
-        f'<th class="r">believed</th>{measured}<th class="axis"><span>&minus;100 %</span><span>0</span>'
-        f"<span>100 %</span></th></tr></thead><tbody>{rows}</tbody></table></section>"
-    )
+        yield (
+            '<section><h3>smaller errors, <b>believed</b> (blue) and <b>measured</b></h3><table class="bars"><thead>'
+            '<tr><th>quantity</th><th class="r">believed</th><th class="r">measured</th><th class="axis">'
+            "<span>&minus;100 %</span><span>0</span><span>100 %</span></th></tr></thead>"
+            f"<tbody>{rows}</tbody></table></section>"
+        )
 
 
 def _gains(report: Report, name: str) -> Iterator[tuple[str, float | None, float | None]]:
-    """Yield label, believed and measured improvement in percent: the mean, the states, and what has no state."""
-    yield "mean of nine states", report.filters[name].mean_improvement_pct, None
+    """Yield label, believed and measured improvement in percent, of what has both: the mean beside the first piece."""
     measured = _measured_pct(report, name)
+    for quantity, measured_pct in list(measured.items())[:1]:
+        yield f"mean / {NAMES[quantity]}", report.filters[name].mean_improvement_pct, measured_pct
     for row in report.tables.improvement:
-        if row.filter == name:
-            quantity = _MEASURED_BY.get(row.state, "")
-            label = f"{row_label(row.state)}{f' / {quantity}' if quantity in measured else ''}"
-            yield label, row.improvement_pct, measured.get(quantity)
-    for quantity, measured_pct in measured.items():
-        if quantity not in _MEASURED_BY.values():
-            yield NAMES[quantity], None, measured_pct
+        quantity = _MEASURED_BY.get(row.state, "")
+        if row.filter == name and quantity in measured:
+            axis = row_label(row.state).partition(", ")[2]
+            yield quantity if quantity == "heading" else f"{quantity}, {axis}", row.improvement_pct, measured[quantity]
 
 
 def _measured_pct(report: Report, name: str) -> dict[str, float]:
@@ -211,12 +226,11 @@ def _measured_pct(report: Report, name: str) -> dict[str, float]:
     }
 
 
-def _gain_row(label: str, believed_pct: float | None, measured_pct: float | None, *, known: bool) -> str:
+def _gain_row(label: str, believed_pct: float | None, measured_pct: float | None) -> str:
     bars = _bar("believed", believed_pct, 1) + _bar("measured", measured_pct, 9)
-    measured = f'<td class="r">{percent(measured_pct)}</td>' if known else ""
     return (
         f'<tr><th scope="row">{escape(label)}</th><td class="r">{percent(believed_pct)}</td>'
-        f'{measured}<td class="axis"><svg viewBox="-100 0 200 16" '
+        f'<td class="r">{percent(measured_pct)}</td><td class="axis"><svg viewBox="-100 0 200 16" '
         f'preserveAspectRatio="none"><path class="zero" d="M0 0V16"/>{bars}</svg></td></tr>'
     )
 

@@ -19,6 +19,8 @@ from insdvl_replay.report.plots.panel import REFERENCE, Curve, Figure, Panel, da
 from insdvl_replay.results.coverage import Source, coverage_strips
 from insdvl_replay.results.evidence_figures import coasting_figure, convergence_figure
 from insdvl_replay.results.filter_figures import Clock, FilterErrors, error_figure, nis_figure, sigma_figure
+from insdvl_replay.results.first_figures import first_panels
+from insdvl_replay.results.shades import shaded, shaded_panel, shades_of
 
 _FEWEST_BEAMS = 3
 """With fewer valid beams a ping has no velocity."""
@@ -46,7 +48,7 @@ class Track:
 def replay_figures(replay: Replay) -> tuple[Figure, ...]:
     """Draw all figures of a replay: what was measured, then what the filters believe."""
     clock = Clock(replay.start_ns, replay.end_ns)
-    return (
+    figures = (
         *_errors(replay, clock),
         *coasting_figure(replay.curves.coasting, clock),
         *convergence_figure(replay.curves.convergence, replay.tables.evidence),
@@ -55,6 +57,13 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
         motion_figure(list(_tracks(replay)), replay.histories[0], clock),
         *_acceleration_figure(replay, clock),
     )
+    return shaded(figures, shades_of(replay), clock.label)
+
+
+def replay_first_panels(replay: Replay) -> tuple[Panel, ...]:
+    """Draw the pictures of the first screen."""
+    clock, shades = Clock(replay.start_ns, replay.end_ns), shades_of(replay)
+    return tuple(shaded_panel(panel, shades, clock.label) for panel in first_panels(replay))
 
 
 def replay_coverage(replay: Replay) -> str:

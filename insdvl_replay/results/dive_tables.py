@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, Protocol, TypeVar
 
-from insdvl_replay.core.quantities import is_whole
+from insdvl_replay.core.pooled_row import PooledRow
+from insdvl_replay.core.quantities import NAMES, is_whole
 from insdvl_replay.core.rows import (
     CoastingRow,
     ConsistencyRow,
@@ -16,8 +17,8 @@ from insdvl_replay.core.rows import (
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Judgement, ReferenceStatus
-from insdvl_replay.evaluation.evidence import HONESTY, NAMES
-from insdvl_replay.evaluation.pooled_evidence import PooledCandidate, PooledRow
+from insdvl_replay.evaluation.evidence import HONESTY
+from insdvl_replay.evaluation.pooled_evidence import PooledCandidate
 from insdvl_replay.report.document import (
     MISSING,
     Column,
@@ -26,6 +27,7 @@ from insdvl_replay.report.document import (
     number,
     percent,
     row_label,
+    significant,
     table_of,
 )
 from insdvl_replay.results.json_report import Report
@@ -157,10 +159,14 @@ def _ratio(value: Number) -> str:
 
 def _how_measured(rows: Sequence[EvidenceRow]) -> str:
     starts = max(row.starts for row in rows)
-    drawn = f"from {starts} starts, drawn from what the filters say of theirs" if starts > 1 else "from one start"
+    drawn = (
+        f"from {starts} starts, drawn from what the filters say of theirs"
+        if starts > 1
+        else "from one start, without error: what aiding gains from errors of the start is not seen (--starts 16)"
+    )
     return (
         f"{drawn}; low to high: where the ratio lies with 95 %, and words allow for the number of rows; n: independent "
-        "values; the ratio of NIS and of NEES is of how far they are from 1"
+        "values that the interval rests on; the ratio of NIS and of NEES is of how far they are from 1"
     )
 
 
@@ -168,15 +174,15 @@ def _coasting(rows: Sequence[CoastingRow]) -> Iterator[DisplayTable]:
     if rows:
         columns: list[Column[CoastingRow]] = [
             ("filter", "l", lambda row: row.filter),
-            ("withheld", "r", lambda row: f"{row.window_s} s"),
+            ("for", "r", lambda row: f"{row.window_s} s"),
             ("windows", "r", lambda row: str(row.windows)),
             ("median\n[m]", "r", lambda row: number(row.drift_median_m)),
             ("95 %\n[m]", "r", lambda row: number(row.drift_p95_m)),
             ("of way\n[%]", "r", lambda row: decimal(row.drift_of_distance_pct, 2)),
             ("down\n[m]", "r", lambda row: number(row.vertical_median_m)),
-            ("ratio", "r", lambda row: decimal(row.ratio_to_baseline, 2)),
+            ("rms\nratio", "r", lambda row: decimal(row.ratio_to_baseline, 2)),
             ("won\n[%]", "r", lambda row: decimal(row.windows_won_pct, 0)),
-            ("NIS\n/ dof", "r", lambda row: decimal(row.nis_per_dof, 2)),
+            ("NIS\n/ dof", "r", lambda row: significant(row.nis_per_dof)),
         ]
         yield table_of(
             "Coasting: drift while the DVL is withheld",

@@ -45,16 +45,17 @@ def coasting_figure(curves: Mapping[str, CoastingCurve], clock: Clock) -> Iterat
         "Coasting: how far they drift while the DVL is withheld",
         f"By what the withheld velocities say, with or without a reference. First the median {how}, and shaded where "
         f"95 % of them stay; then each window by itself, where it begins. {BLIND}",
-        (_drift_panel(curves), _windows_panel(curves, clock)),
+        (drift_panel(curves), _windows_panel(curves, clock)),
         filter_legend(list(curves)),
     )
 
 
-def _drift_panel(curves: Mapping[str, CoastingCurve]) -> Panel:
+def drift_panel(curves: Mapping[str, CoastingCurve]) -> Panel:
+    """Draw the drift without velocities over the time they are withheld: median, and where 95 % stay."""
     lines, bands = [], []
-    for number, curve in enumerate(curves.values()):
+    for number, (name, curve) in enumerate(curves.items()):
         time_s, median_m, p95_m = curve.over_time
-        lines.append(Curve(time_s, median_m, filter_style(number)))
+        lines.append(Curve(time_s, median_m, filter_style(number), label=name))
         bands.append(Band(time_s, np.zeros_like(p95_m), p95_m, filter_style(number)))
     return Panel("horizontal drift [m]", "time withheld [s]", dashes_on_top(lines), tuple(bands))
 

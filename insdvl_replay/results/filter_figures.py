@@ -112,7 +112,7 @@ def _sigma_panel(state: State, histories: Sequence[History], clock: Clock) -> Pa
         sd = history.sd[rows, state.index] / state.factor
         pings = history.updated[rows] & clock.settled(history.time_ns[rows])
         highest = max(highest, settled_height(sd[pings]))
-        curves.append(Curve(clock.time(history.time_ns[rows]), sd, filter_style(number)))
+        curves.append(Curve(clock.time(history.time_ns[rows]), sd, filter_style(number), label=history.filter))
     y_limits = (0.0, highest) if highest else None
     return Panel(f"{state.label} [{state.unit}]", clock.label, dashes_on_top(curves), y_limits=y_limits)
 
@@ -175,7 +175,7 @@ def _state_panel(state: State, errors: Sequence[FilterErrors], clock: Clock) -> 
     for number, of_filter in enumerate(errors):
         time = clock.time(of_filter.time_ns)
         error, sd = (column[:, state.index] / state.factor for column in (of_filter.state_error, of_filter.state_sd))
-        curves.append(Curve(time, error, filter_style(number)))
+        curves.append(Curve(time, error, filter_style(number), label=of_filter.filter))
         bands.append(Band(time, -SIGMAS * sd, SIGMAS * sd, filter_style(number)))
         height = min(SIGMAS * settled_height(sd[clock.settled(of_filter.time_ns)]), _WIDEST * _largest(error))
         shown += [error, np.array([-height, height])]

@@ -78,7 +78,14 @@ COMPLETE = REPORT
 """The file by which a result folder is known, written last."""
 PAGE = "report.html"
 """The page that shows a result."""
-DIVE_FILES = (*(f"{layout.name}.csv" for layout in TABLES), "replay.mcap", "config.toml", "run.log", PAGE, COMPLETE)
+REPLAY_LOG = "replay.mcap"
+"""The histories; what checks alone need does without."""
+TRAJECTORY_FILE = "trajectory.npz"
+"""Every filter once a second."""
+DIVE_FILES = (
+    *(f"{layout.name}.csv" for layout in TABLES),
+    *(REPLAY_LOG, TRAJECTORY_FILE, "config.toml", "run.log", PAGE, COMPLETE),
+)
 """All files of the result of a dive."""
 TOOL = "insdvl-replay"
 """How a report says whose it is."""
@@ -93,6 +100,11 @@ class _Label(msgspec.Struct):
     baseline: str = ""
     filters: dict[str, Any] = {}
     files: dict[str, str] = {}
+
+
+def history_file(name: str, format_: str) -> str:
+    """Name the file of a filter's whole history, in ``csv`` or ``parquet``."""
+    return f"history_{name}.{format_}"
 
 
 def trajectory_file(name: str) -> str:

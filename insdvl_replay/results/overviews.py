@@ -12,11 +12,12 @@ from urllib.parse import quote
 
 from msgspec.structs import astuple
 
+from insdvl_replay.core.pooled_row import PooledRow
 from insdvl_replay.core.quantities import is_whole
 from insdvl_replay.core.words import Judgement, Severity
-from insdvl_replay.evaluation.pooled_evidence import PooledCandidate, PooledRow, pooled_candidate, pooled_sentence
+from insdvl_replay.evaluation.pooled_evidence import PooledCandidate, pooled_candidate, pooled_sentence
 from insdvl_replay.report.csv_tables import rows_csv
-from insdvl_replay.report.document import MISSING, Callout, DisplayTable, LinkedTable, Title, number
+from insdvl_replay.report.document import MISSING, Callout, DisplayTable, LinkedTable, Part, Title, number
 from insdvl_replay.report.page import page
 from insdvl_replay.results.dive_tables import MEANS, TONES, gain_cells, pooled_table
 from insdvl_replay.results.folder import PAGE
@@ -71,11 +72,6 @@ def evidence_csv(outcomes: Sequence[Report | Failure]) -> bytes:
 def is_evidence(data: bytes) -> bool:
     """Return whether a file is pooled evidence."""
     return data.startswith(rows_csv(PooledRow.__struct_fields__, ()).encode())
-
-
-def pooled_sentences(outcomes: Sequence[Report | Failure]) -> list[str]:
-    """State for each candidate what all dives say together, by the first piece of evidence that decided."""
-    return [pooled_sentence(pooled) for pooled in pooled_candidates(outcomes)]
 
 
 def pooled_candidates(outcomes: Sequence[Report | Failure]) -> list[PooledCandidate]:
@@ -134,6 +130,18 @@ def _verdicts(report: Report, name: str) -> str:
     return "; ".join([*(f"{row.measurement} {row.verdict}" for row in measurements), *errors])
 
 
+def overview_parts(outcomes: Sequence[Report | Failure]) -> list[Part]:
+    """Lay several dives beside each other: what all say together, a row for each dive and candidate, pooled rows."""
+    table, _ = _dives_table(outcomes)
+    pooled = [pooled_table(one) for one in pooled_candidates(outcomes)]
+    return [Title(_counted(outcomes)), *_opening(outcomes), table, *pooled]
+
+
+def _counted(outcomes: Sequence[Report | Failure]) -> str:
+    failed = sum(isinstance(outcome, Failure) for outcome in outcomes)
+    return f"{len(outcomes)} dives" + (f", {failed} of them failed" if failed else "")
+
+
 def index_page(outcomes: Sequence[Report | Failure]) -> bytes:
     """Write the page of several dives.
 
@@ -147,6 +155,14 @@ def index_page(outcomes: Sequence[Report | Failure]) -> bytes:
     bytes
         A table, whose columns a script lets the reader sort.
     """
+    table, links = _dives_table(outcomes)
+    script = files("insdvl_replay.report").joinpath("sorting.js").read_text("utf-8")
+    pooled = [pooled_table(one) for one in pooled_candidates(outcomes)]
+    return page([Title(_counted(outcomes)), *_opening(outcomes), LinkedTable(table, links), *pooled], script)
+
+
+def _dives_table(outcomes: Sequence[Report | Failure]) -> tuple[DisplayTable, tuple[str, ...]]:
+    """Return the table of the dives, and where each row leads."""
     rows = [row for outcome in outcomes for row in _index_rows(outcome)]
     failed = sum(isinstance(outcome, Failure) for outcome in outcomes)
     known = any(isinstance(outcome, Report) and has_reference(outcome) for outcome in outcomes)
@@ -159,22 +175,24 @@ def index_page(outcomes: Sequence[Report | Failure]) -> bytes:
         tuple(tuple(cells[place] for place in shown) for cells, _ in rows),
         f"{MEANS}; position: rms of the horizontal error" if known else MEANS,
     )
-    words = f"{len(outcomes)} dives" + (f", {failed} of them failed" if failed else "")
-    script = files("insdvl_replay.report").joinpath("sorting.js").read_text("utf-8")
-    pooled = [pooled_table(one) for one in pooled_candidates(outcomes)]
-    linked = LinkedTable(table, tuple(link for _, link in rows))
-    return page([Title(words), *_opening(outcomes), linked, *pooled], script)
+    return table, tuple(link for _, link in rows)
 
 
 def _opening(outcomes: Sequence[Report | Failure]) -> Iterator[Callout]:
     """State how many candidates are better, worse, or neither."""
     reports = [outcome for outcome in outcomes if isinstance(outcome, Report)]
-    counts = Counter(candidate.improvement for report in reports for candidate in report.filters.values())
+    counts: dict[str, Counter[str]] = {}
+    for report in reports:
+        for name, candidate in report.filters.items():
+            counts.setdefault(name, Counter())[candidate.improvement] += 1
     for pooled in pooled_candidates(outcomes):
         yield Callout(pooled_sentence(pooled), TONES.get(pooled.judgement, ""))
     if counts:
-        found = ", ".join(f"{count} {word}" for word, count in counts.most_common())
-        yield Callout(f"Dive by dive, against the baseline: {found}.")
+        found = (
+            f"{name}: {', '.join(f'{count} {word}' for word, count in words.most_common())}"
+            for name, words in counts.items()
+        )
+        yield Callout(f"Dive by dive, against the baseline: {'; '.join(found)}.")
 
 
 def _index_rows(outcome: Report | Failure) -> Iterator[tuple[tuple[str, ...], str]]:

@@ -18,10 +18,12 @@ from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
 from insdvl_replay.replay import Replay
 from insdvl_replay.report.csv_tables import structs_csv
 from insdvl_replay.results.dive_document import dive_page
-from insdvl_replay.results.dive_figures import replay_coverage, replay_figures
-from insdvl_replay.results.folder import PAGE, REFERENCE_TRAJECTORY, trajectory_file
+from insdvl_replay.results.dive_figures import replay_coverage, replay_figures, replay_first_panels
+from insdvl_replay.results.folder import PAGE, REFERENCE_TRAJECTORY, REPLAY_LOG, TRAJECTORY_FILE, trajectory_file
+from insdvl_replay.results.histories import write_history
 from insdvl_replay.results.json_report import Report, build_report, encode_report, this_tool
 from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference
+from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
 
 
 def save_trajectories(replay: Replay, folder: Path) -> None:
@@ -45,6 +47,12 @@ def save_trajectories(replay: Replay, folder: Path) -> None:
     text = tum_trajectory(reference.time_ns[inside], reference.position[inside], reference.mat_nb[inside], origin)
     if text:
         (folder / REFERENCE_TRAJECTORY).write_bytes(text)
+
+
+def save_histories(replay: Replay, folder: Path, format_: str) -> None:
+    """Write the whole history of each filter, as CSV or Parquet."""
+    for history in replay.histories:
+        write_history(history, folder, format_)
 
 
 def tum_trajectory(time_ns: TimeNs, position: Floats, mat_nb: Floats, origin: Floats) -> bytes:
@@ -77,13 +85,15 @@ def _lines(times_ns: Iterable[int], rows: Iterable[Iterable[float]]) -> Iterable
         yield f"{second}.{nanosecond:09d} {' '.join(f'{number:.9g}' for number in row)}\n"
 
 
-def save_replay(replay: Replay, folder: Path) -> None:
+def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None:
     """Write a replay's files into an empty folder; the same replay gives the same bytes.
 
     Parameters
     ----------
     folder : Path
         Exists; its other files are left alone.
+    histories : bool
+        Whether to write replay.mcap, by far the largest file.
     """
     begin("writing the results")
     settings = render_toml(replay.config)
@@ -99,22 +109,26 @@ def save_replay(replay: Replay, folder: Path) -> None:
     )
     for layout, rows in each_table(replay.tables):
         (folder / f"{layout.name}.csv").write_text(structs_csv(layout.row, rows), "utf-8")
-    logs.write_replay(
-        folder / "replay.mcap",
-        dive=replay.dive,
-        histories=replay.histories,
-        dvl=_measured(replay.histories),
-        errors=replay.errors,
-        tables=replay.tables,
-        notes=replay.notes,
-        config_toml=settings,
-        version=__version__,
-    )
+    if histories:
+        logs.write_replay(
+            folder / REPLAY_LOG,
+            dive=replay.dive,
+            histories=replay.histories,
+            dvl=_measured(replay.histories),
+            errors=replay.errors,
+            tables=replay.tables,
+            notes=replay.notes,
+            config_toml=settings,
+            version=__version__,
+        )
+    write_trajectory(folder / TRAJECTORY_FILE, trajectory_of(replay))
     (folder / "config.toml").write_text(settings, "utf-8")
     (folder / "run.log").write_text(run_log(report), "utf-8")
     begin("drawing the report")
     strips = replay_coverage(replay)  # before the figures, which hold much until they are drawn
-    (folder / PAGE).write_bytes(dive_page(report, replay_figures(replay), strips, settings))
+    (folder / PAGE).write_bytes(
+        dive_page(report, replay_first_panels(replay), replay_figures(replay), strips, settings)
+    )
     (folder / "report.json").write_bytes(encode_report(report))
 
 

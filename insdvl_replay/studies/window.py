@@ -13,6 +13,7 @@ from insdvl_replay.core.config import Acceleration, Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.dive_record import dive_name
 from insdvl_replay.core.errors import ConfigError, LogError, Note
+from insdvl_replay.core.runtime import each
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.acceleration import (
     acceleration_at,
@@ -42,7 +43,7 @@ LEFT_OUT: Final = "log_left_out"
 """Code of the note on a log that cannot be used."""
 
 
-def study_window(paths: Sequence[Path], config: Config, longest: int = 10) -> StudyReport:
+def study_window(paths: Sequence[Path], config: Config, longest: int = 10, *, jobs: int = 1) -> StudyReport:
     """Hold the accelerations from 2 to ``longest`` velocities against the reference of each log.
 
     Parameters
@@ -69,7 +70,7 @@ def study_window(paths: Sequence[Path], config: Config, longest: int = 10) -> St
         Two logs share a name, or the settings do not fit a log.
     """
     _check_names(paths)
-    studied, left_out = _studied(paths, config, longest)
+    studied, left_out = _studied(paths, config, longest, jobs)
     tables, spans_s, notes = zip(*studied, strict=True)
     windows = pd.concat(tables, ignore_index=True)
     if len(tables) > 1:
@@ -132,15 +133,19 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> tuple[pd.DataFrame
 
 
 def _studied(
-    paths: Sequence[Path], config: Config, longest: int
+    paths: Sequence[Path], config: Config, longest: int, jobs: int
 ) -> tuple[list[tuple[pd.DataFrame, float, tuple[Note, ...]]], list[Note]]:
     """Study each log, and go on where one cannot be used."""
-    studied, refused = [], []
-    for path in paths:
+
+    def study(path: Path) -> tuple[pd.DataFrame, float, tuple[Note, ...]] | LogError:
         try:
-            studied.append(dive_windows(read_checked_dive(path, config), config, longest))
+            return dive_windows(read_checked_dive(path, config), config, longest)
         except LogError as error:
-            refused.append(error)
+            return error
+
+    found = list(each(study, paths, jobs))
+    studied = [one for one in found if not isinstance(one, LogError)]
+    refused = [one for one in found if isinstance(one, LogError)]
     if not studied:
         raise refused[0]
     return studied, [Note(LEFT_OUT, f"{error.message}; left out", 1, Severity.WARNING, error.hint) for error in refused]

@@ -20,7 +20,14 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.comparison.aggregation import aggregates
 from insdvl_replay.comparison.comparison import Selection, compare_results
 from insdvl_replay.comparison.display_tables import SortOrder, in_order
-from insdvl_replay.comparison.document import comparison_csv, comparison_document, comparison_tables, opening_lines
+from insdvl_replay.comparison.document import (
+    brief_document,
+    comparison_csv,
+    comparison_document,
+    comparison_page,
+    comparison_tables,
+    opening_lines,
+)
 from insdvl_replay.comparison.fail_on import find_violation, parse_limit
 from insdvl_replay.core.changes import Change, Comparison
 from insdvl_replay.core.errors import ConfigError, ResultError
@@ -509,7 +516,7 @@ def test_real_results_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture
     assert run_command_line(["compare", old, again, "--fail-on", "changed"]) == 0
     assert "tool, settings and log do not differ" in capsys.readouterr().out
     assert run_command_line(["compare", old, new, "--fail-on", "changed"]) == 1
-    assert "config filters.aided.acceleration.window  3    5" in capsys.readouterr().out
+    assert "config filters.aided.acceleration.window: 3, now 5" in capsys.readouterr().out
 
 
 def test_what_is_neither_better_nor_worse_comes_last(tmp_path: Path) -> None:
@@ -558,3 +565,80 @@ def test_a_verdict_that_an_early_report_lacks_has_not_changed(tmp_path: Path) ->
     early = content()
     del early["filters"]["aided"]["belief"]
     assert not any("is now" in line for line in opening_lines(compared(tmp_path, early, content())))
+
+
+# --- In brief.
+
+
+def in_brief(folder: Path) -> str:
+    old, new = two_sets(folder)
+    comparison = in_order(compare_results(old, new), "table", only_changed=True)
+    console = Console(width=80, file=io.StringIO(), record=True)
+    console.print(for_terminal(brief_document(comparison)))
+    return console.export_text()
+
+
+def test_in_brief_verdicts_come_first_and_then_what_differs(tmp_path: Path) -> None:
+    old, new = content(), content(window=5)
+    old["filters"]["aided"]["improvement"], new["filters"]["aided"]["improvement"] = "undecided", "worse"
+    comparison = in_order(compared(tmp_path, old, new), "table", only_changed=True)
+    lines = as_markdown(brief_document(comparison)).split("\n\n")
+    assert lines[1] == "aided is now worse, was undecided"
+    assert any(line.startswith("config ") and line.endswith("window: 3, now 5") for line in lines)
+
+
+def test_in_brief_the_same_is_left_out_and_the_rest_counted(tmp_path: Path) -> None:
+    text = in_brief(tmp_path)
+    assert "no verdict changed" in text
+    assert "gone: four" in text
+    assert "reference_error 3" in text.replace("\n", " ")
+    assert len(text.strip().split("\n")) <= 40
+
+
+def evidence_row(value: float) -> dict[str, Any]:
+    return {
+        "log": "dive", "filter": "aided", "evidence": "accuracy", "quantity": "drift_30s", "unit": "m",
+        "baseline": 1.0, "value": value, "ratio": value, "low": 0.5, "high": 1.5, "effective_samples": 9.0,
+        "starts": 16, "windows": 60, "word": "undecided",
+    }  # fmt: skip
+
+
+def test_in_brief_evidence_that_moved_has_old_and_new(tmp_path: Path) -> None:
+    old, new = content(), content()
+    old["tables"]["evidence"], new["tables"]["evidence"] = [evidence_row(0.8)], [evidence_row(0.6)]
+    comparison = in_order(compared(tmp_path, old, new), "table", only_changed=True)
+    assert "| aided | drift in 30 s | m | 0.8000 | 0.6000 | -25.0 % | better |" in as_markdown(
+        brief_document(comparison)
+    )
+
+
+def test_dot_plot_has_a_cell_for_each_dive_and_piece_that_moved(tmp_path: Path) -> None:
+    for name, value in (("one", 0.4), ("two", 1.2)):
+        for side, shown in (("old", 0.8), ("new", value)):
+            made = content(name)
+            made["tables"]["evidence"] = [evidence_row(shown) | {"log": name}]
+            write(tmp_path / side / name, made)
+    comparison = in_order(compare_results(tmp_path / "old", tmp_path / "new"), "table", only_changed=True)
+    text = page(comparison_page(comparison)).decode()
+    assert text.count("drift in 30 s</th>") == 1
+    assert 'd="M0 8H-50.0"' in text, "half as large"
+    assert 'd="M0 8H50.0"' in text
+    assert text.index("drift in 30 s</th>") < text.index("All that moved")
+
+
+def test_in_brief_two_runs_of_eight_dives_fit_40_lines(tmp_path: Path) -> None:
+    """One setting of one filter changed: every piece of evidence of that filter moved."""
+    names = [quantity for layout in LAYOUTS if layout.name == "evidence" for quantity in layout.rows]
+    for number in range(8):
+        for side, factor, window in (("old", 1.0, 3), ("new", 0.9, 5)):
+            made = content(f"dive_{number}", window=window)
+            rows = [evidence_row(0.8 * factor) | {"log": f"dive_{number}", "quantity": name} for name in names]
+            made["tables"]["evidence"] = rows
+            write(tmp_path / side / f"dive_{number}", made)
+    comparison = in_order(compare_results(tmp_path / "old", tmp_path / "new"), "table", only_changed=True)
+    console = Console(width=80, file=io.StringIO(), record=True)
+    console.print(for_terminal(brief_document(comparison)))
+    lines = console.export_text().strip().split("\n")
+    assert len(names) > 15
+    assert len(lines) <= 40
+    assert sum(line.startswith("aided ") for line in lines) == len(names)

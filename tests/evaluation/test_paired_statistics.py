@@ -272,3 +272,13 @@ def test_same_seed_draws_the_same() -> None:
     baseline, candidate = (losses[0] for losses in alike_pairs(np.random.default_rng(15), 0.5, 1, 100))
     assert paired_ratio(baseline, candidate) == paired_ratio(baseline, candidate)
     assert windows_ratio(baseline, candidate) == windows_ratio(baseline, candidate)
+
+
+def test_no_more_independent_values_than_the_interval_has_freedom() -> None:
+    """White errors in stretches that overlap by ten: the interval counts blocks, of which there are fewer."""
+    rng = np.random.default_rng(5)
+    before, after = rng.chisquare(1, (2, 400))
+    found = paired_ratio(before, after, least_block=10)
+    assert found.effective_samples > 100.0
+    assert found.independent == pytest.approx(400.0 / 10.0)
+    assert paired_ratio(before, before).independent == 400.0

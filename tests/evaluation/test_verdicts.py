@@ -34,11 +34,12 @@ def judged(
     independent: bool = True,
     kind: str = "accuracy",
     samples: int = 9,
+    starts: int = 16,
 ) -> Candidate:
     """Judge a candidate whose states all improved alike, by pieces of evidence that say these words."""
     row = "dive", "aided"
     pieces = [
-        EvidenceRow(*row, kind, quantity, "m", 2.0, 2.0 * ratio[0], *ratio, 30.0, 16, 60, word)
+        EvidenceRow(*row, kind, quantity, "m", 2.0, 2.0 * ratio[0], *ratio, 30.0, starts, 60, word)
         for quantity, word in zip(EVIDENCE_QUANTITIES, words, strict=False)
     ]
     pieces.append(EvidenceRow(*row, "honesty", "nis", "", 2.0, 1.0, 0.5, None, None, None, 1, 0, honesty))
@@ -111,6 +112,21 @@ def test_belief_is_borne_out_by_half_of_it_with_its_interval(
     believed_pct: float, ratio: tuple[float, float, float], belief: str
 ) -> None:
     assert judged(["better"], believed_pct, ratio).belief == belief
+
+
+@pytest.mark.parametrize(("starts", "belief"), [(1, "undecided"), (7, "undecided"), (8, "not borne out")])
+def test_few_starts_say_nothing_of_what_is_believed(starts: int, belief: str) -> None:
+    """From the exact start a filter cannot show that it wears off errors of the start."""
+    found = judged(["equivalent"], 40.0, (1.0, 0.99, 1.01), starts=starts)
+    assert found.belief == belief
+    assert ("it takes 8 drawn starts to tell whether that is so" in found.verdict) == (starts < 8)
+
+
+def test_as_good_names_what_the_first_piece_leaves_undecided() -> None:
+    words = ["equivalent", "undecided", "equivalent", "undecided"]
+    assert "; undecided: drift in 60 s, velocity along. It believes" in judged(words).verdict
+    assert "undecided:" not in judged(["equivalent", "equivalent"]).verdict
+    assert "undecided:" not in judged(["better", "undecided"]).verdict
 
 
 @pytest.mark.parametrize("unsound", ["aided", "baseline"])

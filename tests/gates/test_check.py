@@ -264,7 +264,11 @@ def test_update_shows_what_moves_before_it_writes_it(team: Path) -> None:
     assert re.search(r"aided ba_z: sd went from [\d.]+ to [\d.]+ mg: worse by [\d.]+ %, 1 % is allowed", worse.stdout)
     taken = check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4", "--update")
     assert taken.returncode == 0
-    assert re.search(r"^outage: improvement aided ba_z: sd goes from [\d.]+ to [\d.]+$", taken.stdout, re.MULTILINE)
+    assert re.search(
+        r"^outage: improvement aided ba_z: sd goes from [\d.]+ to [\d.]+ mg \(\+[\d.]+ %, 1 % allowed\)$",
+        taken.stdout,
+        re.MULTILINE,
+    )
     assert check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4").returncode == 0
 
 
@@ -315,6 +319,109 @@ def test_update_without_a_baseline_is_an_error(team: Path) -> None:
     done = check(team, PASSING, "--update")
     assert done.returncode == 2
     assert "gates.toml: no gate has a baseline" in done.stderr
+
+
+def test_a_baseline_holds_the_gated_values_alone(team: Path) -> None:
+    assert check(team, BASELINE, "--update").returncode == 0
+    text = (team / "baselines" / "transit.json").read_text("utf-8")
+    stored = json.loads(text)
+    assert set(stored) == {"tool", "log", "tables", "baseline", "filters"}
+    assert set(stored["tables"]) == {"improvement"}
+    assert {key for row in stored["tables"]["improvement"] for key in row} == {"log", "filter", "state", "unit", "sd"}
+    assert len(text.split("\n")) < 120, "its changes can be read in a review"
+
+
+# --- Some gates, some dives, all dives together.
+
+
+def test_gates_are_chosen_by_their_names(team: Path) -> None:
+    done = check(team, PASSING + FAILING, "--only", "* converges")
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "1 gate on 2 dives: 2 passed")
+    done = check(team, PASSING + FAILING, "--skip", "*fully")
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "1 gate on 2 dives: 2 passed")
+    done = check(team, PASSING, "--only", "ba_y*")
+    assert done.returncode == 2
+    assert "no gate is called 'ba_y*'; hint: gates: ba_z converges" in done.stderr
+    assert check(team, PASSING, "--skip", "*").returncode == 2
+
+
+def test_shards_are_all_dives_once(team: Path) -> None:
+    told = [check(team, FAILING, "--shard", f"{part}/2").stdout for part in (1, 2)]
+    assert sorted(re.findall(r"FAILED  (\w+):", "".join(told))) == ["outage", "transit"]
+    for wrong in ("3/2", "0/2", "half", "1/"):
+        assert check(team, FAILING, "--shard", wrong).returncode == 2
+
+
+def test_a_gate_may_mean_some_dives(team: Path) -> None:
+    done = check(team, FAILING + 'dives = ["tr*"]\n')
+    assert re.findall(r"FAILED  (\w+):", done.stdout) == ["transit"]
+    assert done.stdout.splitlines()[-1] == "1 gate on 1 dive: 1 failed"
+
+
+def test_a_gate_may_hold_for_a_share_of_the_dives(team: Path) -> None:
+    """At 45 % of the sigma one of the two dives passes."""
+    values = {
+        row["log"]: row["improvement_pct"]
+        for name in ("transit", "outage")
+        for row in json.loads((team / "checked" / name / "report.json").read_text())["tables"]["improvement"]
+        if row["state"] == "ba_z"
+    }
+    between = sum(values.values()) / 2.0
+    gate = PASSING.replace("min = 40", f"min = {between}")
+    assert check(team, gate).returncode == 1
+    half = check(team, gate + "share_of_dives_pct = 50\n")
+    assert half.returncode == 0
+    assert "passed by 1 of 2 dives, 50 % are wanted" in half.stdout
+    assert check(team, gate + "share_of_dives_pct = 51\n").returncode == 1
+
+
+POOLED = """
+[[gate]]
+name = "together"
+table = "pooled"
+filter = "aided"
+row = "velocity_along"
+column = "ratio"
+max = 5.0
+"""
+
+
+def test_a_gate_may_mean_all_dives_together(team: Path) -> None:
+    done = check(team, POOLED)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "together: passed, all dives together\n" in done.stdout
+    assert done.stdout.splitlines()[-1] == "1 gate on all dives together: 1 passed"
+    failed = check(team, POOLED.replace("5.0", "0.001"))
+    assert failed.returncode == 1
+    assert re.search(
+        r"FAILED  \*: together\n    pooled aided velocity_along: ratio is [\d.]+, at most 0.001", failed.stdout
+    )
+    assert check(team, POOLED + 'dives = ["tr*"]\n').returncode == 2
+    assert check(team, POOLED.replace("velocity_along", "velocity_alon")).returncode == 2
+
+
+def test_the_summary_has_before_and_after(team: Path) -> None:
+    assert check(team, BASELINE, "--update").returncode == 0
+    done = check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4", "--summary-file", "summary.md")
+    assert done.returncode == 1
+    text = (team / "summary.md").read_text("utf-8")
+    assert "**Before and after**" in text
+    assert re.search(
+        r"\| transit \| improvement aided ba_z: sd \| [\d.]+ \| [\d.]+ mg \| \+[\d.]+ % \| FAILED \|", text
+    )
+
+
+def test_results_of_a_check_are_small_unless_histories_are_wanted(team: Path) -> None:
+    shutil.rmtree(team / "checked")
+    assert check(team, PASSING).returncode == 0
+    assert not (team / "checked" / "transit" / "replay.mcap").exists()
+    assert (team / "checked" / "transit" / "report.html").is_file()
+    assert check(team, PASSING, "--keep-histories").returncode == 0
+    assert (team / "checked" / "transit" / "replay.mcap").is_file()
+
+
+def test_quiet_is_a_line(team: Path) -> None:
+    assert check(team, PASSING, "-q").stdout == "1 gate on 2 dives: 2 passed\n"
 
 
 # --- Output.

@@ -5,21 +5,27 @@ import importlib
 import os
 import pkgutil
 import re
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+import site_pages as site
 import typer.main
 from ruamel.yaml import YAML
 
+import insdvl_replay
 from insdvl_replay import __version__, nav, preparation
 from insdvl_replay.cli.app import app
 
 PROJECT = Path(__file__).resolve().parents[2]
 CHAPTERS = sorted(f"equations/{path.name}" for path in (PROJECT / "equations").glob("*.md"))
-DOCUMENTS = ("README.md", *CHAPTERS, "CONTRIBUTING.md", "CHANGELOG.md")
+PAGES = sorted(f"docs/{path.name}" for path in (PROJECT / "docs").glob("*.md"))
+DOCUMENTS = ("README.md", *PAGES, *CHAPTERS, "CONTRIBUTING.md", "CHANGELOG.md")
 WIDTH = 140
 LEFT_BEHIND = {"build", "dist", "replay", "checked", "__pycache__", "node_modules"}
 
@@ -219,6 +225,51 @@ def test_commands_and_options_exist(document: str) -> None:
 def test_every_command_stands_in_the_readme() -> None:
     text = text_of("README.md")
     assert {name for name in commands() if f"insdvl-replay {name}" not in text} == set()
+
+
+def test_readme_is_read_in_a_minute() -> None:
+    assert len(text_of("README.md").splitlines()) <= 160
+
+
+@pytest.mark.parametrize("document", ["README.md", *PAGES])
+def test_python_in_the_pages_names_what_there_is(document: str) -> None:
+    blocks = re.findall(r"^```python\n(.*?)^```", text_of(document), re.MULTILINE | re.DOTALL)
+    for block in blocks:
+        tree = ast.parse(block)
+        imported = [alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names]
+        assert all(hasattr(insdvl_replay, name) for name in imported)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "result":
+                assert hasattr(insdvl_replay.Result, node.attr) or node.attr in insdvl_replay.Result.__annotations__
+    assert blocks or document != "docs/python.md"
+
+
+# --- The site.
+
+
+def test_every_page_of_the_site_can_be_reached(tmp_path: Path) -> None:
+    site.gather(tmp_path)
+    contents = YAML(typ="safe").load(text_of("mkdocs.yml"))
+    named = {place for entry in contents["nav"] for place in entry.values()}
+    made = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.md")}
+    assert made - named == {place for place in made if place.startswith("equations/")} - {"equations/README.md"}
+    for path in tmp_path.rglob("*.md"):
+        for target in re.findall(r"\]\(([^)\s#]+)(?:#[^)]*)?\)", path.read_text("utf-8")):
+            assert re.match(r"[a-z]+:", target) or (path.parent / target).is_file(), (path.name, target)
+
+
+@pytest.mark.slow
+def test_the_site_is_built_strictly(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs", reason="needs mkdocs")
+    site.gather(tmp_path / "build" / "pages")
+    shutil.copy(PROJECT / "mkdocs.yml", tmp_path)
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "build" / "site" / "verdict.html").is_file()
+
+
+# --- Exit codes, make targets.
 
 
 def test_exit_codes_are_those_of_the_contract() -> None:

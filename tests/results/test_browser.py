@@ -1,5 +1,7 @@
 """The pages in a browser: nothing complains, nothing is asked for, and nothing is wider than the window."""
 
+import re
+from base64 import b64decode
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -103,9 +105,9 @@ def test_dark_and_light_differ(pages: dict[str, Path], browser: Browser) -> None
 
 def test_every_plot_of_a_dive_is_drawn(pages: dict[str, Path], browser: Browser) -> None:
     browser.open(pages["lawnmower"], 1280)
-    assert browser.value('document.querySelectorAll("svg.panel").length') == 12 + 9 + 3 + 5 + 4 + 3
+    assert browser.value('document.querySelectorAll("svg.panel").length') == 2 + 12 + 9 + 3 + 5 + 4 + 3
     assert browser.value('document.querySelectorAll("svg.strip").length') == 7
-    lines = "e => e.getBoundingClientRect().width > 100"
+    lines = "e => Math.max(e.getBoundingClientRect().width, e.getBoundingClientRect().height) > 60"
     drawn = (
         f'[...document.querySelectorAll("svg.panel")].every(p => [...p.querySelectorAll("path.line")].some({lines}))'
     )
@@ -130,12 +132,47 @@ def test_without_scripts_the_index_is_a_table(pages: dict[str, Path], browser: B
     assert browser.value('document.querySelector("tbody").rows.length') == 6
 
 
-def test_a_dive_prints_on_white_with_its_settings(pages: dict[str, Path], browser: Browser) -> None:
+ON_FIRST_SCREEN = """
+(() => {
+  const bottom = e => e.getBoundingClientRect().bottom;
+  return {
+    verdict: bottom(document.querySelector("p.lead")),
+    pictures: Math.max(...[...document.querySelectorAll(".first svg.panel")].map(bottom)),
+    titles: [...document.querySelectorAll(".first svg.panel")].map(e => e.getAttribute("aria-label")),
+    evidence: bottom(document.querySelector("main > .tables .table tbody tr:nth-child(6)")),
+  };
+})()
+"""
+
+
+def test_verdict_error_track_and_evidence_are_on_the_first_screen(pages: dict[str, Path], browser: Browser) -> None:
+    browser.open(pages["straight"], 1366)
+    shown = browser.value(ON_FIRST_SCREEN)
+    assert shown["verdict"] < 400
+    assert [title.split(",")[0] for title in shown["titles"]] == ["horizontal position error [m]", "track"]
+    assert shown["pictures"] < 768
+    assert shown["evidence"] < 1100, "four candidates have as many lines of verdict"
+
+
+def test_a_click_shows_a_picture_alone_and_another_leads_back(pages: dict[str, Path], browser: Browser) -> None:
+    browser.open(pages["straight"], 1280, scripts=False)
+    width = 'document.querySelector("#first-1 svg").getBoundingClientRect().width'
+    before = browser.value(width)
+    browser.call("Page.navigate", url=f"{pages['straight'].resolve().as_uri()}#first-1")
+    assert browser.value(width) > 2.0 * before
+    assert browser.value('getComputedStyle(document.querySelector("#first-1 .close")).display') == "block"
+    browser.call("Page.navigate", url=f"{pages['straight'].resolve().as_uri()}#first-1-back")
+    assert browser.value(width) == before
+
+
+def test_a_dive_prints_on_white_on_eight_pages_with_what_it_was_set_to(
+    pages: dict[str, Path], browser: Browser
+) -> None:
     browser.open(pages["straight"], 1280, dark=True)
     dark = {"name": "prefers-color-scheme", "value": "dark"}
     browser.call("Emulation.setEmulatedMedia", media="print", features=[dark])
     assert browser.value("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
-    assert browser.value('document.querySelector("pre").getBoundingClientRect().height') > 500
-    printed = browser.call("Page.printToPDF", preferCSSPageSize=True)
-    assert len(printed["data"]) > 50_000
+    assert "filters.fast.aiding" in browser.value('document.querySelector("main > pre").innerText')
+    printed = b64decode(browser.call("Page.printToPDF", preferCSSPageSize=True)["data"])
+    assert 1 <= len(re.findall(rb"/Type\s*/Page[^s]", printed)) <= 8
     browser.call("Emulation.setEmulatedMedia", media="", features=[dark])

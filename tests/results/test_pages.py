@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 
 import pandas as pd
+from made_reports import report, tables, unreferenced
 from taken_apart import Document
-from test_report import report, tables, unreferenced
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note

@@ -35,12 +35,32 @@ class Curve:
         Class in the style sheet.
     points : bool
         Draw points and no line.
+    label : str
+        Stands at the end of the line.
     """
 
     x: "Floats"
     y: "Floats"
     style: str
     points: bool = False
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Shade:
+    """A stretch of the horizontal axis behind everything.
+
+    Attributes
+    ----------
+    begin, end : float
+        In the unit of the axis.
+    style : str
+        Class in the style sheet.
+    """
+
+    begin: float
+    end: float
+    style: str
 
 
 def dashes_on_top(curves: Sequence[Curve]) -> tuple[Curve, ...]:
@@ -89,6 +109,10 @@ class Panel:
         One unit is as long on both axes, and curves are no functions of x.
     x_whole : bool
         x counts something, and has no ticks between whole numbers.
+    shades : tuple of Shade
+        Behind all else.
+    low : bool
+        As low as others, though both axes are equal.
     """
 
     title: str
@@ -101,6 +125,8 @@ class Panel:
     equal: bool = False
     x_whole: bool = False
     x_scale: Scale = "linear"
+    shades: tuple[Shade, ...] = ()
+    low: bool = False
 
 
 @dataclass(frozen=True)

@@ -27,13 +27,15 @@ COLUMNS: Final = 3
 _CLASS: Final = re.compile(r'<svg class="[^"]*"')
 _LEGEND: Final = 28.0
 _ENTRY: Final = 170.0
+_LABEL, _ABOVE = 11.0, 4.0
+"""Height of a name at the end of a line, and how far above the line it stands."""
 _FAR: Final = 1e4
 """Lines that leave the paper, to infinity even, end here."""
 
 
 def panel_height(panel: Panel) -> float:
     """Return the height of a panel that is `WIDTH` wide."""
-    return WIDTH if panel.equal else HEIGHT
+    return WIDTH if panel.equal and not panel.low else HEIGHT
 
 
 def panel_svg(panel: Panel) -> str:
@@ -42,16 +44,18 @@ def panel_svg(panel: Panel) -> str:
     x_axis, y_axis = _axes(panel, height)
     width, tall = WIDTH - _LEFT - _RIGHT, height - _TOP - _BOTTOM
     plot = f'x="{_LEFT:g}" y="{_TOP:g}" width="{width:g}" height="{tall:g}"'
-    kind = "tall panel" if panel.equal else "panel"
+    kind = "tall panel" if panel.equal and not panel.low else "panel"
     title = escape(panel.title)
     return "".join(
         [
             f'<svg class="{kind}" viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{title}">',
             f'<text class="title" x="{_LEFT:g}" y="15">{title}</text>',
+            *_shades(panel, x_axis, y_axis),
             *_grid(panel, x_axis, y_axis),
             f'<svg {plot} viewBox="{_LEFT:g} {_TOP:g} {width:g} {tall:g}">',
             *_content(panel, x_axis, y_axis),
             "</svg>",
+            *_labels(panel, x_axis, y_axis),
             f'<rect class="frame" {plot}/>',
             "</svg>",
         ]
@@ -134,6 +138,38 @@ def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
         yield f'<path class="grid" d="M{left:.1f} {place:.1f}H{right:.1f}"/>'
         yield f'<text class="tick" x="{left - 5:.1f}" y="{place + 3.5:.1f}" text-anchor="end">{label}</text>'
     yield f'<text class="label" x="{right:.1f}" y="{bottom + 29:.1f}" text-anchor="end">{escape(panel.x_label)}</text>'
+
+
+def _shades(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
+    """Draw what lies behind: one path for each style, so that a page of many panels stays small."""
+    for style in dict.fromkeys(shade.style for shade in panel.shades):
+        path = []
+        for shade in panel.shades:
+            if shade.style == style:
+                begin, end = np.clip(x_axis.place(np.array([shade.begin, shade.end])), x_axis.start, x_axis.end)
+                path.append(
+                    f"M{begin:.1f} {y_axis.end:.1f}H{max(end, begin + 1.0):.1f}V{y_axis.start:.1f}H{begin:.1f}Z"
+                )
+        yield f'<path class="shade {style}" d="{"".join(path)}"/>'
+
+
+def _labels(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
+    """Write names at the ends of lines, apart where lines end together."""
+    ends = []
+    for curve in panel.curves:
+        known = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
+        if curve.label and len(known):
+            place = float(y_axis.place(curve.y[known[-1:]])[0]) - _ABOVE
+            ends.append((min(max(place, y_axis.end + _LABEL), y_axis.start - _ABOVE), curve))
+    lowest = -math.inf
+    for place, curve in sorted(ends, key=lambda end: end[0]):
+        lowest = max(place, lowest + _LABEL)
+        x = float(x_axis.place(curve.x[np.isfinite(curve.x)][-1:])[0])
+        anchor = "end" if x > (x_axis.start + x_axis.end) / 2.0 else "start"
+        yield (
+            f'<text class="name {curve.style.split()[0]}" x="{min(x, x_axis.end - 3.0):.1f}" y="{lowest:.1f}" '
+            f'text-anchor="{anchor}">{escape(visible(curve.label))}</text>'
+        )
 
 
 def _content(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:

@@ -1,0 +1,208 @@
+"""The public names for Python: settings, a replay, a result that shows itself in a notebook and holds data frames.
+
+They are reached as ``from insdvl_replay import load_config, replay_log, read_result`` and stay as they are; all below
+them may move.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import load_config as _load_config
+from insdvl_replay.results.dive_screen import dive_screen
+from insdvl_replay.results.folder import COMPLETE, PAGE, TRAJECTORY_FILE, result_folder
+from insdvl_replay.results.json_report import Report, build_report, decode_report, this_tool
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from insdvl_replay.replay import Replay
+
+Text = str | Path
+
+
+def load_config(*files: Text, preset: str | None = None, settings: Mapping[str, object] | Sequence[str] = ()) -> Config:
+    """Resolve settings, as the command line does.
+
+    Parameters
+    ----------
+    *files : str or Path
+        TOML, later ones on top of earlier ones.
+    preset : str, optional
+        ``levy-klein`` (the default), ``fog``, ``tactical`` or ``mems``.
+    settings : mapping or sequence of str
+        Single settings by their dotted keys: ``{"dvl.scale": 1.01}``, or ``["dvl.scale=1.01"]``.
+
+    Raises
+    ------
+    ConfigError
+        A key is not known or its value cannot be.
+    """
+    pairs = [f"{key}={value!r}" for key, value in settings.items()] if isinstance(settings, Mapping) else list(settings)
+    return _load_config(preset, [Path(file) for file in files], pairs)
+
+
+def replay_log(
+    log: Text | Sequence[Text],
+    config: Config | None = None,
+    *,
+    allow_damaged: bool = False,
+    name: str | None = None,
+) -> "Result":
+    """Replay a dive through the configured filters.
+
+    Parameters
+    ----------
+    log : str, Path or sequence of them
+        An MCAP file, a bag folder, or several that are one dive.
+    config : Config, optional
+        From `load_config`; left out: the default settings.
+    allow_damaged : bool
+        Use what can be read of a damaged log.
+    name : str, optional
+        Of the dive, if not that of the log.
+
+    Raises
+    ------
+    LogError
+        The log cannot be used.
+    ConfigError
+        The settings do not fit the log.
+    """
+    from insdvl_replay.replay import replay_log as replayed
+
+    paths = [Path(log)] if isinstance(log, str | Path) else [Path(one) for one in log]
+    replay = replayed(
+        paths[0] if len(paths) == 1 else paths, config or Config(), allow_damaged=allow_damaged, name=name
+    )
+    report = build_report(
+        replay.dive, replay.config, replay.tables, replay.verdicts, replay.notes, replay.start_ns, replay.end_ns,
+        this_tool(),
+    )  # fmt: skip
+    return Result(report, _replay=replay)
+
+
+def read_result(folder: Text) -> "Result":
+    """Read a result folder that `run` or `Result.save` wrote.
+
+    Raises
+    ------
+    OSError
+        There is none.
+    msgspec.ValidationError
+        It is of a version that this one cannot read.
+    """
+    return Result(decode_report((Path(folder) / COMPLETE).read_bytes()), folder=Path(folder))
+
+
+@dataclass(frozen=True)
+class Result:
+    """One dive, replayed or read back. In a notebook it shows the word on each filter and the evidence for it.
+
+    Attributes
+    ----------
+    report : Report
+        All of it as data.
+    folder : Path, optional
+        Where it lies, if it was read.
+    """
+
+    report: Report
+    folder: Path | None = None
+    _replay: "Replay | None" = field(default=None, repr=False)
+
+    @property
+    def name(self) -> str:
+        """Name of the dive."""
+        return self.report.log.name
+
+    @property
+    def words(self) -> dict[str, str]:
+        """The word on each candidate: better, worse, mixed, equivalent, undecided or not judged."""
+        return {name: str(candidate.improvement) for name, candidate in self.report.filters.items()}
+
+    @property
+    def tables(self) -> dict[str, "pd.DataFrame"]:
+        """Each table as a data frame, by its name, such as evidence or coasting; NaN for what is missing."""
+        import pandas as pd
+        from msgspec.structs import asdict
+
+        from insdvl_replay.core.tables import each_table
+
+        return {
+            layout.name: pd.DataFrame([asdict(row) for row in rows], columns=list(layout.columns))
+            for layout, rows in each_table(self.report.tables)
+        }
+
+    @property
+    def trajectory(self) -> "pd.DataFrame":
+        """All filters once a second: states, standard deviations and errors, with columns filter and time_s."""
+        import pandas as pd
+
+        from insdvl_replay.core.trajectory_columns import COLUMNS
+        from insdvl_replay.results.trajectory import read_trajectory, trajectory_of
+
+        if self._replay is not None:
+            found = trajectory_of(self._replay)
+        else:
+            read = read_trajectory((self.folder or Path()) / TRAJECTORY_FILE)
+            if read is None:
+                raise FileNotFoundError(f"{self.folder}: has no {TRAJECTORY_FILE} that can be read")
+            found = read
+        frames = [
+            pd.DataFrame(values, columns=list(COLUMNS)).assign(filter=name, time_s=found.time_s)
+            for name, values in zip(found.names, found.values, strict=True)
+        ]
+        return pd.concat(frames, ignore_index=True)[["filter", "time_s", *COLUMNS]]
+
+    @property
+    def histories(self) -> dict[str, "pd.DataFrame"]:
+        """The whole history of each filter, of a replay that was not read back; see `histories.history_frame`."""
+        from insdvl_replay.results.histories import history_frame
+
+        if self._replay is None:
+            raise ValueError(f"{self.name}: was read back, which has the trajectory alone; replay its log")
+        return {history.filter: history_frame(history) for history in self._replay.histories}
+
+    def save(self, folder: Text, *, force: bool = False) -> Path:
+        """Write the result folder, as `run` does, and return its path.
+
+        Raises
+        ------
+        ConfigError
+            It exists and must not be replaced.
+        """
+        from insdvl_replay.results.result_files import save_replay
+
+        if self._replay is None:
+            raise ValueError(f"{self.name}: was read from {self.folder}, where it lies already")
+        target = Path(folder)
+        with result_folder(target, force=force) as made:
+            save_replay(self._replay, made)
+        return target
+
+    def __str__(self) -> str:
+        """Return the screen that the command line shows."""
+        import io
+
+        from rich.console import Console
+
+        from insdvl_replay.report.terminal import for_terminal
+
+        console = Console(width=100, file=io.StringIO(), record=True)
+        console.print(for_terminal(self._screen()))
+        return "\n".join(line.rstrip() for line in console.export_text().rstrip().split("\n"))
+
+    def _repr_html_(self) -> str:
+        from insdvl_replay.report.page import fragment
+
+        return fragment(self._screen())
+
+    def _screen(self) -> list["Part"]:
+        return dive_screen(self.report, str(self.folder / PAGE) if self.folder else "not saved")
+
+
+if TYPE_CHECKING:
+    from insdvl_replay.report.document import Part

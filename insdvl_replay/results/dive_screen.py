@@ -1,0 +1,171 @@
+"""What a terminal shows of one replay: the word on each candidate, the evidence for it, and where the rest is.
+
+One dive, of up to two candidates, fits 24 lines of 80 columns; of more candidates each has a row.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER, NAMES
+from insdvl_replay.core.rows import EvidenceRow
+from insdvl_replay.core.table_layout import Number, finite
+from insdvl_replay.core.tables import Candidate
+from insdvl_replay.core.words import Belief, EvidenceWord, Judgement
+from insdvl_replay.evaluation.evidence import HONESTY
+from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
+from insdvl_replay.report.document import (
+    MISSING,
+    Callout,
+    Code,
+    Column,
+    DisplayTable,
+    Part,
+    Sentences,
+    Title,
+    counted,
+    decimal,
+    percent,
+    table_of,
+)
+from insdvl_replay.results.dive_tables import TENFOLD, TONES
+from insdvl_replay.results.json_report import Report
+from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference, track_fit_line
+
+LOUD: Final = (Judgement.BETTER, Judgement.WORSE, Judgement.MIXED, Judgement.NOT_JUDGED)
+MOST_ROWS: Final = {1: 10, 2: 3}
+"""Pieces of evidence that are shown of each candidate, by how many there are."""
+_CHOSEN: Final = ("velocity_along", "convergence_level", "nis")
+"""Pieces that are shown beside the first of each kind, and those that decided."""
+
+
+def dive_screen(report: Report, page: str) -> list[Part]:
+    """Lay out the screen of one dive.
+
+    Parameters
+    ----------
+    page : str
+        Where the page of the dive lies, which is named last.
+    """
+    few = len(report.filters) in MOST_ROWS
+    words = [part for name in report.filters for part in _of_candidate(report, name)] if few else _many(report)
+    return [
+        Title(facts(report)),
+        *words,
+        Sentences((*track_fit_line(report), *(() if has_reference(report) else (NO_REFERENCE,)))),
+        Code(f"all tables: -v   page: {page}", ""),
+    ]
+
+
+def facts(report: Report) -> str:
+    """State in one line what was replayed."""
+    pings = next((row for row in report.tables.consistency if row.measurement == "velocity"), None)
+    starts = max((row.starts for row in report.tables.evidence), default=0)
+    said = [
+        f"{report.log.duration_s:.0f} s",
+        f"{pings.used + pings.rejected} velocities, {pings.rejected} rejected" if pings else "no velocities",
+        *([counted(starts, "start")] if starts and has_reference(report) else []),
+        *([] if has_reference(report) else ["no reference"]),
+    ]
+    return f"{report.log.name}: {', '.join(said)}"
+
+
+def shouted(judgement: str) -> str:
+    """Write a judgement that nobody may overlook in capitals."""
+    return judgement.upper() if judgement in LOUD else judgement
+
+
+def ratio_text(value: Number) -> str:
+    """Write a ratio with two decimals, a large one with three digits."""
+    return decimal(value, 2) if abs(finite(value)) < TENFOLD else MISSING if value is None else f"{value:.3g}"
+
+
+def interval_text(low: Number, high: Number) -> str:
+    """Write where a ratio lies."""
+    return MISSING if low is None or high is None else f"{ratio_text(low)} .. {ratio_text(high)}"
+
+
+def value_text(value: Number) -> str:
+    """Write a value with three significant digits."""
+    return MISSING if value is None else f"{value:.3g}"
+
+
+def _of_candidate(report: Report, name: str) -> Iterator[Part]:
+    candidate = report.filters[name]
+    if candidate.improvement == Judgement.NOT_JUDGED:
+        yield Sentences((_word_on(report, name), candidate.verdict))
+        return
+    trust = trust_sentence(report.tables, name, report.baseline)
+    yield Sentences((_word_on(report, name), _believed(candidate)))
+    rows = _chosen([row for row in report.tables.evidence if row.filter == name], MOST_ROWS[len(report.filters)])
+    if rows:
+        yield _evidence(report.baseline, name, rows)
+    yield trust
+
+
+def _word_on(report: Report, name: str) -> Callout:
+    judgement = report.filters[name].improvement
+    return Callout(f"{name} against {report.baseline}: {shouted(judgement)}", TONES.get(judgement, ""))
+
+
+def _believed(candidate: Candidate) -> str:
+    """State what a candidate believes to gain, and what has become of that."""
+    smaller, sooner = candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct
+    word = candidate.belief or Belief.UNDECIDED
+    return f"it believes in {percent(smaller)} smaller errors, {percent(sooner)} sooner: {word}"
+
+
+def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
+    """Choose pieces of evidence: those that decided, the first of each kind, and what else there is room for."""
+    known = [row for row in rows if row.baseline is not None or row.value is not None]
+    decided = (EvidenceWord.BETTER, EvidenceWord.WORSE)
+    first = {row.evidence: row.quantity for row in reversed(known)}
+
+    def importance(row: EvidenceRow) -> tuple[bool, bool, bool, bool]:
+        return (
+            not (row.quantity in DECIDING and row.word in decided),
+            row.quantity != first[row.evidence],
+            row.quantity not in _CHOSEN,
+            row.quantity not in DECIDING_TOGETHER,
+        )
+
+    shown = {row.quantity for row in sorted(known, key=importance)[:most]}
+    return [row for row in known if row.quantity in shown]
+
+
+def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> DisplayTable:
+    columns: list[Column[EvidenceRow]] = [
+        ("evidence", "l", lambda row: NAMES[row.quantity]),
+        ("", "l", lambda row: row.unit),
+        (baseline, "r", lambda row: value_text(row.baseline)),
+        (name, "r", lambda row: value_text(row.value)),
+        ("ratio", "r", lambda row: ratio_text(row.ratio)),
+        ("95 %", "r", lambda row: interval_text(row.low, row.high)),
+        ("n", "r", lambda row: decimal(row.effective_samples, 0)),
+        ("", "l", lambda row: "" if row.evidence == HONESTY else row.word),
+    ]
+    return table_of("", rows, columns, spare=(6, 2, 3, 1, 5))
+
+
+def _many(report: Report) -> list[Part]:
+    """Lay out many candidates, a row each: the piece of evidence that decided, or could have."""
+    columns: list[Column[tuple[str, Candidate, EvidenceRow | None]]] = [
+        ("filter", "l", lambda one: one[0]),
+        (f"against {report.baseline}", "l", lambda one: shouted(one[1].improvement)),
+        ("by", "l", lambda one: MISSING if one[2] is None else NAMES[one[2].quantity]),
+        ("ratio", "r", lambda one: MISSING if one[2] is None else ratio_text(one[2].ratio)),
+        ("95 %", "r", lambda one: MISSING if one[2] is None else interval_text(one[2].low, one[2].high)),
+        ("believed", "r", lambda one: percent(_believed_pct(one[1]))),
+        ("", "l", lambda one: "" if one[1].improvement == Judgement.NOT_JUDGED else one[1].belief),
+    ]
+    rows = [(name, candidate, _speaking(report, name)) for name, candidate in report.filters.items()]
+    return [table_of("", rows, columns, spare=(4, 5, 6, 2))]
+
+
+def _believed_pct(candidate: Candidate) -> Number:
+    return None if candidate.improvement == Judgement.NOT_JUDGED else candidate.mean_improvement_pct
+
+
+def _speaking(report: Report, name: str) -> EvidenceRow | None:
+    judgement = Judgement(report.filters[name].improvement)
+    rows = [row for row in report.tables.evidence if row.filter == name]
+    return None if judgement == Judgement.NOT_JUDGED else next(iter(spoken_of(judgement, rows)), None)

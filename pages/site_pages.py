@@ -1,0 +1,57 @@
+"""The site: the pages of docs/, the equations, the reproduction and the changes, gathered as mkdocs wants them.
+
+`make docs` builds it strictly. Links between pages stay; those to other files of the project become their names, since
+the site stands by itself.
+"""
+
+import re
+import shutil
+import sys
+from pathlib import Path
+
+from written import PROJECT
+
+SOURCES = {
+    **{path: path.name for path in sorted((PROJECT / "docs").glob("*.md"))},
+    **{path: f"equations/{path.name}" for path in sorted((PROJECT / "equations").glob("*.md"))},
+    PROJECT / "REPRODUCTION.md": "reproduction.md",
+    PROJECT / "CHANGELOG.md": "changes.md",
+}
+"""Place in the site by file."""
+LINK = re.compile(r"(!?)\[((?:[^\]\\]|\\.)*)\]\(([^)\s]+)\)")
+
+
+def gather(target: Path) -> None:
+    """Write the pages into a folder, which is emptied first."""
+    shutil.rmtree(target, ignore_errors=True)
+    for path, place in SOURCES.items():
+        file = target / place
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(LINK.sub(lambda link, here=path: rewritten(link, here), path.read_text("utf-8")), "utf-8")
+    for picture in (PROJECT / "docs").glob("*.svg"):
+        shutil.copy(picture, target / picture.name)
+
+
+def rewritten(link: re.Match[str], page: Path) -> str:
+    """Point a link to the page's place in the site; what is no page of it becomes text."""
+    mark, text, address = link.groups()
+    if re.match(r"[a-z]+:|#", address):
+        return link[0]
+    name, hash_, anchor = address.partition("#")
+    linked = (page.parent / name).resolve()
+    if not linked.exists():
+        raise ValueError(f"{page.name}: {address} leads nowhere")
+    if linked.suffix == ".svg" and linked.parent == PROJECT / "docs":
+        return f"{mark}[{text}]({up(page)}{linked.name})"
+    if linked not in SOURCES:
+        return f"{text} (`{linked.relative_to(PROJECT).as_posix()}`)"
+    return f"{mark}[{text}]({up(page)}{SOURCES[linked]}{hash_}{anchor})"
+
+
+def up(page: Path) -> str:
+    """Return the way from a page to the top of the site."""
+    return "../" * SOURCES[page].count("/")
+
+
+if __name__ == "__main__":
+    gather(Path(sys.argv[1]))

@@ -1,0 +1,225 @@
+"""What stands on a terminal: the answer first, in 24 lines of 80 columns, and what is left of it where there is less.
+
+The files in ``golden`` hold the screens; ``python tests/cli/test_screens.py`` writes them anew.
+"""
+
+import io
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+from collections.abc import Iterator
+from contextlib import suppress
+from fcntl import ioctl
+from pathlib import Path
+
+import pytest
+from made_reports import report
+from msgspec.structs import replace
+from rich.console import Console
+
+from insdvl_replay.core.words import Belief, EvidenceWord, GateStatus, Judgement
+from insdvl_replay.report.terminal import for_terminal
+from insdvl_replay.results.dive_screen import dive_screen
+from insdvl_replay.results.dives_screen import dives_screen
+from insdvl_replay.results.json_report import Report
+from insdvl_replay.results.overviews import Failure
+
+GOLDEN = Path(__file__).parent / "golden"
+PROJECT = Path(__file__).resolve().parents[2]
+ROWS = 24
+THIRTEEN = ("best", "wide", "worse", "dead", *(f"dive {number}" for number in range(1, 10)))
+
+
+def on_terminal(folder: Path, *options: str, columns: int = 80, **variables: str) -> str:
+    """Run the figure-eight on a terminal of so many columns, and return what it shows; stderr is the terminal, too."""
+    ours, theirs = pty.openpty()
+    ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, columns, 0, 0))
+    command = [sys.executable, "-m", "insdvl_replay", "run", str(PROJECT / "sample_logs" / "figure_eight.mcap")]
+    environment = {name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "COLUMNS")}
+    process = subprocess.Popen(
+        [*command, *options], cwd=folder, stdout=theirs, stderr=theirs,
+        env=environment | {"TERM": "xterm", "PYTHONPATH": str(PROJECT)} | variables,
+    )  # fmt: skip
+    os.close(theirs)
+    shown = b""
+    with suppress(OSError):  # the last one to write has left
+        while data := os.read(ours, 1 << 16):
+            shown += data
+    os.close(ours)
+    assert process.wait() == 0
+    return shown.decode(variables.get("PYTHONIOENCODING", "utf-8")).replace("\r\n", "\n")
+
+
+def screen_lines(text: str) -> list[str]:
+    return text.rstrip("\n").split("\n")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the result lies already, so that a run only shows it."""
+    made = tmp_path_factory.mktemp("screens")
+    command = [sys.executable, "-m", "insdvl_replay", "run", str(PROJECT / "sample_logs" / "figure_eight.mcap")]
+    environment = os.environ | {"PYTHONPATH": str(PROJECT)}
+    subprocess.run(command, cwd=made, check=True, capture_output=True, env=environment)
+    return made
+
+
+SCREENS = {
+    "dive_80": ({}, ()),
+    "dive_40": ({"columns": 40}, ()),
+    "dive_quiet": ({}, ("-q",)),
+    "dive_cp1252": ({"PYTHONIOENCODING": "cp1252"}, ()),
+    "dive_no_color": ({"NO_COLOR": "1"}, ()),
+    "dive_table": ({}, ("--table", "track_fit")),
+}
+
+
+def shown(name: str, folder: Path) -> str:
+    how, options = SCREENS[name]
+    return on_terminal(folder, *options, **how)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCREENS)
+def test_screen_of_a_dive_is_as_it_was_looked_at(name: str, folder: Path) -> None:
+    assert shown(name, folder) == (GOLDEN / f"{name}.txt").read_text("utf-8")
+
+
+@pytest.mark.parametrize("name", ["dive_80", "dive_cp1252", "dive_no_color", "thirteen"])
+def test_screen_fits_24_lines_of_80_columns(name: str) -> None:
+    lines = screen_lines(plain((GOLDEN / f"{name}.txt").read_text("utf-8")))
+    assert len(lines) <= ROWS
+    assert max(map(len, lines)) <= 80
+    assert lines[-1].startswith("all tables: -v   page: ")
+
+
+def test_narrow_terminal_leaves_out_columns_and_folds_no_digits() -> None:
+    text = (GOLDEN / "dive_40.txt").read_text("utf-8")
+    assert max(len(line) for line in screen_lines(plain(text)) if "report.html" not in line) <= 40
+    wide = plain((GOLDEN / "dive_80.txt").read_text("utf-8"))
+    assert set(re.findall(r"\b\d\.\d\d\b", plain(text))) <= set(re.findall(r"\b\d\.\d\d\b", wide))
+    assert re.search(r"^drift in 30 s +0\.86 +undecided$", plain(text), re.MULTILINE)
+
+
+@pytest.mark.slow
+def test_colours_are_for_terminals_unless_somebody_wants_other(folder: Path) -> None:
+    assert "\x1b[" not in on_terminal(folder, NO_COLOR="1")
+    assert "\x1b[" not in on_terminal(folder, "--color", "never")
+    assert "\x1b[1m" in on_terminal(folder, "--color", "always", NO_COLOR="1")
+
+
+@pytest.mark.slow
+def test_a_pipe_has_no_colours_and_folds_nothing(folder: Path) -> None:
+    command = [sys.executable, "-m", "insdvl_replay", "run", str(PROJECT / "sample_logs" / "figure_eight.mcap")]
+    done = subprocess.run(
+        command, cwd=folder, check=True, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(PROJECT)}
+    )
+    assert done.stdout == plain(done.stdout)
+    assert done.stdout == (GOLDEN / "dive_piped.txt").read_text("utf-8")
+    assert done.stderr == "unchanged replay/figure_eight\n"
+
+
+def plain(text: str) -> str:
+    return re.sub(r"\x1b\[[0-9;]*m", "", text)
+
+
+def judged(name: str, judgement: Judgement, ratio: float = 0.8) -> Report:
+    """One report of a dive of this name, with this word and a first piece of evidence of this ratio."""
+    made = report(name)
+    first, *others = made.tables.evidence
+    rows = [replace(first, value=ratio, ratio=ratio, low=0.9 * ratio, high=1.1 * ratio), *others]
+    aided = replace(made.filters["aided"], improvement=judgement)
+    log = replace(made.log, name=name)
+    return replace(made, log=log, filters={"aided": aided}, tables=replace(made.tables, evidence=rows))
+
+
+def rendered(document: list[object], width: int = 80) -> str:
+    console = Console(width=width, record=True, file=io.StringIO(), color_system=None)
+    console.print(for_terminal(document), crop=False)  # type: ignore[arg-type]
+    return "\n".join(line.rstrip() for line in console.export_text().split("\n"))
+
+
+def thirteen() -> list[Report | Failure]:
+    words = {"best": Judgement.BETTER, "worse": Judgement.WORSE, "dead": Judgement.NOT_JUDGED}
+    ratios = {"worse": 1.4, "wide": 123.4}
+    made: list[Report | Failure] = [
+        judged(name, words.get(name, Judgement.UNDECIDED), ratios.get(name, 0.8)) for name in THIRTEEN
+    ]
+    made[1] = Failure("wide", "wide.mcap: is empty")
+    return made
+
+
+def of_thirteen() -> str:
+    return rendered(list(dives_screen(thirteen(), "replay/index.html")))
+
+
+def test_thirteen_dives_have_a_row_each_below_what_they_say_together() -> None:
+    text = of_thirteen()
+    assert text == (GOLDEN / "thirteen.txt").read_text("utf-8")
+    lines = screen_lines(text)
+    assert lines[0].startswith("against baseline"), "the word comes first"
+    rows = [line.split("  ")[0] for line in lines]
+    assert rows.index("dive 2") < rows.index("dive 9"), "numbers stand in their order"
+    assert "13 dives, 1 failed" in text
+
+
+def test_above_twenty_dives_only_the_failed_and_the_worst_have_rows() -> None:
+    many = [judged(f"dive {number}", Judgement.UNDECIDED, 0.5 + 0.01 * number) for number in range(1, 26)]
+    text = rendered(list(dives_screen([*many, Failure("gone", "gone.mcap: is empty")], "index.html")))
+    found = re.findall(r"^(dive \d+|gone) ", text, re.MULTILINE)
+    assert found == ["dive 23", "dive 24", "dive 25", "gone"]
+    assert "22 more: see the page" in text
+    assert len(screen_lines(text)) <= ROWS
+
+
+@pytest.mark.parametrize("judgement", list(Judgement))
+def test_every_word_on_a_filter_stands_on_the_screen(judgement: Judgement) -> None:
+    text = rendered(list(dive_screen(judged("dive", judgement), "report.html")))
+    line = next(line for line in text.split("\n") if line.startswith("aided against baseline: "))
+    assert line.partition(": ")[2].lower() == judgement
+    assert ("it believes in" in text) == (judgement != Judgement.NOT_JUDGED), (
+        "nothing is believed of what is not judged"
+    )
+
+
+def test_words_come_from_the_enums() -> None:
+    known = {*EvidenceWord, *Judgement, *Belief, *GateStatus}
+    last = [line.split("  ")[-1].lower() for line in plain((GOLDEN / "dive_80.txt").read_text()).split("\n")]
+    words = {word for word in last if re.fullmatch(r"[a-z]+( [a-z]+)?", word)}
+    assert words
+    assert words <= known
+
+
+def test_three_candidates_have_a_row_each() -> None:
+    made = report()
+    filters = dict.fromkeys(("aided", "windowed", "published"), made.filters["aided"])
+    rows = [replace(row, filter=name) for name in filters for row in made.tables.evidence]
+    several = replace(made, filters=filters, tables=replace(made.tables, evidence=rows))
+    text = rendered(list(dive_screen(several, "report.html")))
+    assert len(screen_lines(text)) <= ROWS
+    assert [line.split()[0] for line in text.split("\n")[4:7]] == list(filters)
+
+
+def write_golden() -> Iterator[str]:
+    import tempfile
+
+    GOLDEN.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as name:
+        made = Path(name)
+        command = [sys.executable, "-m", "insdvl_replay", "run", str(PROJECT / "sample_logs" / "figure_eight.mcap")]
+        environment = os.environ | {"PYTHONPATH": str(PROJECT)}
+        for _ in range(2):
+            done = subprocess.run(command, cwd=made, check=True, capture_output=True, text=True, env=environment)
+        (GOLDEN / "dive_piped.txt").write_text(done.stdout, "utf-8")
+        for screen in SCREENS:
+            (GOLDEN / f"{screen}.txt").write_text(shown(screen, made), "utf-8")
+            yield screen
+    (GOLDEN / "thirteen.txt").write_text(of_thirteen(), "utf-8")
+
+
+if __name__ == "__main__":
+    sys.stdout.write(" ".join(write_golden()))

@@ -1,0 +1,256 @@
+"""What is taken out of a result: figures, histories, tables for a paper, and data frames in Python."""
+
+import json
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from made_reports import report
+
+import insdvl_replay
+from insdvl_replay import Result, load_config, read_result, replay_log
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.states import STATES
+from insdvl_replay.report.latex import as_latex
+from insdvl_replay.results.dive_document import dive_document
+from insdvl_replay.results.paper_figures import KINDS
+
+PROJECT = Path(__file__).resolve().parents[2]
+SAMPLE = PROJECT / "sample_logs" / "figure_eight.mcap"
+
+
+@pytest.fixture(scope="module")
+def replayed() -> Result:
+    return replay_log(str(SAMPLE), load_config(settings={"evaluation.starts": 4}))
+
+
+@pytest.fixture(scope="module")
+def folder(replayed: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return replayed.save(tmp_path_factory.mktemp("saved") / "figure_eight")
+
+
+# --- Figures.
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_drawn_with_names_and_units(kind: str, folder: Path, tmp_path: Path) -> None:
+    target = tmp_path / "drawn.svg"
+    assert run_command_line(["figure", str(folder), kind, "--format", "svg", "-o", str(target)]) == 0
+    text = target.read_text("utf-8")
+    assert {"baseline", "aided"} <= set(re.findall(r">([^<>]+)</text>", text)), "a legend of its own"
+    labels = [label for label in re.findall(r">([^<>]+)</text>", text) if "[" in label or "dof" in label]
+    assert labels
+    assert "var(--" not in text, "no colour of a page"
+    assert re.search(r'width="24\d\.\d+pt"', text), "88 mm are 249 pt"
+
+
+def test_formats_are_what_they_say_and_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+    begin = {"pdf": b"%PDF", "png": b"\x89PNG", "svg": b"<?xml"}
+    for format_, magic in begin.items():
+        made = []
+        for name in ("once", "again"):
+            target = tmp_path / f"{name}.{format_}"
+            assert run_command_line(["figure", str(folder), "track", "--format", format_, "-o", str(target)]) == 0
+            made.append(target.read_bytes())
+        assert made[0].startswith(magic)
+        assert made[0] == made[1]
+
+
+def test_width_and_states_are_those_asked_for(folder: Path, tmp_path: Path) -> None:
+    target = tmp_path / "sigma.png"
+    arguments = ["figure", str(folder), "sigma", "--states", "ba,bg_z", "--width", "180mm", "--format", "png"]
+    assert run_command_line([*arguments, "-o", str(target)]) == 0
+    width, _ = struct.unpack(">II", target.read_bytes()[16:24])
+    assert width == pytest.approx(180.0 / 25.4 * 300.0, abs=1.0)
+    assert (
+        run_command_line([*arguments[:3], "--states", "ba,bg_z", "--format", "svg", "-o", str(tmp_path / "s.svg")]) == 0
+    )
+    shown = re.findall(r">([^<>]+ \[[^\]]+\])</text>", (tmp_path / "s.svg").read_text("utf-8"))
+    assert [label for label in shown if label != "time [s]"] == [
+        f"{state.label} [{state.unit}]" for state in STATES if state.id.startswith(("ba", "bg_z"))
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "reason"),
+    [
+        (["error", "--width", "5"], 2, "is no width from 20 to 1000 mm"),
+        (["sigma", "--states", "bx"], 2, "state 'bx' is not known"),
+        (["error", "-o", "error.svg"], 2, "does not end in .pdf"),
+        (["speed"], 2, "'speed'"),
+        (["error", "-o", "taken.pdf"], 2, "taken.pdf: exists"),
+    ],
+)
+def test_wrong_uses_are_told(
+    options: list[str], code: int, reason: str, folder: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken.pdf").touch()
+    assert run_command_line(["figure", str(folder), *options]) == code
+    assert reason in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["taken.pdf"]
+
+
+@pytest.mark.skipif(bool(shutil.which("xelatex") or shutil.which("pdflatex")), reason="there is LaTeX")
+def test_pgf_without_latex_says_so(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "error.pgf"
+    assert run_command_line(["figure", str(folder), "error", "--format", "pgf", "-o", str(target)]) == 2
+    assert "--format pgf needs LaTeX, which is not there" in capsys.readouterr().err
+    assert not target.exists()
+
+
+# --- Histories.
+
+
+def test_history_has_a_row_for_each_time_with_all_digits(tmp_path: Path) -> None:
+    arguments = ["run", str(SAMPLE), "-o", str(tmp_path), "--starts", "1", "--history", "csv"]
+    assert run_command_line(arguments) == 0
+    made = pd.read_csv(tmp_path / "figure_eight" / "history_aided.csv")
+    frame = replay_log(SAMPLE, load_config(settings={"evaluation.starts": 1})).histories["aided"]
+    assert list(made.columns) == list(frame.columns)
+    np.testing.assert_array_equal(made["heading_deg"].to_numpy(), frame["heading_deg"].to_numpy())
+    assert (np.diff(made["time_ns"]) > 0).all()
+    improvement = pd.read_csv(tmp_path / "figure_eight" / "improvement.csv").set_index("state")
+    last = made[made["updated"]].iloc[-1]
+    assert last["ba_z_sd"] == pytest.approx(improvement.loc["ba_z", "sd"], rel=1e-12)
+    assert run_command_line(arguments) == 0, "and is known again"
+
+
+def test_parquet_needs_its_library_and_says_so_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert run_command_line(["run", str(SAMPLE), "-o", str(tmp_path / "out"), "--history", "parquet"]) == 2
+    assert "--history parquet needs pyarrow; hint: pip install pyarrow" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+# --- LaTeX.
+
+
+def test_latex_has_labels_real_minus_and_powers_of_ten() -> None:
+    text = as_latex(dive_document(report()))
+    assert text.count(r"\centering") == text.count(r"\begin{tabular}") == text.count(r"\label{tab:")
+    labels = re.findall(r"\\label\{(.+?)\}", text)
+    assert len(labels) == len(set(labels))
+    assert r"$-20.0$\,\%" in text
+    assert re.search(r"\$-?\d\.\d+ \\times 10\^\{-?\d+\}\$", as_latex([*tiny()]))
+    assert re.sub(r"(?m)^%.*$", "", text).isascii(), "any LaTeX reads it"
+
+
+def tiny() -> list[Any]:
+    from insdvl_replay.report.document import DisplayTable, number
+
+    return ["numbers", DisplayTable("Small", ("a", "b"), "rr", ((number(2.3e-5), number(-0.5)),))]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (shutil.which("tectonic") or shutil.which("pdflatex")), reason="needs LaTeX")
+def test_latex_compiles(tmp_path: Path) -> None:
+    body = as_latex(dive_document(report()))
+    (tmp_path / "paper.tex").write_text(
+        "\\documentclass{article}\\usepackage{booktabs}\\begin{document}\n" + body + "\\end{document}\n", "utf-8"
+    )
+    program = shutil.which("tectonic") or "pdflatex"
+    options = [] if "tectonic" in program else ["-interaction=nonstopmode", "-halt-on-error"]
+    done = subprocess.run([program, *options, "paper.tex"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert (tmp_path / "paper.pdf").stat().st_size > 10_000
+
+
+def test_latex_is_balanced() -> None:
+    """What every LaTeX asks for first, tried where there is none: braces, dollars and environments in pairs."""
+    text = re.sub(r"(?m)(?<!\\)%.*$", "", as_latex(dive_document(report())))
+    plain = re.sub(r"\\[\\{}$&%#_]", "", text)
+    assert plain.count("{") == plain.count("}")
+    assert plain.count("$") % 2 == 0
+    for name in ("table", "tabular"):
+        assert text.count(rf"\begin{{{name}}}") == text.count(rf"\end{{{name}}}")
+    for table in re.findall(r"\\begin\{tabular\}\{(\w+)\}(.*?)\\end\{tabular\}", text, re.DOTALL):
+        letters, rows = table
+        cells = [row.count(" & ") + 1 for row in rows.split("\\\\\n") if "&" in row]
+        assert set(cells) == {len(letters)}
+
+
+# --- Python.
+
+
+def test_public_names_are_these() -> None:
+    assert set(insdvl_replay.__all__) == {"Result", "__version__", "load_config", "read_result", "replay_log"}
+    assert all(getattr(insdvl_replay, name) for name in insdvl_replay.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'replays'"):
+        _ = insdvl_replay.replays  # type: ignore[attr-defined]
+
+
+def test_a_replay_in_python_is_that_of_the_command_line(replayed: Result, folder: Path, tmp_path: Path) -> None:
+    assert run_command_line(["run", str(SAMPLE), "-o", str(tmp_path), "--starts", "4"]) == 0
+    for name in ("evidence.csv", "trajectory.npz", "report.html"):
+        assert (tmp_path / "figure_eight" / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_tables_are_frames_with_the_columns_of_the_files(replayed: Result, folder: Path) -> None:
+    for name, frame in replayed.tables.items():
+        stored = pd.read_csv(folder / f"{name}.csv", keep_default_na=False, na_values=[""])
+        assert list(frame.columns) == list(stored.columns), name
+        assert len(frame) == len(stored)
+
+
+def test_a_result_is_read_back(replayed: Result, folder: Path) -> None:
+    again = read_result(str(folder))
+    assert again.words == replayed.words == {"aided": "undecided"}
+    pd.testing.assert_frame_equal(again.trajectory, replayed.trajectory)
+    pd.testing.assert_frame_equal(again.tables["drift"], replayed.tables["drift"])
+    with pytest.raises(ValueError, match="was read back"):
+        _ = again.histories
+    with pytest.raises(ValueError, match="lies already"):
+        again.save(folder)
+
+
+def test_a_notebook_shows_the_screen(replayed: Result) -> None:
+    shown = replayed._repr_html_()
+    assert "aided against baseline: undecided" in shown
+    assert "<td>drift in 30 s</td>" in shown
+    assert "<script" not in shown
+    assert str(replayed).startswith("figure_eight: 394 s")
+
+
+def test_settings_are_taken_as_a_mapping_or_as_on_the_command_line() -> None:
+    assert load_config(settings={"dvl.scale": 1.5}) == load_config(settings=["dvl.scale=1.5"])
+    assert load_config(preset="fog") != load_config()
+
+
+def test_the_public_names_are_typed(tmp_path: Path) -> None:
+    (tmp_path / "use.py").write_text(
+        "from insdvl_replay import load_config, replay_log\n"
+        "words: dict[str, str] = replay_log('dive.mcap', load_config(preset='fog')).words\n"
+        "wrong: int = replay_log('dive.mcap').name\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", str(tmp_path / "use.py")],
+        cwd=PROJECT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert re.findall(r"use\.py:(\d+): error: (.+)  \[assignment\]", done.stdout) == [
+        ("3", 'Incompatible types in assignment (expression has type "str", variable has type "int")')
+    ], done.stdout
+
+
+@pytest.mark.slow
+def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    path = PROJECT / "examples" / "notebook" / "dive.ipynb"
+    notebook = json.loads(path.read_text("utf-8"))
+    monkeypatch.chdir(path.parent)
+    names: dict[str, Any] = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == [], "stored without outputs"
+            exec(compile("".join(cell["source"]), str(path), "exec"), names)
+    assert names["same"] is True
+    assert names["error"].shape[1] == 2
