@@ -15,6 +15,7 @@ from insdvl_replay.calibration.parameters import NAMES, DvlGeometry, moved_mount
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
+from insdvl_replay.core.runtime import steps
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.coasting import coasting_table
 from insdvl_replay.evaluation.paired_statistics import windows_ratio
@@ -103,7 +104,7 @@ def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
         found = [dive.with_config(config).innovations().residuals(np.zeros(len(NAMES))) for dive in dives]
         return TriedMounting(config.dvl.mounting_rpy_deg, sum(robust_cost(residuals) for residuals in found))
 
-    return sorted(map(tried, AXES), key=lambda one: one.cost)
+    return sorted(map(tried, steps("trying mountings", AXES)), key=lambda one: one.cost)
 
 
 def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:

@@ -23,6 +23,7 @@ from insdvl_replay.calibration.with_reference import (
     ReferenceDive,
 )
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.runtime import steps
 from insdvl_replay.evaluation.effective_samples import samples_in_mean
 
 ROUNDS: Final = 5
@@ -135,7 +136,7 @@ def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats)
     prior_sd = np.concatenate([shared_sd, np.full(OWN * len(dives), LOST_HEADING_SD)])
     values = np.zeros(len(prior_sd))
     near = tuple(_near(dive, values[rows_of(i)], free) for i, dive in enumerate(dives))
-    for _ in range(ROUNDS):
+    for _ in steps("fitting the reference", range(ROUNDS)):
         gradient = -values / prior_sd**2
         for i, of_dive in enumerate(near):
             gradient[rows_of(i)] += of_dive.scores.sum(axis=0)

@@ -1,6 +1,10 @@
 """The command as its user meets it: what it prints and writes, and how it refuses."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import msgspec
@@ -137,3 +141,62 @@ def test_dives_of_the_same_name_are_held_out_one_by_one(
     assert run_command_line(command) == 0
     result = json.loads(capsys.readouterr().out)
     assert (len(result["dives"]), len(result["held_out"])) == (1, 1)
+
+
+STOPPED_WHILE_FITTING = """
+import sys, time
+import insdvl_replay.calibration.WHERE as module
+def stop(*_, **__):
+    print("busy", flush=True)
+    time.sleep(60)
+module.WHAT = stop
+from insdvl_replay.cli import main
+sys.argv = ["insdvl-replay", *sys.argv[1:]]
+main()
+"""
+
+
+@pytest.mark.parametrize("where", ["fit.robust_cost", "output.toml_value", "figures.delay_profile"])
+@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_leaves_nothing(signal_: signal.Signals, where: str, dives: Path, tmp_path: Path) -> None:
+    """While it is fitted, and while the page and the settings are made."""
+    module, _, name = where.partition(".")
+    script = STOPPED_WHILE_FITTING.replace("WHERE", module).replace("WHAT", name)
+    made = tmp_path / "temporary"
+    made.mkdir()
+    command = [sys.executable, "-c", script, *calibrate(dives, "dive_1"), "-o", "found.toml", "--page", "found.html"]
+    with subprocess.Popen(
+        [*command, "--format", "csv"],
+        cwd=tmp_path,
+        env=os.environ | {"TMPDIR": str(made)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        while process.stdout.readline() != "busy\n":
+            assert process.poll() is None
+        process.send_signal(signal_)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.endswith("error: interrupted\n")
+    assert list(tmp_path.rglob("*")) == [made]
+
+
+def test_a_terminal_sees_how_far_it_is(
+    dives: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    assert run_command_line([*calibrate(dives, "dive_1"), "--format", "csv"]) == 0
+    shown = capsys.readouterr().err
+    assert "fitting the innovations" in shown
+    assert "/12" in shown
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False)
+    assert run_command_line([*calibrate(dives, "dive_1"), "--format", "csv"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_notes_of_the_dives_are_told_when_asked(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line([*calibrate(dives, "dive_1"), "--set", "span.start_s=20", "-v"]) == 0
+    assert "info: dive_1: " in capsys.readouterr().err
