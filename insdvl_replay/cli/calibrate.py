@@ -116,9 +116,8 @@ def calibrate(
         found = calibrated(asked, resolved, groups, one_delay=delays is Delays.ONE)
         found = with_reference(found, kept, asked, groups) if reference else found
         found = found.from_mounting(known) if mounting is Mounting.UNKNOWN else found
-        found = found.with_held_out(
-            [held_out_row(dive, found.change) for dive in steps("trying it on other dives", held)]
-        )
+        others = [held_out_row(dive, found.change) for dive in steps("trying it on other dives", held)]
+        found = found.with_held_out(others)
     for read, of_one in zip(kept, asked, strict=True):
         log_notes(_of_dive(read.dive, of_one.prepared), verbose=verbose > 0)
     write_stdout(
