@@ -1,5 +1,6 @@
 """``simulate``, ``config``, ``schema`` and ``compile``: what prepares replays, and is prepared for them."""
 
+import math
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -36,6 +37,14 @@ def simulate(
         list[str],
         typer.Option(metavar="BEAM:START:END", help="The same for one beam, counted from 0. May be repeated."),
     ] = [],  # noqa: B006
+    lever_arm: Annotated[
+        str, typer.Option(metavar="X,Y,Z", help="From the IMU to the DVL, forward, starboard, down, m.")
+    ] = "0,0,0",
+    mounting: Annotated[
+        str, typer.Option(metavar="R,P,H", help="How the DVL is turned: roll, pitch and heading, deg.")
+    ] = "0,0,0",
+    dvl_delay: Annotated[float, typer.Option(metavar="S", help="Seconds by which pings are stamped too late.")] = 0.0,
+    dvl_scale: Annotated[float, typer.Option(metavar="TIMES", help="What the DVL reads over the velocity.")] = 1.0,
     force: Force = False,
     verbose: Verbose = 0,
 ) -> None:
@@ -47,6 +56,7 @@ def simulate(
     Example:
       insdvl-replay simulate figure-eight -o dive.mcap --imu tactical --seed 7
       insdvl-replay simulate straight -o dive.mcap --outage 60:90 --lost-beam 2:120:180
+      insdvl-replay simulate calibration -o dive.mcap --lever-arm 0.3,-0.1,0.2 --mounting 0,0,1.5 --dvl-delay 0.12
     """
     from insdvl_replay.logs.writing.dive_log import write_dive
     from insdvl_replay.results.folder import result_file
@@ -60,9 +70,23 @@ def simulate(
             grade=imu,
             outages=outage_spans(outage),
             lost_beams=[_lost_beam(text) for text in lost_beam],
+            lever_arm_m=_vector("--lever-arm", lever_arm),
+            mounting_rpy_deg=_vector("--mounting", mounting),
+            dvl_delay_s=dvl_delay,
+            dvl_scale=dvl_scale,
         )
         write_dive(path, dive)
     log_to_stderr(f"wrote {output}")
+
+
+def _vector(option: str, text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise ConfigError(f"{option} {text}: is not three numbers", f"for example {option} 0.3,-0.1,0.2") from error
+    if not all(map(math.isfinite, (x, y, z))):
+        raise ConfigError(f"{option} {text}: is not finite", f"for example {option} 0.3,-0.1,0.2")
+    return x, y, z
 
 
 def _lost_beam(text: str) -> "LostBeam":

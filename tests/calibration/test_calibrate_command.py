@@ -200,3 +200,33 @@ def test_a_terminal_sees_how_far_it_is(
 def test_notes_of_the_dives_are_told_when_asked(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command_line([*calibrate(dives, "dive_1"), "--set", "span.start_s=20", "-v"]) == 0
     assert "info: dive_1: " in capsys.readouterr().err
+
+
+def test_all_eight_are_shown_and_found_by_the_dive_that_is_made_for_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the settings that nobody has touched, whose noise is the largest."""
+    log = str(tmp_path / "dive.mcap")
+    put_in = ["--lever-arm", "0.3,-0.1,0.2", "--mounting", "0.5,-0.5,1.5", "--dvl-delay", "0.12", "--dvl-scale", "1.02"]
+    assert run_command_line(["simulate", "calibration", "--seed", "7301", "-o", log, *put_in]) == 0
+    capsys.readouterr()
+    assert run_command_line(["calibrate", log, "--format", "json"]) == 0
+    result = msgspec.json.decode(capsys.readouterr().out, type=CalibrationResult)
+    assert {row.status.value for row in result.parameters} == {"estimated"}
+    sd = {row.parameter: row.sd for row in result.parameters}
+    found = result.after
+    for axis, value, truth in zip("xyz", found.lever_arm_m, (0.3, -0.1, 0.2), strict=True):
+        assert value == pytest.approx(truth, abs=3.0 * sd[f"arm_{axis}"])
+    for axis, value, truth in zip("xyz", found.mounting_rpy_deg, (0.5, -0.5, 1.5), strict=True):
+        assert value == pytest.approx(truth, abs=3.0 * sd[f"mounting_{axis}"])
+    assert found.latency_s == pytest.approx(0.12, abs=3.0 * sd["delay"])
+    assert found.scale == pytest.approx(1.02, abs=0.03 * sd["scale"])
+
+
+@pytest.mark.parametrize(
+    "option", [["--lever-arm", "1,2"], ["--mounting", "a,b,c"], ["--dvl-scale", "0"], ["--lever-arm", "nan,0,0"]]
+)
+def test_a_dvl_that_cannot_be_built_in_is_not_simulated(option: list[str], tmp_path: Path) -> None:
+    log = tmp_path / "dive.mcap"
+    assert run_command_line(["simulate", "static", "-o", str(log), *option]) == 2
+    assert not log.exists()
