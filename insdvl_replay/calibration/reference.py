@@ -23,13 +23,16 @@ from insdvl_replay.calibration.parameters import NAMES, PRIOR_SD, SCALE
 from insdvl_replay.calibration.reference_fit import ReferenceFit, fit_reference
 from insdvl_replay.calibration.rows import ParameterRow, ReferenceDiveRow
 from insdvl_replay.calibration.with_reference import (
+    CLOCK,
     HEADING,
+    LATEST_CLOCK_S,
     MOTION,
     OF_REFERENCE,
     REFERENCE_ARM,
     REFERENCE_MOUNTING,
     SHARED,
     SHARED_SD,
+    SHARED_STEPS,
     ReferenceDive,
     ReferenceGeometry,
     reference_dive,
@@ -128,6 +131,8 @@ def _refused(certainty: Certainty, change: Floats, free: Mask) -> Iterator[tuple
             continue
         if certainty.signal_to_noise[row] < SEEN:
             yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
+        elif row == CLOCK and abs(change[row]) > LATEST_CLOCK_S - float(SHARED_STEPS[CLOCK]):
+            yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
         elif row == SCALE and abs(np.expm1(change[row])) > BELIEVABLE_SCALE:
             yield row, (Estimated.DOUBTFUL, "no sound of speed is so wrong: is the reference's velocity in m/s?")
         elif abs(change[row]) > BELIEVABLE_SDS * parameter.prior_sd:

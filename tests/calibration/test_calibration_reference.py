@@ -211,6 +211,17 @@ def test_a_dependent_reference_is_doubted_and_none_is_an_error() -> None:
         calibrated(replace(read, as_read=None))
 
 
+def test_a_clock_that_is_off_by_more_than_is_looked_for_is_not_proposed() -> None:
+    read = beside("figure-eight", 2)
+    assert read.as_read is not None
+    later = replace(read.as_read, time_ns=read.as_read.time_ns + nanoseconds(1.6))
+    told = calibrated(replace(read, as_read=later))
+    assert told.reference is not None
+    row = told.reference.rows[0]
+    assert (row.parameter, row.status) == ("reference_clock", Estimated.DOUBTFUL)
+    assert told.reference.after.latency_s == told.reference.before.latency_s
+
+
 def test_files_and_screen_say_the_same(found: Calibration, tmp_path: Path) -> None:
     assert found.reference is not None
     path = tmp_path / "found.toml"
