@@ -21,22 +21,20 @@ from insdvl_replay.calibration.fit import Mask
 from insdvl_replay.calibration.innovations import DiveInnovations
 from insdvl_replay.calibration.parameters import NAMES, PRIOR_SD, SCALE
 from insdvl_replay.calibration.reference_fit import ReferenceFit, fit_reference
-from insdvl_replay.calibration.rows import ParameterRow, ReferenceDiveRow
-from insdvl_replay.calibration.with_reference import (
+from insdvl_replay.calibration.reference_parameters import (
     CLOCK,
     HEADING,
     LATEST_CLOCK_S,
-    MOTION,
     OF_REFERENCE,
     REFERENCE_ARM,
     REFERENCE_MOUNTING,
     SHARED,
     SHARED_SD,
     SHARED_STEPS,
-    ReferenceDive,
     ReferenceGeometry,
-    reference_dive,
 )
+from insdvl_replay.calibration.rows import ParameterRow, ReferenceDiveRow
+from insdvl_replay.calibration.with_reference import MOTION, ReferenceDive, reference_dive
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.words import Estimated
@@ -104,7 +102,8 @@ def _compared(
         if read.as_read is None:
             continue
         change = found.fit.unknowns.of_dive(found.fit.values, i)
-        if (compared := reference_dive(asked, read.as_read, before, change)) is not None:
+        gives_start = read.config.initial.source == "reference"
+        if (compared := reference_dive(asked, read.as_read, before, change, gives_start=gives_start)) is not None:
             yield compared
 
 

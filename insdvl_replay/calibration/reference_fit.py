@@ -12,16 +12,8 @@ import numpy as np
 
 from insdvl_replay.calibration.certainty import Certainty
 from insdvl_replay.calibration.fit import Mask, scatter_of, weights_of
-from insdvl_replay.calibration.with_reference import (
-    CLOCK,
-    LATEST_CLOCK_S,
-    LEVEL,
-    LOST_HEADING_SD,
-    OWN,
-    SHARED,
-    SHARED_SD,
-    ReferenceDive,
-)
+from insdvl_replay.calibration.reference_parameters import CLOCK, LATEST_CLOCK_S, SHARED, SHARED_SD
+from insdvl_replay.calibration.with_reference import LEVEL, LOST_HEADING_SD, OWN, ReferenceDive
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.runtime import steps
 from insdvl_replay.evaluation.effective_samples import samples_in_mean

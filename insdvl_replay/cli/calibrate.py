@@ -165,7 +165,7 @@ def _named(file: Path | None) -> str:
 
 def _groups(only: str | None, *, reference: bool) -> tuple[str, ...]:
     from insdvl_replay.calibration.parameters import GROUPS
-    from insdvl_replay.calibration.with_reference import REFERENCE_GROUPS
+    from insdvl_replay.calibration.reference_parameters import REFERENCE_GROUPS
     from insdvl_replay.core.errors import ConfigError, require_known
 
     known = REFERENCE_GROUPS if reference else GROUPS
