@@ -20,7 +20,7 @@ from insdvl_replay.evaluation.losses import ReferenceNoise
 from insdvl_replay.evaluation.reference import ReferenceErrors
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.preparation.long_gaps import outage_notes
-from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.preparation.running import (
     coasting_of,
@@ -29,6 +29,7 @@ from insdvl_replay.preparation.running import (
     run_filters,
     run_from_drawn_starts,
 )
+from insdvl_replay.preparation.start_heading import prepare_with_heading
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         The settings do not fit the dive.
     """
     dive = with_reference_at_imu(dive, config)
-    prepared = prepare_dive(dive, config)
+    prepared = prepare_with_heading(dive, config)
     span = prepared.alignment.start_ns, prepared.end_ns
     judged_ns = judged_times(dive.reference, *span, filters=len(config.filters))
     plan, timeline = coasting_plan(prepared), prepared_timeline(dive, prepared)

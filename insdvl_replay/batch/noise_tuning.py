@@ -21,9 +21,10 @@ from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.evaluation.hints import NOISE_FAR_OFF
 from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
-from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_one
+from insdvl_replay.preparation.start_heading import prepare_with_heading
 from insdvl_replay.replay import Replay, replay_dive
 
 NAME = "tuned"
@@ -71,7 +72,7 @@ def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note,
             "name such a filter first in the configuration",
         )
     dive = with_reference_at_imu(dive, config)
-    start = _first_part(prepare_dive(dive, config))
+    start = _first_part(prepare_with_heading(dive, config))
     before = _noise(start.filters[0])
     tuned = _fitted(dive, start, config, baseline, before)
     values = {key: getattr(tuned, key) for key in before}

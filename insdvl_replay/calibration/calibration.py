@@ -25,8 +25,8 @@ from insdvl_replay.calibration.parameters import (
     DvlGeometry,
     Parameter,
 )
+from insdvl_replay.calibration.reference_parameters import ReferenceGeometry
 from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow, ReferenceDiveRow
-from insdvl_replay.calibration.with_reference import ReferenceGeometry
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.table_layout import Number

@@ -15,13 +15,15 @@ from insdvl_replay.calibration.parameters import NAMES, DvlGeometry, moved_mount
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
+from insdvl_replay.core.runtime import steps
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.coasting import coasting_table
 from insdvl_replay.evaluation.paired_statistics import windows_ratio
 from insdvl_replay.geometry.rotation import rpy_from_mat
-from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.preparation.running import coasting_of, coasting_plan, prepared_timeline, run_filters
+from insdvl_replay.preparation.start_heading import FIT, prepare_with_heading
 
 AXES: Final[tuple[Floats, ...]] = tuple(
     turn
@@ -50,7 +52,8 @@ class ReadDive:
 
     def prepared(self, geometry: DvlGeometry | None = None) -> Prepared:
         """Prepare it, with another mounting, arm and scale than configured; its pings keep their times."""
-        return prepare_dive(self.dive, self.config if geometry is None else with_geometry(self.config, geometry))
+        config = self.config if geometry is None else with_geometry(self.config, geometry)
+        return prepare_with_heading(self.dive, config)
 
     def innovations(self) -> DiveInnovations:
         """Get it ready to be asked."""
@@ -97,11 +100,11 @@ def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
     """Try the 24 ways in which the DVL's axes can lie along the body's, the likeliest first."""
 
     def tried(turn: Floats) -> TriedMounting:
-        config = _turned(dives[0].config, turn)
+        config = with_any_heading(_turned(dives[0].config, turn))
         found = [dive.with_config(config).innovations().residuals(np.zeros(len(NAMES))) for dive in dives]
         return TriedMounting(config.dvl.mounting_rpy_deg, sum(robust_cost(residuals) for residuals in found))
 
-    return sorted(map(tried, AXES), key=lambda one: one.cost)
+    return sorted(map(tried, steps("trying mountings", AXES)), key=lambda one: one.cost)
 
 
 def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
@@ -112,6 +115,15 @@ def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
 def _turned(config: Config, turn: Floats) -> Config:
     roll, pitch, heading = (rpy_from_mat(turn) / DEG + 0.0).tolist()  # no -0.0, which people would read
     return with_mounting(config, (roll, pitch, heading))
+
+
+def with_any_heading(config: Config) -> Config:
+    """Start north where the heading is to be fitted: innovations of velocities hardly depend on it, and with a wrong
+    mounting no heading fits.
+    """
+    if config.initial.heading_deg != FIT:
+        return config
+    return msgspec.structs.replace(config, initial=msgspec.structs.replace(config.initial, heading_deg=0.0))
 
 
 def with_mounting(config: Config, rpy_deg: tuple[float, float, float]) -> Config:
@@ -137,7 +149,7 @@ def _coasted(read: ReadDive, change: Floats) -> tuple[int, float | None]:
     config = msgspec.structs.replace(
         read.config, filters={read.config.baseline: read.config.filters[read.config.baseline]}
     )
-    prepared = prepare_dive(read.dive, config)
+    prepared = prepare_with_heading(read.dive, config)
     start_ns, end_ns = prepared.alignment.start_ns, prepared.end_ns
     moved = replace(
         prepared,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
 from insdvl_replay.calibration.parameters import DELAY, NAMES, PRIOR_SD
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.runtime import each
+from insdvl_replay.core.runtime import each, steps
 
 SOFT: Final = 2.0
 """Residuals, in what the axis scatters by, beyond which they count less and less."""
@@ -176,7 +176,7 @@ def fit(dives: Sequence[DiveInnovations], free: Mask, *, one_delay: bool = False
     values = _with_delays(unknowns, dives)
     damping = 1e-3
     linearised = _linearised(unknowns, dives, values)
-    for _ in range(MOST_ROUNDS):
+    for _ in steps("fitting the innovations", range(MOST_ROUNDS)):
         information, gradient = _information(unknowns, linearised), _gradient(unknowns, linearised, values)
         before = _cost(unknowns, dives, values, linearised)
         while damping < LARGEST_DAMPING:
@@ -203,7 +203,7 @@ def _with_delays(unknowns: Unknowns, dives: Sequence[DiveInnovations]) -> Floats
     if not unknowns.free[DELAY]:
         return values
     grid = np.arange(-LATEST_S, LATEST_S + DELAY_STEP_S / 2.0, DELAY_STEP_S)
-    costs = np.array([delay_profile(dive, np.zeros(OWN), grid) for dive in dives])
+    costs = np.array([delay_profile(dive, np.zeros(OWN), grid) for dive in steps("looking for the delay", dives)])
     if unknowns.one_delay:
         costs = costs.sum(axis=0, keepdims=True)
     values[OWN - 1 :] = grid[np.argmin(costs, axis=1)]

@@ -10,8 +10,8 @@ from msgspec import Struct
 from insdvl_replay import __version__
 from insdvl_replay.calibration.calibration import Calibration, ReferenceCalibration
 from insdvl_replay.calibration.parameters import PARAMETERS, DvlGeometry, Parameter
+from insdvl_replay.calibration.reference_parameters import OF_REFERENCE
 from insdvl_replay.calibration.rows import CalibrationResult, ParameterRow, ReferenceResult, ReferenceSettings, Settings
-from insdvl_replay.calibration.with_reference import OF_REFERENCE
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S

@@ -21,19 +21,20 @@ from insdvl_replay.calibration.fit import Mask
 from insdvl_replay.calibration.innovations import DiveInnovations
 from insdvl_replay.calibration.parameters import NAMES, PRIOR_SD, SCALE
 from insdvl_replay.calibration.reference_fit import ReferenceFit, fit_reference
-from insdvl_replay.calibration.rows import ParameterRow, ReferenceDiveRow
-from insdvl_replay.calibration.with_reference import (
+from insdvl_replay.calibration.reference_parameters import (
+    CLOCK,
     HEADING,
-    MOTION,
+    LATEST_CLOCK_S,
     OF_REFERENCE,
     REFERENCE_ARM,
     REFERENCE_MOUNTING,
     SHARED,
     SHARED_SD,
-    ReferenceDive,
+    SHARED_STEPS,
     ReferenceGeometry,
-    reference_dive,
 )
+from insdvl_replay.calibration.rows import ParameterRow, ReferenceDiveRow
+from insdvl_replay.calibration.with_reference import MOTION, ReferenceDive, reference_dive
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.words import Estimated
@@ -101,7 +102,8 @@ def _compared(
         if read.as_read is None:
             continue
         change = found.fit.unknowns.of_dive(found.fit.values, i)
-        if (compared := reference_dive(asked, read.as_read, before, change)) is not None:
+        gives_start = read.config.initial.source == "reference"
+        if (compared := reference_dive(asked, read.as_read, before, change, gives_start=gives_start)) is not None:
             yield compared
 
 
@@ -128,6 +130,8 @@ def _refused(certainty: Certainty, change: Floats, free: Mask) -> Iterator[tuple
             continue
         if certainty.signal_to_noise[row] < SEEN:
             yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
+        elif row == CLOCK and abs(change[row]) > LATEST_CLOCK_S - float(SHARED_STEPS[CLOCK]):
+            yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
         elif row == SCALE and abs(np.expm1(change[row])) > BELIEVABLE_SCALE:
             yield row, (Estimated.DOUBTFUL, "no sound of speed is so wrong: is the reference's velocity in m/s?")
         elif abs(change[row]) > BELIEVABLE_SDS * parameter.prior_sd:

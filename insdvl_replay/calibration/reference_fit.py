@@ -12,17 +12,10 @@ import numpy as np
 
 from insdvl_replay.calibration.certainty import Certainty
 from insdvl_replay.calibration.fit import Mask, scatter_of, weights_of
-from insdvl_replay.calibration.with_reference import (
-    CLOCK,
-    LATEST_CLOCK_S,
-    LEVEL,
-    LOST_HEADING_SD,
-    OWN,
-    SHARED,
-    SHARED_SD,
-    ReferenceDive,
-)
+from insdvl_replay.calibration.reference_parameters import CLOCK, LATEST_CLOCK_S, SHARED, SHARED_SD
+from insdvl_replay.calibration.with_reference import LEVEL, LOST_HEADING_SD, OWN, ReferenceDive
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.runtime import steps
 from insdvl_replay.evaluation.effective_samples import samples_in_mean
 
 ROUNDS: Final = 5
@@ -135,7 +128,7 @@ def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats)
     prior_sd = np.concatenate([shared_sd, np.full(OWN * len(dives), LOST_HEADING_SD)])
     values = np.zeros(len(prior_sd))
     near = tuple(_near(dive, values[rows_of(i)], free) for i, dive in enumerate(dives))
-    for _ in range(ROUNDS):
+    for _ in steps("fitting the reference", range(ROUNDS)):
         gradient = -values / prior_sd**2
         for i, of_dive in enumerate(near):
             gradient[rows_of(i)] += of_dive.scores.sum(axis=0)

@@ -17,48 +17,31 @@ from numpy.typing import NDArray
 from insdvl_replay.calibration.fit import scatter_of
 from insdvl_replay.calibration.innovations import DiveInnovations
 from insdvl_replay.calibration.parameters import (
-    GROUPS,
-    MOUNTING,
     NAMES,
-    PARAMETERS,
     SCALE,
-    Parameter,
     moved_mounting,
     moved_pings,
 )
-from insdvl_replay.core.config import Reference
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, nanoseconds, seconds
+from insdvl_replay.calibration.reference_parameters import (
+    CLOCK,
+    HEADING,
+    LATEST_CLOCK_S,
+    REFERENCE_MOUNTING,
+    SHARED,
+    SHARED_STEPS,
+    ReferenceGeometry,
+)
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, at_time, nanoseconds, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.states import DEG, PHI
 from insdvl_replay.geometry.frames import north_east_m
-from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, rpy_from_mat, vector_from_mat
+from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
 from insdvl_replay.nav.timeline import build_timeline
+from insdvl_replay.preparation.alignment import Alignment
 from insdvl_replay.preparation.prepared import reference_at_imu
 from insdvl_replay.preparation.running import run_one
 
-_AXIS_OF: Final = {"x": "sway or heave", "y": "rolling or pitching", "z": "turns about down"}
-_WAY: Final = "way made good, and what shows the DVL's own mounting"
-OF_REFERENCE: Final = (
-    Parameter("reference_clock", "reference_clock", "s", 1.0, 0.5, 0.05, "changes of speed, or turns"),
-    Parameter("reference_mounting_x", "reference_mounting", "deg", 1.0 / DEG, 2.0 * DEG, 0.1 * DEG, "turns, for level"),
-    Parameter("reference_mounting_y", "reference_mounting", "deg", 1.0 / DEG, 2.0 * DEG, 0.1 * DEG, "turns, for level"),
-    Parameter("reference_mounting_z", "reference_mounting", "deg", 1.0 / DEG, 2.0 * DEG, 0.1 * DEG, _WAY),
-    Parameter("reference_arm_x", "reference_arm", "m", 1.0, 3.0, 0.02, "turns about down"),
-    Parameter("reference_arm_y", "reference_arm", "m", 1.0, 3.0, 0.02, "turns about down"),
-    Parameter("reference_arm_z", "reference_arm", "m", 1.0, 3.0, 0.02, "rolling or pitching"),
-)
-"""Changes from what ``[reference]`` says, in this order; the mounting is turned about the axes of b."""
-REFERENCE_GROUPS: Final = (*GROUPS, "reference_arm", "reference_mounting", "reference_clock")
-SHARED: Final = (*PARAMETERS, *OF_REFERENCE)
-"""What all dives share: the DVL's numbers first, as changes from what the innovations said."""
-HEADING: Final = MOUNTING.stop - 1
-CLOCK: Final = len(PARAMETERS)
-REFERENCE_MOUNTING: Final = slice(CLOCK + 1, CLOCK + 4)
-REFERENCE_ARM: Final = slice(CLOCK + 4, CLOCK + 7)
-SHARED_SD: Final = np.array([parameter.prior_sd for parameter in SHARED])
-SHARED_STEPS: Final = np.array([parameter.step for parameter in SHARED])
-LATEST_CLOCK_S: Final = 1.0
 SETTLED_S: Final = 30.0
 """After the start, which hangs on the reference."""
 APART_S: Final = 0.5
@@ -70,36 +53,6 @@ OWN: Final = 2
 LOST_HEADING_SD: Final = 10.0 * DEG
 ATTITUDE, LEVEL, MOTION = 0, 1, 2
 """Families of rows."""
-
-
-@dataclass(frozen=True)
-class ReferenceGeometry:
-    """The settings of ``[reference]`` that are calibrated."""
-
-    latency_s: float
-    lever_arm_m: tuple[float, float, float]
-    mounting_rpy_deg: tuple[float, float, float]
-
-    @classmethod
-    def of(cls, settings: Reference) -> "ReferenceGeometry":
-        """Take them from a configuration."""
-        return cls(settings.latency_s, settings.lever_arm_m, settings.mounting_rpy_deg)
-
-    @property
-    def mat_br(self) -> Floats:
-        """From the axes of its attitude to the body's, shape (3, 3)."""
-        return mat_from_rpy(np.array(self.mounting_rpy_deg) * DEG)
-
-    def changed(self, change: Floats) -> "ReferenceGeometry":
-        """Return the settings after a change of `SHARED`; those of a group that does not change stay to the bit."""
-        turn = change[REFERENCE_MOUNTING]
-        roll, pitch, heading = (rpy_from_mat(mat_from_vector(turn) @ self.mat_br) / DEG).tolist()
-        x, y, z = (np.array(self.lever_arm_m) + change[REFERENCE_ARM]).tolist()
-        return ReferenceGeometry(
-            self.latency_s + float(change[CLOCK]),
-            (x, y, z),
-            (roll, pitch, heading) if turn.any() else self.mounting_rpy_deg,
-        )
 
 
 @dataclass(frozen=True)
@@ -137,12 +90,15 @@ class ReferenceDive:
         As configured.
     change : ndarray, shape (8,)
         What the innovations said of the DVL.
+    gives_start : bool
+        Whether the filter starts from the reference's attitude.
     """
 
     asked: DiveInnovations
     reference: ReferenceColumns
     settings: ReferenceGeometry
     change: Floats
+    gives_start: bool
 
     def compared(self, shared: Floats, history: History | None = None) -> Compared:
         """Compare with other settings, changes of `SHARED`; ``history`` as of `history`, if it is there already."""
@@ -170,12 +126,26 @@ class ReferenceDive:
         asked, change = self.asked, self.change + shared[: len(NAMES)]
         prepared = asked.prepared
         pings = moved_pings(prepared.velocities, change)
-        moved = replace(prepared, velocities=pings, mounting=moved_mounting(prepared.mounting, change))
+        mounting = moved_mounting(prepared.mounting, change)
+        moved = replace(prepared, velocities=pings, mounting=mounting, alignment=self._alignment(shared))
         start_ns, end_ns = prepared.alignment.start_ns, prepared.end_ns
         timeline = build_timeline(
             asked.dive.imu, pings.time_ns, self._times_ns(shared), start_ns, end_ns, prepared.gaps
         )
         return run_one(asked.filter, moved, timeline)
+
+    def _alignment(self, shared: Floats) -> Alignment:
+        """Start as the reference says once it is moved.
+
+        From another heading the Earth seems to turn otherwise, which a good filter takes for tilt and slowness.
+        """
+        alignment, imu = self.asked.prepared.alignment, self.asked.dive.imu
+        if not self.gives_start:
+            return alignment
+        rate_b = at_time(imu.time_ns, imu.angular_rate_b, alignment.start_ns)
+        late = mat_from_vector(rate_b * shared[CLOCK])
+        mat_nb = alignment.start.mat_nb @ late @ mat_from_vector(-shared[REFERENCE_MOUNTING])
+        return replace(alignment, start=replace(alignment.start, mat_nb=mat_nb))
 
     def jacobian(self, shared: Floats, free: NDArray[np.bool_]) -> Floats:
         """Differentiate what is compared by the free numbers, central differences, shape (k, 3, 15).
@@ -280,7 +250,12 @@ def thinned(time_ns: TimeNs, apart_s: float) -> NDArray[np.int64]:
 
 
 def reference_dive(
-    asked: DiveInnovations, reference: ReferenceColumns, settings: ReferenceGeometry, change: Floats
+    asked: DiveInnovations,
+    reference: ReferenceColumns,
+    settings: ReferenceGeometry,
+    change: Floats,
+    *,
+    gives_start: bool,
 ) -> ReferenceDive | None:
     """Get a dive ready to be compared; None where its reference says too little.
 
@@ -292,6 +267,8 @@ def reference_dive(
         With which its stamps were read.
     change : ndarray, shape (8,)
         What the innovations said of the DVL.
+    gives_start : bool
+        Whether the filter starts from the reference's attitude, if it has any.
     """
     start_ns = asked.prepared.alignment.start_ns + nanoseconds(SETTLED_S)
     end_ns = asked.prepared.end_ns - nanoseconds(2.0 * LATEST_CLOCK_S)
@@ -302,4 +279,4 @@ def reference_dive(
     kept = kept.rows(np.isin(np.arange(len(kept.time_ns)), thinned(kept.time_ns, APART_S)))
     if len(kept.time_ns) < 2 or (kept.time_ns[-1] - kept.time_ns[0]) * 1e-9 < 2.0 * WAY_S:
         return None
-    return ReferenceDive(asked, kept, settings, change)
+    return ReferenceDive(asked, kept, settings, change, gives_start and reference.has_attitude)

@@ -284,7 +284,7 @@ def _track_notes(place: str, track: TrackFit | None, dvl: DvlColumns, config: Co
 
 
 def _heading_notes(heading: float, dvl: DvlColumns, initial: Initial) -> list[Note]:
-    if initial.heading_deg is None:
+    if not isinstance(initial.heading_deg, float | int):
         return []
     if abs(float(wrap_angle(np.asarray(initial.heading_deg * DEG - heading)))) <= HEADING_DOUBT:
         return []

@@ -1,5 +1,7 @@
 """``insdvl-replay calibrate``."""
 
+from contextlib import ExitStack
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,8 +23,13 @@ from insdvl_replay.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
     from insdvl_replay.calibration.dives import ReadDive
     from insdvl_replay.core.config import Config
+    from insdvl_replay.core.dive_columns import Dive
+    from insdvl_replay.core.errors import Note
+    from insdvl_replay.preparation.prepared import Prepared
 
 
 class Delays(StrEnum):
@@ -95,18 +102,19 @@ def calibrate(
     from insdvl_replay.calibration.output import calibration_csv, calibration_json, calibration_toml
     from insdvl_replay.calibration.parameters import DvlGeometry
     from insdvl_replay.calibration.reference import with_reference
-    from insdvl_replay.cli.messages import log_to_stderr, write_stdout
-    from insdvl_replay.cli.screen import compiling, in_format, spinner
+    from insdvl_replay.cli.messages import log_notes, write_stdout
+    from insdvl_replay.cli.screen import compiling, in_format, steps_bar
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import LogError
+    from insdvl_replay.core.runtime import steps
     from insdvl_replay.report.page import page
-    from insdvl_replay.results.folder import require_replaceable_file, result_file
+    from insdvl_replay.results.folder import require_replaceable_file
 
     resolved, groups = load_config(preset, config, settings), _groups(only, reference=reference)
     for file in (output, page_file):
         if file is not None:
             require_replaceable_file(file, force=force)
-    with spinner(f"calibrating{compiling()}"):
+    with steps_bar(f"calibrating{compiling()}"):
         dives, failed = _read(logs, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
         if not dives:
             return failed
@@ -119,7 +127,10 @@ def calibrate(
         found = calibrated(asked, resolved, groups, one_delay=delays is Delays.ONE)
         found = with_reference(found, kept, asked, groups) if reference else found
         found = found.from_mounting(known) if mounting is Mounting.UNKNOWN else found
-        found = found.with_held_out([held_out_row(dive, found.change) for dive in held])
+        others = [held_out_row(dive, found.change) for dive in steps("trying it on other dives", held)]
+        found = found.with_held_out(others)
+    for read, of_one in zip(kept, asked, strict=True):
+        log_notes(_of_dive(read.dive, of_one.prepared), verbose=verbose > 0)
     write_stdout(
         in_format(
             format_,
@@ -128,20 +139,35 @@ def calibrate(
             csv=lambda: calibration_csv(found),
         )
     )
-    if page_file is not None:
-        with result_file(page_file, force=force) as path:
-            path.write_bytes(page(calibration_document(found, _named(output), calibration_figures(found, asked))))
-        log_to_stderr(f"wrote {page_file}")
+    pages = {page_file: lambda: page(calibration_document(found, _named(output), calibration_figures(found, asked)))}
+    started_ns = [of_one.prepared.alignment.start_ns for of_one in asked]
+    settings_files = {output: lambda: calibration_toml(found, started_ns).encode()} if found.estimated else {}
+    _write_together(pages | settings_files, force=force)
     if not found.estimated:
         raise LogError(
             "nothing could be estimated from these dives",
             "record turns at speed, changes of speed, rolling and pitching, and calibrate by those",
         )
-    if output is not None:
-        with result_file(output, force=force) as path:
-            path.write_text(calibration_toml(found, [dive.prepared.alignment.start_ns for dive in asked]), "utf-8")
-        log_to_stderr(f"wrote {output}")
     return failed
+
+
+def _of_dive(dive: "Dive", prepared: "Prepared") -> "Iterator[Note]":
+    """Name the dive in its notes."""
+    for note in (*dive.notes, *prepared.notes):
+        yield replace(note, text=f"{dive.name}: {note.text}")
+
+
+def _write_together(contents: "Mapping[Path | None, Callable[[], bytes]]", *, force: bool) -> None:
+    """Write all files that have a name, or, if the work is interrupted, none."""
+    from insdvl_replay.cli.messages import log_to_stderr
+    from insdvl_replay.results.folder import result_file
+
+    wanted = {file: content() for file, content in contents.items() if file is not None}
+    with ExitStack() as stack:
+        for file, content in wanted.items():
+            stack.enter_context(result_file(file, force=force)).write_bytes(content)
+    for file in wanted:
+        log_to_stderr(f"wrote {file}")
 
 
 def _named(file: Path | None) -> str:
@@ -150,7 +176,7 @@ def _named(file: Path | None) -> str:
 
 def _groups(only: str | None, *, reference: bool) -> tuple[str, ...]:
     from insdvl_replay.calibration.parameters import GROUPS
-    from insdvl_replay.calibration.with_reference import REFERENCE_GROUPS
+    from insdvl_replay.calibration.reference_parameters import REFERENCE_GROUPS
     from insdvl_replay.core.errors import ConfigError, require_known
 
     known = REFERENCE_GROUPS if reference else GROUPS
@@ -171,9 +197,10 @@ def _read(
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.calibration.dives import read_dive
     from insdvl_replay.cli.messages import log_failure
+    from insdvl_replay.core.runtime import steps
 
     paths, dives, code = find_dives(logs), [], 0
-    for path in [paths] if one_dive else [[path] for path in paths]:
+    for path in steps("reading", [paths] if one_dive else [[path] for path in paths]):
         try:
             read = read_dive(path, config, allow_damaged=allow_damaged)
             read.innovations()

@@ -10,7 +10,7 @@ from typing import Literal
 from rich.console import Console, RenderableType
 
 from insdvl_replay.core.compiled import is_warm
-from insdvl_replay.core.runtime import progress_listener
+from insdvl_replay.core.runtime import progress_listener, step_listener
 from insdvl_replay.report.document import Document
 from insdvl_replay.report.latex import as_latex
 from insdvl_replay.report.markdown import as_markdown
@@ -78,6 +78,26 @@ def spinner(text: str) -> Iterator[None]:
         progress_listener(lambda stage: status.update(spoken(f"{text}: {stage}"))),
     ):
         yield
+
+
+@contextmanager
+def steps_bar(text: str) -> Iterator[None]:
+    """Show how far each stage of the work is, on a terminal only."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    console = Console(file=sys.stderr, highlight=False)
+    if not console.is_terminal:
+        yield
+        return
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(text, total=None)
+
+        def show(stage: str, done: int, total: int) -> None:
+            bar.update(task, description=f"{text}: {stage}", completed=done, total=total)
+
+        with step_listener(show):
+            yield
 
 
 def compiling() -> str:

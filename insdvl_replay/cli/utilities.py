@@ -45,6 +45,14 @@ def simulate(
             help="A sensor to aid filters by, its noise in m or deg, and its rate, else 1 Hz. May be repeated.",
         ),
     ] = [],  # noqa: B006
+    lever_arm: Annotated[
+        str, typer.Option(metavar="X,Y,Z", help="From the IMU to the DVL, forward, starboard, down, m.")
+    ] = "0,0,0",
+    mounting: Annotated[
+        str, typer.Option(metavar="R,P,H", help="How the DVL is turned: roll, pitch and heading, deg.")
+    ] = "0,0,0",
+    dvl_delay: Annotated[float, typer.Option(metavar="S", help="Seconds by which pings are stamped too late.")] = 0.0,
+    dvl_scale: Annotated[float, typer.Option(metavar="TIMES", help="What the DVL reads over the velocity.")] = 1.0,
     force: Force = False,
     verbose: Verbose = 0,
 ) -> None:
@@ -57,6 +65,7 @@ def simulate(
       insdvl-replay simulate figure-eight -o dive.mcap --imu tactical --seed 7
       insdvl-replay simulate straight -o dive.mcap --outage 60:90 --lost-beam 2:120:180
       insdvl-replay simulate lawnmower -o dive.mcap --imu mems --sensor depth=0.05@4
+      insdvl-replay simulate calibration -o dive.mcap --lever-arm 0.3,-0.1,0.2 --mounting 0,0,1.5 --dvl-delay 0.12
     """
     from insdvl_replay.cli.screen import spinner
     from insdvl_replay.logs.writing.dive_log import write_dive
@@ -72,9 +81,23 @@ def simulate(
             outages=outage_spans(outage),
             lost_beams=[_lost_beam(text) for text in lost_beam],
             sensors=dict(_sensor(text) for text in sensor),
+            lever_arm_m=_vector("--lever-arm", lever_arm),
+            mounting_rpy_deg=_vector("--mounting", mounting),
+            dvl_delay_s=dvl_delay,
+            dvl_scale=dvl_scale,
         )
         write_dive(path, dive)
     log_to_stderr(f"wrote {output}")
+
+
+def _vector(option: str, text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise ConfigError(f"{option} {text}: is not three numbers", f"for example {option} 0.3,-0.1,0.2") from error
+    if not all(map(math.isfinite, (x, y, z))):
+        raise ConfigError(f"{option} {text}: is not finite", f"for example {option} 0.3,-0.1,0.2")
+    return x, y, z
 
 
 def _lost_beam(text: str) -> "LostBeam":

@@ -193,9 +193,10 @@ class Initial(_Section, frozen=True):
         Literal["reference", "level"],
         Comment("reference | level (by gravity and DVL; of a reference the position alone)"),
     ] = "reference"
-    heading_deg: Annotated[float | None, Comment("needed where the reference has no attitude, or source = level")] = (
-        None
-    )
+    heading_deg: Annotated[
+        float | Literal["fit"] | None,
+        Comment('needed where the reference has no attitude, or source = level; "fit": by the track of its positions'),
+    ] = None
     latitude_deg: Annotated[
         Annotated[float, Meta(ge=-89.9, le=89.9)] | None, Comment("needed where the reference has no position")
     ] = None

@@ -6,7 +6,7 @@ Nothing here is slow to import; what starts the program needs some of it.
 import gc
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
@@ -22,6 +22,7 @@ _LARGEST_LIBRARY: Final = 256 << 20
 EVERYTHING: Final = ("**/*",)
 
 _listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
+_step_listener: ContextVar[Callable[[str, int, int], None] | None] = ContextVar("step_listener", default=None)
 
 
 class Interruption(KeyboardInterrupt):
@@ -107,6 +108,27 @@ def begin(stage: str) -> None:
     """Report what begins, such as ``reading``, to whoever listens: all rooms can, without knowing of any terminal."""
     if (listener := _listener.get()) is not None:
         listener(stage)
+
+
+def steps(stage: str, items: Sequence[Item]) -> Iterator[Item]:
+    """Yield items, and report before each how many of them are done to whoever counts them.
+
+    Work that converges may end before its last step.
+    """
+    for done, item in enumerate(items):
+        if (listener := _step_listener.get()) is not None:
+            listener(stage, done, len(items))
+        yield item
+
+
+@contextmanager
+def step_listener(listener: Callable[[str, int, int], None]) -> Iterator[None]:
+    """Call a listener with the stage, the steps done and all steps of what goes through `steps` inside the block."""
+    token = _step_listener.set(listener)
+    try:
+        yield
+    finally:
+        _step_listener.reset(token)
 
 
 @contextmanager

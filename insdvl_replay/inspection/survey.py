@@ -50,11 +50,12 @@ def inspect_log(
             _check_start(inventory, config)
             return inventory
         # Not imported before it is needed: a look at the file alone takes less than the filters' import.
-        from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
+        from insdvl_replay.preparation.prepared import with_reference_at_imu
         from insdvl_replay.preparation.reading import read_checked_dive
+        from insdvl_replay.preparation.start_heading import prepare_with_heading
 
         dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
-        notes = prepare_dive(with_reference_at_imu(dive, config), config).notes
+        notes = prepare_with_heading(with_reference_at_imu(dive, config), config).notes
     except UserError as error:
         obstacle = Obstacle(error.message, error.hint)
         return replace(inventory, obstacles=(*inventory.obstacles, obstacle))

@@ -16,13 +16,13 @@ from insdvl_replay.core.config import Config, Dvl, Initial, Noise
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, ImuColumns
 from insdvl_replay.core.errors import UserError
-from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.sensor_classes import SENSORS, readings_scatter, sensor_class
-from insdvl_replay.evaluation.track_fit import TrackFit, filter_track_fit
+from insdvl_replay.evaluation.track_fit import UNKNOWN, TrackFit, filter_track_fit
 from insdvl_replay.inspection.proposed_settings import Setting, with_settings
 from insdvl_replay.preparation.prepared import with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
+from insdvl_replay.preparation.start_heading import FIT, fitted_start
 from insdvl_replay.replay import replay_dive
 
 CLEARLY: Final = 0.8
@@ -30,10 +30,6 @@ CLEARLY: Final = 0.8
 UNKNOWN_LATITUDE_DEG: Final = 45.0
 CERTAIN_SDS: Final = 5.0
 """A scale that a track shows less surely is not worth a line."""
-MOST_RUNS: Final = 6
-SETTLED_DEG: Final = 0.1
-FROM_TRACK_DEG: Final = 15.0
-"""A heading that a track tells no better says nothing."""
 _CLASSES: Final = ("fog", "tactical", "mems")
 """Presets from the quietest IMU to the noisiest."""
 _NOISES: Final = {"accel_white_mps_rts": "m/s/sqrt(s)", "gyro_white_rad_rts": "rad/sqrt(s)"}
@@ -113,7 +109,7 @@ def _startable(config: Config) -> Config:
         config,
         initial=msgspec.structs.replace(
             initial,
-            heading_deg=0.0 if initial.heading_deg is None else initial.heading_deg,
+            heading_deg=0.0 if initial.heading_deg in (None, FIT) else initial.heading_deg,
             latitude_deg=UNKNOWN_LATITUDE_DEG if initial.latitude_deg is None else initial.latitude_deg,
         ),
     )
@@ -181,7 +177,7 @@ def _rpy(tried: TriedMounting) -> str:
 
 
 def _heading(dives: Sequence[Dive], tried: Config) -> Iterator[Setting]:
-    """Propose the heading at the start by the course of the reference's track against that of the DVL."""
+    """Let the heading at the start be fitted where a track tells it, with the DVL's scale that is seen beside it."""
     key = "initial.heading_deg"
     reference = dives[0].reference
     if reference is None or not reference.has_position:
@@ -190,47 +186,29 @@ def _heading(dives: Sequence[Dive], tried: Config) -> Iterator[Setting]:
         return
     if reference.has_attitude and tried.initial.source == "reference":
         return
-    if len(dives) > 1:
-        yield Setting(key, None, open="at the start, from north over east; each dive has its own")
+    fitted, failed = [], []
+    for dive in dives:
+        try:
+            fitted.append(fitted_start(with_reference_at_imu(dive, tried), tried))
+        except UserError as error:
+            failed.append(error.message)
+    if not fitted:
+        yield Setting(key, None, failed[0], "at the start, from north over east")
         return
-    heading_deg, fit = _heading_by_track(dives[0], tried)
-    if fit is None:
-        yield Setting(key, None, "the reference's track is too short to tell it", "at the start, from north over east")
-        return
-    text = (
-        f"so the DVL's track lies on the reference's, sd {fit.turn_sd_deg:.1f} deg without what the heading drifts; "
-        "once the mounting is calibrated, the track fit of `run` says what to add"
-    )
-    yield Setting(key, heading_deg, text)
-    north, east, down = tried.initial.misalignment_sd_deg
-    if fit.turn_sd_deg > down:
-        sds = (north, east, round(fit.turn_sd_deg, 1))
-        yield Setting("initial.misalignment_sd_deg", sds, "as sure as the track is")
-    yield from _scale(fit, tried)
+    told = ", ".join(f"{start.heading_deg:.1f} +- {start.heading_sd_deg:.2g} deg" for start in fitted)
+    text = f"by the track of the reference's positions, anew in each replay; as settings are now, {told}"
+    yield Setting(key, FIT, "; ".join((text, *failed)))
+    if len(dives) == 1:
+        yield from _scale(_track_fit(dives[0], with_settings(tried, [Setting(key, FIT)])), tried)
 
 
-def _heading_by_track(dive: Dive, tried: Config) -> tuple[float, TrackFit | None]:
-    """Find the heading from which the baseline's track lies as the reference's does; no fit where no track tells it.
-
-    Started far off it, a good IMU feels that the Earth turns otherwise, and the filter bends the track: so it is run
-    again from what was found. It is as sure of its heading as configured, for a filter that is unsure turns by itself.
-    """
-    baseline = {tried.baseline: tried.filters[tried.baseline]}
-    once = msgspec.structs.replace(tried.evaluation, starts=1)
-    heading_deg, fit = finite(tried.initial.heading_deg), None
-    for _ in range(MOST_RUNS):
-        initial = msgspec.structs.replace(tried.initial, heading_deg=heading_deg)
-        config = msgspec.structs.replace(tried, initial=initial, filters=baseline, evaluation=once)
-        replay = replay_dive(dive, config)
-        if not replay.tables.track_fit or replay.dive.reference is None:
-            return heading_deg, None
-        fit = filter_track_fit(replay.errors[tried.baseline], replay.dive.reference)
-        if not fit.turn_sd_deg < FROM_TRACK_DEG:
-            return heading_deg, None
-        heading_deg = round((heading_deg + fit.turn_deg) % 360.0, 1)
-        if abs(fit.turn_deg) < SETTLED_DEG:
-            break
-    return heading_deg, fit
+def _track_fit(dive: Dive, config: Config) -> TrackFit:
+    """Hold the baseline's track against the reference's, once its heading is fitted."""
+    baseline = {config.baseline: config.filters[config.baseline]}
+    once = msgspec.structs.replace(config.evaluation, starts=1)
+    replay = replay_dive(dive, msgspec.structs.replace(config, filters=baseline, evaluation=once))
+    reference = replay.dive.reference
+    return UNKNOWN if reference is None else filter_track_fit(replay.errors[config.baseline], reference)
 
 
 def _scale(fit: TrackFit, tried: Config) -> Iterator[Setting]:

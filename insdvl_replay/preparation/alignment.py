@@ -102,16 +102,16 @@ def check_start(initial: Initial, *, has_reference: bool, has_position: bool, ha
         )
     if not has_position:
         configured_latitude_deg(initial)
-    if not (from_reference and has_attitude):
-        _configured_heading_deg(initial)
+    if not (from_reference and has_attitude) and initial.heading_deg is None:
+        raise ConfigError(
+            "the heading at the start is needed: no reference gives it, or initial.source is level, which takes none",
+            f"--set initial.heading_deg=...{', or fit, by the track of its positions' if has_position else ''}",
+        )
 
 
 def _configured_heading_deg(initial: Initial) -> float:
-    if initial.heading_deg is None:
-        raise ConfigError(
-            "the heading at the start is needed: no reference gives it, or initial.source is level, which takes none",
-            "--set initial.heading_deg=...",
-        )
+    if not isinstance(initial.heading_deg, float | int):
+        raise ValueError("the heading is still to be fitted: start_heading.prepare_with_heading does it")
     return initial.heading_deg
 
 
@@ -194,7 +194,7 @@ def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:
     roll_sd_deg, pitch_sd_deg, _ = np.sqrt(np.diagonal(level_axes.T @ cov[PHI, PHI] @ level_axes)) / DEG
     text = (
         f"roll {roll_deg:.2f} +- {roll_sd_deg:.2f} deg and pitch {pitch_deg:.2f} +- {pitch_sd_deg:.2f} deg "
-        f"from gravity over {level.span_s:.3g} s, heading {heading_deg:g} deg from the configuration"
+        f"from gravity over {level.span_s:.3g} s, at a heading of {heading_deg:g} deg"
     )
     notes = [Note("start_levelled", text)]
     if not level.pings:

@@ -16,6 +16,7 @@ from insdvl_replay.core.dive_columns import (
     SensorColumns,
     TimeNs,
     TruthColumns,
+    nanoseconds,
     seconds,
 )
 from insdvl_replay.core.errors import ConfigError, require_known
@@ -66,6 +67,8 @@ def simulate_dive(
     lever_arm_m: Vector = (0.0, 0.0, 0.0),
     mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),
     sensors: Mapping[str, SensorErrors] = NO_SENSORS,
+    dvl_delay_s: float = 0.0,
+    dvl_scale: float = 1.0,
 ) -> Dive:
     """Simulate a dive as its sensors report it. The same arguments give the same bytes, whatever the processor.
 
@@ -83,6 +86,8 @@ def simulate_dive(
         As in `exact_dive`.
     sensors : mapping of str to SensorErrors
         Those that the vehicle has beside IMU and DVL, by their names in `core.sensors.SENSORS`.
+    dvl_delay_s, dvl_scale : float
+        As in `late_and_long`.
 
     Returns
     -------
@@ -108,7 +113,25 @@ def simulate_dive(
         mounting_rpy_deg=mounting_rpy_deg,
         sensor_rates_hz={name: errors.rate_hz for name, errors in sensors.items()},
     )
-    return add_errors(exact, imu_errors, dvl_errors or DvlErrors(), seed, sensors)
+    dive = add_errors(exact, imu_errors, dvl_errors or DvlErrors(), seed, sensors)
+    return late_and_long(dive, dvl_delay_s, dvl_scale)
+
+
+def late_and_long(dive: Dive, delay_s: float, scale: float) -> Dive:
+    """Stamp the pings later than they are valid, and let them read so many times the velocity.
+
+    Raises
+    ------
+    ConfigError
+        A scale that is not above 0, or a delay that is no number.
+    """
+    _check_positive("DVL scale", "times the velocity", scale)
+    if not abs(delay_s) < LONGEST_S:
+        raise ConfigError(f"DVL delay is {delay_s:g} s", "give the delay in s")
+    if (delay_s, scale) == (0.0, 1.0) or dive.dvl.beam_velocity_mps is None:
+        return dive
+    late_ns = dive.dvl.time_ns + nanoseconds(delay_s)
+    return replace(dive, dvl=replace(dive.dvl, time_ns=late_ns, beam_velocity_mps=scale * dive.dvl.beam_velocity_mps))
 
 
 def exact_dive(

@@ -247,7 +247,7 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
         "calibration": Scenario(
             "all that shows how a DVL is built in: turns, changes of speed, sway, heave, roll and pitch",
             400.0,
-            Wave(1.0, 0.7, 37.0),
+            Wave(1.2, 0.9, 31.0),
             _calibration(),
             roll_deg=Wave(0.0, 8.0, 13.0),
             pitch_deg=Wave(0.0, 8.0, 23.0),

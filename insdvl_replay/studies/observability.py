@@ -21,9 +21,10 @@ from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.nominal_motion import NominalPings, nominal_pings
 from insdvl_replay.nav.observability import TOLERANCE, Observability, analyse, remaining_cov, whitened_rows
 from insdvl_replay.preparation.filters import resolve_filter
-from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_one
+from insdvl_replay.preparation.start_heading import prepare_with_heading
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS
 from insdvl_replay.studies.observability_document import (
@@ -178,7 +179,7 @@ def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bo
         There is no such log or scenario, or the settings do not fit it.
     """
     dive, config = _dive(dive_or_scenario, config)
-    start = prepare_dive(dive, config)
+    start = prepare_with_heading(dive, config)
     nominal, pings = _nominal(dive, start, earth_rate)
     measurements, arm_b = _measurements(start, config), start.mounting.lever_arm_b
     prior_sd = start.alignment.start.sd

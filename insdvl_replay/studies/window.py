@@ -24,8 +24,9 @@ from insdvl_replay.evaluation.acceleration import (
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
 from insdvl_replay.nav.timeline import Gaps
-from insdvl_replay.preparation.prepared import prepare_dive, reference_as_configured
+from insdvl_replay.preparation.prepared import reference_as_configured
 from insdvl_replay.preparation.reading import read_checked_dive
+from insdvl_replay.preparation.start_heading import prepare_with_heading
 from insdvl_replay.studies.study_report import StudyReport, write_study
 from insdvl_replay.studies.window_document import window_display, window_figure, window_sentences
 
@@ -110,7 +111,7 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> tuple[pd.DataFrame
     an easier dive than another.
     """
     reference = _reference(dive, config)
-    start = prepare_dive(replace(dive, reference=reference), config)
+    start = prepare_with_heading(replace(dive, reference=reference), config)
     velocities = start.velocities
     max_gap_s = _max_gap_s(config)
     time_s = seconds(velocities.time_ns, velocities.time_ns[:1])

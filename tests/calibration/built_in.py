@@ -1,6 +1,5 @@
 """Dives of a vehicle whose DVL is built in otherwise than the configuration says, by numbers that are known."""
 
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -8,10 +7,10 @@ import numpy as np
 from insdvl_replay.calibration.dives import ReadDive
 from insdvl_replay.calibration.parameters import PARAMETERS
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_columns import Dive, Floats, nanoseconds
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.states import DEG
 from insdvl_replay.preparation.prepared import with_reference_at_imu
-from insdvl_replay.sim.dive import add_errors, exact_dive
+from insdvl_replay.sim.dive import add_errors, exact_dive, late_and_long
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
 
 CONFIG: Final = load_config("fog")
@@ -26,18 +25,7 @@ def built_in_otherwise(
 ) -> ReadDive:
     """Simulate a dive whose configuration knows nothing of arm, yaw, delay and scale."""
     exact = exact_dive(scenario, duration_s=duration_s, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, yaw_deg))
-    return as_read(late_and_long(add_errors(exact, GRADES["fog"], dvl_errors, seed)))
-
-
-def late_and_long(dive: Dive) -> Dive:
-    """Stamp the pings too late, and let them read too much."""
-    assert dive.dvl.beam_velocity_mps is not None
-    dvl = replace(
-        dive.dvl,
-        time_ns=dive.dvl.time_ns + nanoseconds(DELAY_S),
-        beam_velocity_mps=SCALE * dive.dvl.beam_velocity_mps,
-    )
-    return replace(dive, dvl=dvl)
+    return as_read(late_and_long(add_errors(exact, GRADES["fog"], dvl_errors, seed), DELAY_S, SCALE))
 
 
 def as_read(dive: Dive) -> ReadDive:

@@ -1,6 +1,10 @@
 """The command as its user meets it: what it prints and writes, and how it refuses."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import msgspec
@@ -137,3 +141,92 @@ def test_dives_of_the_same_name_are_held_out_one_by_one(
     assert run_command_line(command) == 0
     result = json.loads(capsys.readouterr().out)
     assert (len(result["dives"]), len(result["held_out"])) == (1, 1)
+
+
+STOPPED_WHILE_FITTING = """
+import sys, time
+import insdvl_replay.calibration.WHERE as module
+def stop(*_, **__):
+    print("busy", flush=True)
+    time.sleep(60)
+module.WHAT = stop
+from insdvl_replay.cli import main
+sys.argv = ["insdvl-replay", *sys.argv[1:]]
+main()
+"""
+
+
+@pytest.mark.parametrize("where", ["fit.robust_cost", "output.toml_value", "figures.delay_profile"])
+@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_leaves_nothing(signal_: signal.Signals, where: str, dives: Path, tmp_path: Path) -> None:
+    """While it is fitted, and while the page and the settings are made."""
+    module, _, name = where.partition(".")
+    script = STOPPED_WHILE_FITTING.replace("WHERE", module).replace("WHAT", name)
+    made = tmp_path / "temporary"
+    made.mkdir()
+    command = [sys.executable, "-c", script, *calibrate(dives, "dive_1"), "-o", "found.toml", "--page", "found.html"]
+    with subprocess.Popen(
+        [*command, "--format", "csv"],
+        cwd=tmp_path,
+        env=os.environ | {"TMPDIR": str(made)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        while process.stdout.readline() != "busy\n":
+            assert process.poll() is None
+        process.send_signal(signal_)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.endswith("error: interrupted\n")
+    assert list(tmp_path.rglob("*")) == [made]
+
+
+def test_a_terminal_sees_how_far_it_is(
+    dives: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    assert run_command_line([*calibrate(dives, "dive_1"), "--format", "csv"]) == 0
+    shown = capsys.readouterr().err
+    assert "fitting the innovations" in shown
+    assert "/12" in shown
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False)
+    assert run_command_line([*calibrate(dives, "dive_1"), "--format", "csv"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_notes_of_the_dives_are_told_when_asked(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line([*calibrate(dives, "dive_1"), "--set", "span.start_s=20", "-v"]) == 0
+    assert "info: dive_1: " in capsys.readouterr().err
+
+
+def test_all_eight_are_shown_and_found_by_the_dive_that_is_made_for_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the settings that nobody has touched, whose noise is the largest."""
+    log = str(tmp_path / "dive.mcap")
+    put_in = ["--lever-arm", "0.3,-0.1,0.2", "--mounting", "0.5,-0.5,1.5", "--dvl-delay", "0.12", "--dvl-scale", "1.02"]
+    assert run_command_line(["simulate", "calibration", "--seed", "7301", "-o", log, *put_in]) == 0
+    capsys.readouterr()
+    assert run_command_line(["calibrate", log, "--format", "json"]) == 0
+    result = msgspec.json.decode(capsys.readouterr().out, type=CalibrationResult)
+    assert {row.status.value for row in result.parameters} == {"estimated"}
+    sd = {row.parameter: row.sd for row in result.parameters}
+    found = result.after
+    for axis, value, truth in zip("xyz", found.lever_arm_m, (0.3, -0.1, 0.2), strict=True):
+        assert value == pytest.approx(truth, abs=3.0 * sd[f"arm_{axis}"])
+    for axis, value, truth in zip("xyz", found.mounting_rpy_deg, (0.5, -0.5, 1.5), strict=True):
+        assert value == pytest.approx(truth, abs=3.0 * sd[f"mounting_{axis}"])
+    assert found.latency_s == pytest.approx(0.12, abs=3.0 * sd["delay"])
+    assert found.scale == pytest.approx(1.02, abs=0.03 * sd["scale"])
+
+
+@pytest.mark.parametrize(
+    "option", [["--lever-arm", "1,2"], ["--mounting", "a,b,c"], ["--dvl-scale", "0"], ["--lever-arm", "nan,0,0"]]
+)
+def test_a_dvl_that_cannot_be_built_in_is_not_simulated(option: list[str], tmp_path: Path) -> None:
+    log = tmp_path / "dive.mcap"
+    assert run_command_line(["simulate", "static", "-o", str(log), *option]) == 2
+    assert not log.exists()

@@ -52,7 +52,8 @@ DOCUMENTED = {
     ],
     "simulate": [
         "SCENARIO", "-o, --output LOG", "--seed N", "--duration S", "--imu GRADE", "--outage START:END",
-        "--lost-beam BEAM:START:END", "--sensor NAME=SD[@HZ]", "--force", "-v, --verbose", "-h, --help",
+        "--lost-beam BEAM:START:END", "--sensor NAME=SD[@HZ]", "--lever-arm X,Y,Z", "--mounting R,P,H", "--dvl-delay S",
+        "--dvl-scale TIMES", "--force", "-v, --verbose", "-h, --help",
     ],
     "config": ["--preset NAME", "-c, --config, --from FILE", "--set KEY=VALUE", "-v, --verbose", "-h, --help"],
     "schema": ["NAME", "-v, --verbose", "-h, --help"],

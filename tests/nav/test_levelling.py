@@ -243,7 +243,7 @@ def test_note_tells_the_level_and_its_uncertainty() -> None:
     (note,) = (note for note in found.notes if note.code == "start_levelled")
     assert note.text.startswith(f"roll {roll_deg:.2f} +- 2.")
     assert f"pitch {pitch_deg:.2f} +- 2." in note.text
-    assert note.text.endswith("from gravity over 10 s, heading 30 deg from the configuration")
+    assert note.text.endswith("from gravity over 10 s, at a heading of 30 deg")
 
 
 # --- At sea.
