@@ -7,6 +7,7 @@ Source: the format of version 2.0, http://wiki.ros.org/Bags/Format/2.0.
 
 import bz2
 import struct
+from array import array
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -155,17 +156,17 @@ class Messages:
 
 def find_messages(buffer: memoryview, most: int) -> tuple[Messages, list[Record]]:
     """Find the messages and the other records, `most` at most, of an open chunk; a DamageError has the place in it."""
-    place, bounds = 0, []
+    place, bounds = 0, array("q")
     while place < len(buffer):
         start, end = _bounds(buffer, place)
-        bounds.append((place, start, end))
+        bounds.extend((place, start, end))
         place = end
     places, starts, ends = np.array(bounds, np.int64).reshape(-1, 3).T
     told, others, is_tried = np.full((2, places.size), -1), [], False
     for row in range(places.size):
         if told[0, row] >= 0:
             continue
-        record = record_at(buffer, bounds[row][0])
+        record = record_at(buffer, int(places[row]))
         others.append(record)
         if len(others) > most:
             raise DamageError(record.offset, "there are more records than a recorder writes that are like no other")
