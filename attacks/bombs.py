@@ -1,7 +1,10 @@
 """Small files that ask for much: what they unpack to, what their types describe, and how many things they name."""
 
+import bz2
 import json
+import sqlite3
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -158,6 +161,36 @@ def many_metadata() -> bytes:
     return file_of(content)
 
 
+def packed_records(record: bytes) -> bytes:
+    """Fill chunks of a .bag with one record again and again."""
+    many = record * ((60 << 20) // len(record))
+    told = {"op": b"\5", "compression": b"bz2", "size": len(many).to_bytes(4, "little")}
+    chunk = bag_record(told, bz2.compress(many))
+    header = {"op": b"\3", "index_pos": bytes(8), "conn_count": bytes(4), "chunk_count": bytes(4)}
+    return b"#ROSBAG V2.0\n" + bag_record(header, b"") + 30 * chunk
+
+
+def bag_record(fields: dict[str, bytes], data: bytes) -> bytes:
+    """Write a record of a .bag."""
+    told = [name.encode() + b"=" + value for name, value in fields.items()]
+    header = b"".join(len(one).to_bytes(4, "little") + one for one in told)
+    return len(header).to_bytes(4, "little") + header + len(data).to_bytes(4, "little") + data
+
+
+def sqlite_bag(messages: str) -> bytes:
+    """Make a .db3 whose table of messages is something else."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "bomb.db3"
+        with closing(sqlite3.connect(path)) as base:
+            base.executescript(
+                "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
+                f"INSERT INTO topics VALUES(1, '/imu', 'sensor_msgs/msg/Imu', 'cdr'); {messages}"
+            )
+        return path.read_bytes()
+
+
+ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
+PLAIN_COLUMNS = "id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER"
 BOMBS: dict[str, Callable[[], bytes]] = {
     **{
         f"{kind} {how.__name__}": lambda kind=kind, how=how: how(kind)
@@ -180,6 +213,19 @@ BOMBS: dict[str, Callable[[], bytes]] = {
     "JSON, 20 000 names": lambda: _json(json.dumps({f"name_{number}": number for number in range(20_000)})),
     "2000 channels": many_channels,
     "50 000 metadata": many_metadata,
+    "bag of 10^8 small records": lambda: packed_records(bag_record({"op": b"\x63"}, b"")),
+    "bag of 10^7 messages": lambda: packed_records(bag_record({"op": b"\2", "conn": bytes(4), "time": bytes(8)}, b"")),
+    "db3, messages without end": lambda: sqlite_bag(
+        f"CREATE VIEW messages AS {ENDLESS} SELECT i AS id, 1 AS topic_id, i AS timestamp, zeroblob(9) AS data FROM n"
+    ),
+    "db3, messages that grow as they are read": lambda: sqlite_bag(
+        f"CREATE TABLE messages({PLAIN_COLUMNS}, data BLOB AS (zeroblob(900000000)));"
+        "INSERT INTO messages(id, topic_id, timestamp) VALUES(1, 1, 1), (2, 1, 2)"
+    ),
+    "db3, a check that takes long": lambda: sqlite_bag(
+        f"CREATE TABLE messages({PLAIN_COLUMNS}, data BLOB, CHECK (length(hex(zeroblob(400000000))) > 0));"
+        "PRAGMA ignore_check_constraints = 1; INSERT INTO messages VALUES(1, 1, 1, x'00'), (2, 1, 2, x'00')"
+    ),
 }
 
 

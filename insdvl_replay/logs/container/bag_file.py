@@ -4,6 +4,7 @@ All chunks are opened once to hold them against their indexes, then each again w
 record nothing is looked for: the format has no mark by which one is known.
 """
 
+from collections import defaultdict
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,7 +16,7 @@ from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container import bag_records
-from insdvl_replay.logs.container.bag_records import Messages, Record
+from insdvl_replay.logs.container.bag_records import Messages, Record, times_of
 from insdvl_replay.logs.container.blocks import Block, TimedBlock
 from insdvl_replay.logs.container.log_file import LogFile
 from insdvl_replay.logs.container.loss import COPY_AGAIN, loss_text, places_text
@@ -48,8 +49,8 @@ class BagFile(LogFile):
     def __init__(self, file: MappedFile) -> None:
         super().__init__(file)
         self._damages: dict[Damage, None] = {}
-        self._records: dict[int, list[Record]] = {}
-        self._indexes: dict[int, list[Record]] = {}
+        self._records = defaultdict[int, list[Record]](list)
+        self._indexes = defaultdict[int, list[Record]](list)
         self._connections: dict[int, LogChannel] = {}
         self._chunks: list[tuple[Record, Messages]] = []
         self._announced: int | None = None
@@ -67,7 +68,7 @@ class BagFile(LogFile):
     @property
     def has_summary(self) -> bool:  # type: ignore[override]
         """Whether the recorder closed the bag with an index."""
-        return any(header.fields.get(b"index_pos", b"").strip(b"\0") for header in self._of(bag_records.BAG))
+        return any(header.fields.get(b"index_pos", b"").strip(b"\0") for header in self._records[bag_records.BAG])
 
     @property
     def notes(self) -> tuple[Note, ...]:
@@ -112,24 +113,24 @@ class BagFile(LogFile):
             while place < len(self._data):
                 record = bag_records.record_at(self._data, place)
                 if record.op == bag_records.INDEX:
-                    self._indexes.setdefault(chunk, []).append(record)
+                    self._indexes[chunk].append(record)
                 elif record.op not in _OUTSIDE_CHUNKS:
                     raise DamageError(place, f"a record of kind {record.op} stands where none belongs")
                 else:
-                    self._records.setdefault(record.op, []).append(record)
+                    self._records[record.op].append(record)
                     chunk = place if record.op == bag_records.CHUNK else -1
                 self._file.release(place, record.end)
                 place = record.end
-        if any(header.text(b"encryptor") for header in self._of(bag_records.BAG)):
+        if any(header.text(b"encryptor") for header in self._records[bag_records.BAG]):
             raise LogError("is encrypted", "where its key is, `rosbag decompress` writes it plain", self.path)
 
     def _open_all(self) -> None:
         """Find the connections, and the messages of all chunks; chunks that cannot be opened are left out."""
-        for record in self._of(bag_records.CONNECTION):
+        for record in self._records[bag_records.CONNECTION]:
             with self._collected():
                 self._note_connection(self._data, record, record.offset)
         most, total = max(_USUALLY_OPENED, _MOST_COMPRESSED * len(self._data)), 0
-        for chunk in self._of(bag_records.CHUNK):
+        for chunk in self._records[bag_records.CHUNK]:
             with self._collected():
                 total += chunk.number(b"size", 4)
                 if total > most:
@@ -176,31 +177,30 @@ class BagFile(LogFile):
             if number not in self._connections:
                 found = f"messages are of connection {number}, which is nowhere described"
                 self._damages.setdefault(Damage(chunk.offset, found))
-        indexes = self._indexes.get(chunk.offset, [])
-        if indexes or self.has_summary:
+        if self._indexes[chunk.offset] or self.has_summary:
             with self._collected():
-                self._compare_with_index(chunk, messages, indexes)
+                self._compare_with_index(chunk, messages)
         return messages
 
-    def _compare_with_index(self, chunk: Record, messages: Messages, indexes: list[Record]) -> None:
+    def _compare_with_index(self, chunk: Record, messages: Messages) -> None:
         """Hold an index, which is in the order of time, against the messages of its chunk."""
         named = 0
-        for index in indexes:
-            times, places = bag_records.index_entries(self._data, index)
-            found, order = messages.of(index.number(b"conn", 4)), np.argsort(places, kind="stable")
-            if np.array_equal(places[order], found.places) and np.array_equal(times[order], found.time_ns):
+        for index in self._indexes[chunk.offset]:
+            entries = np.sort(bag_records.entries(self._data, index, bag_records.ENTRY), order="place", kind="stable")
+            found, times = messages.of(index.number(b"conn", 4)), times_of(entries["sec"], entries["nanosec"])
+            if np.array_equal(entries["place"], found.places) and np.array_equal(times, found.time_ns):
                 named += times.size
         if named != messages.time_ns.size:
             raise DamageError(chunk.offset, "the indexes of a chunk do not name its messages")
 
     def _compare_with_end(self) -> None:
         """Hold what was found against what the header and the end of the bag say of the whole."""
-        headers, infos = self._of(bag_records.BAG), self._of(bag_records.CHUNK_INFO)
+        headers, infos = self._records[bag_records.BAG], self._records[bag_records.CHUNK_INFO]
         if len(headers) != 1:
             self._damages.setdefault(Damage(len(MAGIC), f"the bag has {len(headers)} headers"))
         if not self.has_summary:
             return
-        chunks, ending = self._of(bag_records.CHUNK), [*self._of(bag_records.CONNECTION), *infos]
+        chunks, ending = self._records[bag_records.CHUNK], [*self._records[bag_records.CONNECTION], *infos]
         start = min((record.offset for record in ending), default=len(self._data))
         announced = [("conn_count", 4, len(self._connections)), ("index_pos", 8, start)]
         announced += [("chunk_count", 4, len(found)) for found in (chunks, infos)]
@@ -210,8 +210,9 @@ class BagFile(LogFile):
         there = {chunk.offset: messages for chunk, messages in self._chunks}
         for info in infos:
             with self._collected():
-                counts, messages = bag_records.chunk_counts(self._data, info), there.get(info.number(b"chunk_pos", 8))
+                counts = dict(bag_records.entries(self._data, info, bag_records.COUNT).tolist())
                 self._announced = (self._announced or 0) + sum(counts.values())
+                messages = there.get(info.number(b"chunk_pos", 8))
                 if messages is None or counts != messages.counts():
                     raise DamageError(info.offset, "the end of the bag does not agree with one of its chunks")
 
@@ -222,7 +223,3 @@ class BagFile(LogFile):
             yield
         except DamageError as error:
             self._damages.setdefault(error.damage)
-
-    def _of(self, kind: int) -> list[Record]:
-        """Return the records of a kind, but those inside chunks."""
-        return self._records.get(kind, [])

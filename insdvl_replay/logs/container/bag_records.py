@@ -7,6 +7,7 @@ Source: the format of version 2.0, http://wiki.ros.org/Bags/Format/2.0.
 
 import bz2
 import struct
+from array import array
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -25,8 +26,8 @@ _SHORTEST_HEADER: Final = 8
 """A header tells at least of which kind its record is."""
 _LENGTH: Final = struct.Struct("<I")
 _WORD: Final = np.dtype("<u4")
-_ENTRY: Final = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("place", "<u4")])
-_COUNT: Final = np.dtype([("connection", "<u4"), ("count", "<u4")])
+ENTRY: Final = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("place", "<u4")])
+COUNT: Final = np.dtype([("connection", "<u4"), ("count", "<u4")])
 
 
 @dataclass(frozen=True)
@@ -107,25 +108,16 @@ def opened(data: memoryview, chunk: Record) -> memoryview:
     return content
 
 
-def index_entries(data: memoryview, index: Record) -> tuple[TimeNs, NDArray[np.int64]]:
-    """Read the times, ns, and places in its chunk of the messages of one connection, both of shape (k,)."""
-    count = index.number(b"count", 4)
-    if count * _ENTRY.itemsize != index.end - index.start:
-        raise DamageError(index.offset, f"an index does not name the {count} messages that it says")
-    entries = np.frombuffer(data, _ENTRY, count, index.start)
-    return _times(entries["sec"], entries["nanosec"]), entries["place"].astype(np.int64)
+def entries(data: memoryview, record: Record, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Read the entries of an index of a chunk, or of what the end of the bag says of one, shape (k,)."""
+    count, rest = divmod(record.end - record.start, dtype.itemsize)
+    if rest or record.number(b"count", 4) != count:
+        raise DamageError(record.offset, f"a record does not have the {count} entries that it says")
+    return np.frombuffer(data, dtype, count, record.start)
 
 
-def chunk_counts(data: memoryview, info: Record) -> dict[int, int]:
-    """Read how many messages of each connection a chunk holds, as the end of the bag says."""
-    size = info.end - info.start
-    if size % _COUNT.itemsize:
-        raise DamageError(info.offset, f"{size} bytes are no numbers of messages")
-    counts = np.frombuffer(data, _COUNT, size // _COUNT.itemsize, info.start)
-    return dict(zip(counts["connection"].tolist(), counts["count"].tolist(), strict=True))
-
-
-def _times(sec: NDArray[Any], nanosec: NDArray[Any]) -> TimeNs:
+def times_of(sec: NDArray[Any], nanosec: NDArray[Any]) -> TimeNs:
+    """Make one number of seconds and nanoseconds."""
     return np.asarray(sec.astype(np.int64) * NS_PER_S + nanosec)
 
 
@@ -155,17 +147,17 @@ class Messages:
 
 def find_messages(buffer: memoryview, most: int) -> tuple[Messages, list[Record]]:
     """Find the messages and the other records, `most` at most, of an open chunk; a DamageError has the place in it."""
-    place, bounds = 0, []
+    place, bounds = 0, array("q")
     while place < len(buffer):
         start, end = _bounds(buffer, place)
-        bounds.append((place, start, end))
+        bounds.extend((place, start, end))
         place = end
     places, starts, ends = np.array(bounds, np.int64).reshape(-1, 3).T
     told, others, is_tried = np.full((2, places.size), -1), [], False
     for row in range(places.size):
         if told[0, row] >= 0:
             continue
-        record = record_at(buffer, bounds[row][0])
+        record = record_at(buffer, int(places[row]))
         others.append(record)
         if len(others) > most:
             raise DamageError(record.offset, "there are more records than a recorder writes that are like no other")
@@ -194,4 +186,4 @@ def _read_alike(
     rows = rows[(headers[:, ~varies] == header[~varies]).all(axis=1)]
     at = places[rows] + 4
     told[0, rows] = gather(buffer, at + connection, _WORD)
-    told[1, rows] = _times(gather(buffer, at + time, _WORD), gather(buffer, at + time + 4, _WORD))
+    told[1, rows] = times_of(gather(buffer, at + time, _WORD), gather(buffer, at + time + 4, _WORD))
