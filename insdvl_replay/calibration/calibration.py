@@ -26,7 +26,7 @@ from insdvl_replay.calibration.parameters import (
     Parameter,
 )
 from insdvl_replay.calibration.reference_parameters import ReferenceGeometry
-from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow, ReferenceDiveRow
+from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow, ReferenceDiveRow, StartRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.table_layout import Number
@@ -57,6 +57,7 @@ class ReferenceCalibration:
     after: ReferenceGeometry
     rows: tuple[ParameterRow, ...]
     dives: tuple[ReferenceDiveRow, ...]
+    starts: tuple[StartRow, ...] = ()
 
 
 @dataclass(frozen=True)

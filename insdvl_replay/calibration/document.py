@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from insdvl_replay.calibration.calibration import AXES, Calibration
-from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow, ReferenceDiveRow
+from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow, ReferenceDiveRow, StartRow
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.report.document import (
     Callout,
@@ -50,6 +50,8 @@ def calibration_document(found: Calibration, written: str = "", figures: Sequenc
     if found.reference is not None:
         parts += [_parameters("The reference: change from what the configuration says", found.reference.rows)]
         parts += [_beside(found.reference.dives)]
+        if found.reference.starts:
+            parts.append(_starts(found.reference.starts))
     if found.held_out:
         parts.append(_held_out(found.held_out))
     if reasons := [*_reasons(found), *(Remark(doubt) for doubt in found.doubts)]:
@@ -141,6 +143,21 @@ def _beside(rows: tuple[ReferenceDiveRow, ...]) -> DisplayTable:
             ("after\n[deg]", "r", lambda row: number(row.track_turn_after_deg)),
         ),
         "Scale and turn would lay the filter's track on the reference's; the turn holds what the heading drifted by.",
+    )
+
+
+def _starts(rows: tuple[StartRow, ...]) -> DisplayTable:
+    return table_of(
+        "Starts by the tracks of positions, with the DVL as it is proposed",
+        rows,
+        (
+            ("dive", "l", lambda row: row.dive),
+            ("heading\n[deg]", "r", lambda row: number(row.heading_deg)),
+            ("sd", "r", lambda row: number(row.heading_sd_deg)),
+            ("gyro bias\n[deg/h]", "r", lambda row: number(row.gyro_bias_degph)),
+            ("sd", "r", lambda row: number(row.gyro_bias_sd_degph)),
+        ),
+        'initial.heading_deg = "fit" finds them anew for each dive.',
     )
 
 

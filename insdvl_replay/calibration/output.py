@@ -11,13 +11,21 @@ from insdvl_replay import __version__
 from insdvl_replay.calibration.calibration import Calibration, ReferenceCalibration
 from insdvl_replay.calibration.parameters import PARAMETERS, DvlGeometry, Parameter
 from insdvl_replay.calibration.reference_parameters import OF_REFERENCE
-from insdvl_replay.calibration.rows import CalibrationResult, ParameterRow, ReferenceResult, ReferenceSettings, Settings
+from insdvl_replay.calibration.rows import (
+    CalibrationResult,
+    ParameterRow,
+    ReferenceResult,
+    ReferenceSettings,
+    Settings,
+    StartRow,
+)
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.quantities import AXES
 from insdvl_replay.core.words import Estimated
+from insdvl_replay.preparation.start_heading import FIT
 from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import counted
 from insdvl_replay.results.json_report import as_json, package_versions, this_tool
@@ -68,7 +76,7 @@ def _reference(found: ReferenceCalibration | None) -> ReferenceResult | None:
         ReferenceSettings(settings.latency_s, settings.lever_arm_m, settings.mounting_rpy_deg)
         for settings in (found.before, found.after)
     )
-    return ReferenceResult(before, after, list(found.rows), list(found.dives))
+    return ReferenceResult(before, after, list(found.rows), list(found.dives), list(found.starts))
 
 
 def calibration_csv(found: Calibration) -> str:
@@ -79,6 +87,7 @@ def calibration_csv(found: Calibration) -> str:
         "dives": found.dives,
         "held_out": found.held_out,
         "reference": () if reference is None else reference.dives,
+        "starts": () if reference is None else reference.starts,
     }
     return blocks_csv(
         "table",
@@ -119,6 +128,7 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
     lines = ["[dvl]", *_lines(KEYS, PARAMETERS, found.rows, found)]
     if (reference := found.reference) is not None:
         lines += ["", "[reference]", *_lines(REFERENCE_KEYS, OF_REFERENCE, reference.rows, reference)]
+        lines += _initial(reference.starts)
     return "\n".join([head, *lines, *(f"# doubt: {visible(doubt)}" for doubt in found.doubts)]) + "\n"
 
 
@@ -136,6 +146,18 @@ def _lines(
         yield from (f"# {_in_words(row)}" for row in rows)
         if is_moved or any(row.status == Estimated.ESTIMATED for row in rows):
             yield f"{key} = {toml_value(_rounded(getattr(found.before, key), getattr(found.after, key)))}"
+
+
+def _initial(starts: Sequence[StartRow]) -> Iterator[str]:
+    """Let each dive find its own heading, and tell what these found."""
+    if starts:
+        yield from ("", "[initial]")
+        for start in starts:
+            yield (
+                f"# {visible(start.dive)}: {start.heading_deg:g} deg, sd {start.heading_sd_deg:.2g} deg, and a bias of the "
+                f"gyro about down of {start.gyro_bias_degph:g} deg/h, sd {start.gyro_bias_sd_degph:.2g} deg/h"
+            )
+        yield f"heading_deg = {toml_value(FIT)}"
 
 
 def _rounded(before: Any, after: Any) -> Any:

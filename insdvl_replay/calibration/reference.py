@@ -1,6 +1,7 @@
 """Dives with a reference: where it sits, how it is turned and how late it is, and what it says of the DVL."""
 
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Final
 
@@ -16,10 +17,10 @@ from insdvl_replay.calibration.calibration import (
     parameter_rows,
 )
 from insdvl_replay.calibration.certainty import SEEN, Certainty
-from insdvl_replay.calibration.dives import ReadDive
+from insdvl_replay.calibration.dives import ReadDive, with_geometry
 from insdvl_replay.calibration.fit import Mask
 from insdvl_replay.calibration.innovations import DiveInnovations
-from insdvl_replay.calibration.parameters import NAMES, PRIOR_SD, SCALE
+from insdvl_replay.calibration.parameters import NAMES, PRIOR_SD, SCALE, DvlGeometry
 from insdvl_replay.calibration.reference_fit import ReferenceFit, fit_reference
 from insdvl_replay.calibration.reference_parameters import (
     CLOCK,
@@ -33,13 +34,14 @@ from insdvl_replay.calibration.reference_parameters import (
     SHARED_STEPS,
     ReferenceGeometry,
 )
-from insdvl_replay.calibration.rows import ParameterRow, ReferenceDiveRow
+from insdvl_replay.calibration.rows import ParameterRow, ReferenceDiveRow, StartRow
 from insdvl_replay.calibration.with_reference import MOTION, ReferenceDive, reference_dive
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.reference import reference_errors
 from insdvl_replay.evaluation.track_fit import TrackFit, filter_track_fit
+from insdvl_replay.preparation.start_heading import fitted_start
 
 OF_DVL: Final = (HEADING, SCALE)
 """What a reference may move of the DVL."""
@@ -92,7 +94,26 @@ def with_reference(
         before, before.changed(proposed), rows[len(NAMES) :], tuple(_dive_rows(compared, fit))
     )
     doubts = _doubts(certainty, kept, reference, independent=reads[0].config.reference.independent)
-    return _replaced(found, rows, proposed, reference, tuple(doubts))
+    calibrated = _replaced(found, rows, proposed, reference, tuple(doubts))
+    starts = tuple(_starts(reads, calibrated.after))
+    return replace(calibrated, reference=replace(reference, starts=starts))
+
+
+def _starts(reads: Sequence[ReadDive], geometry: DvlGeometry) -> Iterator[StartRow]:
+    """Fit the headings at the start that only positions tell, with the DVL as it is proposed."""
+    for read in reads:
+        reference = read.dive.reference
+        if reference is None or not reference.has_position or reference.has_attitude:
+            continue
+        with suppress(LogError):
+            start = fitted_start(read.dive, with_geometry(read.config, geometry))
+            yield StartRow(
+                read.dive.name,
+                start.heading_deg,
+                start.heading_sd_deg,
+                start.gyro_bias_degph,
+                start.gyro_bias_sd_degph,
+            )
 
 
 def _compared(

@@ -67,6 +67,16 @@ class ReferenceDiveRow(Struct, frozen=True):
     track_turn_sd_deg: Number
 
 
+class StartRow(Struct, frozen=True):
+    """One dive whose reference has positions alone: its heading at the start, and the bias of the gyro about down."""
+
+    dive: str
+    heading_deg: float
+    heading_sd_deg: float
+    gyro_bias_degph: float
+    gyro_bias_sd_degph: float
+
+
 class Settings(Struct, frozen=True):
     """The keys of ``[dvl]`` that are calibrated."""
 
@@ -91,6 +101,7 @@ class ReferenceResult(Struct, frozen=True):
     after: Annotated[ReferenceSettings, Meta(description="what is proposed")]
     parameters: list[ParameterRow]
     dives: list[ReferenceDiveRow]
+    starts: Annotated[list[StartRow], Meta(description="of dives whose reference has positions and no attitude")]
 
 
 class CalibrationResult(Struct, frozen=True):

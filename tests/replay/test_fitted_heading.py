@@ -130,5 +130,14 @@ def test_commands_take_it_from_a_file(truth: Dive, tmp_path: Path, capsys: pytes
     assert run_command_line(["calibrate", *command, "--reference", "--format", "json"]) == 0
     result = msgspec.json.decode(capsys.readouterr().out.partition("{")[2].join(["{", ""]))
     assert result["config"]["initial"]["heading_deg"] == "fit"
+    (start,) = result["reference"]["starts"]
+    assert truth.reference is not None
+    off_deg = turned_deg(start["heading_deg"], heading_deg(truth.reference.mat_nb[0]))
+    assert abs(off_deg) < 3.0 * start["heading_sd_deg"] < 3.0
+    assert abs(start["gyro_bias_degph"] - 50.0) < 3.0 * start["gyro_bias_sd_degph"]
+    found = tmp_path / "found.toml"
+    assert run_command_line(["calibrate", *command, "--reference", "-o", str(found)]) == 0
+    assert load_config("mems", found).initial.heading_deg == "fit"
+    assert "Starts by the tracks of positions" in capsys.readouterr().out
     assert run_command_line(["run", str(log), "--set", "initial.heading_deg=north", "-o", str(tmp_path / "no")]) == 2
     assert "initial.heading_deg" in capsys.readouterr().err
