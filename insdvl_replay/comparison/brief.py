@@ -37,7 +37,7 @@ def brief_changes(changes: Sequence[Change], baseline: str) -> Iterator[DisplayT
     rows = [change for change in changes if _is_shown(change)]
     columns: list[Column[Change]] = [
         ("filter", "l", lambda change: _owner(change, baseline)),
-        ("evidence", "l", lambda change: NAMES[change.row]),
+        ("evidence", "l", lambda change: NAMES.get(change.row, change.row)),
         ("", "l", lambda change: change.unit),
         ("old", "r", lambda change: old_and_new(change)[0]),
         ("new", "r", lambda change: old_and_new(change)[1]),
@@ -59,7 +59,7 @@ def brief_aggregates(aggregates: Sequence[Aggregate], baseline: str) -> Iterator
     rows = list({(_owner(row, baseline), row.row): row for row in reversed(rows)}.values())[::-1]
     columns: list[Column[Aggregate]] = [
         ("filter", "l", lambda cell: _owner(cell, baseline)),
-        ("evidence", "l", lambda cell: NAMES[cell.row]),
+        ("evidence", "l", lambda cell: NAMES.get(cell.row, cell.row)),
         ("better", "r", lambda cell: str(cell.better)),
         ("worse", "r", lambda cell: str(cell.worse)),
         ("same", "r", lambda cell: str(cell.same)),
@@ -103,7 +103,10 @@ def dot_plot(comparison: Comparison, baseline: str) -> Iterator[Html]:
     dives = sorted({change.log for change in changes}, key=natural_key)
     if not changes:
         return
-    head = "".join(f'<th class="axis">{escape(visible(owner))}<br>{NAMES[row]}</th>' for owner, row in columns)
+    head = "".join(
+        f'<th class="axis">{escape(visible(owner))}<br>{escape(visible(NAMES.get(row, row)))}</th>'
+        for owner, row in columns
+    )
     rows = "".join(
         f'<tr><th scope="row">{escape(visible(dive))}</th>'
         f"{''.join(_dot(cells.get((dive, *column))) for column in columns)}</tr>"

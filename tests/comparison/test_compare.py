@@ -496,7 +496,10 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped(dives: int, tmp
 
 @pytest.mark.parametrize(
     ("format_", "expected"),
-    [("md", "| roll | 0.4000 | 0.4400 | +0.04000 | +10.0 | worse |"), ("latex", r"roll & 0.4000 & 0.4400 & +0.04000")],
+    [
+        ("md", "| roll | 0.4000 | 0.4400 | +0.04000 | +10.0 | worse |"),
+        ("latex", r"roll & 0.4000 & 0.4400 & $+0.04000$"),
+    ],
 )
 def test_pages_for_documents_hold_the_rows(
     format_: str, expected: str, place: Path, capsys: pytest.CaptureFixture[str]
