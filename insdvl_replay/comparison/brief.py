@@ -8,12 +8,14 @@ from insdvl_replay.comparison.display_tables import growth, old_and_new, percent
 from insdvl_replay.core.changes import Aggregate, Change, Comparison, Difference
 from insdvl_replay.core.plain_text import natural_key, visible
 from insdvl_replay.core.quantities import NAMES
+from insdvl_replay.core.table_layout import RATIO
 from insdvl_replay.core.words import ChangeWord
 from insdvl_replay.report.document import Column, DisplayTable, Html, Sentences, counted, table_of
 
 EVIDENCE: Final = "evidence"
 SHOWN: Final = ("value", "baseline")
 """Columns of the evidence that are errors of one filter; ratios and their intervals follow from them."""
+HONESTY_ROWS: Final = ("nis", "nees")
 _MOST_DIFFERENCES: Final = 8
 _FULL_PCT: Final = 50.0
 """Changes beyond end at the edge of a cell."""
@@ -72,7 +74,12 @@ def brief_aggregates(aggregates: Sequence[Aggregate], baseline: str) -> Iterator
 
 
 def _is_shown(cell: Change | Aggregate) -> bool:
-    return cell.table == EVIDENCE and cell.column in SHOWN and (isinstance(cell, Aggregate) or _has_moved(cell))
+    """Return whether a cell of the evidence is shown: errors and times, and of honesty how far it is from 1.
+
+    A smaller mean NIS or NEES is not the better one: its ratio, of the distances from 1, tells.
+    """
+    wanted = (RATIO,) if cell.row in HONESTY_ROWS else SHOWN
+    return cell.table == EVIDENCE and cell.column in wanted and (isinstance(cell, Aggregate) or _has_moved(cell))
 
 
 def _has_moved(change: Change) -> bool:

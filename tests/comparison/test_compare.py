@@ -645,3 +645,13 @@ def test_in_brief_two_runs_of_eight_dives_fit_40_lines(tmp_path: Path) -> None:
     assert len(names) > 15
     assert len(lines) <= 40
     assert sum(line.startswith("aided ") for line in lines) == len(names)
+
+
+def test_in_brief_a_smaller_nis_is_not_called_better(tmp_path: Path) -> None:
+    """Of an over-cautious filter it is the worse one: what counts is the distance from 1, which the ratio is of."""
+    old, new = content(), content()
+    row = evidence_row(0.002) | {"evidence": "honesty", "quantity": "nis", "unit": "", "ratio": 1.0}
+    old["tables"]["evidence"], new["tables"]["evidence"] = [row], [row | {"value": 0.001, "ratio": 1.1}]
+    comparison = in_order(compared(tmp_path, old, new), "table", only_changed=True)
+    [line] = [line for line in as_markdown(brief_document(comparison)).split("\n") if "NIS / dof" in line]
+    assert line.endswith("| +10.0 % | worse |")
