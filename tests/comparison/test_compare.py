@@ -655,3 +655,15 @@ def test_in_brief_a_smaller_nis_is_not_called_better(tmp_path: Path) -> None:
     comparison = in_order(compared(tmp_path, old, new), "table", only_changed=True)
     [line] = [line for line in as_markdown(brief_document(comparison)).split("\n") if "NIS / dof" in line]
     assert line.endswith("| +10.0 % | worse |")
+
+
+@pytest.mark.parametrize(("old", "new", "word"), [(0.002, 0.001, "worse"), (0.5, 0.8, "better"), (2.0, 1.5, "better")])
+def test_means_of_honesty_are_better_the_nearer_they_are_to_one(
+    old: float, new: float, word: str, tmp_path: Path
+) -> None:
+    before, after = content(), content()
+    for made, value in ((before, old), (after, new)):
+        made["tables"]["evidence"] = [
+            evidence_row(value) | {"evidence": "honesty", "quantity": "nis", "unit": "", "ratio": 1.0}
+        ]
+    assert words(compared(tmp_path, before, after), table="evidence")["evidence", "nis", "value"] == word
