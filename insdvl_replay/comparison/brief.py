@@ -8,12 +8,14 @@ from insdvl_replay.comparison.display_tables import growth, old_and_new, percent
 from insdvl_replay.core.changes import Aggregate, Change, Comparison, Difference
 from insdvl_replay.core.plain_text import natural_key, visible
 from insdvl_replay.core.quantities import NAMES
+from insdvl_replay.core.table_layout import RATIO
 from insdvl_replay.core.words import ChangeWord
 from insdvl_replay.report.document import Column, DisplayTable, Html, Sentences, counted, table_of
 
 EVIDENCE: Final = "evidence"
 SHOWN: Final = ("value", "baseline")
 """Columns of the evidence that are errors of one filter; ratios and their intervals follow from them."""
+HONESTY_ROWS: Final = ("nis", "nees")
 _MOST_DIFFERENCES: Final = 8
 _FULL_PCT: Final = 50.0
 """Changes beyond end at the edge of a cell."""
@@ -37,7 +39,7 @@ def brief_changes(changes: Sequence[Change], baseline: str) -> Iterator[DisplayT
     rows = [change for change in changes if _is_shown(change)]
     columns: list[Column[Change]] = [
         ("filter", "l", lambda change: _owner(change, baseline)),
-        ("evidence", "l", lambda change: NAMES[change.row]),
+        ("evidence", "l", lambda change: NAMES.get(change.row, change.row)),
         ("", "l", lambda change: change.unit),
         ("old", "r", lambda change: old_and_new(change)[0]),
         ("new", "r", lambda change: old_and_new(change)[1]),
@@ -59,7 +61,7 @@ def brief_aggregates(aggregates: Sequence[Aggregate], baseline: str) -> Iterator
     rows = list({(_owner(row, baseline), row.row): row for row in reversed(rows)}.values())[::-1]
     columns: list[Column[Aggregate]] = [
         ("filter", "l", lambda cell: _owner(cell, baseline)),
-        ("evidence", "l", lambda cell: NAMES[cell.row]),
+        ("evidence", "l", lambda cell: NAMES.get(cell.row, cell.row)),
         ("better", "r", lambda cell: str(cell.better)),
         ("worse", "r", lambda cell: str(cell.worse)),
         ("same", "r", lambda cell: str(cell.same)),
@@ -72,7 +74,12 @@ def brief_aggregates(aggregates: Sequence[Aggregate], baseline: str) -> Iterator
 
 
 def _is_shown(cell: Change | Aggregate) -> bool:
-    return cell.table == EVIDENCE and cell.column in SHOWN and (isinstance(cell, Aggregate) or _has_moved(cell))
+    """Return whether a cell of the evidence is shown: errors and times, and of honesty how far it is from 1.
+
+    A smaller mean NIS or NEES is not the better one: its ratio, of the distances from 1, tells.
+    """
+    wanted = (RATIO,) if cell.row in HONESTY_ROWS else SHOWN
+    return cell.table == EVIDENCE and cell.column in wanted and (isinstance(cell, Aggregate) or _has_moved(cell))
 
 
 def _has_moved(change: Change) -> bool:
@@ -103,7 +110,10 @@ def dot_plot(comparison: Comparison, baseline: str) -> Iterator[Html]:
     dives = sorted({change.log for change in changes}, key=natural_key)
     if not changes:
         return
-    head = "".join(f'<th class="axis">{escape(visible(owner))}<br>{NAMES[row]}</th>' for owner, row in columns)
+    head = "".join(
+        f'<th class="axis">{escape(visible(owner))}<br>{escape(visible(NAMES.get(row, row)))}</th>'
+        for owner, row in columns
+    )
     rows = "".join(
         f'<tr><th scope="row">{escape(visible(dive))}</th>'
         f"{''.join(_dot(cells.get((dive, *column))) for column in columns)}</tr>"

@@ -166,6 +166,8 @@ def rank_word(old: Cell, new: Cell, best_first: tuple[str, ...]) -> ChangeWord:
 
 NAMES: Final = frozenset(("log", "filter", "unit"))
 """Columns that name a row, with its key."""
+HONESTY: Final = "honesty"
+"""Evidence of means that are better the nearer they are to 1."""
 SENTENCES: Final = frozenset((("filters", "verdict"),))
 """Cells that say in words what others say in numbers."""
 
@@ -257,10 +259,20 @@ def _cells(
             yield column, was, is_, moved
 
 
+def direction_of(layout: TableLayout, column: str, row: Row) -> tuple[Better | None, float]:
+    """Return what is better in a cell, and the degrees of freedom that it may be nearer to; NaN where it has none.
+
+    A mean NIS or NEES over its degrees of freedom, as the evidence on honesty has it, is better the nearer it is to 1.
+    """
+    if layout.name == "evidence" and row.get("evidence") == HONESTY and column in ("baseline", "value"):
+        return "nearer dof", 1.0
+    return layout.better.get(column), _number(row, "dof")
+
+
 def _judged(old: Row, new: Row, column: str, layout: TableLayout, tolerance_pct: float | None) -> Moved:
     was, is_ = old[column], new[column]
-    better = layout.better.get(column)
-    dofs = _number(old, "dof"), _number(new, "dof")
+    (_, dof_before), (better, dof_after) = (direction_of(layout, column, row) for row in (old, new))
+    dofs = dof_before, dof_after
     if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
         better = None
     if isinstance(was, float) and isinstance(is_, float) and better is None and agree(was, is_, column):

@@ -83,7 +83,18 @@ def evaluate_gates(gates: Gates, dives: Iterable[Checked]) -> CheckResult:
         if gate.share_of_dives_pct is not None:
             judgements = _enough(gate, judgements, gate.share_of_dives_pct)
     judgements.sort(key=lambda judgement: _WORST_FIRST.index(judgement.status))
-    return CheckResult(str(gates.path), tuple(judgements))
+    return CheckResult(str(gates.path), tuple(judgements), _words(dives))
+
+
+def _words(dives: Sequence[Checked]) -> dict[str, dict[str, int]]:
+    """Count by filter on how many dives each word is said of it."""
+    counts: dict[str, dict[str, int]] = {}
+    for dive in dives:
+        filters = dive.result.filters if isinstance(dive.result, StoredReport) else {}
+        for name, candidate in filters.items():
+            of_filter, word = counts.setdefault(name, {}), str(candidate.get("improvement", ""))
+            of_filter[word] = of_filter.get(word, 0) + 1
+    return counts
 
 
 def is_meant(gate: Gate, dive: str) -> bool:

@@ -10,7 +10,16 @@ from insdvl_replay.core.stored_report import Cell, Row, StoredReport
 from insdvl_replay.core.table_layout import PERCENTAGE, TableLayout, layout_of
 from insdvl_replay.core.tables import CANDIDATES, TABLES
 from insdvl_replay.core.words import Judgement, ReferenceStatus
-from insdvl_replay.evaluation.row_changes import agree, rounding, rounding_pct, rows_of, size, size_change_pct, within
+from insdvl_replay.evaluation.row_changes import (
+    agree,
+    direction_of,
+    rounding,
+    rounding_pct,
+    rows_of,
+    size,
+    size_change_pct,
+    within,
+)
 from insdvl_replay.gates.model import ANY, POOLED, Finding, Gate
 
 LAYOUTS = (*TABLES, CANDIDATES, layout_of(POOLED, PooledRow))
@@ -42,7 +51,7 @@ def gated_rows(gate: Gate, report: StoredReport) -> Iterator[tuple[TableLayout, 
     """Yield each row that a gate means, cut down to what names it and what a comparison with it needs."""
     for layout in LAYOUTS:
         if gate.table in (ANY, layout.name):
-            needed = ("log", "filter", layout.key, "unit", "dof", gate.column)
+            needed = ("log", "filter", layout.key, "unit", "dof", "evidence", gate.column)
             for row in rows_of(report, layout):
                 if _is_meant(gate, layout, row):
                     yield layout, {name: row[name] for name in needed if name in row}
@@ -146,12 +155,16 @@ def _of_baseline(gate: Gate, layout: TableLayout, row: Row, was: Row | None) -> 
     if gate.baseline is None:
         return
     was = was or {}
-    old, new, better, dofs = was.get(gate.column), row[gate.column], layout.better[gate.column], (_dof(was), _dof(row))
+    old, new = was.get(gate.column), row[gate.column]
+    better, dof = direction_of(layout, gate.column, row)
+    dofs = direction_of(layout, gate.column, was)[1], dof
     if not _is_number(old) or not _is_number(new):
         yield "has no number in the baseline to compare with"
         return
     if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
         yield "has no dof beside it, or none in the baseline, to compare by"
+        return
+    if better is None:
         return
     before, after = (size(value, better, dof) for value, dof in zip((old, new), dofs, strict=True))
     sign = -1.0 if better == "higher" else 1.0
@@ -182,11 +195,6 @@ def _allowed(gate: Gate) -> str:
 
 def _percent(column: str) -> str:
     return "percentage points" if column.endswith(PERCENTAGE) else "%"
-
-
-def _dof(row: Row) -> float:
-    dof = row.get("dof")
-    return float(dof) if isinstance(dof, int | float) else math.nan
 
 
 def _cell(gate: Gate, layout: TableLayout, row: Row) -> str:

@@ -163,10 +163,13 @@ class CheckResult(Struct, frozen=True):
         The gate file.
     judgements : tuple of Judgement
         Failures first, then in the order of dives and gates.
+    words : dict of str to dict of str to int
+        By filter, on how many dives each word is said of it.
     """
 
     gates: str
     judgements: tuple[Judgement, ...]
+    words: dict[str, dict[str, int]] = {}
 
     def count(self, status: GateStatus) -> int:
         """Count the judgements of a status."""

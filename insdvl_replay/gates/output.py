@@ -130,6 +130,10 @@ def check_text(result: CheckResult) -> str:
 def check_markdown(result: CheckResult) -> str:
     """Lay the same out in Markdown."""
     parts: list[Part] = [Title("Gates"), *filter(None, (check_sentence(result), trajectory_sentence(result)))]
+    parts += [
+        f"{name}: {', '.join(f'{count} {word}' for word, count in words.items())}"
+        for name, words in result.words.items()
+    ]
     if missed := _missed(result):
         rows = tuple((WORDS[item.status], item.dive, item.gate, "; ".join(item.reasons)) for item in missed)
         parts.append(DisplayTable("What did not pass", ("", "dive", "gate", "why"), "llll", rows))

@@ -73,12 +73,26 @@ def _lines(part: Part) -> Iterator[RenderableType]:
             yield Text()
             for line in sentences:
                 yield from _lines(line)
-        case Code(text):
-            yield Text()
-            yield from (Text(visible(line), no_wrap=True, overflow="ignore") for line in text.splitlines())
-        case DisplayTable(title, title_apart=apart):
-            yield Text()
-            yield from (spoken(title, "bold"), _Fitting(replace(part, title=""))) if apart else (_Fitting(part),)
+        case Code():
+            yield from _code_lines(part)
+        case DisplayTable():
+            yield from _table_lines(part)
+
+
+def _code_lines(code: Code) -> Iterator[RenderableType]:
+    """Render lines that are never folded; those of a language stand apart."""
+    if code.language:
+        yield Text()
+    yield from (Text(visible(line), no_wrap=True, overflow="ignore") for line in code.text.splitlines())
+
+
+def _table_lines(table: DisplayTable) -> Iterator[RenderableType]:
+    """Render a table; one without a title belongs to what stands before it."""
+    if table.title:
+        yield Text()
+    if table.title_apart:
+        yield spoken(table.title, "bold")
+    yield _Fitting(replace(table, title="") if table.title_apart else table)
 
 
 @dataclass(frozen=True)

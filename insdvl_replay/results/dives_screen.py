@@ -21,6 +21,7 @@ from insdvl_replay.report.document import (
     Column,
     DisplayTable,
     Part,
+    Sentences,
     counted,
     table_of,
 )
@@ -49,7 +50,7 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
     """
     pooled = pooled_candidates(outcomes)
     return [
-        *([_pooled(pooled)] if pooled else []),
+        *(_pooled(pooled) if pooled else ()),
         *_dives(outcomes),
         _counts(outcomes),
         Code(f"all tables: -v   page: {index}", ""),
@@ -76,7 +77,7 @@ def _warnings(outcomes: Sequence[Outcome]) -> Iterator[str]:
         yield f"warnings on {sum(map(bool, codes))}: {', '.join(named + more)}"
 
 
-def _pooled(pooled: Sequence[PooledCandidate]) -> DisplayTable:
+def _pooled(pooled: Sequence[PooledCandidate]) -> Iterator[Part]:
     columns: list[Column[PooledCandidate]] = [
         (f"against {' or '.join(dict.fromkeys(one.baseline for one in pooled))}", "l", lambda one: one.name),
         ("all dives", "l", lambda one: shouted(one.judgement)),
@@ -86,7 +87,8 @@ def _pooled(pooled: Sequence[PooledCandidate]) -> DisplayTable:
         ("won", "r", lambda one: _of(one, lambda row: f"{row.dives_won}/{row.dives}")),
         ("p", "r", lambda one: _of(one, lambda row: f"{finite(row.p):.2g}")),
     ]
-    return table_of("", pooled, columns, spare=(2, 4, 6, 5, 3))
+    yield table_of("", pooled, columns, spare=(2, 4, 6, 5, 3))
+    yield Sentences(())
 
 
 def _of(pooled: PooledCandidate, text: Callable[[PooledRow], str]) -> str:

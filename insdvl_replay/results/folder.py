@@ -232,7 +232,8 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
     if label.tool.get("name") == TOOL:
         trajectories = map(trajectory_file, [label.baseline, *label.filters])
         return {COMPLETE, *(label.files or {*DIVE_FILES, *trajectories, REFERENCE_TRAJECTORY})}
-    return DIVE_FILES if all((folder / name).is_file() for name in DIVE_FILES) else None
+    needed = set(DIVE_FILES) - {REPLAY_LOG, TRAJECTORY_FILE}  # which checks, and early versions, do without
+    return DIVE_FILES if all((folder / name).is_file() for name in needed) else None
 
 
 def require_replaceable_file(target: Path, *, force: bool = False) -> None:

@@ -3,7 +3,9 @@
 The files in ``golden`` hold the screens; ``python tests/cli/test_screens.py`` writes them anew.
 """
 
+import csv
 import io
+import json
 import os
 import pty
 import re
@@ -21,6 +23,7 @@ from made_reports import report
 from msgspec.structs import replace
 from rich.console import Console
 
+from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.words import Belief, EvidenceWord, GateStatus, Judgement
 from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.dive_screen import dive_screen
@@ -201,7 +204,44 @@ def test_three_candidates_have_a_row_each() -> None:
     several = replace(made, filters=filters, tables=replace(made.tables, evidence=rows))
     text = rendered(list(dive_screen(several, "report.html")))
     assert len(screen_lines(text)) <= ROWS
-    assert [line.split()[0] for line in text.split("\n")[4:7]] == list(filters)
+    assert [line.split()[0] for line in text.split("\n")[3:6]] == list(filters)
+
+
+def test_two_candidates_fit_a_screen_though_their_sentences_fold() -> None:
+    made = report()
+    filters = dict.fromkeys(("windowed_acceleration", "published_acceleration"), made.filters["aided"])
+    rows = [replace(row, filter=name) for name in filters for row in made.tables.evidence * 3]
+    wide = [
+        replace(row, filter=name, quantity="velocity", verdict="over-confident")
+        for name in filters
+        for row in made.tables.credibility[:1]
+    ]
+    tables = replace(made.tables, evidence=rows, credibility=[*made.tables.credibility, *wide])
+    text = rendered(list(dive_screen(replace(made, filters=filters, tables=tables), "report.html")))
+    assert sum(line.startswith(tuple(f"{name} against" for name in filters)) for line in text.split("\n")) == 2
+    assert len(screen_lines(text)) <= ROWS
+
+
+def test_tables_of_several_dives_are_one_in_every_format(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "b"):
+        assert run_command_line(["simulate", "straight", "-o", f"{name}.mcap", "--duration", "40"]) == 0
+    run = ["run", "a.mcap", "b.mcap", "--starts", "1"]
+    capsys.readouterr()
+    assert run_command_line([*run, "--table", "track_fit", "--format", "csv"]) == 0
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert [row["log"] for row in rows] == ["a"] * (len(rows) // 2) + ["b"] * (len(rows) // 2)
+    assert run_command_line([*run, "--format", "csv"]) == 0
+    assert capsys.readouterr().out.count("table,log,filter,quantity,unit,fitted") == 1
+    assert run_command_line([*run, "--table", "evidence", "--format", "json"]) == 0
+    assert {row["log"] for row in json.loads(capsys.readouterr().out)["evidence"]} == {"a", "b"}
+    for format_, begin in (("md", "## 2 dives"), ("latex", "% 2 dives")):
+        assert run_command_line([*run, "--format", format_]) == 0
+        assert begin in capsys.readouterr().out
+    assert run_command_line([*run, "--table", "evidense"]) == 2
+    assert "did you mean evidence?" in capsys.readouterr().err
 
 
 def write_golden() -> Iterator[str]:

@@ -496,7 +496,10 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped(dives: int, tmp
 
 @pytest.mark.parametrize(
     ("format_", "expected"),
-    [("md", "| roll | 0.4000 | 0.4400 | +0.04000 | +10.0 | worse |"), ("latex", r"roll & 0.4000 & 0.4400 & +0.04000")],
+    [
+        ("md", "| roll | 0.4000 | 0.4400 | +0.04000 | +10.0 | worse |"),
+        ("latex", r"roll & 0.4000 & 0.4400 & $+0.04000$"),
+    ],
 )
 def test_pages_for_documents_hold_the_rows(
     format_: str, expected: str, place: Path, capsys: pytest.CaptureFixture[str]
@@ -642,3 +645,25 @@ def test_in_brief_two_runs_of_eight_dives_fit_40_lines(tmp_path: Path) -> None:
     assert len(names) > 15
     assert len(lines) <= 40
     assert sum(line.startswith("aided ") for line in lines) == len(names)
+
+
+def test_in_brief_a_smaller_nis_is_not_called_better(tmp_path: Path) -> None:
+    """Of an over-cautious filter it is the worse one: what counts is the distance from 1, which the ratio is of."""
+    old, new = content(), content()
+    row = evidence_row(0.002) | {"evidence": "honesty", "quantity": "nis", "unit": "", "ratio": 1.0}
+    old["tables"]["evidence"], new["tables"]["evidence"] = [row], [row | {"value": 0.001, "ratio": 1.1}]
+    comparison = in_order(compared(tmp_path, old, new), "table", only_changed=True)
+    [line] = [line for line in as_markdown(brief_document(comparison)).split("\n") if "NIS / dof" in line]
+    assert line.endswith("| +10.0 % | worse |")
+
+
+@pytest.mark.parametrize(("old", "new", "word"), [(0.002, 0.001, "worse"), (0.5, 0.8, "better"), (2.0, 1.5, "better")])
+def test_means_of_honesty_are_better_the_nearer_they_are_to_one(
+    old: float, new: float, word: str, tmp_path: Path
+) -> None:
+    before, after = content(), content()
+    for made, value in ((before, old), (after, new)):
+        made["tables"]["evidence"] = [
+            evidence_row(value) | {"evidence": "honesty", "quantity": "nis", "unit": "", "ratio": 1.0}
+        ]
+    assert words(compared(tmp_path, before, after), table="evidence")["evidence", "nis", "value"] == word

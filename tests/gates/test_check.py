@@ -406,6 +406,7 @@ def test_the_summary_has_before_and_after(team: Path) -> None:
     assert done.returncode == 1
     text = (team / "summary.md").read_text("utf-8")
     assert "**Before and after**" in text
+    assert re.search(r"^aided: \d+ (undecided|better|equivalent|worse|mixed)", text, re.MULTILINE)
     assert re.search(
         r"\| transit \| improvement aided ba_z: sd \| [\d.]+ \| [\d.]+ mg \| \+[\d.]+ % \| FAILED \|", text
     )

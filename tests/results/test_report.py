@@ -223,7 +223,7 @@ def test_markdown_tables_have_one_cell_per_column() -> None:
 def test_latex_escapes_what_latex_would_read() -> None:
     text = as_latex(dive_document(report()))
     assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 10
-    assert r"20.0 \% & improved \\" in text
+    assert r"20.0\,\% & improved \\" in text
     assert r"m/s & 1.000" in text
 
 
