@@ -1,7 +1,7 @@
 """The message types that are known by name: which quantity stands in which field, and in which units and axes.
 
-Every other type is read by the field paths of the configuration. Sources: the definitions in the public repositories of
-the packages, the Blueye protocol's descriptors, and the makers' manuals for the beams.
+Every other type is read by the field paths of the configuration. Those of a DVL are in `known_dvls`. Sources: the
+definitions in the public repositories of the packages, and the Blueye protocol's descriptors.
 """
 
 from collections.abc import Mapping
@@ -24,11 +24,14 @@ class KnownType:
         Values for keys of the role's section in the configuration that are left out there.
     stamp : str
         Where the time of validity stands; empty for the header, or the recorder's log time where there is none.
+    about : str
+        Who writes it, and what is to be known of it, for the page of inputs.
     """
 
     fields: Fields
     conventions: Mapping[str, Any] = field(default_factory=dict)
     stamp: str = ""
+    about: str = ""
 
 
 Types = Mapping[str, KnownType]
@@ -61,78 +64,6 @@ IMU: Final[Types] = {
     "blueye.protocol.CalibratedImuTel": KnownType(_BLUEYE_IMU, _G_UPSIDE_DOWN, LOG_TIME),
 }
 """A variance of -1 says that the quantity is not measured. ``interfaces`` is Nortek's package for the Nucleus."""
-
-DVL_BEAMS: Final[Types] = {
-    "marine_acoustic_msgs/msg/Dvl": KnownType(
-        {
-            "mode": "velocity_mode",
-            "velocity": "velocity",
-            "altitude": "altitude",
-            "good_beams": "num_good_beams",
-            "beams_valid": "beam_velocities_valid",
-            "beam_velocity": "beam_velocity",
-            "beam_vectors": "beam_unit_vec",
-            "beam_ranges": "range",
-        }
-    ),
-    # The beams of Water Linked's A50 and A125, which both drivers number from behind starboard clockwise.
-    "dvl_msgs/msg/DVL": KnownType(
-        {
-            "velocity": "velocity",
-            "valid": "velocity_valid",
-            "beam_velocity": "beams[*].velocity",
-            "beam_valid": "beams[*].valid",
-        },
-        {"beam_tilt_deg": 22.5, "beam_azimuth_deg": (135.0, 225.0, 315.0, 45.0)},
-        "time_of_validity",
-    ),
-    # The Blueye turns the velocity of its A50, which looks backwards, into the vehicle's axes, and leaves the beams be:
-    # in these axes they stand half a turn further.
-    "blueye.protocol.DvlVelocityTel": KnownType(
-        {
-            "velocity": "dvl_velocity.velocity",
-            "status": "dvl_velocity.status",
-            "water_track": "dvl_velocity.is_water_tracking",
-            "beam_velocity": "dvl_velocity.transducers[*].velocity",
-            "beam_valid": "dvl_velocity.transducers[*].beam_valid",
-        },
-        {"beam_tilt_deg": 22.5, "beam_azimuth_deg": (315.0, 45.0, 135.0, 225.0)},
-        LOG_TIME,
-    ),
-    # No message tells where the three beams of a Nucleus point: its velocity is taken unless the configuration tells.
-    "interfaces/msg/BottomTrack": KnownType(
-        {
-            "velocity": "velocity_x, velocity_y, velocity_z",
-            "valid": "x_velocity_valid, y_velocity_valid, z_velocity_valid",
-            "beam_velocity": "velocity_beam_1, velocity_beam_2, velocity_beam_3",
-            "beam_valid": "beam_1_velocity_valid, beam_2_velocity_valid, beam_3_velocity_valid",
-        },
-        {"kind": "velocity"},
-        "system_timestamp",
-    ),
-    # The raw velocities are along the beams only in one of four modes, which most drivers do not use.
-    "ds_sensor_msgs/msg/Dvl": KnownType(
-        {
-            "mode": "velocity_mode",
-            "coordinates": "coordinate_mode",
-            "velocity": "velocity",
-            "good_beams": "num_good_beams",
-            "beam_velocity": "raw_velocity",
-            "beam_vectors": "beam_unit_vec",
-        },
-        {"kind": "velocity"},
-    ),
-}
-"""Mode 1 is bottom track, 2 water track; coordinates 0 are along the beams, 1 of the instrument; a status below 0 and
-flags that are 0 say that there is no velocity."""
-
-DVL_VELOCITY: Final[Types] = {
-    "geometry_msgs/msg/TwistStamped": KnownType({"velocity": "twist.linear"}),
-    "geometry_msgs/msg/TwistWithCovarianceStamped": KnownType({"velocity": "twist.twist.linear"}),
-}
-
-DVL_IF_NAMED: Final[Types] = {"nav_msgs/msg/Odometry": KnownType({"velocity": "twist.twist.linear"})}
-"""Too common to be taken for a DVL's unasked."""
 
 NAV_SOLUTION: Final[Types] = {
     "insdvl_msgs/msg/NavSolution": KnownType(

@@ -24,6 +24,7 @@ from insdvl_replay.logs.columns.topic_requirements import (
     solution_requirement,
 )
 from insdvl_replay.logs.container.records import LogChannel, by_topic
+from insdvl_replay.logs.encoding.ros2msg import full_name
 
 
 def _no_pings() -> DvlColumns:
@@ -157,7 +158,7 @@ class _Topics:
         if not self._channels:
             return LogError(f"{lack}: it has no messages at all", self._nothing_recorded())
         wanted = ", ".join(type_name for types in required.by_type for type_name in types)
-        empty = sorted(topic for topic, type_name in self._empty.items() if type_name in wanted.split(", "))
+        empty = sorted(topic for topic, type_name in self._empty.items() if full_name(type_name) in wanted.split(", "))
         found = sorted({one.type_name or one.topic for channels in self._channels.values() for one in channels})
         but = f"; {listed(empty)} would be, without a single message" if empty else ""
         return LogError(
@@ -182,7 +183,8 @@ class _Topics:
         """Name the topics of the first group of types that the log has, the better types first."""
         for types in required.by_type:
             order = list(types)
-            type_of = {topic: channels[0].type_name for topic, channels in self._channels.items() if topic != besides}
+            looked_at = {topic: channels[0] for topic, channels in self._channels.items() if topic != besides}
+            type_of = {topic: full_name(channel.type_name) for topic, channel in looked_at.items()}
             if found := [topic for topic, type_name in type_of.items() if type_name in types]:
                 return sorted(found, key=lambda topic: order.index(type_of[topic]))
         return []

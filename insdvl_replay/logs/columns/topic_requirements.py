@@ -8,10 +8,11 @@ import msgspec
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, error_context
-from insdvl_replay.logs.columns import known_types
+from insdvl_replay.logs.columns import known_dvls, known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
 from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.fields import Kinds, channel_paths, check_encoding, find_path, split_paths
+from insdvl_replay.logs.encoding.ros2msg import full_name
 
 BOW_DOWN: Final = "_bow_down"
 """Ends the name of a pitch with the opposite sign."""
@@ -104,9 +105,9 @@ class TopicRequirement:
     latency_s: float = 0.0
 
     def known(self, type_name: str) -> KnownType | None:
-        """Return what is known of a type."""
-        groups = (*self.by_type, self.if_named)
-        return next((types[type_name] for types in groups if type_name in types), None)
+        """Return what is known of a type, which ROS 1 calls ``package/Type``."""
+        groups, name = (*self.by_type, self.if_named), full_name(type_name)
+        return next((types[name] for types in groups if name in types), None)
 
     def source(self, topic: str, channels: Sequence[LogChannel]) -> Source:
         """Make a topic the source of the role."""
@@ -156,8 +157,8 @@ def dvl_requirement(config: Config) -> TopicRequirement:
         config.dvl,
         "dvl",
         ("beam_velocity", "beam_valid", "velocity", "valid"),
-        by_type=[known_types.DVL_BEAMS, known_types.DVL_VELOCITY],
-        if_named=known_types.DVL_IF_NAMED,
+        by_type=[known_dvls.DVL_BEAMS, known_dvls.DVL_VELOCITY],
+        if_named=known_dvls.DVL_IF_NAMED,
         enough=[{"beam_velocity"}, {"velocity"}],
     )
 
