@@ -45,7 +45,7 @@ class RoleColumns:
     def decode(self, role: str, tables: list[Table]) -> list[Note]:
         """Make the columns of a role; the raw ones are let go, since those of a long dive are large."""
         if role == "reference":
-            self.reference, notes = decode_reference(tables, self.config.reference)
+            self.reference, notes = decode_reference(tables, self.config.reference, self.config.initial)
         elif role == "imu":
             self.imu, notes = decode_imu(tables.pop(), self.config.imu)
         elif role == "dvl":

@@ -170,7 +170,7 @@ def solution_requirement(config: Config) -> TopicRequirement:
         "reference",
         _SOLUTION,
         by_type=[known_types.NAV_SOLUTION, known_types.ODOMETRY],
-        if_named=known_types.FIX,
+        if_named={**known_types.FIX, **known_types.POSES},
         enough=[{"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES],
         together=_ANGLES,
     )
