@@ -213,5 +213,7 @@ BLUEYE_GNSS: Final = 4
 """``NAVIGATION_SENSOR_ID_BLUEYE_GNSS``."""
 
 TRUTH: Final[Types] = {
-    "insdvl_msgs/msg/SensorBiases": KnownType({"accel_bias": "accel_bias_mps2", "gyro_bias": "gyro_bias_radps"})
+    "insdvl_msgs/msg/SensorBiases": KnownType(
+        {"accel_bias": "accel_bias_mps2", "gyro_bias": "gyro_bias_radps"}, about="written by `simulate`"
+    )
 }
