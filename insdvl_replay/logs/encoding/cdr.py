@@ -18,7 +18,14 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.container.blocks import Block, gather
 from insdvl_replay.logs.encoding.fields import Columns, check_path
 from insdvl_replay.logs.encoding.layout import ENCAPSULATION, Layout, dynamic_lengths, layout_of
-from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES, Definition, definition_text, full_name, parse_definitions
+from insdvl_replay.logs.encoding.ros2msg import (
+    PRIMITIVES,
+    Definition,
+    completed_text,
+    definition_text,
+    full_name,
+    parse_definitions,
+)
 
 LITTLE_ENDIAN: Final = int.from_bytes(ENCAPSULATION[:2], "little")
 """The first word of messages that can be read."""
@@ -238,8 +245,9 @@ def _chosen(rows: Rows, mask: NDArray[np.bool_]) -> Rows:
 
 @cache
 def definitions_by(type_name: str, schema_text: str) -> dict[str, Definition]:
-    """Parse a schema; one that is empty is that of a known type."""
-    return parse_definitions(type_name, schema_text if schema_text.strip() else definition_text(type_name))
+    """Parse a schema; one that is empty is that of a known type, and so are the types that one lacks."""
+    text = schema_text if schema_text.strip() else definition_text(type_name)
+    return parse_definitions(type_name, completed_text(type_name, text))
 
 
 def cdr_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:
