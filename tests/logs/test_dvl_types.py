@@ -193,6 +193,9 @@ def test_link_that_looks_down_with_its_x_axis_is_noticed_and_can_be_told(read: A
         return values | {"velocity": xyz(to_link @ TRUE_D[i])}
 
     assert "dvl_beams_not_down" in codes(read("mvp_msgs/msg/DVL", ping))
+    at_zero = lambda i: ping(i) | {"beams": [beam | {"velocity": 0.0} for beam in ping(i)["beams"]]}  # noqa: E731
+    assert {"dvl_beams_not_down", "dvl_no_beams"} <= codes(read("mvp_msgs/msg/DVL", at_zero)).keys()
+    assert "dvl_beams_not_down" not in codes(read("mvp_msgs/msg/DVL", at_zero, axes="+z-y+x"))
     dive = read("mvp_msgs/msg/DVL", ping, axes="+z-y+x")
     assert "dvl_beams_not_down" not in codes(dive)
     np.testing.assert_allclose(by_beams(dive), np.delete(TRUE_D, [5, 6], axis=0), atol=1e-9)

@@ -110,6 +110,13 @@ def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
     return _geometry(settings)
 
 
+def note_poses(table: Table, settings: Dvl, cleaner: Cleaner) -> None:
+    """Note axes that are not forward-starboard-down by the poses of the beams, where only velocities are used."""
+    vectors = _told_vectors(table, cleaner)
+    if len(vectors) and not _doubt(vectors, table, cleaner):
+        note_not_down(cleaner, in_frd(vectors, settings.axes or FRD, "dvl.axes"))
+
+
 def note_not_down(cleaner: Cleaner, vectors_d: Floats) -> None:
     """Note beams, shape (beams, 3), that do not look down in the axes in use: these are not forward-starboard-down."""
     mean = vectors_d.mean(axis=0)
