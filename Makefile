@@ -5,7 +5,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated demo test extras quick processors check lint bench judge attack lock samples schemas pictures readme reproduce docs clean
+.PHONY: calibrated demo test extras quick processors check lint bench judge attack lock samples schemas pictures readme inputs reproduce docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
@@ -83,6 +83,10 @@ readme: .venv/run.stamp
 docs: .venv/test.stamp
 	$(BIN)/python pages/site_pages.py build/pages
 	$(BIN)/python -m mkdocs build --strict --quiet
+
+# The page of the logs that can be used, by the tables of the types that are known.
+inputs: .venv/run.stamp
+	$(BIN)/python pages/inputs.py
 
 # Needs the eight dives of the AUV Snapir, in ../shared/data/snapir or where DIVES says.
 DIVES ?= ../shared/data/snapir

@@ -1,11 +1,13 @@
 """What a log holds, for people: the file, roles, topics and clocks, what was noticed; and for scripts, as CSV."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from typing import Any, Final
 
 import msgspec
 
+from insdvl_replay.core.errors import listed
 from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, PingFacts, ReferenceFacts, TopicFacts
 from insdvl_replay.report.csv_tables import blocks_csv
@@ -23,6 +25,11 @@ from insdvl_replay.report.document import (
 )
 
 _PREFIXES: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
+_MOST_TOPICS: Final = 100
+"""More are folded: recorders that write each field of each message as a topic make thousands."""
+_LEAST_FOLDED: Final = 4
+_MOST_EMPTY: Final = 40
+_SPAN: Final = ("start_s", "end_s")
 _PROPOSAL: Final = "To start from, as a file for -c; the comments say what was seen and what is to decide:"
 
 
@@ -97,8 +104,39 @@ def _topics(inventory: Inventory) -> DisplayTable:
         "Topics: rate, longest gap and span by the times of recording",
         ("topic\n  type, encoding", "role", "messages", "rate\n[Hz]", "gap\n[s]", "from\n[s]", "to\n[s]"),
         "llrrrrr",
-        tuple(_topic(topic) for topic in inventory.topics if topic.messages),
-        f"without messages: {', '.join(topic.topic for topic in empty)}" if empty else "",
+        tuple(_folded([topic for topic in inventory.topics if topic.messages])),
+        f"without messages: {listed([topic.topic for topic in empty], _MOST_EMPTY)}" if empty else "",
+    )
+
+
+def _folded(topics: Sequence[TopicFacts]) -> Iterator[tuple[CellText, ...]]:
+    """Lay out the topics, of more than can be looked through those without a role under one parent in one row."""
+    below = Counter(_parent(topic) for topic in topics if not topic.role)
+    shown: set[str] = set()
+    for topic in topics:
+        parent = _parent(topic)
+        if topic.role or len(topics) <= _MOST_TOPICS or not parent or below[parent] < _LEAST_FOLDED:
+            yield _topic(topic)
+        elif parent not in shown:
+            shown.add(parent)
+            yield _fold(parent, [other for other in topics if not other.role and _parent(other) == parent])
+
+
+def _parent(topic: TopicFacts) -> str:
+    return topic.topic.rpartition("/")[0]
+
+
+def _fold(parent: str, topics: Sequence[TopicFacts]) -> tuple[CellText, ...]:
+    encodings = ", ".join(sorted({topic.encoding or "no encoding" for topic in topics}))
+    starts, ends = ([value for topic in topics if (value := getattr(topic, name)) is not None] for name in _SPAN)
+    return (
+        (f"{parent}/*", f"  {len(topics)} topics, {encodings}"),
+        "",
+        str(sum(topic.messages for topic in topics)),
+        MISSING,
+        MISSING,
+        f"{min(starts):.0f}",
+        f"{max(ends):.0f}",
     )
 
 

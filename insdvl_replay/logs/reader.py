@@ -20,6 +20,7 @@ from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.loss import COPY_AGAIN
 from insdvl_replay.logs.container.recording import open_recording
 from insdvl_replay.logs.container.records import LogChannel, by_topic
+from insdvl_replay.logs.encoding.ros2msg import missing_types
 
 
 def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:
@@ -96,12 +97,19 @@ def _channels(channels: Sequence[LogChannel], sources: Sequence[Source]) -> tupl
 
 
 def schema_notes(sources: Iterable[Source]) -> list[Note]:
-    """State for which topics the log has no schema, so that a definition that comes with the tool was used."""
+    """State for which topics the log has no schema, or a part of one, so that definitions of the tool were used."""
     return [
-        Note("builtin_definition", f"{source.topic}: the log has no schema; that of {source.type_name} was assumed")
+        Note("builtin_definition", f"{source.topic}: the log has no schema{lacking} was assumed")
         for source in sources
-        if source.channels[0].encoding == "cdr" and not all(channel.schema_text.strip() for channel in source.channels)
+        if source.channels[0].encoding == "cdr" and (lacking := _lacking(source))
     ]
+
+
+def _lacking(source: Source) -> str:
+    if not all(channel.schema_text.strip() for channel in source.channels):
+        return f"; that of {source.type_name}"
+    missing = {name for channel in source.channels for name in missing_types(channel.type_name, channel.schema_text)}
+    return f" of {', '.join(sorted(missing))}; what comes with the tool" if missing else ""
 
 
 def loss_notes(tables: Sequence[Table]) -> list[Note]:

@@ -38,7 +38,7 @@ def test_every_judgement_has_a_sentence_and_a_rank() -> None:
     assert {*candidates.words["improvement"]} == {*verdicts.AGAINST, Judgement.NOT_JUDGED} == {*Judgement}
 
 
-OF_MORE = {"credibility": re.compile("position"), "consistency": re.compile("|".join(SENSORS))}
+OF_MORE = {"credibility": re.compile("position"), "consistency": re.compile("|".join(("beam_", "parity", *SENSORS)))}
 """Rows of filters with more states, or more sensors."""
 
 

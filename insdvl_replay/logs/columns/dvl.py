@@ -1,7 +1,7 @@
 """The pings of a DVL, as beams or as velocities.
 
-Beams point where the configuration says, else where the messages do if it can be true, else where those of most DVLs
-do: from the instrument to the seabed; the velocity along one is that of the vehicle over ground.
+Beams point from the instrument to the seabed, `beam_directions` knows where; the velocity along one is that of the
+vehicle over ground.
 """
 
 from typing import Final
@@ -13,79 +13,11 @@ from insdvl_replay.core.dive_columns import DvlColumns, Floats, find_runs, secon
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
 from insdvl_replay.core.words import Severity
-from insdvl_replay.geometry import beams
+from insdvl_replay.logs.columns.beam_directions import beam_vectors, note_contradiction, note_poses, with_beam_speeds
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.order import Mask
 from insdvl_replay.logs.columns.tables import Table
-
-_UNIT_LENGTH_TOLERANCE: Final = 0.01
-_SLANT_TOLERANCE: Final = 0.1
-_CONTRADICTION: Final = 0.1
-"""Both are computed from the same echoes, so that a tilt that is wrong by 3 deg already shows."""
-_MOVING_MPS: Final = 0.05
-_HINT: Final = "dvl.beam_tilt_deg and dvl.beam_azimuth_deg say what the instrument has"
-
-
-def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
-    """Return the unit vectors of the beams in d, shape (beams, 3); note what the messages tell and cannot be true."""
-    configured = settings.beam_tilt_deg is not None or settings.beam_azimuth_deg is not None
-    if configured or "beam_vectors" not in table:
-        return _geometry(settings)
-    vectors = np.median(cleaner.kept(table.values("beam_vectors", 12)), axis=0).reshape(-1, 3)
-    doubt = _doubt(vectors, table, cleaner)
-    if not doubt:
-        return in_frd(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), settings.axes or FRD, "dvl.axes")
-    cleaner.note(
-        "beam_geometry",
-        f"pings have beam vectors that cannot be true ({doubt}); a tilt of {beams.TILT_DEG:g} deg and azimuths of "
-        f"{', '.join(f'{azimuth:g}' for azimuth in beams.AZIMUTH_DEG)} deg are assumed",
-        cleaner.rows.size,
-        Severity.WARNING,
-        _HINT,
-    )
-    return _geometry(settings)
-
-
-def note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: Floats, velocity_d: Floats) -> None:
-    """Note beams, shape (kept, beams), that do not add up to the velocity that the instrument makes of them."""
-    moving = np.isfinite(beam_velocity_mps).all(axis=1) & (np.linalg.norm(velocity_d, axis=1) > _MOVING_MPS)
-    if not moving.any() or np.linalg.matrix_rank(vectors_d) < vectors_d.shape[1]:
-        return
-    by_beams_d = beams.solve_beams(beam_velocity_mps[moving], vectors_d)[0]
-    apart_mps = np.linalg.norm(by_beams_d - velocity_d[moving], axis=1)
-    part = float(np.median(apart_mps / np.linalg.norm(velocity_d[moving], axis=1)))
-    if part > _CONTRADICTION:
-        text = f"pings have beams that, with the geometry in use, differ by {part:.0%} from the velocity beside them"
-        hint = f'{_HINT}; dvl.kind = "velocity" leaves them'
-        cleaner.note("beam_contradiction", text, int(moving.sum()), Severity.WARNING, hint, first=cleaner.rows[moving])
-
-
-def _geometry(settings: Dvl) -> Floats:
-    """Make the configured geometry, or a Janus's where nothing is configured."""
-    tilt_deg, azimuth_deg = settings.beam_tilt_deg, settings.beam_azimuth_deg
-    return beams.beam_vectors(
-        beams.TILT_DEG if tilt_deg is None else tilt_deg, beams.AZIMUTH_DEG if azimuth_deg is None else azimuth_deg
-    )
-
-
-def _doubt(vectors: Floats, table: Table, cleaner: Cleaner) -> str:
-    """State what speaks against beam vectors: their length, or altitude over range, which is the part along z."""
-    lengths = np.linalg.norm(vectors, axis=1)
-    if not np.all(np.abs(lengths - 1.0) < _UNIT_LENGTH_TOLERANCE):
-        return f"their lengths are {', '.join(f'{length:.3f}' for length in lengths)}"
-    if "altitude" not in table or "beam_ranges" not in table:
-        return ""
-    altitude, ranges = cleaner.kept(table.column("altitude")), cleaner.kept(table.values("beam_ranges", 4))
-    measured = np.isfinite(ranges).all(axis=1) & (ranges > 0.0).all(axis=1) & np.isfinite(altitude) & (altitude > 0.0)
-    if not measured.any():
-        return ""
-    slant = float(np.median(altitude[measured, None] / ranges[measured]))
-    along_z = float(np.median(vectors[:, 2]))
-    if abs(slant - along_z) < _SLANT_TOLERANCE:
-        return ""
-    return f"their part along z is {along_z:.3f}, altitude over range is {slant:.3f}"
-
 
 STUCK_S: Final = 5.0
 """A DVL on a vehicle in water repeats no ping to the last digit for so long."""
@@ -95,12 +27,18 @@ _BEAM_COORDINATES: Final = 0
 _INSTRUMENT_COORDINATES: Final = 1
 _BEAMS_FOR_VELOCITY: Final = 3
 _STUCK_PINGS: Final = 5
+_NO_VELOCITY_MPS: Final = -32.768
+"""The least number of 16 bits in mm/s, with which instruments of Nortek and Teledyne say that they have no velocity."""
+_SAME_MPS: Final = 1e-3
+_NORTEK_BEAM_BITS: Final = (0, 1, 2, 3)
+_NORTEK_XYZ_BITS: Final = (12, 13, 14)
 _VALID_HINT: Final = 'dvl.valid = "field.path", or dvl.beam_valid, names what marks good pings'
 
 
 def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
     """Make the columns of the DVL."""
     settings = table.source.completed(settings)
+    table = with_beam_speeds(table, settings)
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
     _keep_bottom_track(table, cleaner)
@@ -115,12 +53,25 @@ def _keep_bottom_track(table: Table, cleaner: Cleaner) -> None:
     if "water_track" in table:
         cleaner.keep(table.column("water_track") == 0.0, "water_track", "pings are water track")
     if "status" in table:
-        cleaner.keep(table.column("status") >= 0.0, "lost", "pings say by their status that the bottom was lost")
+        found = ~(table.column("status") < 0.0)
+        cleaner.keep(found, "lost", "pings say by their status or altitude that the bottom was lost")
 
 
 def _keep_valid(table: Table, cleaner: Cleaner) -> None:
     if "valid" in table:
         cleaner.keep(np.all(table.values("valid") > 0.0, axis=1), "invalid", "pings are marked as invalid")
+    if "velocity_var" in table:
+        cleaner.keep(
+            ~(table.column("velocity_var") < 0.0), "invalid", "pings have a negative variance, as invalid ones"
+        )
+    if "nortek_status" in table:
+        valid = np.asarray(_are_set(table, _NORTEK_XYZ_BITS).all(axis=1))
+        cleaner.keep(valid, "invalid", "pings are invalid by the bits of their status")
+
+
+def _are_set(table: Table, bits: tuple[int, ...]) -> Mask:
+    """Find which bits are set in Nortek's status, shape (k, bits)."""
+    return np.asarray((table.column("nortek_status").astype(np.int64)[:, None] >> np.array(bits)) & 1 == 1)
 
 
 def _keep_coordinates(table: Table, cleaner: Cleaner, wanted: int) -> None:
@@ -143,9 +94,9 @@ def _reads_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> bool:
         return kind == "beams"
     if "beam_velocity" not in table or "velocity" not in table:
         return "beam_velocity" in table
-    if bool(_has_beams(table).any()):
+    if bool((_has_beams(table) & np.any(np.nan_to_num(_beam_velocity(table)) != 0.0, axis=1)).any()):
         return True
-    cleaner.note("no_beams", "pings, all there are, have no valid beam; their velocities are used", len(table))
+    cleaner.note("no_beams", "pings, all there are, have no valid beam with a velocity; theirs are used", len(table))
     return False
 
 
@@ -166,18 +117,27 @@ def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColum
         cleaner.keep(enough, "invalid", "pings have fewer than three good beams")
     cleaner.keep_finite(velocity_d)
     _drop_repeats(cleaner, velocity_d)
+    if "beam_quaternions" in table:
+        note_poses(table, settings, cleaner)
     return DvlColumns(cleaner.times, velocity_d=cleaner.kept(velocity_d)), cleaner.notes
 
 
 def _velocity_d(table: Table, settings: Dvl) -> Floats:
     unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
-    return in_frd(table.values("velocity", 3), settings.axes or FRD, "dvl.axes", unit)
+    return in_frd(_told(table.values("velocity", 3), unit), settings.axes or FRD, "dvl.axes", unit)
+
+
+def _told(values: Floats, unit: float) -> Floats:
+    """Return velocities in the log's unit, NaN where they are the number that stands for none."""
+    is_none = np.abs(values * unit - _NO_VELOCITY_MPS) < _SAME_MPS
+    return np.where(is_none, np.nan, values) if is_none.any() else values
 
 
 def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, list[Note]]:
-    beam_velocity_mps = _possible(_beam_velocity(table) * VELOCITY_UNITS[settings.velocity_unit or "m/s"], cleaner)
+    unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
+    beam_velocity_mps = _possible(_told(_beam_velocity(table), unit) * unit, cleaner)
     _keep_coordinates(table, cleaner, _BEAM_COORDINATES)
-    if "beam_valid" not in table:
+    if "beam_valid" not in table and "nortek_status" not in table:
         _keep_valid(table, cleaner)
     cleaner.keep(_has_beams(table), "invalid", "pings have no valid beam")
     _drop_repeats(cleaner, beam_velocity_mps)
@@ -198,6 +158,10 @@ def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, l
 def _beam_velocity(table: Table) -> Floats:
     """Return the velocities along the beams in the log's unit, NaN where a beam is marked as lost."""
     velocity = table.values("beam_velocity")
+    if "beam_var" in table and (variance := table.values("beam_var")).shape == velocity.shape:
+        velocity = np.where(variance < 0.0, np.nan, velocity)
+    if "nortek_status" in table and velocity.shape[1] == len(_NORTEK_BEAM_BITS):
+        velocity = np.where(_are_set(table, _NORTEK_BEAM_BITS), velocity, np.nan)
     if "beam_valid" not in table:
         return velocity
     valid = table.values("beam_valid")

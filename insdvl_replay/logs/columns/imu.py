@@ -125,8 +125,9 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     force_axes, force_key = axes, "imu.axes"
     if settings.specific_force_axes is not None:
         force_axes, force_key = settings.specific_force_axes, "imu.specific_force_axes"
-    specific_force_b = in_frd(_measured(table, "specific_force"), force_axes, force_key, force_unit)
-    angular_rate_b = in_frd(_measured(table, "angular_rate"), axes, "imu.axes", rate_unit)
+    force, rate = _measured(table, "specific_force", "force"), _measured(table, "angular_rate", "rate")
+    specific_force_b = in_frd(force, force_axes, force_key, force_unit)
+    angular_rate_b = in_frd(rate, axes, "imu.axes", rate_unit)
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
     possible = _is_possible(specific_force_b, angular_rate_b)
@@ -145,9 +146,15 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     return imu, cleaner.notes
 
 
-def _measured(table: Table, quantity: str) -> Floats:
-    """Return a vector, NaN where its message says by a negative variance that it is not measured."""
+def _measured(table: Table, quantity: str, short: str) -> Floats:
+    """Return a vector, NaN where its message says by a negative variance that it is not measured.
+
+    What is given with an interval in microseconds is an increment over it; one over no time is NaN.
+    """
     values = table.values(quantity, 3)
+    if f"{short}_interval_us" in table:
+        interval_us = table.values(f"{short}_interval_us", 1)
+        values = values / np.where(interval_us > 0.0, interval_us * 1e-6, np.nan)
     if f"{quantity}_var" not in table:
         return values
     unmeasured = table.column(f"{quantity}_var") < 0.0

@@ -1,7 +1,7 @@
 """The message types that are known by name: which quantity stands in which field, and in which units and axes.
 
-Every other type is read by the field paths of the configuration. Sources: the definitions in the public repositories of
-the packages, the Blueye protocol's descriptors, and the makers' manuals for the beams.
+Every other type is read by the field paths of the configuration. Those of a DVL are in `known_dvls`. Sources: the
+definitions in the public repositories of the packages, and the Blueye protocol's descriptors.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,11 +24,14 @@ class KnownType:
         Values for keys of the role's section in the configuration that are left out there.
     stamp : str
         Where the time of validity stands; empty for the header, or the recorder's log time where there is none.
+    about : str
+        Who writes it, and what is to be known of it, for the page of inputs.
     """
 
     fields: Fields
     conventions: Mapping[str, Any] = field(default_factory=dict)
     stamp: str = ""
+    about: str = ""
 
 
 Types = Mapping[str, KnownType]
@@ -38,6 +41,7 @@ LOG_TIME: Final = "log_time"
 """The recorder's time of arrival, as a stamp."""
 
 _G_UPSIDE_DOWN: Final = {"specific_force_unit": "g", "specific_force_axes": "-x-y-z"}
+_BLUEYE: Final = "Blueye X3; specific force in g"
 _BLUEYE_IMU: Final = {"specific_force": "imu.accelerometer", "angular_rate": "imu.gyroscope"}
 
 IMU: Final[Types] = {
@@ -47,7 +51,8 @@ IMU: Final[Types] = {
             "angular_rate": "angular_velocity",
             "specific_force_var": "linear_acceleration_covariance[0]",
             "angular_rate_var": "angular_velocity_covariance[0]",
-        }
+        },
+        about="specific force in m/s^2 and rad/s; axes as `imu.axes` says, forward-starboard-down if nothing does",
     ),
     "interfaces/msg/IMU": KnownType(
         {
@@ -55,84 +60,31 @@ IMU: Final[Types] = {
             "angular_rate": "gyro_x, gyro_y, gyro_z",
         },
         stamp="system_timestamp",
+        about="Nortek Nucleus",
     ),
-    "blueye.protocol.Imu2Tel": KnownType(_BLUEYE_IMU, {"specific_force_unit": "g"}, LOG_TIME),
-    "blueye.protocol.Imu1Tel": KnownType(_BLUEYE_IMU, _G_UPSIDE_DOWN, LOG_TIME),
-    "blueye.protocol.CalibratedImuTel": KnownType(_BLUEYE_IMU, _G_UPSIDE_DOWN, LOG_TIME),
+    "px4_msgs/msg/VehicleImu": KnownType(
+        {
+            "specific_force": "delta_velocity",
+            "angular_rate": "delta_angle",
+            "force_interval_us": "delta_velocity_dt",
+            "rate_interval_us": "delta_angle_dt",
+            "interval_us": "delta_angle_dt",
+        },
+        stamp="timestamp_sample",
+        about="PX4; increments over their intervals, forward-starboard-down; the stamp is the end of the interval, and "
+        "the middle of it is taken",
+    ),
+    "px4_msgs/msg/SensorCombined": KnownType(
+        {"specific_force": "accelerometer_m_s2", "angular_rate": "gyro_rad", "interval_us": "gyro_integral_dt"},
+        stamp="timestamp",
+        about="PX4; means over an interval, forward-starboard-down; the middle of the interval is taken",
+    ),
+    "blueye.protocol.Imu2Tel": KnownType(_BLUEYE_IMU, {"specific_force_unit": "g"}, LOG_TIME, _BLUEYE),
+    "blueye.protocol.Imu1Tel": KnownType(_BLUEYE_IMU, _G_UPSIDE_DOWN, LOG_TIME, _BLUEYE),
+    "blueye.protocol.CalibratedImuTel": KnownType(_BLUEYE_IMU, _G_UPSIDE_DOWN, LOG_TIME, _BLUEYE),
 }
-"""A variance of -1 says that the quantity is not measured. ``interfaces`` is Nortek's package for the Nucleus."""
-
-DVL_BEAMS: Final[Types] = {
-    "marine_acoustic_msgs/msg/Dvl": KnownType(
-        {
-            "mode": "velocity_mode",
-            "velocity": "velocity",
-            "altitude": "altitude",
-            "good_beams": "num_good_beams",
-            "beams_valid": "beam_velocities_valid",
-            "beam_velocity": "beam_velocity",
-            "beam_vectors": "beam_unit_vec",
-            "beam_ranges": "range",
-        }
-    ),
-    # The beams of Water Linked's A50 and A125, which both drivers number from behind starboard clockwise.
-    "dvl_msgs/msg/DVL": KnownType(
-        {
-            "velocity": "velocity",
-            "valid": "velocity_valid",
-            "beam_velocity": "beams[*].velocity",
-            "beam_valid": "beams[*].valid",
-        },
-        {"beam_tilt_deg": 22.5, "beam_azimuth_deg": (135.0, 225.0, 315.0, 45.0)},
-        "time_of_validity",
-    ),
-    # The Blueye turns the velocity of its A50, which looks backwards, into the vehicle's axes, and leaves the beams be:
-    # in these axes they stand half a turn further.
-    "blueye.protocol.DvlVelocityTel": KnownType(
-        {
-            "velocity": "dvl_velocity.velocity",
-            "status": "dvl_velocity.status",
-            "water_track": "dvl_velocity.is_water_tracking",
-            "beam_velocity": "dvl_velocity.transducers[*].velocity",
-            "beam_valid": "dvl_velocity.transducers[*].beam_valid",
-        },
-        {"beam_tilt_deg": 22.5, "beam_azimuth_deg": (315.0, 45.0, 135.0, 225.0)},
-        LOG_TIME,
-    ),
-    # No message tells where the three beams of a Nucleus point: its velocity is taken unless the configuration tells.
-    "interfaces/msg/BottomTrack": KnownType(
-        {
-            "velocity": "velocity_x, velocity_y, velocity_z",
-            "valid": "x_velocity_valid, y_velocity_valid, z_velocity_valid",
-            "beam_velocity": "velocity_beam_1, velocity_beam_2, velocity_beam_3",
-            "beam_valid": "beam_1_velocity_valid, beam_2_velocity_valid, beam_3_velocity_valid",
-        },
-        {"kind": "velocity"},
-        "system_timestamp",
-    ),
-    # The raw velocities are along the beams only in one of four modes, which most drivers do not use.
-    "ds_sensor_msgs/msg/Dvl": KnownType(
-        {
-            "mode": "velocity_mode",
-            "coordinates": "coordinate_mode",
-            "velocity": "velocity",
-            "good_beams": "num_good_beams",
-            "beam_velocity": "raw_velocity",
-            "beam_vectors": "beam_unit_vec",
-        },
-        {"kind": "velocity"},
-    ),
-}
-"""Mode 1 is bottom track, 2 water track; coordinates 0 are along the beams, 1 of the instrument; a status below 0 and
-flags that are 0 say that there is no velocity."""
-
-DVL_VELOCITY: Final[Types] = {
-    "geometry_msgs/msg/TwistStamped": KnownType({"velocity": "twist.linear"}),
-    "geometry_msgs/msg/TwistWithCovarianceStamped": KnownType({"velocity": "twist.twist.linear"}),
-}
-
-DVL_IF_NAMED: Final[Types] = {"nav_msgs/msg/Odometry": KnownType({"velocity": "twist.twist.linear"})}
-"""Too common to be taken for a DVL's unasked."""
+"""A variance of -1 says that the quantity is not measured. ``interfaces`` is Nortek's package for the Nucleus. What is
+given with an interval is an increment over it, and what has one at all is of its middle; PX4 counts in microseconds."""
 
 NAV_SOLUTION: Final[Types] = {
     "insdvl_msgs/msg/NavSolution": KnownType(
@@ -144,7 +96,8 @@ NAV_SOLUTION: Final[Types] = {
             "roll": "roll_deg",
             "pitch": "pitch_deg",
             "heading": "heading_deg",
-        }
+        },
+        about="written by this program",
     ),
     "ixblue_ins_msgs/msg/Ins": KnownType(
         {
@@ -157,20 +110,81 @@ NAV_SOLUTION: Final[Types] = {
             "heading": "heading",
         },
         {"axes": "enu_flu"},
+        about="iXblue, now Exail: position, velocity, attitude",
     ),
 }
 """iXblue's angles are degrees with the pitch positive bow down, its velocity is forward-port-up."""
 
+_LOCAL: Final = (
+    "if `reference.topic` names it; attitude, and positions in metres east-north-up from the place of `[initial]`, "
+    "whose `latitude_deg` must be set"
+)
+
 ODOMETRY: Final[Types] = {
-    "nav_msgs/msg/Odometry": KnownType({"quaternion": "pose.pose.orientation", "velocity_b": "twist.twist.linear"})
+    "nav_msgs/msg/Odometry": KnownType(
+        {"quaternion": "pose.pose.orientation", "velocity_b": "twist.twist.linear"},
+        about="velocity in the body and attitude, east-north-up and forward-port-up",
+    ),
+    "px4_msgs/msg/VehicleOdometry": KnownType(
+        {
+            "quaternion": "q[1], q[2], q[3], q[0]",
+            "pose_frame": "pose_frame",
+            "local_frame": "local_frame",
+            "velocity_n": "velocity",
+            "velocity_b": "velocity",
+            "velocity_frame": "velocity_frame",
+        },
+        {"axes": "ned_frd"},
+        "timestamp_sample",
+        "PX4; attitude and velocity where their frames are north-east-down or the body, since others have no north",
+    ),
 }
-"""East-north-up and forward-port-up, the twist in the child frame; the position has no known origin."""
+"""East-north-up and forward-port-up, the twist in the child frame; the position has no known origin. PX4's pose frame
+is 1, and that of its older messages 0, for north-east-down; its velocity frame 1 for that and 3 for the body."""
+
+POSES: Final[Types] = {
+    "geometry_msgs/msg/PoseStamped": KnownType(
+        {"quaternion": "pose.orientation", "local_position": "pose.position"}, about=_LOCAL
+    ),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": KnownType(
+        {"quaternion": "pose.pose.orientation", "local_position": "pose.pose.position"}, about=_LOCAL
+    ),
+    "px4_msgs/msg/VehicleLocalPosition": KnownType(
+        {
+            "velocity_n": "vx, vy, vz",
+            "velocity_valid": "v_xy_valid, v_z_valid",
+            "local_position": "x, y, z",
+            "local_valid": "xy_valid, z_valid",
+            "origin": "ref_lat, ref_lon, ref_alt",
+            "origin_valid": "xy_global",
+        },
+        {"axes": "ned_frd"},
+        "timestamp_sample",
+        "PX4, if `reference.topic` names it; positions from the origin in the message, else from `[initial]`",
+    ),
+}
+"""Only if the configuration names their topic: goals and set points are of the same types."""
 
 _BLUEYE_SENSORS: Final = "position_estimate.navigation_sensors[*]"
 
 FIX: Final[Types] = {
     "sensor_msgs/msg/NavSatFix": KnownType(
-        {"latitude": "latitude", "longitude": "longitude", "height": "altitude", "fix_status": "status.status"}
+        {"latitude": "latitude", "longitude": "longitude", "height": "altitude", "fix_status": "status.status"},
+        about="positions with a fix",
+    ),
+    "gps_msgs/msg/GPSFix": KnownType(
+        {"latitude": "latitude", "longitude": "longitude", "height": "altitude", "fix_status": "status.status"},
+        about="positions with a fix",
+    ),
+    "px4_msgs/msg/SensorGps": KnownType(
+        {
+            "latitude": "latitude_deg",
+            "longitude": "longitude_deg",
+            "height": "altitude_ellipsoid_m",
+            "fix_type": "fix_type",
+        },
+        stamp="timestamp",
+        about="PX4 since 1.14; positions with a fix of two dimensions at least",
     ),
     "geographic_msgs/msg/GeoPoseStamped": KnownType(
         {
@@ -178,7 +192,8 @@ FIX: Final[Types] = {
             "longitude": "pose.position.longitude",
             "height": "pose.position.altitude",
             "quaternion": "pose.orientation",
-        }
+        },
+        about="positions and attitude",
     ),
     "blueye.protocol.PositionEstimateTel": KnownType(
         {
@@ -188,9 +203,11 @@ FIX: Final[Types] = {
             "longitude": f"{_BLUEYE_SENSORS}.global_position.longitude",
         },
         stamp=LOG_TIME,
+        about="Blueye X3: of its sensors the satellite receiver",
     ),
 }
-"""A status below 0 says that there is no fix. Of the Blueye's sensors only the satellite receiver is independent."""
+"""A status below 0 says that there is no fix, and so does a type of fix below 2.
+Of the Blueye's sensors only the satellite receiver is independent."""
 
 BLUEYE_GNSS: Final = 4
 """``NAVIGATION_SENSOR_ID_BLUEYE_GNSS``."""
@@ -222,5 +239,7 @@ SENSORS_IF_NAMED: Final[Mapping[str, Types]] = {
 """Too common to be taken unasked for what one of their fields holds."""
 
 TRUTH: Final[Types] = {
-    "insdvl_msgs/msg/SensorBiases": KnownType({"accel_bias": "accel_bias_mps2", "gyro_bias": "gyro_bias_radps"})
+    "insdvl_msgs/msg/SensorBiases": KnownType(
+        {"accel_bias": "accel_bias_mps2", "gyro_bias": "gyro_bias_radps"}, about="written by `simulate`"
+    )
 }

@@ -5,17 +5,23 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Reference
+from insdvl_replay.core.config import Initial, Reference
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, distinct
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
+from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, wrap_angle
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_lost_samples
 from insdvl_replay.logs.columns.known_types import BLUEYE_GNSS
 from insdvl_replay.logs.columns.tables import Table
 from insdvl_replay.logs.columns.topic_requirements import BOW_DOWN
+
+_LEAST_FIX: Final = 2
+"""PX4's type of a fix in two dimensions."""
+_NED, _BODY, _OLD_NED = 1, 3, 0
+"""PX4's frames, and that of the messages before 1.13."""
 
 ANGLE_UNITS: Final = {"deg": DEG, "rad": 1.0}
 """Factors to rad."""
@@ -31,28 +37,32 @@ class _Part:
     mat_nb: Floats | None
 
 
-def decode_reference(tables: list[Table], settings: Reference) -> tuple[ReferenceColumns | None, list[Note]]:
-    """Make the columns of the reference."""
+def decode_reference(
+    tables: list[Table], settings: Reference, initial: Initial
+) -> tuple[ReferenceColumns | None, list[Note]]:
+    """Make the columns of the reference; positions in metres are from the initial one."""
     notes: list[Note] = []
     parts = []
     for table in tables:
-        part, found = _part(table, settings)
+        part, found = _part(table, settings, initial)
         parts.append(part)
         notes += found
     return (_union(parts) if parts else None), notes
 
 
-def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
+def _part(table: Table, settings: Reference, initial: Initial) -> tuple[_Part, list[Note]]:
     settings = table.source.completed(settings)
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
-    position = _position(table, settings) if "latitude" in table else None
+    position = _position(table, settings, initial)
     told = None if position is None else position.copy()
     if position is not None:
         _keep_latitudes(position, cleaner)
         _drop_zeros(position, cleaner)
     if "fix_status" in table:
         cleaner.keep(table.column("fix_status") >= 0.0, "no_fix", "positions have no fix")
+    if "fix_type" in table:
+        cleaner.keep(table.column("fix_type") >= _LEAST_FIX, "no_fix", "positions have no fix")
     if position is not None and "sensor_id" in table:
         cleaner.keep(np.isfinite(position[:, 0]), "no_fix", "positions are without satellites")
         cleaner.drop_repeated_values(position)
@@ -64,11 +74,39 @@ def _part(table: Table, settings: Reference) -> tuple[_Part, list[Note]]:
     return _Part(cleaner.times, *chosen), cleaner.notes
 
 
-def _position(table: Table, settings: Reference) -> Floats:
+def _position(table: Table, settings: Reference, initial: Initial) -> Floats | None:
+    if "latitude" not in table:
+        return _local_position(table, settings, initial) if "local_position" in table else None
     unit = ANGLE_UNITS[settings.angle_unit]
     latitude, longitude = of_receiver(table, "latitude") * unit, of_receiver(table, "longitude") * unit
     # The wrapped negative lies in [-pi, pi), so that its negative lies in (-pi, pi].
     return np.stack([latitude, -wrap_angle(-longitude), _height_m(table)], axis=1)
+
+
+def _local_position(table: Table, settings: Reference, initial: Initial) -> Floats | None:
+    """Make positions of metres from an origin: the messages' own, else the initial position; none without either."""
+    local_m = table.values("local_position", 3)
+    if "local_valid" in table:
+        local_m = np.where(table.values("local_valid", 2)[:, [0, 0, 1]] > 0.0, local_m, np.nan)
+    north_east_down_m = local_m if settings.axes == "ned_frd" else local_m @ MAT_ENU_NED
+    origin = np.full((len(table), 3), np.nan)
+    if initial.latitude_deg is not None:
+        origin[:] = initial.latitude_deg, initial.longitude_deg, initial.height_m
+    if "origin" in table:
+        told = table.column("origin_valid") > 0.0 if "origin_valid" in table else np.ones(len(table), np.bool_)
+        origin = np.where(told[:, None], table.values("origin", 3), origin)
+    if np.isnan(origin).all():
+        return None
+    latitude, longitude, height_m = origin[:, 0] * DEG, origin[:, 1] * DEG, origin[:, 2]
+    north_m, east_m, down_m = north_east_down_m.T
+    return np.stack(
+        [
+            latitude + north_m / (meridian_radius_m(latitude) + height_m),
+            longitude + east_m / ((transverse_radius_m(latitude) + height_m) * np.cos(latitude)),
+            height_m - down_m,
+        ],
+        axis=1,
+    )
 
 
 def _height_m(table: Table) -> Floats:
@@ -119,6 +157,9 @@ def of_receiver(table: Table, quantity: str) -> Floats:
 def _attitude(table: Table, settings: Reference) -> Floats | None:
     if "quaternion" in table and ("roll" not in table or settings.quaternion is not None):
         mat = mat_from_quat(table.values("quaternion", 4))
+        for frame, north in (("pose_frame", _NED), ("local_frame", _OLD_NED)):
+            if frame in table:
+                mat[table.column(frame) != north] = np.nan
         return mat if settings.axes == "ned_frd" else np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
     if "roll" in table:
         pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
@@ -128,8 +169,12 @@ def _attitude(table: Table, settings: Reference) -> Floats | None:
 
 
 def _velocity_n(table: Table, settings: Reference, mat_nb: Floats | None) -> Floats | None:
+    if "velocity_frame" in table:
+        return _velocity_by_frame(table, mat_nb)
     if "velocity_n" in table and ("velocity_b" not in table or settings.velocity_n is not None):
         velocity = table.values("velocity_n", 3)
+        if "velocity_valid" in table:
+            velocity = np.where(table.values("velocity_valid", 2)[:, [0, 0, 1]] > 0.0, velocity, np.nan)
         return velocity @ MAT_ENU_NED if settings.axes == "enu_flu" else velocity
     if "velocity_b" not in table or mat_nb is None:
         return None
@@ -137,6 +182,15 @@ def _velocity_n(table: Table, settings: Reference, mat_nb: Floats | None) -> Flo
     if settings.axes != "ned_frd":
         velocity_b = velocity_b @ MAT_FRD_FLU
     return np.asarray(np.einsum("kij,kj->ki", mat_nb, velocity_b))
+
+
+def _velocity_by_frame(table: Table, mat_nb: Floats | None) -> Floats:
+    """Turn velocities, each in the frame that its message says, north-east-down; NaN in frames without a north."""
+    velocity, frame = table.values("velocity_n", 3), table.column("velocity_frame")
+    in_n = np.where((frame == _NED)[:, None], velocity, np.nan)
+    if mat_nb is None:
+        return in_n
+    return np.where((frame == _BODY)[:, None], np.einsum("kij,kj->ki", mat_nb, velocity), in_n)
 
 
 def _union(parts: list[_Part]) -> ReferenceColumns:

@@ -1,8 +1,10 @@
 """Which topics play which role: by type where only one can, else as the configuration says."""
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
@@ -29,6 +31,13 @@ from insdvl_replay.logs.columns.topic_requirements import (
 from insdvl_replay.logs.container.records import LogChannel, by_topic
 from insdvl_replay.logs.encoding.ros2msg import full_name
 
+_TELEMETRY: Final = re.compile(r"(^|/)(RAW_IMU|SCALED_IMU\d?|HIGHRES_IMU)$")
+"""Topics of MAVLink's messages, as BlueOS records them."""
+_FULL_RATE: Final = (
+    "the vehicle's .BIN has every sample, if LOG_REPLAY was 1: clydemcqueen/dive_to_bag writes a bag of it; "
+    "docs/inputs.md says more"
+)
+
 
 def _no_pings() -> DvlColumns:
     return DvlColumns(np.empty(0, np.int64), velocity_d=np.empty((0, 3)))
@@ -49,7 +58,7 @@ class RoleColumns:
     def decode(self, role: str, tables: list[Table]) -> list[Note]:
         """Make the columns of a role; the raw ones are let go, since those of a long dive are large."""
         if role == "reference":
-            self.reference, notes = decode_reference(tables, self.config.reference)
+            self.reference, notes = decode_reference(tables, self.config.reference, self.config.initial)
         elif role == "imu":
             self.imu, notes = decode_imu(tables.pop(), self.config.imu)
         elif role == "dvl":
@@ -171,6 +180,9 @@ class _Topics:
         empty = sorted(topic for topic, type_name in self._empty.items() if full_name(type_name) in wanted.split(", "))
         found = sorted({one.type_name or one.topic for channels in self._channels.values() for one in channels})
         but = f"; {listed(empty)} would be, without a single message" if empty else ""
+        if required.role == "imu" and (slow := [topic for topic in self._channels if _TELEMETRY.search(topic)]):
+            what = f"{lack} that can be replayed: {listed(sorted(slow), 3)} is telemetry and too slow"
+            return LogError(what, _FULL_RATE)
         return LogError(
             f"{lack}: no message is of a type known for one ({wanted}); it has {listed(found)}{but}",
             required.how_to_name(),

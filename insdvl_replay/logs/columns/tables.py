@@ -24,6 +24,7 @@ SAME_CLOCK_S: Final = 1.0
 LARGEST_JITTER_S: Final = 1.0
 """What varies by more between stamp and recording is no jitter: the clock drifts, or jumps."""
 _NS: Final = 1e-9
+_NS_PER_US: Final = 1000.0
 _UNITS: Final = ((1, "nanoseconds"), (10**3, "microseconds"), (10**6, "milliseconds"), (10**9, "seconds"))
 _UNIX_TIME_S: Final = 1e8
 """The time since 1970 has been longer than this since 1973."""
@@ -189,7 +190,10 @@ class Table:
         return single
 
     def time_ns(self) -> TimeNs:
-        """Return the times of validity, shape (k,); a LogError where the stamp is no time, or always the same."""
+        """Return the times of validity, shape (k,); a LogError where the stamp is no time, or always the same.
+
+        What is measured over an interval, at whose end it is stamped, is valid in the middle of it.
+        """
         stamp = self.source.stamp
         time_ns = self.columns[stamp][:, 0] if stamp in RECORDER_STAMPS else self._stamped(stamp_path(stamp))
         if time_ns.size > 1 and time_ns.min() == time_ns.max():
@@ -199,6 +203,9 @@ class Table:
                 *self.where,
             )
         latency_ns = nanoseconds(self.source.latency_s)
+        if "interval_us" in self:
+            half_ns = np.rint(np.nan_to_num(self.column("interval_us")) * (_NS_PER_US / 2.0)).astype(np.int64)
+            time_ns = time_ns - half_ns
         return time_ns - latency_ns if latency_ns else time_ns
 
     @property

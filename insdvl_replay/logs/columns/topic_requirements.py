@@ -10,7 +10,7 @@ import msgspec
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.core.sensors import SENSORS
-from insdvl_replay.logs.columns import known_types
+from insdvl_replay.logs.columns import known_dvls, known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
 from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.fields import Kinds, channel_paths, check_encoding, find_path, split_paths
@@ -159,8 +159,8 @@ def dvl_requirement(config: Config) -> TopicRequirement:
         config.dvl,
         "dvl",
         ("beam_velocity", "beam_valid", "velocity", "valid"),
-        by_type=[known_types.DVL_BEAMS, known_types.DVL_VELOCITY],
-        if_named=known_types.DVL_IF_NAMED,
+        by_type=[known_dvls.DVL_BEAMS, known_dvls.DVL_VELOCITY],
+        if_named=known_dvls.DVL_IF_NAMED,
         enough=[{"beam_velocity"}, {"velocity"}],
     )
 
@@ -172,7 +172,7 @@ def solution_requirement(config: Config) -> TopicRequirement:
         "reference",
         _SOLUTION,
         by_type=[known_types.NAV_SOLUTION, known_types.ODOMETRY],
-        if_named=known_types.FIX,
+        if_named={**known_types.FIX, **known_types.POSES},
         enough=[{"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES],
         together=_ANGLES,
     )

@@ -26,6 +26,7 @@ from mcap.opcode import Opcode
 from zlib_ng import zlib_ng
 
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.container.other_formats import other_format
 from insdvl_replay.logs.container.records import MAGIC, RECORD_HEADER_SIZE, Damage, can_be_record
 
 _FIXED: Final = 0x10
@@ -266,6 +267,9 @@ def _goes_on_like_mcap(data: memoryview) -> bool:
 
 
 def _not_mcap(path: Path, start: bytes) -> LogError:
+    other = other_format(path, start)
+    if other is not None:
+        return LogError(f"is {other.name}, which is not read", other.step, path)
     for magic, (name, hint) in _OTHER_FORMATS.items():
         if start.startswith(magic):
             return LogError(f"is {name}, which is not read", hint.format(path=path), path)

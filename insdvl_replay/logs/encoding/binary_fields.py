@@ -22,6 +22,7 @@ from insdvl_replay.logs.encoding.ros2msg import (
     PRIMITIVES,
     ROS1MSG,
     Definition,
+    completed_text,
     definition_text,
     full_name,
     parse_definitions,
@@ -252,10 +253,11 @@ WIRES: Final = {"cdr": CDR, "ros1": ROS1}
 
 @cache
 def definitions_by(type_name: str, schema_text: str, encoding: str) -> dict[str, Definition]:
-    """Parse a schema; one of ROS 2 that is empty is that of a known type."""
+    """Parse a schema; one of ROS 2 that is empty is that of a known type, and so are the types that it lacks."""
     if encoding == "ros1":
         return parse_definitions(type_name, schema_text, ROS1MSG)
-    return parse_definitions(type_name, schema_text if schema_text.strip() else definition_text(type_name))
+    text = schema_text if schema_text.strip() else definition_text(type_name)
+    return parse_definitions(type_name, completed_text(type_name, text))
 
 
 def binary_paths(definitions: Mapping[str, Definition], type_name: str, prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -1,6 +1,7 @@
 """Columns of chosen fields from JSON messages, with or without a JSON schema."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import reduce
 from typing import Any, Final
 
@@ -9,6 +10,7 @@ import msgspec
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.encoding.decoded_fields import DecodedFields, Shape, known_paths
 from insdvl_replay.logs.encoding.fields import NUMBER, TEXT, Kinds
+from insdvl_replay.logs.encoding.json5_text import as_json, without_nan
 
 _STRUCTURE: Final = "object"
 _EXAMPLES: Final = 100
@@ -55,10 +57,19 @@ _DECODER: Final = msgspec.json.Decoder()
 def _decoded(message: memoryview) -> Any:
     try:
         return _DECODER.decode(message)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return _decoded_as_json5(message)
+
+
+def _decoded_as_json5(message: memoryview) -> Any:
+    """Read a message that is no JSON but JSON5, as BlueOS records."""
+    with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return _DECODER.decode(without_nan(bytes(message)))
+    try:
+        return _DECODER.decode(as_json(bytes(message).decode("utf-8")))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise LogError(
-            f"a message of {len(message)} bytes is no JSON: {error}",
-            "JSON knows no NaN and no infinity; a recorder must write null",
+            f"a message of {len(message)} bytes is neither JSON nor JSON5: {error}", "the log is damaged"
         ) from error
 
 

@@ -8,6 +8,7 @@ well-known schema encodings, https://mcap.dev/spec/registry; for ROS 1 http://wi
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -139,6 +140,25 @@ def parse_definitions(type_name: str, text: str, dialect: Dialect = ROS2MSG) -> 
     definitions |= dialect.builtin
     _check_complete(type_name, definitions, dialect)
     return definitions
+
+
+def completed_text(type_name: str, text: str) -> str:
+    """Add to the text of a ROS 2 type the types in it that it lacks, as far as they come with the tool.
+
+    BlueOS records the file of a type alone.
+    """
+    for missing in missing_types(type_name, text):
+        with suppress(LogError):
+            text = f"{text}\n{_SEPARATOR}\nMSG: {missing.replace('/msg/', '/')}\n{definition_text(missing)}"
+    return text
+
+
+def missing_types(type_name: str, text: str) -> list[str]:
+    """List the types that a text uses and does not define."""
+    sections = _sections(type_name, text, ROS2MSG)
+    defined = {name: list(_fields(name, section, ROS2MSG)) for name, section in sections}
+    used = dict.fromkeys(field.type_name for fields in defined.values() for field in fields)
+    return [name for name in used if "/" in name and name not in defined]
 
 
 def definition_text(type_name: str) -> str:

@@ -1,0 +1,90 @@
+"""The tables of docs/inputs.md, by those of the types that are known. `make inputs` renews them; a test compares."""
+
+from collections.abc import Iterable
+
+from written import PROJECT, markdown_table, renewed
+
+from insdvl_replay.logs.columns import known_dvls, known_types
+from insdvl_replay.logs.columns.known_types import LOG_TIME, KnownType, Types
+from insdvl_replay.logs.container.other_formats import OTHER_FORMATS
+from insdvl_replay.logs.encoding.fields import ENCODINGS
+
+PAGE = PROJECT / "docs" / "inputs.md"
+
+
+def _names(known: Types) -> dict[str, list[str]]:
+    """Types that are read alike, under the name of the first of them."""
+    alike: dict[str, list[str]] = {}
+    for name, entry in known.items():
+        first = next((other for other in alike if known[other] is entry), name)
+        alike.setdefault(first, []).append(name)
+    return alike
+
+
+def _stamp(entry: KnownType) -> str:
+    if entry.stamp == LOG_TIME:
+        return "the recorder's time"
+    return f"`{entry.stamp}`" if entry.stamp else "header"
+
+
+def _rows(known: Types) -> Iterable[tuple[str, ...]]:
+    for first, names in _names(known).items():
+        entry = known[first]
+        yield "<br>".join(f"`{name}`" for name in names), _gives(entry), _stamp(entry), entry.about
+
+
+def _gives(entry: KnownType) -> str:
+    fields = entry.fields.keys()
+    if fields & {"beam_velocity", "beam_velocity_vectors"} and entry.conventions.get("kind") != "velocity":
+        return "beams"
+    if "velocity" in fields:
+        return "velocity"
+    told = {
+        "position": {"latitude", "local_position"},
+        "velocity": {"velocity_n", "velocity_b"},
+        "attitude": {"quaternion", "roll"},
+        "increments": {"force_interval_us"},
+        "samples": {"specific_force"},
+        "true biases": {"accel_bias"},
+    }
+    found = [word for word, quantities in told.items() if fields & quantities]
+    return ", ".join(word for word in found if word != "samples" or "increments" not in found)
+
+
+def _types(*groups: Types) -> str:
+    return markdown_table(
+        ("type", "gives", "stamp", "what is to be known"), [row for known in groups for row in _rows(known)]
+    )
+
+
+def _other(endings: tuple[str, ...]) -> str:
+    return ", ".join(f"`{ending}`" for ending in endings)
+
+
+PARTS = {
+    "encodings": lambda: markdown_table(
+        ("messages", "schemas"),
+        [
+            (f"`{name}`", ", ".join(f"`{kind}`" if kind else "none" for kind in kinds))
+            for name, kinds in ENCODINGS.items()
+        ],
+    ),
+    "imu": lambda: _types(known_types.IMU),
+    "dvl": lambda: _types(known_dvls.DVL_BEAMS, known_dvls.DVL_VELOCITY, known_dvls.DVL_IF_NAMED),
+    "reference": lambda: _types(
+        known_types.NAV_SOLUTION, known_types.ODOMETRY, known_types.FIX, known_types.POSES, known_types.TRUTH
+    ),
+    "others": lambda: markdown_table(
+        ("file", "endings", "the step that helps"),
+        [(known.name, _other(known.endings), known.step) for known in OTHER_FORMATS],
+    ),
+}
+
+
+def written() -> str:
+    """The page as it should be."""
+    return renewed(PAGE.read_text("utf-8"), PARTS, "make inputs")
+
+
+if __name__ == "__main__":
+    PAGE.write_text(written(), "utf-8")

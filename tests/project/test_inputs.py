@@ -1,0 +1,85 @@
+"""The page of inputs is what the tables of the program say, and each file that is not read is told with its step."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import inputs
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from insdvl_replay.cli.app import app
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.columns import known_dvls, known_types
+from insdvl_replay.logs.container.other_formats import OTHER_FORMATS, OtherFormat
+
+PAGE = inputs.PAGE.read_text("utf-8")
+GROUPS = [
+    known_types.IMU,
+    known_dvls.DVL_BEAMS,
+    known_dvls.DVL_VELOCITY,
+    known_dvls.DVL_IF_NAMED,
+    known_types.NAV_SOLUTION,
+    known_types.ODOMETRY,
+    known_types.FIX,
+    known_types.POSES,
+    known_types.TRUTH,
+]
+
+
+def test_page_is_current() -> None:
+    assert inputs.written() == PAGE, "run `make inputs`"
+
+
+def test_page_names_every_type_and_says_something_of_it() -> None:
+    for known in GROUPS:
+        for name, entry in known.items():
+            assert f"`{name}`" in PAGE
+            assert entry.about, name
+
+
+def test_lines_for_arrays_write_a_log(tmp_path: Path) -> None:
+    (lines,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    subprocess.run([sys.executable, "-c", lines], cwd=tmp_path, check=True)
+    dive = read_dive(tmp_path / "dive.mcap", Config())
+    np.testing.assert_allclose(dive.imu.specific_force_b, np.tile([0.0, 0.0, -9.8], (1000, 1)))
+    assert len(dive.dvl.time_ns) == 50
+
+
+TLOG = (1_700_000_000_000_000).to_bytes(8, "big") + b"\xfd\x1c\x00\x00" + bytes(40)
+FILES = [(known, start + bytes(60)) for known in OTHER_FORMATS for start in known.starts] + [
+    (known, TLOG if ".tlog" in known.endings else b"time,ax,ay\n" * 9) for known in OTHER_FORMATS if not known.starts
+]
+
+
+@pytest.mark.parametrize(("known", "data"), FILES, ids=lambda value: getattr(value, "name", ""))
+def test_file_that_is_not_read_is_told_by_its_bytes_with_the_step_that_helps(
+    known: OtherFormat, data: bytes, tmp_path: Path
+) -> None:
+    # Named like something else, where bytes tell.
+    name = "dive.mcap" if known.starts or ".tlog" in known.endings else f"dive{known.endings[0]}"
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(LogError) as raised:
+        read_dive(tmp_path / name, Config())
+    assert f"is {known.name}, which is not read" in raised.value.message
+    assert raised.value.hint == known.step
+
+
+@pytest.mark.parametrize("command", ["run", "inspect"])
+def test_commands_tell_it(command: str, tmp_path: Path) -> None:
+    (tmp_path / "00000042.BIN").write_bytes(b"\xa3\x95\x80" + bytes(90))
+    result: Any = CliRunner().invoke(app, [command, str(tmp_path / "00000042.BIN")])
+    text = " ".join((result.output + (result.stderr if result.stderr_bytes else "")).split())
+    assert "LOG_REPLAY=1" in text
+    assert "dive_to_bag" in text
+
+
+def test_other_bytes_are_no_known_format(tmp_path: Path) -> None:
+    (tmp_path / "dive.mcap").write_bytes(b"\x00\x01\x02\x03" * 30)
+    with pytest.raises(LogError, match="starts with bytes '00 01 02 03"):
+        read_dive(tmp_path / "dive.mcap", Config())
