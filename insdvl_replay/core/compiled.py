@@ -143,6 +143,16 @@ def inlined(function: Callable[_P, _T]) -> Callable[_P, _T]:
     return register_jitable(forceinline=True, **_OPTIONS)(function)
 
 
+def plain(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Return what a compiled function was made of, to be run as it is."""
+    return cast(Callable[_P, _T], getattr(function, "py_func", function))
+
+
+def is_compiled(function: Callable[..., Any]) -> bool:
+    """Return whether compiled code can call a function of the user's."""
+    return hasattr(function, "address")
+
+
 def is_warm() -> bool:
     """Return whether the compiled filter waits on disk, so that a first run can explain what it waits for."""
     return _FOLDER is not None and any(_FOLDER.rglob("filter._run-*.nbc"))

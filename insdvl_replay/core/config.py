@@ -243,7 +243,7 @@ class Acceleration(_Section, frozen=True):
 class Filter(_Section, frozen=True):
     """One filter. The first of the configuration is the baseline."""
 
-    aiding: Annotated[tuple[str, ...], Comment(f"measurements, in this order: {' | '.join(AIDING)}")]
+    aiding: Annotated[tuple[str, ...], Comment(f"measurements, in this order: {' | '.join(AIDING)} | module:Class")]
     states: Annotated[
         tuple[str, ...],
         Comment(f"beside the twelve, and those that its aiding needs: {' | '.join(MORE_STATES)}"),

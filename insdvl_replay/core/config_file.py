@@ -161,7 +161,10 @@ def _check_filters(config: Config, source: TomlSource) -> None:
                 f"{where}: filter name '{name}' is not a letter followed by letters, digits and _",
                 "the name becomes part of topics and rows",
             )
-        _check_words(filter_.aiding, AIDING, source, "filters", name, "aiding")
+        known = [word for word in filter_.aiding if ":" not in word]
+        _check_words(known, AIDING, source, "filters", name, "aiding")
+        if len(filter_.aiding) - len(known) > 1:
+            raise ConfigError(f"{where}: filters.{name} has more than one measurement of your own", "one a filter")
         _check_words(filter_.states, MORE_STATES, source, "filters", name, "states")
         _check_filter(filter_, f"filters.{name}", where)
 

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.compiled import compiled, inlined
+from insdvl_replay.core.compiled import compiled, inlined, is_compiled, plain
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import states_with
@@ -20,6 +20,7 @@ from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square
 from insdvl_replay.nav.local_earth import GravityHeight, Place, followed, gravity_at, place_about, place_at
 from insdvl_replay.nav.measurement_noise import FIXED, STUDENT_T, adapted_factor, outlier_factor
 from insdvl_replay.nav.measurements import BEAM, VELOCITY, Measurement, Stack, stacked
+from insdvl_replay.nav.own_measurement import Predict
 from insdvl_replay.nav.position_error import position_growth, propagate_position_cov
 from insdvl_replay.nav.state_layout import StateLayout, layout_of
 from insdvl_replay.nav.state_log import (
@@ -114,7 +115,9 @@ def run_filter(
     memory = _Memory(*np.zeros((3, int(timeline.ping.max()) + 1, 3)))
     density = (*noise_density.tolist(), *[0.0] * (len(states) - len(noise_density)))
     layout, arm_b = layout_of(more_states), vector(lever_arm_b)
-    _run(timeline, state, matrices, density, layout, stack, arm_b, memory, records, updates)
+    own = next((one.predict for one in measurements if one.predict is not None), None)
+    run = _run if own is None or is_compiled(own) else plain(_run)
+    run(timeline, state, matrices, density, layout, stack, own, arm_b, memory, records, updates)
     return history_of(name, timeline, states, measurements, records, updates)
 
 
@@ -145,6 +148,7 @@ def _run(
     noise_density: tuple[float, ...],
     layout: StateLayout,
     measurements: Stack,
+    own: Predict | None,
     lever_arm_b: Vector,
     memory: _Memory,
     records: Records,
@@ -180,7 +184,7 @@ def _run(
             _note_motion(state, memory, ping, now.angular_rate_b, motion, velocity_after_b)
         carried = (now.angular_rate_b, now.specific_force_b, gravity_here, lever_arm_b)
         state, gravity = _meet_readings(
-            timeline, now, state, motion, place, gravity, carried, layout, measurements, memory, matrices, updates
+            timeline, now, state, motion, place, gravity, carried, layout, measurements, own, memory, matrices, updates
         )
         velocity_after_b = _velocity_b(state) if ping >= 0 else _corrected_b(velocity_after_b, state, unaided_b)
         row = timeline.record[now.event]
@@ -199,6 +203,7 @@ def _meet_readings(
     carried: tuple[Vector, Vector, float, Vector],
     layout: StateLayout,
     measurements: Stack,
+    own: Predict | None,
     memory: _Memory,
     matrices: _Matrices,
     updates: Updates,
@@ -210,7 +215,7 @@ def _meet_readings(
         if row >= 0 and measurements.available[m, row]:
             ping = timeline.rows[PINGS, now.event]
             ins = _ins_now(state, motion, memory, ping, carried, place, matrices.constants)
-            used, square = _update(measurements, m, row, time_s, ins, layout, estimated, matrices, updates)
+            used, square = _update(measurements, m, row, time_s, ins, layout, own, estimated, matrices, updates)
             refused_square += square
             estimated = estimated or used
         if measurements.goes_on[m]:
@@ -295,6 +300,7 @@ def _update(
     time_s: float,
     ins: InsAtPing,
     layout: StateLayout,
+    own: Predict | None,
     goes_on: bool,
     matrices: _Matrices,
     updates: Updates,
@@ -314,7 +320,7 @@ def _update(
     H, HP, KT, rest = matrices.H[:size], matrices.HP[:size], matrices.KT[:size], matrices.rest[:size]
     R, S, L = matrices.R[:size, :size], matrices.S[:size, :size], matrices.L[:size, :size]
     z, standardised = matrices.z[:size], matrices.standardised[:size]
-    linearise(measurements, m, row, ins, layout, z, matrices.H[: max(size, 3)])
+    linearise(measurements, m, row, ins, layout, own, z, matrices.H[: max(size, 3)])
     if goes_on:
         _take_off(H, dx, z)
     for i in range(size):

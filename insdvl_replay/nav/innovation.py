@@ -21,10 +21,13 @@ F; see equations/updates.md.
 import math
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.local_earth import Place
 from insdvl_replay.nav.measurements import BEAM, PUBLISHED, VELOCITY, WINDOWED, Stack
+from insdvl_replay.nav.own_measurement import INS_SIZE, Predict
 from insdvl_replay.nav.position_error import offset_n
 from insdvl_replay.nav.state_layout import TWELVE, StateLayout
 from insdvl_replay.nav.vector_algebra import (
@@ -47,6 +50,7 @@ from insdvl_replay.nav.vector_algebra import (
 DEPTH: Final = 4
 HEADING: Final = 5
 FIX: Final = 6
+OWN: Final = 7
 """How the measurements of the sensors beside the DVL are predicted: kinds above those of `measurements`."""
 
 IDENTITY: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -100,13 +104,24 @@ class InsAtPing(NamedTuple):
 
 
 @inlined
-def linearise(measurements: Stack, m: int, row: int, ins: InsAtPing, layout: StateLayout, z: Floats, H: Floats) -> None:
+def linearise(
+    measurements: Stack,
+    m: int,
+    row: int,
+    ins: InsAtPing,
+    layout: StateLayout,
+    own: Predict | None,
+    z: Floats,
+    H: Floats,
+) -> None:
     """Write the innovation of a measurement, predicted minus measured, and its Jacobian.
 
     Parameters
     ----------
     m, row : int
         The measurement, and the row of its reading.
+    own : callable or None
+        The prediction of a measurement of the user's own.
     z : ndarray, shape (s,)
         Written; s components.
     H : ndarray, shape (s, n)
@@ -116,8 +131,27 @@ def linearise(measurements: Stack, m: int, row: int, ins: InsAtPing, layout: Sta
         _linearise_dvl(measurements, m, row, ins, layout, z, H)
     elif measurements.kind[m] == BEAM:
         _linearise_beam(measurements, m, row, ins, layout, z, H)
-    else:
+    elif measurements.kind[m] < OWN:
         _linearise_sensor(measurements, m, row, ins, layout, z, H)
+    elif own is not None:
+        _linearise_own(measurements, m, row, ins, own, z, H)
+
+
+@inlined
+def _linearise_own(measurements: Stack, m: int, row: int, ins: InsAtPing, own: Predict, z: Floats, H: Floats) -> None:
+    """Let the user's prediction write z and H, and take the reading off."""
+    size, known = len(z), np.empty(INS_SIZE)
+    for i in range(3):
+        known[i], known[3 + i] = ins.position[i], ins.velocity_n[i]
+        known[15 + i], known[18 + i] = ins.specific_force_b[i], ins.rate_eb_now_b[i]
+        for j in range(3):
+            known[6 + 3 * i + j] = ins.mat_nb[i][j]
+    predicted, jacobian = np.zeros(size), np.zeros((size, H.shape[1]))
+    own(known, predicted, jacobian)
+    for i in range(size):
+        z[i] = predicted[i] - measurements.values[m, row, i]
+        for j in range(H.shape[1]):
+            H[i, j] = jacobian[i, j]
 
 
 @inlined

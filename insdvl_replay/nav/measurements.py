@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import Floats, TimeNs, seconds
 from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities, slope_windows, windowed_sum
 from insdvl_replay.nav.measurement_noise import FIXED
+from insdvl_replay.nav.own_measurement import Predict
 from insdvl_replay.nav.timeline import BEAMS, PINGS
 
 VELOCITY: Final = 0
@@ -61,6 +62,8 @@ class Measurement:
         Of a beam.
     noise : int
         How R is taken, see `measurement_noise`.
+    predict : callable or None
+        Of a measurement of the user's own, see `own_measurement`.
     goes_on : bool
         The next measurement is of the same reading: the state is corrected by both together.
     axes : tuple of str
@@ -83,6 +86,7 @@ class Measurement:
     direction_b: Floats = field(default_factory=lambda: np.zeros(3))
     noise: int = FIXED
     goes_on: bool = False
+    predict: Predict | None = None
     axes: tuple[str, ...] = ()
 
     @property

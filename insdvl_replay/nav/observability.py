@@ -183,7 +183,7 @@ def _write_jacobians(
             unused,
             nothing,
         )
-        linearise(measurement, 0, ping, ins, TWELVE_ALONE, z, H[ping])
+        linearise(measurement, 0, ping, ins, TWELVE_ALONE, None, z, H[ping])
 
 
 def remaining_cov(

@@ -19,6 +19,7 @@ from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.alignment import Alignment, align
 from insdvl_replay.preparation.filters import ResolvedFilter, dvl_mounting, resolve_filters
 from insdvl_replay.preparation.long_gaps import apply_gap_policy, find_gaps
+from insdvl_replay.preparation.own_measurements import prepare_own_measurements
 from insdvl_replay.preparation.sensors import prepare_sensors
 
 IN_LINE: Final = np.eye(3)
@@ -122,12 +123,13 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
             dive.imu, velocities, noise, dive.reference, config.initial, mounting.lever_arm_b, start_ns, end_ns
         )
         sensors, sensor_notes = prepare_sensors(dive.sensors, config, alignment.start, alignment.start_ns, end_ns)
+        own, own_notes = prepare_own_measurements(dive, config, len(sensors), alignment.start_ns, end_ns)
     inside = velocities.within(alignment.start_ns, end_ns)
     by_beams = any("beams" in filter_.aiding for filter_ in filters)
     beams = dvl_beams(dive.dvl, mounting, alignment.start_ns, end_ns) if by_beams else None
-    notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside) + sensor_notes
+    notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside) + sensor_notes + own_notes
     gaps = gaps.within(alignment.start_ns, end_ns)
-    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, beams, sensors, notes)
+    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, beams, sensors | own, notes)
 
 
 def _velocities(dive: Dive, mounting: DvlMounting, limit_mps: float | None) -> tuple[DvlVelocities, tuple[Note, ...]]:

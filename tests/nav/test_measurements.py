@@ -74,7 +74,7 @@ def at_ping(dx: Floats) -> InsAtPing:
 
 def linearised(kind: int, dx: Floats) -> tuple[Floats, Floats]:
     z, H = np.empty(3), np.full((3, 12), np.nan)
-    linearise(stacked([measurement(kind)]), 0, 0, at_ping(dx), layout_of(()), z, H)
+    linearise(stacked([measurement(kind)]), 0, 0, at_ping(dx), layout_of(()), None, z, H)
     return z, H
 
 
@@ -141,7 +141,7 @@ def test_windowed_prediction_is_the_slope_of_what_the_ins_adds_and_its_jacobian_
             velocity_change_b=change, rate_nb_b=np.tile(RATE_NB_B, (4, 1)), rate_eb_b=np.tile(RATE_NB_B, (4, 1))
         )
         z, H = np.empty(3), np.full((3, 12), np.nan)
-        linearise(stacked([windowed]), 0, 3, ins, layout_of(()), z, H)
+        linearise(stacked([windowed]), 0, 3, ins, layout_of(()), None, z, H)
         # A straight line through the body velocities themselves has the same slope.
         np.testing.assert_allclose(z, np.polyfit(times_s, body, 1)[0], atol=1e-9)
         slope.H = H  # type: ignore[attr-defined]

@@ -51,7 +51,7 @@ def of_kind(kind: int, reading: Floats) -> Measurement:
 
 def linearised(kind: int, reading: Floats, dx: Floats) -> tuple[Floats, Floats]:
     z, H = np.empty(len(reading)), np.full((len(reading), STATES), np.nan)
-    linearise(stacked([of_kind(kind, reading)]), 0, 0, ins_off_by(dx), LAYOUT, z, H)
+    linearise(stacked([of_kind(kind, reading)]), 0, 0, ins_off_by(dx), LAYOUT, None, z, H)
     return z, H
 
 
@@ -71,7 +71,7 @@ def test_jacobian_of_a_velocity_whose_scale_and_yaw_are_estimated() -> None:
     )
 
     def innovation(dx: Floats) -> Floats:
-        linearise(stacked([velocity]), 0, 0, ins_off_by(dx), LAYOUT, z, H)
+        linearise(stacked([velocity]), 0, 0, ins_off_by(dx), LAYOUT, None, z, H)
         return z.copy()
 
     z, H = np.empty(3), np.full((3, STATES), np.nan)

@@ -1,0 +1,149 @@
+"""A measurement of your own: a class with its readings and what the INS predicts of them, named in ``aiding``.
+
+    class Speed(OwnMeasurement):
+        name, unit = "speed", "m/s"
+
+        def readings(self, dive):
+            time_ns = dive.reference.time_ns
+            return OwnReadings(time_ns, np.linalg.norm(dive.reference.velocity_n, axis=1)[:, None], np.array([0.05]))
+
+        @staticmethod
+        def predict(ins, z, H):
+            north, east, down = ins[3], ins[4], ins[5]
+            z[0] = np.sqrt(north**2 + east**2 + down**2)
+            H[0, 0], H[0, 1], H[0, 2] = north / z[0], east / z[0], down / z[0]
+
+``aiding = ["velocity", "my_package.module:Speed"]`` then aids by it. Its rows stand in every table, by its name.
+"""
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
+
+Predict = Callable[[Floats, Floats, Floats], None]
+
+INS_SIZE: Final = 21
+"""Numbers of ``ins``: position (rad, rad, m), velocity_n, mat_nb row by row, specific_force_b, rate_eb_b."""
+
+
+@dataclass(frozen=True)
+class OwnReadings:
+    """What was measured.
+
+    Attributes
+    ----------
+    time_ns : ndarray of int64, shape (k,)
+        Times of validity, strictly increasing.
+    values : ndarray, shape (k, s)
+        s is 1 to 4.
+    sd : ndarray, shape (s,) or (k, s)
+        Noise of the components, which do not depend on each other.
+    """
+
+    time_ns: TimeNs
+    values: Floats
+    sd: Floats
+
+
+class OwnMeasurement:
+    """What a measurement of your own has to say; made without arguments.
+
+    Attributes
+    ----------
+    name : str
+        In the tables: letters, digits and ``_``.
+    unit : str
+        Of its values.
+    """
+
+    name: str = ""
+    unit: str = ""
+
+    def readings(self, dive: Dive) -> OwnReadings:
+        """Return the readings of a dive, of its columns or of a file of your own."""
+        raise NotImplementedError
+
+    @staticmethod
+    def predict(ins: Floats, z: Floats, H: Floats) -> None:
+        """Write what the INS expects to be measured, and its Jacobian.
+
+        It is compiled with the filter if it can be: numbers, loops and numpy's functions of numbers; else it runs as
+        it is, and the filter with it, some hundred times slower.
+
+        Parameters
+        ----------
+        ins : ndarray, shape (21,)
+            What the INS knows: position (latitude and longitude rad, height m) 0 to 2, velocity in n 3 to 5, attitude
+            b to n row by row 6 to 14, specific force in b 15 to 17, angular rate against the Earth in b 18 to 20.
+        z : ndarray, shape (s,)
+            Written.
+        H : ndarray, shape (s, n)
+            Zero; written. Columns are estimated minus true: velocity in n 0 to 2, misalignment in n 3 to 5; of biases
+            true minus estimated: accelerometers 6 to 8, gyros 9 to 11; and the position in n, m, 12 to 14 of a filter
+            that estimates it.
+        """
+        raise NotImplementedError
+
+
+def load_own_measurement(word: str) -> OwnMeasurement:
+    """Import a measurement by ``module:Class``.
+
+    Raises
+    ------
+    ValueError
+        It cannot be imported, or is none; the text says why.
+    """
+    module, _, name = word.partition(":")
+    try:
+        found: Any = getattr(importlib.import_module(module), name)
+    except ImportError as error:
+        raise ValueError(f"cannot be imported: {error}") from error
+    except AttributeError as error:
+        raise ValueError(f"is not in {module}") from error
+    if not (isinstance(found, type) and issubclass(found, OwnMeasurement)):
+        raise ValueError("is no class derived from OwnMeasurement")
+    own = found()
+    if not own.name.isidentifier() or own.name.endswith(("_x", "_y", "_z", "_n", "_e", "_d")):
+        raise ValueError(f"has the name '{own.name}', which is no word for a row of a table")
+    return own
+
+
+def compiled_prediction(predict: Predict) -> Predict | None:
+    """Compile a prediction so that the filter can call it; None where it cannot be, or where nothing is compiled."""
+    import numba
+    from numba import types
+    from numba.core import config, errors
+
+    if getattr(config, "DISABLE_JIT", False):
+        return None
+    vector, matrix = types.Array(types.float64, 1, "C"), types.Array(types.float64, 2, "C")
+    try:
+        made: Any = numba.cfunc(types.void(vector, vector, matrix), error_model="numpy")(predict)
+    except errors.NumbaError:
+        return None
+    found: Predict = made
+    return found
+
+
+def checked_readings(readings: OwnReadings) -> OwnReadings:
+    """Require what the filter relies on.
+
+    Raises
+    ------
+    ValueError
+        The text says what is wrong.
+    """
+    time_ns, values = np.asarray(readings.time_ns), np.asarray(readings.values, np.float64)
+    if values.ndim != 2 or not 1 <= values.shape[1] <= 4 or time_ns.shape != values.shape[:1]:
+        raise ValueError(f"gives times and values of shapes {time_ns.shape} and {values.shape}, not (k,) and (k, s)")
+    if time_ns.dtype != np.int64 or np.any(np.diff(time_ns) <= 0):
+        raise ValueError("gives times that are not increasing int64 nanoseconds")
+    sd = np.broadcast_to(np.asarray(readings.sd, np.float64), values.shape)
+    if not (np.isfinite(values).all() and np.isfinite(sd).all() and (sd > 0.0).all()):
+        raise ValueError("gives values or standard deviations that are not finite, or not above 0")
+    return OwnReadings(time_ns, values, sd)
