@@ -154,8 +154,8 @@ def _initial(starts: Sequence[StartRow]) -> Iterator[str]:
         yield from ("", "[initial]")
         for start in starts:
             yield (
-                f"# {visible(start.dive)}: {start.heading_deg:g} deg, sd {start.heading_sd_deg:.2g} deg, and a bias of the "
-                f"gyro about down of {start.gyro_bias_degph:g} deg/h, sd {start.gyro_bias_sd_degph:.2g} deg/h"
+                f"# {visible(start.dive)}: {start.heading_deg:g} deg, sd {start.heading_sd_deg:.2g} deg, and a bias of "
+                f"the gyro about down of {start.gyro_bias_degph:g} deg/h, sd {start.gyro_bias_sd_degph:.2g} deg/h"
             )
         yield f"heading_deg = {toml_value(FIT)}"
 

@@ -21,6 +21,7 @@ from built_in import (
     built_in_otherwise,
     shown,
 )
+from scipy.stats import norm
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
 from insdvl_replay.calibration.certainty import certainty_of, mean_change, newey_west
@@ -65,7 +66,8 @@ def test_errors_are_as_large_as_is_said(config: Config, least: float, scenario: 
     told = {name: round(float(size), 2) for name, size in zip(NAMES, of_sd, strict=True)}
     assert (of_sd > least).all(), told
     assert (of_sd < 1.5).all(), told
-    assert np.abs(errors).max() < 3.5
+    # Of normal errors, one set in a hundred has a larger one.
+    assert np.abs(errors).max() < norm.isf(0.005 / np.size(errors))
 
 
 @pytest.fixture(scope="module")
