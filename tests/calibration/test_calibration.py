@@ -35,6 +35,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.sim.dive import exact_dive
+from insdvl_replay.sim.sensor_errors import DvlErrors
 
 MAKEFILE = Path(__file__).parents[2] / "Makefile"
 SHARED = Path(__file__).parents[3] / "shared" / "data"
@@ -109,6 +110,20 @@ def test_turns_alone_show_the_arm_in_their_plane_and_not_along_their_axis() -> N
         "arm_z": Estimated.HELD,
     }
     assert found.after.lever_arm_m[2] == found.before.lever_arm_m[2]
+
+
+@pytest.mark.slow
+def test_turns_alone_beside_errors_of_single_beams_err_as_much_as_is_said() -> None:
+    """Beams that are off by 1 mm/s and 0.2 % say of a slow vehicle that its DVL is turned."""
+    errors: dict[str, list[float]] = {}
+    for seed in range(8000, 8008):
+        found = calibrated(built_in_otherwise("lawnmower", seed, DvlErrors()))
+        for row, truth in zip(found.rows, shown(TRUTH), strict=True):
+            if row.status == Estimated.ESTIMATED:
+                errors.setdefault(row.parameter, []).append((finite(row.change) - truth) / finite(row.sd))
+    of_sd = {name: float(np.sqrt(np.mean(np.square(of_one)))) for name, of_one in errors.items()}
+    assert "mounting_z" in of_sd
+    assert max(of_sd.values()) < 1.5, of_sd
 
 
 def test_a_few_wild_pings_hardly_move_it(eight: ReadDive) -> None:

@@ -180,7 +180,10 @@ def test_machine_code_is_known_by_all_that_it_is_made_of() -> None:
         for node in tree.body:
             if isinstance(node, ast.ImportFrom) and used & {alias.name for alias in node.names}:
                 module = package.joinpath(*str(node.module).split(".")[1:]).with_suffix(".py")
-                assert not module.is_file() or module in covered | {package / "core" / "dive_columns.py"}, (path, module)
+                assert not module.is_file() or module in covered | {package / "core" / "dive_columns.py"}, (
+                    path,
+                    module,
+                )
 
 
 def _is_compiled(function: ast.FunctionDef) -> bool:
