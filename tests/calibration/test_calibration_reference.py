@@ -208,14 +208,17 @@ def test_what_reference_and_baseline_differ_by_has_its_closed_form() -> None:
 
 
 def test_dives_together_are_surer_and_their_scatter_is_told(found: Calibration) -> None:
-    both = calibrated(beside("figure-eight", 1), beside("figure-eight", 2))
+    second = beside("figure-eight", 2)
+    both, other = calibrated(beside("figure-eight", 1), second), calibrated(second)
     assert both.reference is not None
+    assert other.reference is not None
     assert found.reference is not None
     for together, alone in zip(both.reference.rows, found.reference.rows, strict=True):
         assert (alone.between_dives_sd, alone.birge) == (None, None)
         assert finite(together.sd) >= finite(together.between_dives_sd) > 0.0
-    clock, alone = both.reference.rows[0], found.reference.rows[0]
-    assert finite(clock.formal_sd) < 0.85 * finite(alone.formal_sd)
+    clock, *alone = (of_one.reference.rows[0] for of_one in (both, found, other) if of_one.reference is not None)
+    information = sum(finite(row.formal_sd) ** -2.0 for row in alone)
+    assert finite(clock.formal_sd) == pytest.approx(information**-0.5, rel=0.15)
     assert finite(clock.birge) < 3.0
 
 
