@@ -247,6 +247,28 @@ def test_dave_at_rest_tells_no_directions(read: Any) -> None:
     np.testing.assert_allclose(by_velocity(dive), 1e-3 * TRUE_D, atol=1e-12)
 
 
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e300, -1e-300])
+def test_numbers_of_a_damaged_log_are_lost_or_refused_and_never_a_traceback(number: float, read: Any) -> None:
+    def damaged_dave(i: int) -> dict[str, Any]:
+        values = dave(i)
+        if i == 6:
+            values["beams"][0]["velocity"] = {"twist": {"linear": xyz([number, number, number])}}
+        return values
+
+    def damaged_uuv(i: int) -> dict[str, Any]:
+        values = uuv(i)
+        for beam in values["beams"]:
+            beam["pose"] = {"pose": {"orientation": xyz([number] * 3) | {"w": number}}}
+        return values
+
+    dive = read("dave_interfaces/msg/DVL", damaged_dave)
+    np.testing.assert_allclose(dive.dvl.beam_vectors_d, JANUS, atol=1e-9)
+    good = np.arange(20) != 6
+    np.testing.assert_allclose(by_beams(dive)[good], TRUE_D[good], atol=1e-9)
+    dive = read("mvp_msgs/msg/DVL", damaged_uuv)
+    assert "dvl_beam_geometry" in codes(dive)
+
+
 def test_mil(read: Any) -> None:
     def ping(i: int) -> dict[str, Any]:
         speeds = JANUS @ TRUE_D[i]

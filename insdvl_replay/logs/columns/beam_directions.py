@@ -24,6 +24,8 @@ _CONTRADICTION: Final = 0.1
 """Both are computed from the same echoes, so that a tilt that is wrong by 3 deg already shows."""
 _MOVING_MPS: Final = 0.05
 _HINT: Final = "dvl.beam_tilt_deg and dvl.beam_azimuth_deg say what the instrument has"
+_LARGEST: Final = 1000.0
+"""m/s, or of a vector that should be of length 1."""
 _DOWN: Final = 0.5
 """The beams of a DVL that looks down have together at least such a part along z, whatever tilt they have."""
 _SAME_LENGTH: Final = 1e-6
@@ -40,7 +42,7 @@ def with_beam_speeds(table: Table, settings: Dvl) -> Table:
     """
     if "beam_velocity_vectors" not in table:
         return table
-    components = table.values("beam_velocity_vectors")
+    components = _within(table.values("beam_velocity_vectors"), _LARGEST)
     if not components.shape[1] or components.shape[1] % 3:
         return table
     vectors = components.reshape(len(table), 3, -1).transpose(0, 2, 1)
@@ -48,7 +50,7 @@ def with_beam_speeds(table: Table, settings: Dvl) -> Table:
     down = in_frd(vectors.reshape(-1, 3), settings.axes or FRD, "dvl.axes")[:, 2].reshape(sizes.shape)
     axes = np.empty((vectors.shape[1], 3))
     for beam, axis in enumerate(axes):
-        told = sizes[:, beam] > _MOVING_MPS
+        told = (sizes[:, beam] > _MOVING_MPS) & (down[:, beam] != 0.0)
         if not told.any():
             return table
         pointing = vectors[told, beam] * (np.sign(down[told, beam]) / sizes[told, beam])[:, None]
@@ -62,10 +64,15 @@ def with_beam_speeds(table: Table, settings: Dvl) -> Table:
     return replace(table, columns={**table.columns, **columns}, source=replace(table.source, fields=fields))
 
 
+def _within(values: Floats, limit: float) -> Floats:
+    """Return values, NaN where they are larger than any can be: a damaged log holds any numbers."""
+    return np.where(np.abs(values) <= limit, values, np.nan)
+
+
 def _told_vectors(table: Table, cleaner: Cleaner) -> Floats:
     """Return the directions that the messages tell in the log's axes, shape (beams, 3)."""
     quantity, width = ("beam_vectors", 3) if "beam_vectors" in table else ("beam_quaternions", 4)
-    told = cleaner.kept(table.values(quantity))
+    told = _within(cleaner.kept(table.values(quantity)), _LARGEST)
     if told.shape[1] % width:
         what = (
             f"field '{table.source.fields[quantity]}' holds {told.shape[1]} numbers, which are not {width} for a beam"

@@ -7,6 +7,7 @@ vehicle over ground.
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.core.config import Dvl
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, find_runs, seconds
@@ -71,7 +72,12 @@ def _keep_valid(table: Table, cleaner: Cleaner) -> None:
 
 def _are_set(table: Table, bits: tuple[int, ...]) -> Mask:
     """Find which bits are set in Nortek's status, shape (k, bits)."""
-    return np.asarray((table.column("nortek_status").astype(np.int64)[:, None] >> np.array(bits)) & 1 == 1)
+    return np.asarray((_whole(table.column("nortek_status"))[:, None] >> np.array(bits)) & 1 == 1)
+
+
+def _whole(numbers: Floats) -> NDArray[np.int64]:
+    """Return the whole numbers of 32 bits that a field holds, 0 where it holds something else."""
+    return np.where((numbers >= 0.0) & (numbers < 2.0**32), numbers, 0.0).astype(np.int64)
 
 
 def _keep_coordinates(table: Table, cleaner: Cleaner, wanted: int) -> None:

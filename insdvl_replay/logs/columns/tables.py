@@ -204,7 +204,9 @@ class Table:
             )
         latency_ns = nanoseconds(self.source.latency_s)
         if "interval_us" in self:
-            half_ns = np.rint(np.nan_to_num(self.column("interval_us")) * (_NS_PER_US / 2.0)).astype(np.int64)
+            interval_us = self.column("interval_us")
+            possible = (interval_us >= 0.0) & (interval_us < 2.0**32)
+            half_ns = np.rint(np.where(possible, interval_us, 0.0) * (_NS_PER_US / 2.0)).astype(np.int64)
             time_ns = time_ns - half_ns
         return time_ns - latency_ns if latency_ns else time_ns
 
