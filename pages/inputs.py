@@ -72,7 +72,12 @@ PARTS = {
     "imu": lambda: _types(known_types.IMU),
     "dvl": lambda: _types(known_dvls.DVL_BEAMS, known_dvls.DVL_VELOCITY, known_dvls.DVL_IF_NAMED),
     "reference": lambda: _types(
-        known_types.NAV_SOLUTION, known_types.ODOMETRY, known_types.FIX, known_types.POSES, known_types.TRUTH
+        known_types.NAV_SOLUTION,
+        known_types.ODOMETRY,
+        known_types.FIX,
+        known_types.EXTENDED_FIX,
+        known_types.POSES,
+        known_types.TRUTH,
     ),
     "others": lambda: markdown_table(
         ("file", "endings", "the step that helps"),

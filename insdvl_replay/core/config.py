@@ -159,7 +159,9 @@ class Reference(_Section, frozen=True):
     longitude: Annotated[str | None, Comment("field path; left out: by type")] = None
     height: Annotated[str | None, Comment("field path, m above the ellipsoid; left out: by type")] = None
     depth: Annotated[str | None, Comment("field path, m, in place of the height")] = None
-    velocity_n: Annotated[str | None, Comment("field path, north-east-down, or east-north-up with such axes")] = None
+    velocity_n: Annotated[
+        str | None, Comment("field path, north-east-down, or east-north-up with such axes or beside a quaternion")
+    ] = None
     velocity_b: Annotated[str | None, Comment("field path, in the axes of the body; left out: by type")] = None
     quaternion: Annotated[str | None, Comment("field path, x, y, z, w; left out: by type")] = None
     roll: Annotated[str | None, Comment("field path, starboard side down; left out: by type")] = None

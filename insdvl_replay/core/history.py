@@ -73,8 +73,15 @@ class Innovations:
         Left out, the rejected ones would let a filter that has lost its way seem in order; in full, a single outlier
         of the DVL, which a gate is there for, would decide over all others.
         """
+        if self.is_withheld or not np.isfinite(self.gate):
+            return np.ones_like(self.nis)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.minimum(1.0, self.gate / self.nis) if np.isfinite(self.gate) else np.ones_like(self.nis)
+            return np.minimum(1.0, self.gate / self.nis)
+
+    @property
+    def is_withheld(self) -> bool:
+        """Whether the filter was told of none of them."""
+        return self.gate < 0.0
 
     @property
     def standardised(self) -> Floats:

@@ -53,12 +53,22 @@ def is_whole(measurement: str) -> bool:
 
 PARITY: Final = "parity"
 """How the four beams of a ping agree: noise that is measured without a filter."""
+WITHHELD: Final = "withheld_"
+"""So begins the name of a sensor of whose readings no filter is told."""
+
+
+def is_used(measurement: str) -> bool:
+    """Distinguish a whole measurement that a filter predicts and uses, by which it is judged honest or not."""
+    return is_whole(measurement) and measurement != PARITY and not measurement.startswith(WITHHELD)
+
+
 MEASUREMENTS: Final[dict[str, tuple[str, ...]]] = {
     "velocity": AXES,
     "acceleration": AXES,
     **{f"beam_{number}": () for number in range(1, 5)},
     PARITY: (),
     **{name: sensor.components for name, sensor in SENSORS.items()},
+    **{f"{WITHHELD}{name}": sensor.components for name, sensor in SENSORS.items()},
 }
 """What filters are aided by, each with the names of its components."""
 

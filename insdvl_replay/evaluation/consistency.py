@@ -120,6 +120,8 @@ def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
     if total == 0:
         text, hint = f"filter {name} had no {kind} to use", f"filters.{name}.acceleration.max_window_gap_s or window"
         return [Note("aiding_without_updates", text, 0, Severity.WARNING, hint)]
+    if innovations.is_withheld:
+        return []
     lost = int(np.sum(~np.isfinite(innovations.nis)))
     if lost:
         first = int(np.argmax(~np.isfinite(innovations.nis)))

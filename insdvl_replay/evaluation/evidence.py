@@ -19,7 +19,7 @@ from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
     CONVERGED,
     VERDICTS_BEST_FIRST,
-    is_whole,
+    is_used,
 )
 from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
 from insdvl_replay.core.table_layout import finite
@@ -200,7 +200,7 @@ def _honesty(
         "nis": [
             (row.filter, _Size(_mean(row.mean_nis, row.dof), row.verdict))
             for row in consistency
-            if is_whole(row.measurement) and row.measurement in of_both
+            if is_used(row.measurement) and row.measurement in of_both
         ],
         "nees": [
             (row.filter, _Size(_mean(row.mean_nees, row.dof), row.verdict))

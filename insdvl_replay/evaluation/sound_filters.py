@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 from insdvl_replay.core.dive_columns import NS_PER_S
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.quantities import is_whole
+from insdvl_replay.core.quantities import is_used
 from insdvl_replay.core.rows import ConsistencyRow, ReferenceErrorRow
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.tables import Tables
@@ -104,7 +104,7 @@ def _contradictions(notes: Iterable[Note]) -> list[str]:
 
 def _surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
     for row in rows:
-        if row.filter == name and is_whole(row.measurement) and finite(row.mean_nis) > LARGEST_NIS_PER_DOF * row.dof:
+        if row.filter == name and is_used(row.measurement) and finite(row.mean_nis) > LARGEST_NIS_PER_DOF * row.dof:
             mean_nis = finite(row.mean_nis)
             return f"the {row.measurement} innovations of {name} have NIS {mean_nis:.3g}, {row.dof} is right"
     return ""

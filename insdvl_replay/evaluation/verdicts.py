@@ -11,7 +11,7 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.quantities import ALL_CREDIBILITY_GROUPS, DECIDING, NAMES, VERDICTS_BEST_FIRST, is_whole
+from insdvl_replay.core.quantities import ALL_CREDIBILITY_GROUPS, DECIDING, NAMES, VERDICTS_BEST_FIRST, is_used
 from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate, Tables
@@ -98,7 +98,7 @@ def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
 
     Their axes say where and do not count: of eight tests one fails by chance in every third honest filter.
     """
-    return _gravest(row.verdict for row in table if row.filter == filter_name and is_whole(row.measurement))
+    return _gravest(row.verdict for row in table if row.filter == filter_name and is_used(row.measurement))
 
 
 def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:

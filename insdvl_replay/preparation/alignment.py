@@ -105,7 +105,7 @@ def check_start(initial: Initial, *, has_reference: bool, has_position: bool, ha
     if not (from_reference and has_attitude) and initial.heading_deg is None:
         raise ConfigError(
             "the heading at the start is needed: no reference gives it, or initial.source is level, which takes none",
-            f"--set initial.heading_deg=...{', or fit, by the track of its positions' if has_position else ''}",
+            f"--set initial.heading_deg=...{' (or fit, by the track of its positions)' if has_position else ''}",
         )
 
 

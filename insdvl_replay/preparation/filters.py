@@ -12,6 +12,7 @@ import numpy as np
 from insdvl_replay.core.config import Acceleration, Config, Filter, Initial, Noise
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.quantities import WITHHELD
 from insdvl_replay.core.sensors import states_for
 from insdvl_replay.core.states import DEG, MORE_STATES
 from insdvl_replay.geometry.beams import DvlMounting
@@ -125,7 +126,7 @@ class ResolvedFilter:
                 found += self._beams(velocities, beams)
             else:
                 found.append(self._measurement(word, velocities, cov_b, gaps, sensors))
-        return (*found, *(withheld(sensors[name]) for name in self.withheld))
+        return (*found, *(_withheld(sensors[name]) for name in self.withheld))
 
     def _beams(self, velocities: DvlVelocities, beams: DvlBeams | None) -> tuple[Measurement, ...]:
         """Prepare beams, whose noise follows from that of velocities if only this is told."""
@@ -235,3 +236,7 @@ def _seen(measurement: Measurement, time_ns: TimeNs, gaps: Gaps) -> Measurement:
     window = measurement.velocity_weights.shape[1]
     first = np.maximum(np.arange(len(time_ns)) - window + 1, 0)
     return dataclasses.replace(measurement, available=measurement.available & ~gaps.overlap(time_ns[first], time_ns))
+
+
+def _withheld(sensor: Measurement) -> Measurement:
+    return withheld(dataclasses.replace(sensor, name=f"{WITHHELD}{sensor.name}"))

@@ -16,6 +16,9 @@ from insdvl_replay.report.plots.panel import Figure, Panel
 MISSING: Final = "-"
 _LABELS: Final = {state.id: state.label for state in STATES}
 _QUANTITIES: Final = {
+    "position_n": "position, north",
+    "position_e": "position, east",
+    "position_d": "position, down",
     "velocity_n": "velocity, north",
     "velocity_e": "velocity, east",
     "velocity_d": "velocity, down",

@@ -38,7 +38,8 @@ def test_every_judgement_has_a_sentence_and_a_rank() -> None:
     assert {*candidates.words["improvement"]} == {*verdicts.AGAINST, Judgement.NOT_JUDGED} == {*Judgement}
 
 
-OF_MORE = {"credibility": re.compile("position"), "consistency": re.compile("|".join(("beam_", "parity", *SENSORS)))}
+_OTHERS = "|".join(("beam_", "parity", "withheld_", *SENSORS))
+OF_MORE = {"credibility": re.compile("position"), "consistency": re.compile(_OTHERS)}
 """Rows of filters with more states, or more sensors."""
 
 

@@ -83,7 +83,9 @@ def settings(named: list[str]) -> list[str]:
     return ["reference.topic=nav/out", *(f"reference.{setting}" for setting in named)]
 
 
-@pytest.mark.parametrize(("rows", "named"), [(by_angles, ANGLES), (by_quaternion, QUATERNION)])
+@pytest.mark.parametrize(
+    ("rows", "named"), [(by_angles, ANGLES), (by_quaternion, QUATERNION), (by_quaternion, QUATERNION[:-1])]
+)
 def test_fields_give_what_a_known_type_gives(rows: Rows, named: list[str], dive: Dive, tmp_path: Path) -> None:
     log = foreign_log(dive, rows, tmp_path / "dive.mcap")
     known = read_dive(tmp_path / "dive.mcap", load_config()).reference

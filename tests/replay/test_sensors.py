@@ -69,10 +69,14 @@ def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
     settings = config("depth", evaluation=Evaluation(withheld=("depth",)))
     replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), settings)
     for history in replay.histories:
-        met = next(one for one in history.innovations if one.measurement == "depth")
+        met = next(one for one in history.innovations if one.measurement == "withheld_depth")
         assert len(met.nis) == 1600
         assert not met.used.any()
     np.testing.assert_array_equal(replay.histories[0].velocity_n, replay.histories[1].velocity_n)
+    rows = [row for row in replay.tables.consistency if row.measurement == "withheld_depth"]
+    assert [(row.used, row.rejected) for row in rows] == [(0, 1600)] * 2
+    assert min(row.mean_nis or 0.0 for row in rows) > 0.0
+    assert not [note for note in replay.notes if note.code == "gate_rejects_many"]
 
 
 def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:

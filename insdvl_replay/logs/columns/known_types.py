@@ -172,10 +172,6 @@ FIX: Final[Types] = {
         {"latitude": "latitude", "longitude": "longitude", "height": "altitude", "fix_status": "status.status"},
         about="positions with a fix",
     ),
-    "gps_msgs/msg/GPSFix": KnownType(
-        {"latitude": "latitude", "longitude": "longitude", "height": "altitude", "fix_status": "status.status"},
-        about="positions with a fix",
-    ),
     "px4_msgs/msg/SensorGps": KnownType(
         {
             "latitude": "latitude_deg",
@@ -209,6 +205,14 @@ FIX: Final[Types] = {
 """A status below 0 says that there is no fix, and so does a type of fix below 2.
 Of the Blueye's sensors only the satellite receiver is independent."""
 
+EXTENDED_FIX: Final[Types] = {
+    "gps_msgs/msg/GPSFix": KnownType(
+        {"latitude": "latitude", "longitude": "longitude", "height": "altitude", "fix_status": "status.status"},
+        about="positions with a fix",
+    ),
+}
+"""What receivers write beside a NavSatFix, of which the latter is taken."""
+
 BLUEYE_GNSS: Final = 4
 """``NAVIGATION_SENSOR_ID_BLUEYE_GNSS``."""
 
@@ -227,7 +231,7 @@ SENSORS: Final[Mapping[str, Sequence[Types]]] = {
             ),
         },
     ],
-    "position": [FIX],
+    "position": [FIX, EXTENDED_FIX],
 }
 """Of the sensors of `core.sensors`; of several groups of types, the first that a log has is taken."""
 SENSORS_IF_NAMED: Final[Mapping[str, Types]] = {

@@ -155,7 +155,7 @@ def of_receiver(table: Table, quantity: str) -> Floats:
 
 
 def _attitude(table: Table, settings: Reference) -> Floats | None:
-    if "quaternion" in table and ("roll" not in table or settings.quaternion is not None):
+    if _by_quaternion(table, settings):
         mat = mat_from_quat(table.values("quaternion", 4))
         for frame, north in (("pose_frame", _NED), ("local_frame", _OLD_NED)):
             if frame in table:
@@ -168,6 +168,15 @@ def _attitude(table: Table, settings: Reference) -> Floats | None:
     return None
 
 
+def _is_east_north_up(table: Table, settings: Reference) -> bool:
+    """Return in which axes a velocity in n is: unless it is said, in those of the quaternion beside it."""
+    return settings.axes == "enu_flu" or (settings.axes is None and _by_quaternion(table, settings))
+
+
+def _by_quaternion(table: Table, settings: Reference) -> bool:
+    return "quaternion" in table and ("roll" not in table or settings.quaternion is not None)
+
+
 def _velocity_n(table: Table, settings: Reference, mat_nb: Floats | None) -> Floats | None:
     if "velocity_frame" in table:
         return _velocity_by_frame(table, mat_nb)
@@ -175,7 +184,7 @@ def _velocity_n(table: Table, settings: Reference, mat_nb: Floats | None) -> Flo
         velocity = table.values("velocity_n", 3)
         if "velocity_valid" in table:
             velocity = np.where(table.values("velocity_valid", 2)[:, [0, 0, 1]] > 0.0, velocity, np.nan)
-        return velocity @ MAT_ENU_NED if settings.axes == "enu_flu" else velocity
+        return velocity @ MAT_ENU_NED if _is_east_north_up(table, settings) else velocity
     if "velocity_b" not in table or mat_nb is None:
         return None
     velocity_b = table.values("velocity_b", 3)

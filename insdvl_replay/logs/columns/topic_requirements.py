@@ -172,7 +172,7 @@ def solution_requirement(config: Config) -> TopicRequirement:
         "reference",
         _SOLUTION,
         by_type=[known_types.NAV_SOLUTION, known_types.ODOMETRY],
-        if_named={**known_types.FIX, **known_types.POSES},
+        if_named={**known_types.FIX, **known_types.EXTENDED_FIX, **known_types.POSES},
         enough=[{"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES],
         together=_ANGLES,
     )
@@ -181,7 +181,9 @@ def solution_requirement(config: Config) -> TopicRequirement:
 def fix_requirement(config: Config) -> TopicRequirement:
     """State what a geographic position needs."""
     enough = [{"latitude", "longitude"}]
-    return _required(config.reference, "reference", (), "fix", by_type=[known_types.FIX], enough=enough)
+    return _required(
+        config.reference, "reference", (), "fix", by_type=[known_types.FIX, known_types.EXTENDED_FIX], enough=enough
+    )
 
 
 def sensor_requirement(name: str, config: Config) -> TopicRequirement:
