@@ -43,7 +43,7 @@ SENSORS: Final[dict[str, Sensor]] = {
     "depth": Sensor(
         unit="m",
         components=(),
-        states=("position",),
+        states=("position", "depth_zero"),
         quantities=("depth", "height", "pressure"),
         enough=(frozenset({"depth"}), frozenset({"height"}), frozenset({"pressure"})),
     ),

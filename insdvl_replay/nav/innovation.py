@@ -7,7 +7,7 @@ velocity      z = C' v + w_eb x l - v_dvl                    H = [ C' | C'[v x] 
 published     z = f + C' g - a_dvl                           H = [ 0 | C'[g x] | I | 0 ]
 windowed      z = slope of the INS over the window - a_dvl   H = [ -[w x]C' | C'[g x] - [w x]C'[v x] | I | [v_b x] ]
 beam          z = b' (C' v + w_eb x l) - y                    H = b' [ C' | C'[v x] | 0 | -[l x] ]
-depth         z = -h + (C l)_d - d                           H = [ 0 | (C l)_e, -(C l)_n, 0 | 0 | 0 | 0, 0, 1 ]
+depth         z = -h + (C l)_d + d_0 - d                     H = [ 0 | (C l)_e, -(C l)_n, 0 | 0 | 0 | 0, 0, 1 | -1 ]
 fix           z = p - p_fix + C l                            H = [ 0 | -[C l x] | 0 | 0 | I ]
 heading       z = atan2(c_e, c_n) - psi                      H = [ 0 | -tan c_n, -tan c_e, 1 | 0 | 0 ], c = C e_x, tan =
                                                                  c_d / (c_n^2 + c_e^2)
@@ -234,11 +234,14 @@ def _linearise_sensor(
 
 @inlined
 def _predict_depth(ins: InsAtPing, arm_n: Vector, layout: StateLayout, H: Floats) -> float:
-    """Return how far the sensor is below the ellipsoid, -h + (C l)_d, and write its Jacobian."""
+    """Return what the gauge reads so far below the ellipsoid, -h + (C l)_d + d_0, and write its Jacobian."""
     H[0, 3], H[0, 4] = arm_n[1], -arm_n[0]
     if layout.position >= 0:
         H[0, layout.position + 2] = 1.0
-    return arm_n[2] - ins.position[2]
+    zero_m = 0.0
+    if layout.depth_zero >= 0:
+        H[0, layout.depth_zero], zero_m = -1.0, ins.constants[layout.depth_zero - layout.constants]
+    return arm_n[2] - ins.position[2] + zero_m
 
 
 @inlined

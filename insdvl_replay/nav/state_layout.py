@@ -24,6 +24,7 @@ class StateLayout(NamedTuple):
     position: int
     dvl_scale: int
     dvl_yaw: int
+    depth_zero: int
 
 
 def layout_of(more: Collection[str]) -> StateLayout:

@@ -9,7 +9,7 @@ from typing import Final, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from insdvl_replay.core.config import Acceleration, Config, Filter, Initial, Noise
+from insdvl_replay.core.config import Acceleration, Config, Filter, Noise
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.quantities import WITHHELD
@@ -191,7 +191,7 @@ def resolve_filter(name: str, filter_: Filter, config: Config, *, from_beams: bo
         states := _states(filter_, config.evaluation.withheld),
         config.evaluation.withheld,
         MEASUREMENT_NOISE[filter_.dvl_noise],
-        np.concatenate([np.empty(0), *(MORE_SD[block](config.initial) for block in states)]),
+        np.concatenate([np.empty(0), *(MORE_SD[block](config) for block in states)]),
     )
 
 
@@ -201,11 +201,14 @@ def _states(filter_: Filter, withheld: Collection[str]) -> tuple[str, ...]:
     return tuple(block for block in MORE_STATES if block in needed)
 
 
+KNOWN_M: Final = 1e-3
+"""Of a zero that the settings say."""
 MEASUREMENT_NOISE: Final = {"fixed": FIXED, "adaptive": ADAPTIVE, "student-t": STUDENT_T}
-MORE_SD: Final[dict[str, Callable[[Initial], Floats]]] = {
-    "position": lambda initial: np.array(initial.position_sd_m),
-    "dvl_scale": lambda initial: np.array([0.01 * initial.dvl_scale_sd_pct]),
-    "dvl_yaw": lambda initial: np.array([DEG * initial.dvl_yaw_sd_deg]),
+MORE_SD: Final[dict[str, Callable[[Config], Floats]]] = {
+    "position": lambda config: np.array(config.initial.position_sd_m),
+    "dvl_scale": lambda config: np.array([0.01 * config.initial.dvl_scale_sd_pct]),
+    "dvl_yaw": lambda config: np.array([DEG * config.initial.dvl_yaw_sd_deg]),
+    "depth_zero": lambda config: np.array([config.depth.sd_m if config.depth.surface_height_m is None else KNOWN_M]),
 }
 """Standard deviations of the blocks of `states.MORE_STATES` at the start, SI units."""
 

@@ -59,7 +59,7 @@ def test_a_log_with_a_pressure_gauge_is_read_as_it_was_simulated(tmp_path: Path)
 
 def test_depth_holds_the_height() -> None:
     replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), config("depth", depth=Depth(sd_m=0.05)))
-    assert used(replay.histories[1], "depth") == 1600
+    assert used(replay.histories[1], "depth") == 1599
     assert rms(replay, "candidate", 2) < 0.1
     assert rms(replay, "baseline", 2) > 0.2
     assert [note.code for note in replay.notes if note.code.startswith("depth")] == ["depth_zero"]
@@ -70,11 +70,11 @@ def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
     replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), settings)
     for history in replay.histories:
         met = next(one for one in history.innovations if one.measurement == "withheld_depth")
-        assert len(met.nis) == 1600
+        assert len(met.nis) == 1599
         assert not met.used.any()
     np.testing.assert_array_equal(replay.histories[0].velocity_n, replay.histories[1].velocity_n)
     rows = [row for row in replay.tables.consistency if row.measurement == "withheld_depth"]
-    assert [(row.used, row.rejected) for row in rows] == [(0, 1600)] * 2
+    assert [(row.used, row.rejected) for row in rows] == [(0, 1599)] * 2
     assert min(row.mean_nis or 0.0 for row in rows) > 0.0
     assert not [note for note in replay.notes if note.code == "gate_rejects_many"]
 
@@ -138,7 +138,7 @@ def started_off(prepared: Prepared, seed: int) -> Prepared:
     )
 
 
-def position_nees(seed: int, *aiding: str, **sensors: SensorErrors) -> Floats:
+def position_nees(seed: int, surface_m: float | None, *aiding: str, **sensors: SensorErrors) -> Floats:
     """NEES of the position over a dive of which the filter is told the truth, shape (k,)."""
     dive = simulate_dive(
         "lawnmower", seed=seed, duration_s=400.0, imu_errors=MATCHED_IMU, dvl_errors=MATCHED_DVL, sensors=sensors
@@ -147,7 +147,7 @@ def position_nees(seed: int, *aiding: str, **sensors: SensorErrors) -> Floats:
         noise=SENSORS.noise,
         initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, position_sd_m=POSITION_SD_M),
         dvl=SENSORS.dvl,
-        depth=Depth(sd_m=0.05, surface_height_m=0.0),
+        depth=Depth(sd_m=0.05, surface_height_m=surface_m),
         filters={"aided": Filter(aiding=("velocity", *aiding), states=("position",))},
     )
     prepared = started_off(prepare_dive(dive, settings), seed)
@@ -163,9 +163,11 @@ def position_nees(seed: int, *aiding: str, **sensors: SensorErrors) -> Floats:
     return np.einsum("ki,kij,kj->k", error_m, np.linalg.inv(cov), error_m)
 
 
-def test_position_is_as_far_off_as_the_filter_says() -> None:
+@pytest.mark.parametrize("surface_m", [0.0, None], ids=["zero is known", "zero by the first reading"])
+def test_position_is_as_far_off_as_the_filter_says(surface_m: float | None) -> None:
     """The mean NEES of 3 over independent runs; each run is one sample, since a position error stays."""
-    runs = np.array([position_nees(seed, "depth", depth=SensorErrors(0.05, 1.0)).mean() for seed in range(24)])
+    depth = SensorErrors(0.05, 1.0)
+    runs = np.array([position_nees(seed, surface_m, "depth", depth=depth).mean() for seed in range(24)])
     assert 3.0 - 2.5 * runs.std() / np.sqrt(24) < runs.mean() < 3.0 + 2.5 * runs.std() / np.sqrt(24)
     assert 1.8 < runs.mean() < 4.4
 
