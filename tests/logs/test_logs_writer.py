@@ -425,10 +425,28 @@ def test_replay_has_the_topics_of_the_contract(replay_messages: Decoded) -> None
         "/insdvl/aided/error",
         "/insdvl/dvl/velocity",
         "/insdvl/dvl/acceleration",
+        "/insdvl/reference/state",
+        "/insdvl/reference/odometry",
         "/insdvl/table/improvement",
         "/insdvl/table/consistency",
         "/insdvl/notes",
     }
+
+
+def test_reference_stands_beside_the_filters(replay_messages: Decoded) -> None:
+    """As the log had it, inside the replay; poses from where the filters start."""
+    reference, first = DIVE.reference, HISTORIES[0]
+    assert reference is not None
+    inside = (reference.time_ns >= first.time_ns[0]) & (reference.time_ns <= first.time_ns[-1])
+    assert inside.any()
+    states = replay_messages["/insdvl/reference/state"]
+    position = column(states, "latitude_deg", "longitude_deg", "height_m") * [DEG, DEG, 1.0]
+    np.testing.assert_allclose(position, reference.position[inside], rtol=1e-14)
+    np.testing.assert_array_equal(vectors(states, "velocity_ned_mps"), reference.velocity_n[inside])
+    poses = replay_messages["/insdvl/reference/odometry"]
+    whole = inside & np.all(list(reference.known.values()), axis=0)
+    up_m = np.array([message.pose.pose.position.z for message in poses])
+    np.testing.assert_allclose(up_m, reference.position[whole, 2] - first.position[0, 2], atol=1e-6)
 
 
 @pytest.mark.parametrize("history", HISTORIES, ids=lambda history: str(history.filter))

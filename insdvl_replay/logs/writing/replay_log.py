@@ -7,7 +7,7 @@ from typing import Final, Protocol
 import numpy as np
 from msgspec import Struct
 
-from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import DEG_PER_HOUR, MG, STATES
@@ -101,6 +101,8 @@ def write_replay(
     end_ns = max(int(history.time_ns[-1]) for history in histories)
     batches = [batch for history in histories for batch in _filter_batches(history, errors.get(history.filter))]
     batches += [_dvl(quantity, *sampled) for quantity, sampled in dvl.items()]
+    if dive.reference is not None:
+        batches += _reference_batches(dive.reference, histories[0])
     for layout, rows in each_table(tables):
         batches += [_row(layout, row, end_ns) for row in rows]
     batches += [_note(dive.name, note, end_ns) for note in notes]
@@ -116,7 +118,7 @@ def _filter_batches(history: History, errors: Errors | None) -> Iterator[Batch]:
         yield _error(f"{topic}/error", errors)
     for innovations in history.innovations:
         yield _innovation(f"{topic}/innovation/{innovations.measurement}", innovations)
-    yield _odometry(f"{topic}/odometry", history)
+    yield _odometry(f"{topic}/odometry", history, history.position[0])
     yield _fix(f"{topic}/fix", history)
 
 
@@ -163,18 +165,29 @@ def _three(components: Floats) -> Floats:
     return components if components.shape[1] == 3 else np.hstack([components, lacking])[:, :3]
 
 
-def _odometry(topic: str, history: History) -> Batch:
+def _reference_batches(reference: ReferenceColumns, history: History) -> Iterator[Batch]:
+    """Write down what the filters are held against, as they are; poses count from where the first of them starts."""
+    replayed = (reference.time_ns >= history.time_ns[0]) & (reference.time_ns <= history.time_ns[-1])
+    shown = reference.rows(replayed)
+    columns = solution(shown.position, shown.velocity_n, rpy_from_mat(shown.mat_nb))
+    yield stamped("/insdvl/reference/state", "insdvl_msgs/msg/NavSolution", shown.time_ns, NED, columns)
+    whole = np.logical_and.reduce(list(shown.known.values()))
+    if whole.any():
+        yield _odometry("/insdvl/reference/odometry", shown.rows(whole), history.position[0])
+
+
+def _odometry(topic: str, motion: History | ReferenceColumns, origin: Floats) -> Batch:
     """East-north-up and forward-port-up, the velocity in the body; zero covariances mean unknown."""
-    velocity_b = np.einsum("kji,kj->ki", history.mat_nb, history.velocity_n)
-    quat = quat_enu_flu(history.mat_nb)
+    velocity_b = np.einsum("kji,kj->ki", motion.mat_nb, motion.velocity_n)
+    quat = quat_enu_flu(motion.mat_nb)
     columns: dict[str, Column] = {
         "child_frame_id": BASE_LINK,
-        **xyz("pose.pose.position", east_north_up_m(history.position, history.position[0])),
+        **xyz("pose.pose.position", east_north_up_m(motion.position, origin)),
         **{f"pose.pose.orientation.{axis}": quat[:, i] for i, axis in enumerate("xyzw")},
         **xyz("twist.twist.linear", velocity_b @ MAT_FRD_FLU),
         **missing_xyz("twist.twist.angular"),
     }
-    return stamped(topic, "nav_msgs/msg/Odometry", history.time_ns, ODOM, columns)
+    return stamped(topic, "nav_msgs/msg/Odometry", motion.time_ns, ODOM, columns)
 
 
 def _fix(topic: str, history: History) -> Batch:
