@@ -82,9 +82,11 @@ REPLAY_LOG = "replay.mcap"
 """The histories; what checks alone need does without."""
 TRAJECTORY_FILE = "trajectory.npz"
 """Every filter once a second."""
+LAYOUT_FILES = ("foxglove.json", "plotjuggler.xml")
+"""How viewers show replay.mcap."""
 DIVE_FILES = (
     *(f"{layout.name}.csv" for layout in TABLES),
-    *(REPLAY_LOG, TRAJECTORY_FILE, "config.toml", "run.log", PAGE, COMPLETE),
+    *(REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE, "config.toml", "run.log", PAGE, COMPLETE),
 )
 """All files of the result of a dive."""
 TOOL = "insdvl-replay"
@@ -232,7 +234,11 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
     if label.tool.get("name") == TOOL:
         trajectories = map(trajectory_file, [label.baseline, *label.filters])
         return {COMPLETE, *(label.files or {*DIVE_FILES, *trajectories, REFERENCE_TRAJECTORY})}
-    needed = set(DIVE_FILES) - {REPLAY_LOG, TRAJECTORY_FILE}  # which checks, and early versions, do without
+    needed = set(DIVE_FILES) - {
+        REPLAY_LOG,
+        *LAYOUT_FILES,
+        TRAJECTORY_FILE,
+    }  # which checks, and early versions, do without
     return DIVE_FILES if all((folder / name).is_file() for name in needed) else None
 
 

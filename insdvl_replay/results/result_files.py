@@ -24,6 +24,7 @@ from insdvl_replay.results.histories import write_history
 from insdvl_replay.results.json_report import Report, build_report, encode_report, this_tool
 from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
+from insdvl_replay.results.viewer_layouts import viewer_layouts
 
 
 def save_trajectories(replay: Replay, folder: Path) -> None:
@@ -93,7 +94,7 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     folder : Path
         Exists; its other files are left alone.
     histories : bool
-        Whether to write replay.mcap, by far the largest file.
+        Whether to write replay.mcap, by far the largest file, and the layouts for its viewers.
     """
     begin("writing the results")
     settings = render_toml(replay.config)
@@ -121,6 +122,8 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
             config_toml=settings,
             version=__version__,
         )
+        for name, layout_text in viewer_layouts([history.filter for history in replay.histories]).items():
+            (folder / name).write_text(layout_text, "utf-8")
     write_trajectory(folder / TRAJECTORY_FILE, trajectory_of(replay))
     (folder / "config.toml").write_text(settings, "utf-8")
     (folder / "run.log").write_text(run_log(report), "utf-8")

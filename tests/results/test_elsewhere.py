@@ -19,9 +19,10 @@ from rosbags.highlevel import AnyReader
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.replay import replay_log
 from insdvl_replay.results.result_files import save_replay
+from insdvl_replay.results.viewer_layouts import viewer_layouts
 
 PROJECT = Path(__file__).resolve().parents[2]
-LAYOUTS = PROJECT / "examples" / "layouts"
+LAYOUTS = PROJECT / "insdvl_replay" / "results" / "layouts"
 NODE = PROJECT / "tests" / "node"
 VEHICLES = {"straight": None, "figure_eight": None, "snapir_01": PROJECT / "examples" / "snapir.toml"}
 
@@ -144,3 +145,11 @@ def test_every_curve_of_the_plotjuggler_layout_is_a_number_of_a_replay(messages:
         assert is_number(messages[topic], field), curve
     for splitter in root.iter("DockSplitter"):
         assert int(splitter.get("count", "")) == len(splitter) == len(splitter.get("sizes", "").split(";"))
+
+
+def test_layouts_beside_a_replay_name_its_filters() -> None:
+    made = viewer_layouts(["plain", "windowed", "published"])
+    for name, text in made.items():
+        drawn = (LAYOUTS / name).read_text("utf-8")
+        assert not re.search(r"\b(baseline|aided)\b", text)
+        assert text.replace("windowed", "aided").replace("plain", "baseline") == drawn
