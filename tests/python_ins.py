@@ -74,13 +74,13 @@ class Case:
         )
 
     def config(self, **changes: Any) -> Config:
-        settings = dict(
-            dvl=Dvl(lever_arm_m=self.lever_arm_m, mounting_rpy_deg=self.mounting_rpy_deg, beam_sd_mps=BEAM_SD_MPS),
-            initial=INITIAL,
-            noise=NOISE,
-            span=Span(start_s=START_S),
-            filters={"baseline": Filter(aiding=("velocity",))},
-        )
+        settings = {
+            "dvl": Dvl(lever_arm_m=self.lever_arm_m, mounting_rpy_deg=self.mounting_rpy_deg, beam_sd_mps=BEAM_SD_MPS),
+            "initial": INITIAL,
+            "noise": NOISE,
+            "span": Span(start_s=START_S),
+            "filters": {"baseline": Filter(aiding=("velocity",))},
+        }
         return Config(**(settings | changes))
 
     def velocities(self, dive: Dive) -> BodyVelocity:
