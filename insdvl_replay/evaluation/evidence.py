@@ -8,7 +8,7 @@ of a piece is that of `paired_statistics.word_of`, and what `_corrected` leaves 
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -28,7 +28,13 @@ from insdvl_replay.evaluation.consistency import NORMAL_95
 from insdvl_replay.evaluation.losses import Losses
 from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
 from insdvl_replay.evaluation.over_dives import holm
-from insdvl_replay.evaluation.paired_statistics import RatioInterval, paired_ratio, windows_ratio, word_of
+from insdvl_replay.evaluation.paired_statistics import (
+    RatioInterval,
+    paired_ratio,
+    ratio_beside_starts,
+    windows_ratio,
+    word_of,
+)
 
 HONESTY: Final = "honesty"
 NOTABLY: Final = 1.1
@@ -53,11 +59,14 @@ class Measured:
         By filter and length of window the horizontal drifts, shape (n,), m.
     convergence : mapping of str to mapping of str to MeasuredConvergence
         By candidate and quantity.
+    beside : mapping of str to (mapping of str to Losses, mapping of str to Losses)
+        By candidate that is a solution that was read: the baseline's losses and its own, at the same instants.
     """
 
     losses: Mapping[str, Mapping[str, Losses]]
     coasting: Mapping[str, Mapping[str, Floats]]
     convergence: Mapping[str, Mapping[str, MeasuredConvergence]]
+    beside: Mapping[str, tuple[Mapping[str, Losses], Mapping[str, Losses]]] = field(default_factory=dict)
 
 
 def evidence_table(
@@ -88,7 +97,7 @@ def evidence_table(
     for candidate in candidates:
         named = log, candidate
         deciding = [
-            *_accuracy(named, measured, baseline),
+            *(_beside(named, measured) if candidate in measured.beside else _accuracy(named, measured, baseline)),
             *_coasting(named, measured, baseline),
             *_convergence(named, measured),
         ]
@@ -150,10 +159,31 @@ def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[Evid
         yield EvidenceRow(*named, "accuracy", quantity, before.unit, *values, *_ends(interval), starts, windows, word)
 
 
+def _beside(named: _Named, measured: Measured) -> Iterator[EvidenceRow]:
+    """Hold a solution that was read against the baseline from its starts, of which it may have had any."""
+    befores, afters = measured.beside[named[1]]
+    for quantity, before in befores.items():
+        after, starts = afters[quantity], len(before.squared)
+        if starts > 1:
+            interval = ratio_beside_starts(before.squared, after.squared[0], least_block=before.least_block)
+        else:
+            interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
+        values = _usual_rms(before.squared), _usual_rms(after.squared)
+        word = EvidenceWord.UNDECIDED if max(values) <= before.floor else word_of(interval)
+        windows = before.squared.shape[1]
+        yield EvidenceRow(*named, "accuracy", quantity, before.unit, *values, *_ends(interval), starts, windows, word)
+
+
+def _usual_rms(squared: Floats) -> float:
+    """Return the geometric mean over starts of root mean squares, shape (s, k)."""
+    each = [_rms(of_start) for of_start in squared]
+    return math.exp(float(np.mean(np.log(each)))) if min(each) > 0.0 else _rms(squared)
+
+
 def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
     for window, before in measured.coasting.get(baseline, {}).items():
-        after = measured.coasting[named[1]][window]
-        if not len(before):
+        after = measured.coasting.get(named[1], {}).get(window)
+        if after is None or not len(before):
             continue
         interval = windows_ratio(before, after)
         values = _rms(before**2), _rms(after**2)
@@ -193,9 +223,11 @@ def _honesty(
 ) -> Iterator[EvidenceRow]:
     """Compare how far the mean NIS, and the mean NEES, is from what each filter expects.
 
-    Of the baseline's measurements, and of the groups of states, the gravest stands for a filter.
+    Of the baseline's measurements, and of the groups of states, the gravest stands for a filter; of the baseline's
+    groups those that the candidate has.
     """
     of_both = {row.measurement for row in consistency if row.filter == baseline}
+    groups = {row.quantity for row in credibility if row.filter == named[1]} & set(ALL_CREDIBILITY_GROUPS)
     sizes = {
         "nis": [
             (row.filter, _Size(_mean(row.mean_nis, row.dof), row.verdict))
@@ -205,7 +237,7 @@ def _honesty(
         "nees": [
             (row.filter, _Size(_mean(row.mean_nees, row.dof), row.verdict))
             for row in credibility
-            if row.quantity in ALL_CREDIBILITY_GROUPS
+            if row.quantity in groups
         ],
     }
     for quantity, found in sizes.items():
