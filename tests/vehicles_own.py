@@ -45,17 +45,23 @@ def truth_of(dive: Dive, every: int = 1) -> Told:
     assert reference is not None
     rows = slice(None, None, every)
     position = reference.position[rows]
-    way_n = north_east_down_m(position, np.broadcast_to(position[0], position.shape)) + [7.0, -3.0, 2.0]
-    return Told(reference.time_ns[rows], way_n, reference.velocity_n[rows], Rotation.from_matrix(reference.mat_nb[rows]))
+    way_n = north_east_down_m(position, np.broadcast_to(position[0], position.shape)) + np.array([7.0, -3.0, 2.0])
+    return Told(
+        reference.time_ns[rows], way_n, reference.velocity_n[rows], Rotation.from_matrix(reference.mat_nb[rows])
+    )
 
 
-def off(told: Told, *, way_n: Floats | float = 0.0, velocity_n: Floats | float = 0.0, turn_n: Floats | None = None) -> Told:
+def off(
+    told: Told, *, way_n: Floats | float = 0.0, velocity_n: Floats | float = 0.0, turn_n: Floats | None = None
+) -> Told:
     """Add errors, estimated minus true: metres, m/s, and a rotation vector in n."""
     turn = Rotation.identity() if turn_n is None else Rotation.from_rotvec(turn_n)
     return Told(told.time_ns, told.way_n + way_n, told.velocity_n + velocity_n, turn * told.attitude)
 
 
-def write_odometry(path: Path, told: Told, covariances: Mapping[str, Floats] = {}, topic: str = "/odometry") -> Path:  # noqa: B006
+def write_odometry(
+    path: Path, told: Told, covariances: Mapping[str, Floats] | None = None, topic: str = "/odometry"
+) -> Path:
     """Write a log of nav_msgs/Odometry: the pose in its own frame, the twist in the body's."""
     attitude = ENU_OF_NED * told.attitude * FLU_OF_FRD
     quat = attitude.as_quat()
@@ -65,7 +71,7 @@ def write_odometry(path: Path, told: Told, covariances: Mapping[str, Floats] = {
         **xyz("pose.pose.position", ENU_OF_NED.apply(told.way_n)),
         **{f"pose.pose.orientation.{axis}": quat[:, i] for i, axis in enumerate("xyzw")},
         **xyz("twist.twist.linear", velocity_b),
-        **{field: cov.reshape(len(quat), 36) for field, cov in covariances.items()},
+        **{field: cov.reshape(len(quat), 36) for field, cov in (covariances or {}).items()},
     }
     write_log(path, [stamped(topic, "nav_msgs/msg/Odometry", told.time_ns, ODOM, columns)], {})
     return path
@@ -78,6 +84,8 @@ def write_tum(path: Path, told: Told, east_north_up: bool = True) -> Path:
         ways, attitude = ENU_OF_NED.apply(ways), ENU_OF_NED * attitude * FLU_OF_FRD
     rows = np.hstack([ways, attitude.as_quat()])
     stamps = (f"{time // 10**9}.{time % 10**9:09d}" for time in told.time_ns.tolist())
-    lines = (f"{stamp} {' '.join(f'{number:.12g}' for number in row)}\n" for stamp, row in zip(stamps, rows, strict=True))
+    lines = (
+        f"{stamp} {' '.join(f'{number:.12g}' for number in row)}\n" for stamp, row in zip(stamps, rows, strict=True)
+    )
     path.write_text("# time x y z qx qy qz qw\n" + "".join(lines))
     return path

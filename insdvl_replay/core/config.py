@@ -261,6 +261,15 @@ class Evaluation(Section, frozen=True):
     ] = ()
 
 
+class Topic(Section, frozen=True):
+    """A topic that a measurement of your own reads, by the name of its section: ``dive.topics["range"]``."""
+
+    topic: Annotated[str, Comment("as the log names it")]
+    values: Annotated[str, Comment("field path; of several numbers all paths, with commas between them")]
+    stamp: Annotated[str | None, Comment(STAMP)] = None
+    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+
+
 class Config(Section, frozen=True):
     """All settings of a replay."""
 
@@ -275,6 +284,7 @@ class Config(Section, frozen=True):
     clocks: Clocks = Clocks()
     span: Span = Span()
     evaluation: Evaluation = Evaluation()
+    topics: dict[str, Topic] = msgspec.field(default_factory=dict)
     filters: dict[str, Filter] = msgspec.field(default_factory=_default_filters)
 
     @property

@@ -236,6 +236,8 @@ class Dive:
         Those of `sensors.SENSORS` that were asked for.
     solutions : mapping of str to SolutionColumns
         By the name of the filter that each is.
+    topics : mapping of str to SensorColumns
+        Those that the configuration names in ``[topics]``, for measurements of your own; as the log has them.
     channels : tuple of Channel
         What the log holds.
     notes : tuple of Note
@@ -249,6 +251,7 @@ class Dive:
     truth: TruthColumns | None = None
     sensors: Mapping[str, SensorColumns] = field(default_factory=dict)
     solutions: Mapping[str, SolutionColumns] = field(default_factory=dict)
+    topics: Mapping[str, SensorColumns] = field(default_factory=dict)
     sha256: str = ""
     channels: tuple[Channel, ...] = ()
     notes: tuple[Note, ...] = field(default=())

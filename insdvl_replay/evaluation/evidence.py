@@ -1,13 +1,14 @@
 """The evidence on each candidate beside the baseline: what was measured, its interval, and a word.
 
 Both filters ran on the same dive from the same starts, so that everything is paired. *Accuracy* is against the
-reference, *coasting* while the DVL is withheld, *convergence* from starts that err as much as the filters allow for,
-*honesty* whether innovations and errors are as large as a filter says; the last says nothing of gain or loss. The word
-of a piece is that of `paired_statistics.word_of`, and what `_corrected` leaves of it.
+reference, *coasting* while the DVL is withheld, *withheld* by other sensors that no filter was told of, *convergence*
+from starts that err as much as the filters allow for, *honesty* whether innovations and errors are as large as a filter
+says; the last says nothing of gain or loss. The word of a piece is that of `paired_statistics.word_of`, and what
+`_corrected` leaves of it.
 """
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -41,6 +42,8 @@ NOTABLY: Final = 1.1
 """A mean NIS or NEES nearer to its degrees of freedom by less is as honest."""
 SOONER: Final = 0.25
 """A smaller difference of convergence decides nothing: its interval is over starts, and the sensors err once a dive."""
+NOISY: Final = 0.4
+"""Share of a root mean square that is the noise of what it is taken against, above which likeness says nothing."""
 FAR: Final = 0.1
 """Margin of all pieces but the first: of a dozen, one is often off by more than 5 % on one dive."""
 CHANCE: Final = 0.05
@@ -59,6 +62,8 @@ class Measured:
         By filter and length of window the horizontal drifts, shape (n,), m.
     convergence : mapping of str to mapping of str to MeasuredConvergence
         By candidate and quantity.
+    withheld : mapping of str to mapping of str to Losses
+        By filter and quantity of `quantities.WITHHELD_QUANTITIES`; empty where no sensor is withheld.
     beside : mapping of str to (mapping of str to Losses, mapping of str to Losses)
         By candidate that is a solution that was read: the baseline's losses and its own, at the same instants.
     """
@@ -66,6 +71,7 @@ class Measured:
     losses: Mapping[str, Mapping[str, Losses]]
     coasting: Mapping[str, Mapping[str, Floats]]
     convergence: Mapping[str, Mapping[str, MeasuredConvergence]]
+    withheld: Mapping[str, Mapping[str, Losses]]
     beside: Mapping[str, tuple[Mapping[str, Losses], Mapping[str, Losses]]] = field(default_factory=dict)
 
 
@@ -97,8 +103,9 @@ def evidence_table(
     for candidate in candidates:
         named = log, candidate
         deciding = [
-            *(_beside(named, measured) if candidate in measured.beside else _accuracy(named, measured, baseline)),
+            *_accuracy(named, measured, baseline),
             *_coasting(named, measured, baseline),
+            *_withheld(named, measured, baseline),
             *_convergence(named, measured),
         ]
         rows += [*_corrected(deciding), *_honesty(named, consistency, credibility, baseline)]
@@ -148,36 +155,59 @@ def _chance(row: EvidenceRow) -> float:
 
 
 def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
-    ours = measured.losses.get(named[1], {})
-    for quantity, before in measured.losses.get(baseline, {}).items():
-        after = ours[quantity]
-        starts, windows = before.squared.shape
-        interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
-        values = _rms(before.squared), _rms(after.squared)
-        below_floor = max(values) <= before.floor
-        word = EvidenceWord.UNDECIDED if below_floor else word_of(interval)
-        yield EvidenceRow(*named, "accuracy", quantity, before.unit, *values, *_ends(interval), starts, windows, word)
+    if named[1] in measured.beside:
+        yield from _of_losses(named, "accuracy", *measured.beside[named[1]], _from_one_start)
+    elif named[1] in measured.losses:
+        pair = measured.losses[baseline], measured.losses[named[1]]
+        yield from _of_losses(named, "accuracy", *pair, _from_same_starts)
 
 
-def _beside(named: _Named, measured: Measured) -> Iterator[EvidenceRow]:
-    """Hold a solution that was read against the baseline from its starts, of which it may have had any."""
-    befores, afters = measured.beside[named[1]]
+def _withheld(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
+    """Compare what sensors say of both that were withheld: nothing of a solution that was read."""
+    if ours := measured.withheld.get(named[1]):
+        yield from _of_losses(named, "withheld", measured.withheld[baseline], ours, _from_same_starts)
+
+
+def _of_losses(
+    named: _Named,
+    evidence: str,
+    befores: Mapping[str, Losses],
+    afters: Mapping[str, Losses],
+    compare: Callable[[Losses, Losses], tuple[float, float, RatioInterval]],
+) -> Iterator[EvidenceRow]:
     for quantity, before in befores.items():
-        after, starts = afters[quantity], len(before.squared)
-        if starts > 1:
-            interval = ratio_beside_starts(before.squared, after.squared[0], least_block=before.least_block)
-        else:
-            interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
-        values = _usual_rms(before.squared), _usual_rms(after.squared)
-        word = EvidenceWord.UNDECIDED if max(values) <= before.floor else word_of(interval)
-        windows = before.squared.shape[1]
-        yield EvidenceRow(*named, "accuracy", quantity, before.unit, *values, *_ends(interval), starts, windows, word)
+        starts, windows = before.squared.shape
+        of_baseline, value, interval = compare(before, afters[quantity])
+        largest = max(of_baseline, value)
+        word = _word_above_noise(word_of(interval), before.floor / largest if largest else math.inf)
+        values = of_baseline, value, *_ends(interval)
+        yield EvidenceRow(*named, evidence, quantity, before.unit, *values, starts, windows, word)
+
+
+def _from_same_starts(before: Losses, after: Losses) -> tuple[float, float, RatioInterval]:
+    """Compare the losses of two filters that ran from the same starts: values of both, and their ratio."""
+    interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
+    return _rms(before.squared), _rms(after.squared), interval
+
+
+def _from_one_start(before: Losses, after: Losses) -> tuple[float, float, RatioInterval]:
+    """Compare a filter from its starts with a run that may have had any of them: usual values, and their ratio."""
+    if len(before.squared) == 1:
+        return _from_same_starts(before, after)
+    interval = ratio_beside_starts(before.squared, after.squared[0], least_block=before.least_block)
+    return _usual_rms(before.squared), _usual_rms(after.squared), interval
 
 
 def _usual_rms(squared: Floats) -> float:
     """Return the geometric mean over starts of root mean squares, shape (s, k)."""
     each = [_rms(of_start) for of_start in squared]
     return math.exp(float(np.mean(np.log(each)))) if min(each) > 0.0 else _rms(squared)
+
+
+def _word_above_noise(word: EvidenceWord, share: float) -> EvidenceWord:
+    """Let a word stand where not all is the noise of the yardstick, and likeness where hardly anything is."""
+    drowned = share >= 1.0 or (share > NOISY and word == EvidenceWord.EQUIVALENT)
+    return EvidenceWord.UNDECIDED if drowned else word
 
 
 def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:

@@ -1,8 +1,7 @@
 """Filters that ran side by side, compared with the reference and with each other: all tables of a dive."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -30,6 +29,7 @@ from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_
 from insdvl_replay.evaluation.sound_filters import not_to_be_judged
 from insdvl_replay.evaluation.state_errors import state_errors
 from insdvl_replay.evaluation.verdicts import verdicts
+from insdvl_replay.evaluation.withheld import withheld_losses
 
 MOST_COVARIANCES: Final = 20_000
 """So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times."""
@@ -59,6 +59,7 @@ def tables_of_filters(
     drawn: tuple[DrawnErrors, ...],
     coasts: Coasts,
     noise: ReferenceNoise,
+    sensor_sd: Mapping[str, float],
     *,
     start_ns: int,
     bridged_gaps: bool,
@@ -71,6 +72,8 @@ def tables_of_filters(
         Of the filters; empty without a reference.
     noise : ReferenceNoise
         How far the reference itself may be off.
+    sensor_sd : mapping of str to float
+        Noise of one reading of the sensors that may be withheld, see `withheld.withheld_losses`.
 
     Returns
     -------
@@ -91,10 +94,13 @@ def tables_of_filters(
     convergence = {of_one.filter: measured_convergences(drawn[0], of_one) for of_one in drawn[1:]}
     consistency = consistency_table(dive.name, histories)
     credibility = credibility_table(dive.name, names, in_states)
-    losses = partial(_losses, dive, noise, bridged_gaps)
-    beside = partial(_losses_beside, dive, noise, bridged_gaps)
-    read = [history for history in histories if history.is_read]
-    measured = Measured(losses(drawn), window_drifts(coasts), convergence, beside(drawn, read))
+    measured = Measured(
+        _losses(dive, drawn, noise, bridged_gaps=bridged_gaps),
+        window_drifts(coasts),
+        convergence,
+        {history.filter: withheld_losses(history, sensor_sd) for history in histories},
+        _losses_beside(dive, drawn, histories, noise, bridged_gaps=bridged_gaps),
+    )
     return errors, Tables(
         improvement_table(dive.name, histories),
         convergence_table(dive.name, histories, convergence),
@@ -118,7 +124,7 @@ def _drift(
 
 
 def _losses(
-    dive: Dive, noise: ReferenceNoise, bridged_gaps: bool, drawn: Iterable[DrawnErrors]
+    dive: Dive, drawn: tuple[DrawnErrors, ...], noise: ReferenceNoise, *, bridged_gaps: bool
 ) -> dict[str, dict[str, Losses]]:
     if dive.reference is None:
         return {}
@@ -126,17 +132,21 @@ def _losses(
 
 
 def _losses_beside(
-    dive: Dive, noise: ReferenceNoise, bridged_gaps: bool, drawn: Sequence[DrawnErrors], read: Iterable[History]
+    dive: Dive,
+    drawn: tuple[DrawnErrors, ...],
+    histories: tuple[History, ...],
+    noise: ReferenceNoise,
+    *,
+    bridged_gaps: bool,
 ) -> dict[str, tuple[dict[str, Losses], dict[str, Losses]]]:
-    """Square the errors of solutions, and of the baseline from starts like theirs."""
+    """Square the errors of solutions that were read, and of the baseline from starts like theirs."""
     if dive.reference is None:
         return {}
     of_filters, found = {of_one.filter: of_one for of_one in drawn}, {}
-    for history in read:
+    for history in (history for history in histories if history.is_read):
         baseline = own_start(drawn[0]) if history.starts_as_others else drawn[0]
-        found[history.filter] = losses_beside(
-            baseline, of_filters[history.filter], dive.reference, noise, bridged_gaps=bridged_gaps
-        )
+        one = of_filters[history.filter]
+        found[history.filter] = losses_beside(baseline, one, dive.reference, noise, bridged_gaps=bridged_gaps)
     return found
 
 
@@ -149,7 +159,7 @@ def with_solutions(drawn: Sequence[DrawnErrors], histories: Iterable[History], d
 
 
 def judged_candidates(
-    histories: tuple[History, ...], tables: Tables, notes: Iterable[Note], *, independent: bool
+    histories: tuple[History, ...], tables: Tables, notes: Sequence[Note], *, independent: bool
 ) -> tuple[Tables, dict[str, Candidate]]:
     """Judge each candidate by the evidence in the tables.
 
@@ -157,7 +167,7 @@ def judged_candidates(
     ----------
     histories : tuple of History
         The first is the baseline.
-    notes : iterable of Note
+    notes : sequence of Note
         Of the dive.
     independent : bool
         Whether the reference shares no sensors with the filters.

@@ -77,6 +77,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         truth=columns.truth,
         sensors=columns.sensors,
         solutions=columns.solutions,
+        topics=columns.topics,
         sha256=sha256,
         channels=_channels(log.channels, sources),
         notes=tuple(notes),

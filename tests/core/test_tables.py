@@ -30,6 +30,7 @@ def test_the_tables_have_these_names_keys_and_primary_columns() -> None:
         ("coasting", "window_s", "drift_median_m"),
         ("drift", "quantity", "p50"),
         ("track_fit", "quantity", "fitted"),
+        ("jumps", "filter", "jumps"),
     ]
 
 
@@ -39,7 +40,11 @@ def test_every_judgement_has_a_sentence_and_a_rank() -> None:
 
 
 _OTHERS = "|".join(("beam_", "parity", "withheld_", *SENSORS))
-OF_MORE = {"credibility": re.compile("position"), "consistency": re.compile(_OTHERS)}
+OF_MORE = {
+    "credibility": re.compile("position"),
+    "consistency": re.compile(_OTHERS),
+    "evidence": re.compile("withheld_"),
+}
 """Rows of filters with more states, or more sensors."""
 
 

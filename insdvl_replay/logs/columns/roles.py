@@ -25,16 +25,18 @@ from insdvl_replay.core.sensors import SENSORS, asked_sensors
 from insdvl_replay.logs.columns.dvl import decode_dvl
 from insdvl_replay.logs.columns.imu import decode_imu, decode_truth
 from insdvl_replay.logs.columns.reference import decode_reference
-from insdvl_replay.logs.columns.sensors import decode_sensor
+from insdvl_replay.logs.columns.sensors import decode_own_topic, decode_sensor
 from insdvl_replay.logs.columns.solutions import decode_solution, solution_name, solution_role
 from insdvl_replay.logs.columns.tables import Table, clock_notes
 from insdvl_replay.logs.columns.topic_requirements import (
+    OWN_TOPIC,
     TRUTH_REQUIREMENT,
     Source,
     TopicRequirement,
     dvl_requirement,
     fix_requirement,
     imu_requirement,
+    own_requirement,
     own_solution_requirement,
     sensor_requirement,
     solution_requirement,
@@ -67,6 +69,7 @@ class RoleColumns:
     truth: TruthColumns | None = None
     sensors: dict[str, SensorColumns] = field(default_factory=dict)
     solutions: dict[str, SolutionColumns] = field(default_factory=dict)
+    topics: dict[str, SensorColumns] = field(default_factory=dict)
 
     def decode(self, role: str, tables: list[Table]) -> list[Note]:
         """Make the columns of a role; the raw ones are let go, since those of a long dive are large."""
@@ -80,6 +83,8 @@ class RoleColumns:
             self.sensors[role], notes = decode_sensor(role, tables.pop(), self.config)
         elif (name := solution_name(role)) is not None:
             self.solutions[name], notes = decode_solution(tables, self.config.solutions[name])
+        elif role.startswith(OWN_TOPIC):
+            self.topics[role.removeprefix(OWN_TOPIC)], notes = decode_own_topic(tables.pop())
         else:
             self.truth, notes = decode_truth(tables.pop())
         return notes
@@ -139,6 +144,7 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     solutions = [_solution(topics, own, solution_role(name), reference.sources) for name, own in named]
     truth = _explained(topics, TRUTH_REQUIREMENT, lambda: tuple(filter(None, [topics.find(TRUTH_REQUIREMENT)])))
     sensors = [_needed(topics, sensor_requirement(name, config)) for name in asked_sensors(config)]
+    sensors += [_needed(topics, own_requirement(name, config)) for name in config.topics]
     return (imu, dvl, reference, *sensors, *solutions, *([truth] if truth.sources or truth.error else []))
 
 

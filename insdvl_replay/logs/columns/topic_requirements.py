@@ -17,6 +17,8 @@ from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.fields import Kinds, channel_paths, check_encoding, find_path, split_paths
 from insdvl_replay.logs.encoding.ros2msg import full_name
 
+OWN_TOPIC: Final = "topics."
+"""Begins the role of a topic for measurements of the user's own."""
 BOW_DOWN: Final = "_bow_down"
 """Ends the name of a pitch with the opposite sign."""
 _ANGLES: Final = ({"latitude", "longitude"}, {"roll", "pitch", "heading"})
@@ -25,9 +27,13 @@ _MOTION: Final = ({"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES)
 Section = TypeVar("Section", bound=msgspec.Struct)
 
 
+SOLUTION: Final = "solution"
+"""Begins the codes of notes on a solution that is judged as a filter, whichever."""
+
+
 def code_of(role: str) -> str:
-    """Return what the codes of notes on a role begin with: of ``filters.onboard.solution`` the last word."""
-    return role.rpartition(".")[2]
+    """Return what the codes of notes on a role begin with."""
+    return SOLUTION if role.startswith("filters.") else role
 
 
 @dataclass(frozen=True)
@@ -208,6 +214,11 @@ def sensor_requirement(name: str, config: Config) -> TopicRequirement:
         if_named=known_types.SENSORS_IF_NAMED.get(name, {}),
         enough=SENSORS[name].enough,
     )
+
+
+def own_requirement(name: str, config: Config) -> TopicRequirement:
+    """State what a topic needs that only measurements of the user's own read."""
+    return _required(config.topics[name], f"{OWN_TOPIC}{name}", ("values",), by_type=[], enough=[{"values"}])
 
 
 def _required(section: Any, role: str, quantities: Iterable[str], key: str = "topic", **needs: Any) -> TopicRequirement:
