@@ -5,7 +5,7 @@ definitions in the public repositories of the packages, and the Blueye protocol'
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 Fields = Mapping[str, str]
@@ -241,6 +241,37 @@ SENSORS_IF_NAMED: Final[Mapping[str, Types]] = {
     },
 }
 """Too common to be taken unasked for what one of their fields holds."""
+
+SOLUTIONS: Final[Types] = {
+    **NAV_SOLUTION,
+    **ODOMETRY,
+    **POSES,
+    **FIX,
+    "nav_msgs/msg/Odometry": KnownType(
+        {
+            **ODOMETRY["nav_msgs/msg/Odometry"].fields,
+            "local_position": "pose.pose.position",
+            "pose_cov": "pose.covariance",
+            "twist_cov": "twist.covariance",
+        }
+    ),
+    "px4_msgs/msg/VehicleOdometry": replace(
+        ODOMETRY["px4_msgs/msg/VehicleOdometry"],
+        fields={**ODOMETRY["px4_msgs/msg/VehicleOdometry"].fields, "local_position": "position"},
+    ),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": KnownType(
+        {**POSES["geometry_msgs/msg/PoseWithCovarianceStamped"].fields, "pose_cov": "pose.covariance"}
+    ),
+    "blueye.protocol.PositionEstimateTel": KnownType(
+        {
+            "latitude": "position_estimate.global_position.latitude",
+            "longitude": "position_estimate.global_position.longitude",
+        },
+        stamp=LOG_TIME,
+    ),
+}
+"""Of a solution of the vehicle's own, whose topic is always named: what it says of its errors, and positions whose
+origin nobody knows, are read, too. Of the Blueye the estimate of all its sensors together."""
 
 TRUTH: Final[Types] = {
     "insdvl_msgs/msg/SensorBiases": KnownType(
