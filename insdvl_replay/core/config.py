@@ -141,8 +141,8 @@ class Initial(Section, frozen=True):
         Comment("reference | level (by gravity and DVL; of a reference the position alone)"),
     ] = "reference"
     heading_deg: Annotated[
-        float | Literal["fit"] | None,
-        Comment('needed where the reference has no attitude, or source = level; "fit": by the track of its positions'),
+        float | Literal["fit", "sensor"] | None,
+        Comment('needed where no reference gives an attitude: a number, "fit" (by a track of positions) or "sensor"'),
     ] = None
     latitude_deg: Annotated[
         Annotated[float, Meta(ge=-89.9, le=89.9)] | None, Comment("needed where the reference has no position")
