@@ -16,7 +16,7 @@ import msgspec
 from msgspec import Struct
 
 from insdvl_replay.core.config import Config, Filter, Topic
-from insdvl_replay.core.config_navigation import FILE_ENDINGS, TOPIC_KEYS, Solution, spelled_out
+from insdvl_replay.core.config_navigation import TOPIC_KEYS, Solution, key_of, spelled_out
 from insdvl_replay.core.errors import ConfigError, error_context, require_known
 from insdvl_replay.core.plain_text import is_writable, visible
 from insdvl_replay.core.sensors import AIDING, SENSORS
@@ -77,7 +77,7 @@ def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _with_whole_path(entry: Any, folder: Path) -> Any:
     solution = entry.get("solution") if isinstance(entry, Mapping) else None
-    if isinstance(solution, str) and solution.lower().endswith(FILE_ENDINGS):
+    if isinstance(solution, str) and key_of(solution) == "file":
         return {**entry, "solution": str((folder / solution).absolute())}
     if isinstance(solution, Mapping) and isinstance(file := solution.get("file"), str):
         return {**entry, "solution": {**solution, "file": str((folder / file).absolute())}}
@@ -159,6 +159,8 @@ def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     merged = dict(base)
     for key, value in changes.items():
         old = merged.get(key)
+        if key == "solution" and isinstance(old, str):
+            old = {key_of(old): old}
         merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
     return merged
 
