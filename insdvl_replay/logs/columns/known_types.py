@@ -122,8 +122,13 @@ _LOCAL: Final = (
 
 ODOMETRY: Final[Types] = {
     "nav_msgs/msg/Odometry": KnownType(
-        {"quaternion": "pose.pose.orientation", "velocity_b": "twist.twist.linear"},
-        about="velocity in the body and attitude, east-north-up and forward-port-up",
+        {
+            "quaternion": "pose.pose.orientation",
+            "velocity_b": "twist.twist.linear",
+            "local_position": "pose.pose.position",
+        },
+        about="velocity in the body, attitude and position, east-north-up and forward-port-up; positions are in metres "
+        "from the place of `[initial]`, whose `latitude_deg` must be set, and left out where the log has fixes",
     ),
     "px4_msgs/msg/VehicleOdometry": KnownType(
         {
@@ -133,14 +138,17 @@ ODOMETRY: Final[Types] = {
             "velocity_n": "velocity",
             "velocity_b": "velocity",
             "velocity_frame": "velocity_frame",
+            "local_position": "position",
         },
         {"axes": "ned_frd"},
         "timestamp_sample",
-        "PX4; attitude and velocity where their frames are north-east-down or the body, since others have no north",
+        "PX4; attitude, position and velocity where their frames are north-east-down or the body, since others have no "
+        "north",
     ),
 }
-"""East-north-up and forward-port-up, the twist in the child frame; the position has no known origin. PX4's pose frame
-is 1, and that of its older messages 0, for north-east-down; its velocity frame 1 for that and 3 for the body."""
+"""East-north-up and forward-port-up, the twist in the child frame; the position is from an origin that no message
+tells. PX4's pose frame is 1, and that of its older messages 0, for north-east-down; its velocity frame 1 for that and 3
+for the body."""
 
 POSES: Final[Types] = {
     "geometry_msgs/msg/PoseStamped": KnownType(

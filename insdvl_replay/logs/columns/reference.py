@@ -1,6 +1,6 @@
 """The reference solution: positions, velocities and attitudes of one or two topics, on the union of their times."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -43,11 +43,18 @@ def decode_reference(
     """Make the columns of the reference; positions in metres are from the initial one."""
     notes: list[Note] = []
     parts = []
+    has_fixes = any("latitude" in table for table in tables)
     for table in tables:
-        part, found = _part(table, settings, initial)
+        part, found = _part(_without_local_positions(table) if has_fixes else table, settings, initial)
         parts.append(part)
         notes += found
     return (_union(parts) if parts else None), notes
+
+
+def _without_local_positions(table: Table) -> Table:
+    """Leave out positions from an origin that nobody knows, where another topic has them on Earth."""
+    fields = {quantity: path for quantity, path in table.source.fields.items() if quantity != "local_position"}
+    return replace(table, source=replace(table.source, fields=fields))
 
 
 def _part(table: Table, settings: Reference, initial: Initial) -> tuple[_Part, list[Note]]:
@@ -84,8 +91,13 @@ def _position(table: Table, settings: Reference, initial: Initial) -> Floats | N
 
 
 def _local_position(table: Table, settings: Reference, initial: Initial) -> Floats | None:
-    """Make positions of metres from an origin: the messages' own, else the initial position; none without either."""
-    local_m = table.values("local_position", 3)
+    """Make positions of metres from an origin: the messages' own, else the initial position; none without either.
+
+    Nor where all are zero in the plane, as in messages that are about something else.
+    """
+    local_m = _in_north(table, table.values("local_position", 3))
+    if not np.nan_to_num(local_m[:, :2]).any():
+        return None
     if "local_valid" in table:
         local_m = np.where(table.values("local_valid", 2)[:, [0, 0, 1]] > 0.0, local_m, np.nan)
     north_east_down_m = local_m if settings.axes == "ned_frd" else local_m @ MAT_ENU_NED
@@ -156,16 +168,22 @@ def of_receiver(table: Table, quantity: str) -> Floats:
 
 def _attitude(table: Table, settings: Reference) -> Floats | None:
     if _by_quaternion(table, settings):
-        mat = mat_from_quat(table.values("quaternion", 4))
-        for frame, north in (("pose_frame", _NED), ("local_frame", _OLD_NED)):
-            if frame in table:
-                mat[table.column(frame) != north] = np.nan
+        mat = _in_north(table, mat_from_quat(table.values("quaternion", 4)))
         return mat if settings.axes == "ned_frd" else np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
     if "roll" in table:
         pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
         rpy = np.stack([table.column("roll"), pitch, table.column("heading")], axis=1)
         return mat_from_rpy(rpy * ANGLE_UNITS[settings.angle_unit])
     return None
+
+
+def _in_north(table: Table, values: Floats) -> Floats:
+    """Return what is given of a pose, NaN where its frame is one of PX4's that has no north."""
+    for frame, north in (("pose_frame", _NED), ("local_frame", _OLD_NED)):
+        if frame in table:
+            told = (table.column(frame) == north).reshape(-1, *(1 for _ in values.shape[1:]))
+            values = np.where(told, values, np.nan)
+    return values
 
 
 def _is_east_north_up(table: Table, settings: Reference) -> bool:

@@ -145,7 +145,7 @@ def _references(topics: "_Topics", config: Config, dvl_topic: str) -> tuple[Sour
     solution = topics.find(required, besides=dvl_topic) or (
         topics.need(required) if any(required.paths.values()) else None
     )
-    if solution and "latitude" in solution.fields and config.reference.fix is None:
+    if solution and solution.fields.keys() & {"latitude", "origin"} and config.reference.fix is None:
         return (solution,)
     fix = topics.find(fix_requirement(config))
     return tuple(source for source in (solution, fix) if source is not None)
