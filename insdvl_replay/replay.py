@@ -14,7 +14,7 @@ from insdvl_replay.core.runtime import begin, return_freed_memory
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.consistency import update_notes
 from insdvl_replay.evaluation.curves import Curves, curves_of
-from insdvl_replay.evaluation.hints import settings_hints
+from insdvl_replay.evaluation.hints import constants_notes, settings_hints
 from insdvl_replay.evaluation.judging import judged_candidates, judged_times, reference_notes, tables_of_filters
 from insdvl_replay.evaluation.losses import ReferenceNoise
 from insdvl_replay.evaluation.reference import ReferenceErrors
@@ -133,13 +133,14 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     begin("judging the filters")
     bridged_gaps, independent = len(prepared.gaps.start_ns) > 0, config.reference.independent
     errors, tables = tables_of_filters(
-        dive, histories, drawn, coasts, _noise_of(config.reference), start_ns=span[0], bridged_gaps=bridged_gaps
-    )
+        dive, histories, drawn, coasts, _noise_of(config.reference), prepared.sensor_sd,
+        start_ns=span[0], bridged_gaps=bridged_gaps,
+    )  # fmt: skip
     curves = curves_of(drawn, coasts)
     notes = dive.notes + prepared.notes + outage_notes(prepared.velocities.time_ns, *span) + update_notes(histories)
     notes += reference_notes(dive, *span, histories[0], judged_ns, independent=independent)
     tables, judged = judged_candidates(histories, tables, notes, independent=independent)
-    notes += settings_hints(tables, histories[0])
+    notes += settings_hints(tables, histories[0]) + constants_notes(histories)
     if not keep_cov:
         histories = tuple(history.without_cov() for history in histories)
     return_freed_memory()

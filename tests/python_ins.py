@@ -1,29 +1,33 @@
 """python-ins on the readings of a simulated dive: another's mechanisation, error model and Kalman filter.
 
-Its filter has the position among its states. There it is known to a millimetre at the start, and with bottom track to
-centimetres at the end, which is nothing to gravity and to the Earth's rate: the other 12 states do not see it.
+Its filter has the position among its states. Beside our twelve states it is known to a millimetre at the start, and
+with bottom track to centimetres at the end, which is nothing to gravity and to the Earth's rate: the other states do
+not see it.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 import pandas as pd
 from pyins.filters import run_feedback_filter
 from pyins.inertial_sensor import EstimationModel
-from pyins.measurements import BodyVelocity
+from pyins.measurements import BodyVelocity, Measurement, Position
 from pyins.strapdown import compute_increments_from_imu
 from pyins.transform import mat_from_rph, mat_to_rph
-from pyins.util import ACCEL_COLS, GYRO_COLS, TRAJECTORY_COLS
+from pyins.util import ACCEL_COLS, GYRO_COLS, LLA_COLS, TRAJECTORY_COLS, TRAJECTORY_ERROR_COLS
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.config import Config, Dvl, Filter, Initial, Noise, Span, Vector
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.history import History
-from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, MG
+from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, MG, POSITION
 from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.sim.dive import START_NS, simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, LostBeam
+from insdvl_replay.sim.sensors import SensorErrors
 
 START_S, END_S = 93.0, 153.0  # level at the start, so that roll, pitch and heading are as sure as phi; two turns
 BEAM_SD_MPS = 0.0042
@@ -41,12 +45,13 @@ DVL_ERRORS = DvlErrors(beam_sd_mps=BEAM_SD_MPS, beam_bias_sd_mps=0.0, beam_scale
 
 @dataclass(frozen=True)
 class Case:
-    """A dive and how its DVL is mounted."""
+    """A dive, how its DVL is mounted, and the sensors beside it, which are at the IMU."""
 
     scenario: str = "figure-eight"
     lever_arm_m: Vector = (0.0, 0.0, 0.0)
     mounting_rpy_deg: Vector = (0.0, 0.0, 0.0)
     beams: tuple[int, ...] = (0, 1, 2, 3)
+    sensors: Mapping[str, SensorErrors] = field(default_factory=dict)
 
     def dive(self) -> Dive:
         """Simulate it. python-ins corrects at the IMU sample before a ping; a ping at a sample leaves no difference."""
@@ -65,16 +70,18 @@ class Case:
             dvl_errors=DVL_ERRORS,
             lever_arm_m=self.lever_arm_m,
             mounting_rpy_deg=self.mounting_rpy_deg,
+            sensors=self.sensors,
         )
 
-    def config(self) -> Config:
-        return Config(
-            dvl=Dvl(lever_arm_m=self.lever_arm_m, mounting_rpy_deg=self.mounting_rpy_deg, beam_sd_mps=BEAM_SD_MPS),
-            initial=INITIAL,
-            noise=NOISE,
-            span=Span(start_s=START_S),
-            filters={"baseline": Filter(aiding=("velocity",))},
-        )
+    def config(self, **changes: Any) -> Config:
+        settings = {
+            "dvl": Dvl(lever_arm_m=self.lever_arm_m, mounting_rpy_deg=self.mounting_rpy_deg, beam_sd_mps=BEAM_SD_MPS),
+            "initial": INITIAL,
+            "noise": NOISE,
+            "span": Span(start_s=START_S),
+            "filters": {"baseline": Filter(aiding=("velocity",))},
+        }
+        return Config(**(settings | changes))
 
     def velocities(self, dive: Dive) -> BodyVelocity:
         """Bring the DVL's readings to the IMU's axes and place, which python-ins takes for granted."""
@@ -103,22 +110,58 @@ def turn_rate_b(dive: Dive) -> Floats:
 
 @dataclass(frozen=True)
 class Belief:
-    """What a filter believes after its last ping."""
+    """What a filter believes after its last ping. Without a state for the position nothing is said of its sd."""
 
     velocity_n: Floats
     mat_nb: Floats
     biases: Floats
     bias_sd: Floats
+    position: Floats
+    position_sd: Floats
 
 
 def our_belief(history: History, last_ns: int) -> Belief:
     row = int(np.searchsorted(history.time_ns, last_ns))
     biases = np.concatenate([history.accel_bias_b[row], history.gyro_bias_b[row]])
     bias_sd = np.concatenate([history.sd[row, BA], history.sd[row, BG]])
-    return Belief(history.velocity_n[row], history.mat_nb[row], biases, bias_sd)
+    return Belief(
+        history.velocity_n[row],
+        history.mat_nb[row],
+        biases,
+        bias_sd,
+        history.position[row],
+        history.sd[row, POSITION] if history.estimates_position else np.empty(0),
+    )
 
 
-def their_belief(dive: Dive, velocities: BodyVelocity) -> Belief:
+class Depth(Measurement):  # type: ignore[misc]
+    """A depth as python-ins has its measurements: the third row of its own position's."""
+
+    def __init__(self, depth_m: "pd.Series[float]", sd_m: float) -> None:
+        self.fixes = Position(pd.DataFrame({"lat": 0.0, "lon": 0.0, "alt": -depth_m}), sd_m)
+        super().__init__(self.fixes.data)
+
+    def compute_matrices(self, time: float, pva: Any, error_model: Any) -> tuple[Floats, Floats, Floats] | None:
+        if (found := self.fixes.compute_matrices(time, pva, error_model)) is None:
+            return None
+        z, H, R = found
+        return z[2:], H[2:], R[2:, 2:]
+
+
+def fixes(dive: Dive, sd_m: float) -> Position:
+    readings = dive.sensors["position"]
+    values = readings.values * [1.0 / DEG, 1.0 / DEG, 1.0]
+    data = pd.DataFrame(values, index=seconds(readings.time_ns, START_NS), columns=LLA_COLS)
+    return Position(data[data.index > START_S], sd_m)
+
+
+def depths(dive: Dive, sd_m: float) -> Depth:
+    readings = dive.sensors["depth"]
+    depth_m = pd.Series(readings.values[:, 0], index=seconds(readings.time_ns, START_NS))
+    return Depth(depth_m[depth_m.index > START_S], sd_m)
+
+
+def their_belief(dive: Dive, *measurements: Measurement, position_sd_m: float = 1e-3) -> Belief:
     assert dive.reference is not None
     imu = pd.DataFrame(
         np.hstack([dive.imu.angular_rate_b, dive.imu.specific_force_b]),
@@ -127,7 +170,7 @@ def their_belief(dive: Dive, velocities: BodyVelocity) -> Belief:
     )
     result = run_feedback_filter(
         start(dive.reference),
-        position_sd=1e-3,
+        position_sd=position_sd_m,
         velocity_sd=INITIAL.velocity_sd_mps,
         level_sd=INITIAL.misalignment_sd_deg[0],
         azimuth_sd=INITIAL.misalignment_sd_deg[2],
@@ -138,16 +181,18 @@ def their_belief(dive: Dive, velocities: BodyVelocity) -> Belief:
         accel_model=EstimationModel(
             INITIAL.accel_bias_sd_mg * MG, NOISE.accel_white_mps_rts, NOISE.accel_bias_walk_mps2_rts
         ),
-        measurements=[velocities],
+        measurements=list(measurements),
         time_step=0.5,
     )
-    last_s = velocities.data.index[-1]
+    last_s = measurements[0].data.index[-1]
     pva = result.trajectory.loc[last_s].to_numpy()
     return Belief(
         pva[3:6],
         mat_from_rph(pva[6:]),
         np.concatenate([result.accel.loc[last_s], result.gyro.loc[last_s]]),
         np.concatenate([result.accel_sd.loc[last_s], result.gyro_sd.loc[last_s]]),
+        pva[:3] * [DEG, DEG, 1.0],
+        result.trajectory_sd.loc[last_s, TRAJECTORY_ERROR_COLS[:3]].to_numpy(),
     )
 
 

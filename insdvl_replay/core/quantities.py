@@ -57,6 +57,10 @@ WITHHELD: Final = "withheld_"
 """So begins the name of a sensor of whose readings no filter is told."""
 
 
+IS_REFERENCE: Final = "_is_reference"
+"""So ends the code of the note, behind a sensor's name, that its readings are the reference's own."""
+
+
 def is_used(measurement: str) -> bool:
     """Distinguish a whole measurement that a filter predicts and uses, by which it is judged honest or not."""
     return is_whole(measurement) and measurement != PARITY and not measurement.startswith(WITHHELD)
@@ -94,11 +98,14 @@ _COASTING: Final = tuple(f"coasting_{window}s" for window in COASTING_WINDOWS_S)
 CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_d"}
 """Errors whose convergence is measured, and how `drawn_errors.squared_errors` names them."""
 _CONVERGENCE: Final = tuple(f"convergence_{name}" for name in CONVERGED)
-DECIDING: Final = (*(name for name in ACCURACY if name != DEPTH), *_COASTING)
+WITHHELD_QUANTITIES: Final = tuple(f"{WITHHELD}{name}" for name in SENSORS)
+"""Differences from sensors that are withheld."""
+_NO_VOTE: Final = (DEPTH, f"{WITHHELD}depth")
+DECIDING: Final = (*(name for name in (*ACCURACY, *_COASTING, *WITHHELD_QUANTITIES) if name not in _NO_VOTE),)
 """Quantities by which a candidate is better or worse."""
 DECIDING_TOGETHER: Final = (*DECIDING, *_CONVERGENCE)
 """Those by which several dives decide. Of one dive, convergence knows how the starts scatter, but not the sensors."""
-EVIDENCE_QUANTITIES: Final = (*ACCURACY, *_COASTING, *_CONVERGENCE, "nis", "nees")
+EVIDENCE_QUANTITIES: Final = (*ACCURACY, *_COASTING, *WITHHELD_QUANTITIES, *_CONVERGENCE, "nis", "nees")
 """Rows of evidence, each name once."""
 NAMES: Final = {
     "drift_30s": "drift in 30 s",
@@ -110,6 +117,9 @@ NAMES: Final = {
     "level": "level",
     "heading": "heading",
     **{f"coasting_{window}s": f"coasting {window} s" for window in COASTING_WINDOWS_S},
+    "withheld_depth": "withheld depth, 60 s",
+    "withheld_heading": "withheld heading",
+    "withheld_position": "withheld fix, 60 s",
     "convergence_velocity": "velocity settled",
     "convergence_level": "level settled",
     "convergence_heading": "heading settled",

@@ -201,7 +201,7 @@ class EvidenceRow(Struct, frozen=True):
 
     log: Annotated[str, Column("Dive, candidate, kind of evidence and quantity.")]
     filter: str
-    evidence: Annotated[str, Column("accuracy, coasting, convergence or honesty.")]
+    evidence: Annotated[str, Column("accuracy, coasting, withheld, convergence or honesty.")]
     quantity: Annotated[str, _EVIDENCE_QUANTITY]
     unit: Annotated[str, Column("Unit of the two values.")]
     baseline: Annotated[

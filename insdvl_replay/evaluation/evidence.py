@@ -1,9 +1,10 @@
 """The evidence on each candidate beside the baseline: what was measured, its interval, and a word.
 
 Both filters ran on the same dive from the same starts, so that everything is paired. *Accuracy* is against the
-reference, *coasting* while the DVL is withheld, *convergence* from starts that err as much as the filters allow for,
-*honesty* whether innovations and errors are as large as a filter says; the last says nothing of gain or loss. The word
-of a piece is that of `paired_statistics.word_of`, and what `_corrected` leaves of it.
+reference, *coasting* while the DVL is withheld, *withheld* by other sensors that no filter was told of, *convergence*
+from starts that err as much as the filters allow for, *honesty* whether innovations and errors are as large as a filter
+says; the last says nothing of gain or loss. The word of a piece is that of `paired_statistics.word_of`, and what
+`_corrected` leaves of it.
 """
 
 import math
@@ -35,6 +36,8 @@ NOTABLY: Final = 1.1
 """A mean NIS or NEES nearer to its degrees of freedom by less is as honest."""
 SOONER: Final = 0.25
 """A smaller difference of convergence decides nothing: its interval is over starts, and the sensors err once a dive."""
+NOISY: Final = 0.4
+"""Share of a root mean square that is the noise of what it is taken against, above which likeness says nothing."""
 FAR: Final = 0.1
 """Margin of all pieces but the first: of a dozen, one is often off by more than 5 % on one dive."""
 CHANCE: Final = 0.05
@@ -53,11 +56,14 @@ class Measured:
         By filter and length of window the horizontal drifts, shape (n,), m.
     convergence : mapping of str to mapping of str to MeasuredConvergence
         By candidate and quantity.
+    withheld : mapping of str to mapping of str to Losses
+        By filter and quantity of `quantities.WITHHELD_QUANTITIES`; empty where no sensor is withheld.
     """
 
     losses: Mapping[str, Mapping[str, Losses]]
     coasting: Mapping[str, Mapping[str, Floats]]
     convergence: Mapping[str, Mapping[str, MeasuredConvergence]]
+    withheld: Mapping[str, Mapping[str, Losses]]
 
 
 def evidence_table(
@@ -88,8 +94,9 @@ def evidence_table(
     for candidate in candidates:
         named = log, candidate
         deciding = [
-            *_accuracy(named, measured, baseline),
+            *_of_losses(named, "accuracy", measured.losses, baseline),
             *_coasting(named, measured, baseline),
+            *_of_losses(named, "withheld", measured.withheld, baseline),
             *_convergence(named, measured),
         ]
         rows += [*_corrected(deciding), *_honesty(named, consistency, credibility, baseline)]
@@ -138,16 +145,23 @@ def _chance(row: EvidenceRow) -> float:
     return math.erfc(sds / math.sqrt(2.0))
 
 
-def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
-    ours = measured.losses.get(named[1], {})
-    for quantity, before in measured.losses.get(baseline, {}).items():
+def _of_losses(
+    named: _Named, evidence: str, losses: Mapping[str, Mapping[str, Losses]], baseline: str
+) -> Iterator[EvidenceRow]:
+    ours = losses.get(named[1], {})
+    for quantity, before in losses.get(baseline, {}).items():
         after = ours[quantity]
         starts, windows = before.squared.shape
         interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
         values = _rms(before.squared), _rms(after.squared)
-        below_floor = max(values) <= before.floor
-        word = EvidenceWord.UNDECIDED if below_floor else word_of(interval)
-        yield EvidenceRow(*named, "accuracy", quantity, before.unit, *values, *_ends(interval), starts, windows, word)
+        word = _word_above_noise(word_of(interval), before.floor / max(values) if any(values) else math.inf)
+        yield EvidenceRow(*named, evidence, quantity, before.unit, *values, *_ends(interval), starts, windows, word)
+
+
+def _word_above_noise(word: EvidenceWord, share: float) -> EvidenceWord:
+    """Let a word stand where not all is the noise of the yardstick, and likeness where hardly anything is."""
+    drowned = share >= 1.0 or (share > NOISY and word == EvidenceWord.EQUIVALENT)
+    return EvidenceWord.UNDECIDED if drowned else word
 
 
 def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:

@@ -48,6 +48,32 @@ def settings_hints(tables: Tables, history: History) -> tuple[Note, ...]:
     return (*_axes_apart(tables, name), *_track_off(tables, name, heading_sd_deg), *_noise_far_off(tables, name))
 
 
+def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
+    """Note what filters take the constants of the sensors to be at the end: scale and yaw of the DVL, the gauge's zero.
+
+    Returns
+    -------
+    tuple of Note
+        For information, one for each filter that estimates any.
+    """
+    return tuple(
+        Note("constants_estimated", f"{history.filter} estimates: {'; '.join(found)}", len(found))
+        for history in histories
+        if (found := [*_constants(history)])
+    )
+
+
+def _constants(history: History) -> Iterator[str]:
+    count = history.constants.shape[1]
+    for column, state in enumerate(history.states[len(history.states) - count :]):
+        value, start = (history.constants[row, column] / state.factor for row in (-1, 0))
+        sd, start_sd = (history.sd[row, state.index] / state.factor for row in (-1, 0))
+        yield (
+            f"{state.label} {value:+.3g} {state.unit} (sd {sd:.2g} {state.unit}; "
+            f"at the start {start:+.3g}, sd {start_sd:.2g})"
+        )
+
+
 def _nis_per_dof(tables: Tables, baseline: str) -> dict[str, float]:
     return {row.measurement: finite(row.mean_nis) / row.dof for row in tables.consistency if row.filter == baseline}
 

@@ -1,7 +1,7 @@
 """Filters that ran side by side, compared with the reference and with each other: all tables of a dive."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -28,6 +28,7 @@ from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_
 from insdvl_replay.evaluation.sound_filters import not_to_be_judged
 from insdvl_replay.evaluation.state_errors import state_errors
 from insdvl_replay.evaluation.verdicts import verdicts
+from insdvl_replay.evaluation.withheld import withheld_losses
 
 MOST_COVARIANCES: Final = 20_000
 """So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times."""
@@ -57,6 +58,7 @@ def tables_of_filters(
     drawn: tuple[DrawnErrors, ...],
     coasts: Coasts,
     noise: ReferenceNoise,
+    sensor_sd: Mapping[str, float],
     *,
     start_ns: int,
     bridged_gaps: bool,
@@ -69,6 +71,8 @@ def tables_of_filters(
         Of the filters; empty without a reference.
     noise : ReferenceNoise
         How far the reference itself may be off.
+    sensor_sd : mapping of str to float
+        Noise of one reading of the sensors that may be withheld, see `withheld.withheld_losses`.
 
     Returns
     -------
@@ -86,7 +90,12 @@ def tables_of_filters(
     convergence = {of_one.filter: measured_convergences(drawn[0], of_one) for of_one in drawn[1:]}
     consistency = consistency_table(dive.name, histories)
     credibility = credibility_table(dive.name, names, in_states)
-    measured = Measured(_losses(dive, drawn, noise, bridged_gaps=bridged_gaps), window_drifts(coasts), convergence)
+    measured = Measured(
+        _losses(dive, drawn, noise, bridged_gaps=bridged_gaps),
+        window_drifts(coasts),
+        convergence,
+        {history.filter: withheld_losses(history, sensor_sd) for history in histories},
+    )
     return errors, Tables(
         improvement_table(dive.name, histories),
         convergence_table(dive.name, histories, convergence),
@@ -117,7 +126,7 @@ def _losses(
 
 
 def judged_candidates(
-    histories: tuple[History, ...], tables: Tables, notes: Iterable[Note], *, independent: bool
+    histories: tuple[History, ...], tables: Tables, notes: Sequence[Note], *, independent: bool
 ) -> tuple[Tables, dict[str, Candidate]]:
     """Judge each candidate by the evidence in the tables.
 
@@ -125,7 +134,7 @@ def judged_candidates(
     ----------
     histories : tuple of History
         The first is the baseline.
-    notes : iterable of Note
+    notes : sequence of Note
         Of the dive.
     independent : bool
         Whether the reference shares no sensors with the filters.

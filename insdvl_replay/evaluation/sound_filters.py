@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 from insdvl_replay.core.dive_columns import NS_PER_S
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.quantities import is_used
+from insdvl_replay.core.quantities import IS_REFERENCE, is_used
 from insdvl_replay.core.rows import ConsistencyRow, ReferenceErrorRow
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.tables import Tables
@@ -38,14 +38,14 @@ CONTRADICTIONS: Final = (
 """Notes on columns that cannot all be right."""
 
 
-def not_to_be_judged(histories: tuple[History, ...], tables: Tables, notes: Iterable[Note]) -> dict[str, str]:
+def not_to_be_judged(histories: tuple[History, ...], tables: Tables, notes: Sequence[Note]) -> dict[str, str]:
     """Find the candidates of which nothing can be said beside the baseline.
 
     Parameters
     ----------
     histories : tuple of History
         The first is the baseline.
-    notes : iterable of Note
+    notes : sequence of Note
         Of the dive: where its columns contradict each other, no filter is judged.
 
     Returns
@@ -55,15 +55,30 @@ def not_to_be_judged(histories: tuple[History, ...], tables: Tables, notes: Iter
         the two alone is surprised by the dive, or far off, is for the evidence to say.
     """
     baseline, *candidates = (history.filter for history in histories)
-    dead, contradicted = dead_filters(histories), "; ".join(_contradictions(notes))
+    unfit = _told_the_reference(histories, notes) | dead_filters(histories)
+    contradicted = "; ".join(_contradictions(notes))
     misled = misled_filters([baseline, *candidates], tables.consistency, tables.reference_error)
     found = {}
     for candidate in candidates:
         pair = baseline, candidate
-        wrong = [dead[name] for name in pair if name in dead]
+        wrong = [unfit[name] for name in pair if name in unfit]
         wrong += [misled[name] for name in pair] if misled.keys() >= set(pair) else []
         found[candidate] = contradicted or " and ".join(wrong)
     return {candidate: wrong for candidate, wrong in found.items() if wrong}
+
+
+def _told_the_reference(histories: tuple[History, ...], notes: Iterable[Note]) -> dict[str, str]:
+    """Find the filters that are aided by the reference's own readings: errors against it say nothing of them.
+
+    Depth is left out: it has no vote, and the rest of the reference is as good as before.
+    """
+    own = {note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)}
+    return {
+        history.filter: f"{history.filter} is aided by the {one.measurement} that the reference is made of"
+        for history in histories
+        for one in history.innovations
+        if one.measurement in own - {"depth"}
+    }
 
 
 def dead_filters(histories: tuple[History, ...]) -> dict[str, str]:

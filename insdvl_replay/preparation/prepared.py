@@ -60,6 +60,11 @@ class Prepared:
     sensors: dict[str, Measurement]
     notes: tuple[Note, ...]
 
+    @property
+    def sensor_sd(self) -> dict[str, float]:
+        """Noise of one reading of each sensor, in its SI unit."""
+        return {name: float(np.sqrt(np.median(one.cov[:, 0, 0]))) for name, one in self.sensors.items()}
+
 
 def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
     """Move the reference of a dive to the IMU, where the filters are, and turn its attitude to the IMU's axes.

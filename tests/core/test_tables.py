@@ -39,7 +39,11 @@ def test_every_judgement_has_a_sentence_and_a_rank() -> None:
 
 
 _OTHERS = "|".join(("beam_", "parity", "withheld_", *SENSORS))
-OF_MORE = {"credibility": re.compile("position"), "consistency": re.compile(_OTHERS)}
+OF_MORE = {
+    "credibility": re.compile("position"),
+    "consistency": re.compile(_OTHERS),
+    "evidence": re.compile("withheld_"),
+}
 """Rows of filters with more states, or more sensors."""
 
 

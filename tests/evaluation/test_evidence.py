@@ -42,6 +42,7 @@ def evidence(
         dict(zip(("baseline", "aided"), by_filter, strict=True)),
         dict(zip(("baseline", "aided"), windows, strict=True)),
         {"aided": convergence or {}},
+        {},
     )
     return {row.quantity: row for row in evidence_table("dive", "baseline", ["aided"], measured, nis, ())}
 

@@ -28,7 +28,7 @@ def honesty(
     rows = [*credibility("baseline", before), *credibility("aided", after)]
     return {
         row.quantity: row
-        for row in evidence_table("dive", "baseline", ["aided"], Measured({}, {}, {}), consistency, rows)
+        for row in evidence_table("dive", "baseline", ["aided"], Measured({}, {}, {}, {}), consistency, rows)
     }
 
 

@@ -10,14 +10,14 @@ from matched_sensors import SENSORS
 
 from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Heading, Initial, Position
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_columns import Dive, Floats
+from insdvl_replay.core.dive_columns import Dive, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.writing.dive_log import write_dive
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_one
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 from insdvl_replay.sim.sensors import SensorErrors
@@ -226,3 +226,34 @@ def test_without_fixes_a_straight_line_leaves_the_scale_alone(grade: str) -> Non
     start_sd = history.sd[0, 12]
     assert abs(history.constants[-1, 0]) < 0.1 * start_sd
     assert history.sd[-1, 12] > 0.99 * start_sd
+
+
+# --- A sensor that is the reference.
+
+
+@pytest.mark.parametrize(("seconds_late", "told"), [(0.0, True), (0.05, False)])
+def test_a_filter_that_is_told_the_reference_is_not_judged_by_it(
+    tmp_path: Path, seconds_late: float, told: bool
+) -> None:
+    dive = simulated(duration_s=120.0)
+    assert dive.reference is not None
+    fixes = SensorColumns(dive.reference.time_ns + int(seconds_late * 1e9), dive.reference.position)
+    write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": fixes}))
+    replay = replay_log(tmp_path / "dive.mcap", config("position", position=Position(sd_m=0.5)))
+    notes = [note.code for note in replay.notes if note.code.endswith("_is_reference")]
+    assert notes == ["position_is_reference"] * told
+    assert (replay.verdicts["candidate"].improvement == "not judged") == told
+    withheld = config("position", position=Position(sd_m=0.5), evaluation=Evaluation(withheld=("position",)))
+    assert replay_log(tmp_path / "dive.mcap", withheld).verdicts["candidate"].improvement != "not judged"
+
+
+def test_what_a_filter_estimates_of_its_sensors_is_noted() -> None:
+    dive = simulated(duration_s=300.0, position=SensorErrors(1.0, 1.0))
+    scaled = Filter(aiding=("velocity", "position"), states=("dvl_scale",))
+    replay = replay_dive(dive, Config(filters={"baseline": Filter(aiding=("velocity",)), "scaled": scaled}))
+    history = replay.histories[1]
+    (note,) = (note for note in replay.notes if note.code == "constants_estimated")
+    value, sd = 100.0 * history.constants[-1, 0], 100.0 * history.sd[-1, 15]
+    assert note.text == (
+        f"scaled estimates: scale error of the DVL {value:+.3g} % (sd {sd:.2g} %; at the start +0, sd 0.5)"
+    )

@@ -1,0 +1,95 @@
+"""Evidence by sensors that were withheld, in worlds in which it is known how far each filter drifts."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.quantities import DECIDING
+from insdvl_replay.core.rows import EvidenceRow
+from insdvl_replay.evaluation.evidence import Measured, evidence_table
+from insdvl_replay.evaluation.withheld import withheld_losses
+
+AXES = {"depth": (), "heading": (), "position": ("n", "e")}
+FIXES_S = 3600
+
+
+def history(name: str, sensor: str, apart: Floats, *, is_withheld: bool = True) -> History:
+    """A filter that met a sensor once a second."""
+    k, size = apart.shape
+    time_ns = np.arange(k, dtype=np.int64) * 1_000_000_000
+    none, gate = np.zeros(k, np.bool_), -1.0 if is_withheld else np.inf
+    met = Innovations(
+        f"withheld_{sensor}" if is_withheld else sensor, "m", AXES[sensor], time_ns, time_ns, apart, apart,
+        np.ones((k, size)), np.ones(k), ~none if not is_withheld else none, np.zeros(k), gate, 0, none,
+    )  # fmt: skip
+    nothing = np.empty((0, 3))
+    return History(
+        name, time_ns[:0], none[:0], nothing, nothing, np.empty((0, 3, 3)), nothing, nothing, np.empty((0, 12)),
+        time_ns[:0], np.empty((0, 12, 12)), (met,),
+    )  # fmt: skip
+
+
+def walk(rng: np.random.Generator, step_m: float, size: int) -> Floats:
+    return np.asarray(np.cumsum(step_m * rng.standard_normal((FIXES_S, size)), axis=0))
+
+
+def word(sensor: str, baseline: Floats, candidate: Floats, noise_sd: float) -> EvidenceRow:
+    pair = history("baseline", sensor, baseline), history("aided", sensor, candidate)
+    losses = {one.filter: withheld_losses(one, {sensor: noise_sd}) for one in pair}
+    (row,) = evidence_table("dive", "baseline", ["aided"], Measured({}, {}, {}, losses), (), ())
+    return row
+
+
+def words(sensor: str, ratio: float, noise_sd: float, worlds: int = 60) -> Counter[str]:
+    """Drift half alike and half of one's own, in as many worlds; the sensor's noise is in both."""
+    found: Counter[str] = Counter()
+    for seed in range(worlds):
+        rng, size = np.random.default_rng(seed), max(1, len(AXES[sensor]))
+        alike, own, other = (walk(rng, 0.1 * np.sqrt(0.5), size) for _ in range(3))
+        noise = noise_sd * rng.standard_normal((FIXES_S, size))
+        found[word(sensor, alike + own + noise, ratio * (alike + other) + noise, noise_sd).word] += 1
+    return found
+
+
+@pytest.mark.parametrize("sensor", ["position", "depth"])
+def test_half_and_twice_the_drift_are_found_and_never_taken_for_the_other(sensor: str) -> None:
+    better, worse = words(sensor, 0.5, 0.2), words(sensor, 2.0, 0.2)
+    assert better["better"] >= 57
+    assert worse["worse"] >= 57
+    assert not (better["worse"] + worse["better"] + better["equivalent"] + worse["equivalent"])
+
+
+def test_as_much_drift_is_seldom_more_or_less() -> None:
+    found = words("position", 1.0, 0.2)
+    assert found["better"] + found["worse"] <= 6
+
+
+def test_a_noisy_sensor_makes_no_filters_equivalent() -> None:
+    """Drifts of 1 m a minute differ by a tenth, and the readings by three metres."""
+    found = words("position", 0.9, 3.0)
+    assert found == {"undecided": 60}
+
+
+def test_rms_is_that_of_the_change_over_a_minute() -> None:
+    """One drifts by a metre a minute north and the other by two east; a sawtooth of the noise is averaged away."""
+    time_s, saw = np.arange(600.0), np.where(np.arange(600) % 2, 1.0, -1.0)
+    north, east = np.stack([time_s / 60.0, 0.0 * saw], axis=1), np.stack([0.0 * saw, time_s / 30.0], axis=1)
+    row = word("position", north + saw[:, None], east + saw[:, None], 0.1)
+    assert (row.baseline, row.value) == (pytest.approx(1.0, abs=0.06), pytest.approx(2.0, abs=0.06))
+    assert (row.evidence, row.quantity, row.unit, row.starts) == ("withheld", "withheld_position", "m", 1)
+
+
+def test_a_heading_is_taken_as_it_is_in_degrees() -> None:
+    off = np.full((100, 1), np.deg2rad(3.0))
+    row = word("heading", off, 2.0 * off, np.deg2rad(0.1))
+    assert (row.baseline, row.value, row.unit) == (pytest.approx(3.0), pytest.approx(6.0), "deg")
+    assert row.word == "undecided"  # what stays is one sample
+
+
+def test_a_depth_has_no_vote_and_what_was_used_is_no_evidence() -> None:
+    assert "withheld_depth" not in DECIDING
+    assert "withheld_position" in DECIDING
+    assert not withheld_losses(history("aided", "depth", np.ones((9, 1)), is_withheld=False), {"depth": 0.1})
