@@ -132,7 +132,7 @@ def stamp_notes(tables: Iterable[Table]) -> list[Note]:
 
 def _missing_note(table: Table) -> Note | None:
     announced = sum(channel.messages for channel in table.source.channels)
-    found = len(table) + table.duplicates + len(table.unreadable_ns)
+    found = len(table) + table.others + table.duplicates + len(table.unreadable_ns)
     if announced == found:
         return None
     text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"

@@ -24,6 +24,8 @@ class KnownType:
         Values for keys of the role's section in the configuration that are left out there.
     stamp : str
         Where the time of validity stands; empty for the header, or the recorder's log time where there is none.
+    element : tuple of str
+        Of a list in the messages: its field, and the texts in its elements by which settings tell which count.
     about : str
         Who writes it, and what is to be known of it, for the page of inputs.
     """
@@ -32,6 +34,7 @@ class KnownType:
     conventions: Mapping[str, Any] = field(default_factory=dict)
     stamp: str = ""
     about: str = ""
+    element: tuple[str, ...] = ()
 
 
 Types = Mapping[str, KnownType]
@@ -150,6 +153,17 @@ ODOMETRY: Final[Types] = {
 tells. PX4's pose frame is 1, and that of its older messages 0, for north-east-down; its velocity frame 1 for that and 3
 for the body."""
 
+_TRANSFORMS: Final = KnownType(
+    {
+        "quaternion": "transforms[*].transform.rotation",
+        "local_position": "transforms[*].transform.translation",
+    },
+    stamp="transforms[*].header.stamp",
+    about=f'{_LOCAL}; `reference.frames` names parent and child, as `["map", "base_link"]`, whose transform stands in '
+    "the messages as such: a chain of several is not composed",
+    element=("transforms", "header.frame_id", "child_frame_id"),
+)
+
 POSES: Final[Types] = {
     "geometry_msgs/msg/PoseStamped": KnownType(
         {"quaternion": "pose.orientation", "local_position": "pose.position"}, about=_LOCAL
@@ -157,6 +171,7 @@ POSES: Final[Types] = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": KnownType(
         {"quaternion": "pose.pose.orientation", "local_position": "pose.pose.position"}, about=_LOCAL
     ),
+    **dict.fromkeys(("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), _TRANSFORMS),
     "px4_msgs/msg/VehicleLocalPosition": KnownType(
         {
             "velocity_n": "vx, vy, vz",

@@ -13,7 +13,7 @@ from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.logs.columns import known_dvls, known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
 from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.fields import Kinds, channel_paths, check_encoding, find_path, split_paths
+from insdvl_replay.logs.encoding.fields import Element, Kinds, channel_paths, check_encoding, find_path, split_paths
 from insdvl_replay.logs.encoding.ros2msg import full_name
 
 BOW_DOWN: Final = "_bow_down"
@@ -52,6 +52,8 @@ class Source:
         From validity to stamp.
     conventions : mapping of str to Any
         What the type says where the configuration leaves a key out.
+    element : Element or None
+        Which elements of a list in the messages count, each as if it were a message.
     """
 
     role: str
@@ -62,6 +64,7 @@ class Source:
     stamp: str
     latency_s: float
     conventions: Mapping[str, Any] = field(default_factory=dict)
+    element: Element | None = None
 
     def completed(self, section: Section) -> Section:
         """Fill in by the type what this role's section of the configuration leaves out."""
@@ -93,6 +96,8 @@ class TopicRequirement:
         Of the configuration.
     latency_s : float
         From validity to stamp.
+    frames : tuple of str or None
+        Parent and child of the transforms that count.
     """
 
     role: str
@@ -105,6 +110,7 @@ class TopicRequirement:
     together: Sequence[set[str]] = ()
     stamp: str | None = None
     latency_s: float = 0.0
+    frames: tuple[str, str] | None = None
 
     def known(self, type_name: str) -> KnownType | None:
         """Return what is known of a type, which ROS 1 calls ``package/Type``."""
@@ -127,7 +133,18 @@ class TopicRequirement:
                 reason = f"is of type {type_name}, and its schema lacks some of {', '.join(known.fields.values())}"
             raise LogError(f"topic '{topic}' {reason}", self.how_to_name())
         stamp = self.stamp or _stamp(known.stamp, paths)
-        return Source(self.role, topic, type_name, tuple(channels), fields, stamp, self.latency_s, known.conventions)
+        channel_tuple, element = tuple(channels), self._element(topic, known)
+        return Source(
+            self.role, topic, type_name, channel_tuple, fields, stamp, self.latency_s, known.conventions, element
+        )
+
+    def _element(self, topic: str, known: KnownType) -> Element | None:
+        if known.element:
+            list_name, *texts = known.element
+            return Element(list_name, tuple(texts), self.frames or ())
+        if self.frames is not None:
+            raise LogError(f"topic '{topic}' has no transforms, and {self.role}.frames is set", "leave it out")
+        return None
 
     def _raise_if_incomplete(self, topic: str, fields: Fields) -> None:
         """Refuse quantities that say nothing without another one."""
@@ -175,6 +192,7 @@ def solution_requirement(config: Config) -> TopicRequirement:
         if_named={**known_types.FIX, **known_types.EXTENDED_FIX, **known_types.POSES},
         enough=[{"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES],
         together=_ANGLES,
+        frames=config.reference.frames,
     )
 
 
