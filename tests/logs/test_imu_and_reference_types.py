@@ -15,7 +15,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns.known_types import FIX, IMU, ODOMETRY, POSES
+from insdvl_replay.logs.columns.known_types import FIX, IMU, IMU_OF_DRIVERS, ODOMETRY, POSES
 from insdvl_replay.logs.encoding.ros2msg import definition_text
 
 TIMES = 0.1 * np.arange(20)
@@ -110,6 +110,25 @@ def test_means_of_px4_are_of_the_middle_of_their_interval(read: Any) -> None:
     np.testing.assert_allclose(dive.imu.specific_force_b, FORCE, rtol=1e-7)
     np.testing.assert_allclose(dive.imu.angular_rate_b, RATE, rtol=1e-7)
     np.testing.assert_array_equal(dive.imu.time_ns, np.rint((BOOT_US + TIMES * 1e6 - 2500) * 1e3).astype(np.int64))
+
+
+@pytest.mark.parametrize(
+    ("name", "force", "rate"),
+    [
+        ("sbg_driver/msg/SbgImuData", "accel", "gyro"),
+        ("vectornav_msgs/msg/CommonGroup", "imu_accel", "imu_rate"),
+        ("vectornav_msgs/msg/ImuGroup", "uncompaccel", "uncompgyro"),
+    ],
+)
+def test_imus_of_drivers(name: str, force: str, rate: str, read: Any) -> None:
+    def message(i: int) -> dict[str, Any]:
+        return {"header": header(TIMES[i]), force: xyz(FORCE[i]), rate: xyz(RATE[i])}
+
+    dive = read(name, message, imu=[])
+    np.testing.assert_allclose(dive.imu.specific_force_b, FORCE, rtol=1e-7)
+    np.testing.assert_allclose(dive.imu.angular_rate_b, RATE, rtol=1e-7)
+    # Beside the message that all write it is not asked which.
+    assert len(read(name, message).imu.time_ns) == len(imu_messages())
 
 
 def test_clock_of_an_autopilot_is_not_mixed_with_another(read: Any) -> None:
@@ -287,6 +306,8 @@ def test_fixes(read: Any) -> None:
         assert codes(dive)["reference_no_fix"] == 1
 
 
-@pytest.mark.parametrize("name", [n for n in {**IMU, **ODOMETRY, **POSES, **FIX} if re.match(r"(?!tf/)\w+/", n)])
+@pytest.mark.parametrize(
+    "name", [n for n in {**IMU, **IMU_OF_DRIVERS, **ODOMETRY, **POSES, **FIX} if re.match(r"(?!tf/)\w+/", n)]
+)
 def test_every_type_has_a_definition_for_logs_without(name: str) -> None:
     assert definition_text(name)

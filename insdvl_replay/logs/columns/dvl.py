@@ -129,7 +129,11 @@ def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColum
 
 def _velocity_d(table: Table, settings: Dvl) -> Floats:
     unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
-    return in_frd(_told(table.values("velocity", 3), unit), settings.axes or FRD, "dvl.axes", unit)
+    velocity = _told(table.values("velocity", 3), unit)
+    if "velocity_interval_us" in table:
+        interval_us = table.column("velocity_interval_us")
+        velocity = velocity / np.where(interval_us > 0.0, interval_us * 1e-6, np.nan)[:, None]
+    return in_frd(velocity, settings.axes or FRD, "dvl.axes", unit)
 
 
 def _told(values: Floats, unit: float) -> Floats:

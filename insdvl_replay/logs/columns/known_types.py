@@ -89,6 +89,26 @@ IMU: Final[Types] = {
 """A variance of -1 says that the quantity is not measured. ``interfaces`` is Nortek's package for the Nucleus. What is
 given with an interval is an increment over it, and what has one at all is of its middle; PX4 counts in microseconds."""
 
+_VECTORNAV: Final = (
+    "VectorNav, {0}; what its user has not switched on is zero and no reading; stamped by the computer as it came in"
+)
+IMU_OF_DRIVERS: Final[Types] = {
+    "sbg_driver/msg/SbgImuData": KnownType(
+        {"specific_force": "accel", "angular_rate": "gyro"},
+        about='SBG Systems; axes of the device, and `imu.axes = "+y+x-z"` where its driver was set to ENU',
+    ),
+    "vectornav_msgs/msg/CommonGroup": KnownType(
+        {"specific_force": "imu_accel", "angular_rate": "imu_rate"},
+        about=_VECTORNAV.format("the readings without what its own filter takes off them"),
+    ),
+    "vectornav_msgs/msg/ImuGroup": KnownType(
+        {"specific_force": "uncompaccel", "angular_rate": "uncompgyro"},
+        about=_VECTORNAV.format("likewise"),
+    ),
+}
+"""What drivers write beside a `sensor_msgs/Imu`, of which the latter is taken. Sources:
+SBG-Systems/sbg_ros2_driver@5a543fb; dawonn/vectornav@3f13c4b."""
+
 NAV_SOLUTION: Final[Types] = {
     "insdvl_msgs/msg/NavSolution": KnownType(
         {

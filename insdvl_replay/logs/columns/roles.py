@@ -27,6 +27,7 @@ from insdvl_replay.logs.columns.topic_requirements import (
     imu_requirement,
     sensor_requirement,
     solution_requirement,
+    type_of,
 )
 from insdvl_replay.logs.container.records import LogChannel, by_topic
 from insdvl_replay.logs.encoding.ros2msg import full_name
@@ -206,9 +207,9 @@ class _Topics:
         for types in required.by_type:
             order = list(types)
             looked_at = {topic: channels[0] for topic, channels in self._channels.items() if topic != besides}
-            type_of = {topic: full_name(channel.type_name) for topic, channel in looked_at.items()}
-            if found := [topic for topic, type_name in type_of.items() if type_name in types]:
-                return sorted(found, key=lambda topic: order.index(type_of[topic]))
+            type_names = {topic: type_of(channel) for topic, channel in looked_at.items()}
+            if found := [topic for topic, type_name in type_names.items() if type_name in types]:
+                return sorted(found, key=lambda topic: order.index(type_names[topic]))
         return []
 
     def alternatives(self, required: TopicRequirement, besides: str) -> Iterator[Source]:

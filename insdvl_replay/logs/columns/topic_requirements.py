@@ -1,5 +1,6 @@
 """What each role needs of a topic: a type that is known by name, or the field paths of the configuration."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
@@ -16,6 +17,8 @@ from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.fields import Element, Kinds, channel_paths, check_encoding, find_path, split_paths
 from insdvl_replay.logs.encoding.ros2msg import full_name
 
+_MAVLINK: Final = re.compile(r"(?:^|/)mavlink/\d+/\d+/([A-Z][A-Z0-9_]+)$")
+"""Topics of whole messages, as BlueOS records them beside one for each field."""
 BOW_DOWN: Final = "_bow_down"
 """Ends the name of a pitch with the opposite sign."""
 _ANGLES: Final = ({"latitude", "longitude"}, {"roll", "pitch", "heading"})
@@ -112,9 +115,9 @@ class TopicRequirement:
     latency_s: float = 0.0
     frames: tuple[str, str] | None = None
 
-    def known(self, type_name: str) -> KnownType | None:
-        """Return what is known of a type, which ROS 1 calls ``package/Type``."""
-        groups, name = (*self.by_type, self.if_named), full_name(type_name)
+    def known(self, channel: LogChannel) -> KnownType | None:
+        """Return what is known of the type of a channel's messages."""
+        groups, name = (*self.by_type, self.if_named), type_of(channel)
         return next((types[name] for types in groups if name in types), None)
 
     def source(self, topic: str, channels: Sequence[LogChannel]) -> Source:
@@ -124,7 +127,7 @@ class TopicRequirement:
         type_name = channels[0].type_name
         with error_context(topic):
             paths = channel_paths(channels[0])
-        known = self.known(type_name) or KnownType({})
+        known = self.known(channels[0]) or KnownType({})
         fields = {**_present(known.fields, paths), **{name: path for name, path in self.paths.items() if path}}
         self._raise_if_incomplete(topic, fields)
         if not any(quantities <= fields.keys() for quantities in self.enough):
@@ -164,10 +167,18 @@ class TopicRequirement:
         return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` proposes what to set'
 
 
+def type_of(channel: LogChannel) -> str:
+    """Return the type of a channel's messages as it is known: ROS 1's as ROS 2's, MAVLink's in JSON by its topic."""
+    mavlink = _MAVLINK.search(channel.topic) if channel.encoding == "json" else None
+    return f"mavlink.{mavlink[1]}" if mavlink else full_name(channel.type_name)
+
+
 def imu_requirement(config: Config) -> TopicRequirement:
     """State what an IMU needs."""
     quantities = ("specific_force", "angular_rate")
-    return _required(config.imu, "imu", quantities, by_type=[known_types.IMU], enough=[set(quantities)])
+    return _required(
+        config.imu, "imu", quantities, by_type=[known_types.IMU, known_types.IMU_OF_DRIVERS], enough=[set(quantities)]
+    )
 
 
 def dvl_requirement(config: Config) -> TopicRequirement:
