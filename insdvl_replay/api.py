@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
+from insdvl_replay.nav.own_measurement import OwnMeasurement, OwnReadings
 from insdvl_replay.results.dive_screen import dive_screen
 from insdvl_replay.results.folder import COMPLETE, PAGE, TRAJECTORY_FILE, result_folder
 from insdvl_replay.results.json_report import Report, build_report, decode_report, this_tool
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from insdvl_replay.replay import Replay
+
+__all__ = ["OwnMeasurement", "OwnReadings", "Result", "load_config", "read_result", "replay_log"]
 
 Text = str | Path
 

@@ -199,8 +199,8 @@ class Initial(_Section, frozen=True):
         Comment("reference | level (by gravity and DVL; of a reference the position alone)"),
     ] = "reference"
     heading_deg: Annotated[
-        float | Literal["fit"] | None,
-        Comment('needed where the reference has no attitude, or source = level; "fit": by the track of its positions'),
+        float | Literal["fit", "sensor"] | None,
+        Comment('needed where no reference gives an attitude: a number, "fit" (by a track of positions) or "sensor"'),
     ] = None
     latitude_deg: Annotated[
         Annotated[float, Meta(ge=-89.9, le=89.9)] | None, Comment("needed where the reference has no position")
@@ -314,6 +314,15 @@ class Evaluation(_Section, frozen=True):
     ] = ()
 
 
+class Topic(_Section, frozen=True):
+    """A topic that a measurement of your own reads, by the name of its section: ``dive.topics["range"]``."""
+
+    topic: Annotated[str, Comment("as the log names it")]
+    values: Annotated[str, Comment("field path; of several numbers all paths, with commas between them")]
+    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+
+
 class Config(_Section, frozen=True):
     """All settings of a replay."""
 
@@ -328,6 +337,7 @@ class Config(_Section, frozen=True):
     clocks: Clocks = Clocks()
     span: Span = Span()
     evaluation: Evaluation = Evaluation()
+    topics: dict[str, Topic] = {}
     filters: dict[str, Filter] = msgspec.field(default_factory=_default_filters)
 
     @property

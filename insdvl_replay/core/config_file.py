@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, get_origin, get_type_hints
 import msgspec
 from msgspec import Struct
 
-from insdvl_replay.core.config import Config, Filter
+from insdvl_replay.core.config import Config, Filter, Topic
 from insdvl_replay.core.errors import ConfigError, error_context, require_known
 from insdvl_replay.core.plain_text import is_writable, visible
 from insdvl_replay.core.sensors import AIDING, SENSORS
@@ -117,11 +117,12 @@ def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
 
 
 def _converted(settings: Mapping[str, Any], source: TomlSource) -> Config:
-    """Check kinds and ranges. Filters are converted one by one, so that a message can name its filter."""
-    filters = settings.get("filters")
-    if isinstance(filters, Mapping):
-        of_each = {name: source.inside("filters", name).converted(entry, Filter) for name, entry in filters.items()}
-        settings = {**settings, "filters": of_each}
+    """Check kinds and ranges. Filters and topics are converted one by one, so that a message can name its own."""
+    for section, kind in (("filters", Filter), ("topics", Topic)):
+        entries = settings.get(section)
+        if isinstance(entries, Mapping):
+            of_each = {name: source.inside(section, name).converted(entry, kind) for name, entry in entries.items()}
+            settings = {**settings, section: of_each}
     config = source.converted(settings, Config)
     _check_finite(msgspec.to_builtins(config), source, ())
     return config
@@ -153,6 +154,12 @@ def _check_filters(config: Config, source: TomlSource) -> None:
         raise ConfigError(
             f"{source.where()}: no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
         )
+    for name in config.topics:
+        if not (name.isascii() and name.isidentifier()):
+            raise ConfigError(
+                f"the topic's name '{name}' is not a letter followed by letters, digits and _",
+                '[topics.range] topic = "/range", values = "range"',
+            )
     for name, filter_ in config.filters.items():
         stands_there = "filters" in source.content and name in source.content["filters"]
         where = source.where("filters", name) if stands_there else "the configuration"

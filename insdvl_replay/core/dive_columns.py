@@ -214,6 +214,8 @@ class Dive:
         The columns; reference and truth where the log has them.
     sensors : mapping of str to SensorColumns
         Those of `sensors.SENSORS` that were asked for.
+    topics : mapping of str to SensorColumns
+        Those that the configuration names in ``[topics]``, for measurements of your own; as the log has them.
     channels : tuple of Channel
         What the log holds.
     notes : tuple of Note
@@ -226,6 +228,7 @@ class Dive:
     reference: ReferenceColumns | None = None
     truth: TruthColumns | None = None
     sensors: Mapping[str, SensorColumns] = field(default_factory=dict)
+    topics: Mapping[str, SensorColumns] = field(default_factory=dict)
     sha256: str = ""
     channels: tuple[Channel, ...] = ()
     notes: tuple[Note, ...] = field(default=())

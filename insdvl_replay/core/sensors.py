@@ -69,9 +69,14 @@ AIDING: Final = (*DVL_AIDING, *SENSORS)
 """Words for what a filter can be aided by."""
 
 
+BY_SENSOR: Final = "sensor"
+"""In place of the heading at the start."""
+
+
 def asked_sensors(config: "Config") -> tuple[str, ...]:
-    """Name the sensors that a replay reads: those that a filter is aided by or that are withheld, in their order."""
+    """Name the sensors that a replay reads, in their order: by which filters are aided, or start, or are judged."""
     asked = {*config.evaluation.withheld, *(word for filter_ in config.filters.values() for word in filter_.aiding)}
+    asked |= {"heading"} if config.initial.heading_deg == BY_SENSOR else set()
     return tuple(name for name in SENSORS if name in asked)
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 from msgspec import Struct
 
 from insdvl_replay import __version__
-from insdvl_replay.core.config import Acceleration, Config, Filter
+from insdvl_replay.core.config import Acceleration, Config, Filter, Topic
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import UserError, listed
 from insdvl_replay.inspection.proposed_settings import (
@@ -77,7 +77,12 @@ def settings_file(
         warnings = tuple(warned(read))
     filters = preset_config(preset, config).filters
     head = _head([dive.name for dive in read] or [_name(dives[0])], failures, warnings, undecided_keys(settings))
-    parts = ["".join(f"{line}\n" for line in head), settings_toml(settings), _filters_toml(filters, preset)]
+    parts = [
+        "".join(f"{line}\n" for line in head),
+        settings_toml(settings),
+        _topics_toml(config.topics),
+        _filters_toml(filters, preset),
+    ]
     latest = {setting.key: setting for setting in settings}.values()
     missing = tuple(setting.key for setting in latest if setting.value is None and not _may_be_missing(setting.key))
     return SettingsFile("\n".join(part for part in parts if part), undecided_keys(settings), missing, failures)
@@ -107,12 +112,21 @@ def _given(config: Config) -> Iterator[Setting]:
     """Take over what -c, --set and --preset said, so that the file stands for itself."""
     default = Config()
     for section in config.__struct_fields__:
-        if section == "filters":
-            continue
         now, before = getattr(config, section), getattr(default, section)
+        if not isinstance(now, Struct):
+            continue  # sections by names of the user's own, written as they are
         for name in now.__struct_fields__:
             if getattr(now, name) != getattr(before, name):
                 yield Setting(f"{section}.{name}", getattr(now, name), "as given")
+
+
+def _topics_toml(topics: Mapping[str, Topic]) -> str:
+    """Write the topics of the user's own measurements, each key that is not left out."""
+    tables = []
+    for name, topic in topics.items():
+        given = _changed(topic, Topic(topic="", values=""))
+        tables.append("\n".join([f"[topics.{name}]", *(f"{key} = {toml_value(given[key])}" for key in given)]) + "\n")
+    return "\n".join(tables)
 
 
 def _filters_toml(filters: Mapping[str, Filter], preset: str) -> str:

@@ -68,11 +68,13 @@ def _check_start(inventory: Inventory, config: Config) -> None:
     if reference.candidates:
         # Which of them is chosen decides what it gives.
         return
+    located = (role for role in inventory.roles if role.role in ("reference", "position"))
     check_start(
         config.initial,
         has_reference=bool(reference.fields),
-        has_position="latitude" in reference.fields,
+        has_position=any("latitude" in role.fields for role in located),
         has_attitude="quaternion" in reference.fields or "roll" in reference.fields,
+        has_heading=any(role.role == "heading" and role.fields for role in inventory.roles),
     )
 
 

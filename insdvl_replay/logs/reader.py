@@ -75,6 +75,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         reference=columns.reference,
         truth=columns.truth,
         sensors=columns.sensors,
+        topics=columns.topics,
         sha256=sha256,
         channels=_channels(log.channels, sources),
         notes=tuple(notes),

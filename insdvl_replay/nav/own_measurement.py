@@ -65,7 +65,7 @@ class OwnMeasurement:
     unit: str = ""
 
     def readings(self, dive: Dive) -> OwnReadings:
-        """Return the readings of a dive, of its columns or of a file of your own."""
+        """Return the readings of a dive: of its columns, of ``dive.topics``, or of a file of your own."""
         raise NotImplementedError
 
     @staticmethod

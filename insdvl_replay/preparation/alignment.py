@@ -83,8 +83,10 @@ def align(
     return Alignment(start_ns, start, tuple(notes))
 
 
-def check_start(initial: Initial, *, has_reference: bool, has_position: bool, has_attitude: bool) -> None:
-    """Refuse settings that leave open where or how a filter starts, by what a reference gives, if there is one.
+def check_start(
+    initial: Initial, *, has_reference: bool, has_position: bool, has_attitude: bool, has_heading: bool = False
+) -> None:
+    """Refuse settings that leave open where or how a filter starts, by what a reference gives, or a sensor.
 
     Raises
     ------
@@ -102,10 +104,11 @@ def check_start(initial: Initial, *, has_reference: bool, has_position: bool, ha
         )
     if not has_position:
         configured_latitude_deg(initial)
-    if not (from_reference and has_attitude) and initial.heading_deg is None:
+    if not (has_heading or (from_reference and has_attitude)) and initial.heading_deg is None:
+        by_track = ", or fit, by the track of its positions" if has_position else ""
         raise ConfigError(
             "the heading at the start is needed: no reference gives it, or initial.source is level, which takes none",
-            f"--set initial.heading_deg=...{' (or fit, by the track of its positions)' if has_position else ''}",
+            f"--set initial.heading_deg=... (or sensor, by an AHRS or a compass{by_track})",
         )
 
 

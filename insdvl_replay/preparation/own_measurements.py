@@ -53,7 +53,9 @@ def _prepared(word: str, dive: Dive, start_ns: int, end_ns: int) -> tuple[Measur
         own = load_own_measurement(word)
         readings = checked_readings(own.readings(dive))
     except ValueError as error:
-        raise ConfigError(f"{word} {error}", "docs/own_measurement.md shows one") from error
+        raise ConfigError(
+            f"{word} {error}", "docs/own_measurement.md shows one; PYTHONPATH names the folder in which it lies"
+        ) from error
     inside = (readings.time_ns > start_ns) & (readings.time_ns <= end_ns)
     if not inside.any():
         raise ConfigError(f"{word} has no reading between the start of the replay and its end", "times are int64 ns")

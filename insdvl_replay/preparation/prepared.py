@@ -21,6 +21,7 @@ from insdvl_replay.preparation.filters import ResolvedFilter, dvl_mounting, reso
 from insdvl_replay.preparation.long_gaps import apply_gap_policy, find_gaps
 from insdvl_replay.preparation.own_measurements import prepare_own_measurements
 from insdvl_replay.preparation.sensors import prepare_sensors
+from insdvl_replay.preparation.start_by_sensors import started_by_sensors
 
 IN_LINE: Final = np.eye(3)
 """The axes of the reference are those of the IMU."""
@@ -118,11 +119,12 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         raise ValueError(f"{dive.name}: the readings of its IMU were let go; read the log anew")
     mounting = dvl_mounting(config)
     velocities, notes = _velocities(dive, mounting, config.dvl.max_beam_residual_mps)
-    filters = resolve_filters(config, from_beams=velocities.from_beams)
     start_ns, end_ns = _span(dive, velocities, config)
     gaps = find_gaps(dive.imu.time_ns, config.imu)
     with error_context(dive.name):
         start_ns, end_ns, gap_notes = apply_gap_policy(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
+        config, start_notes = started_by_sensors(config, dive.sensors, dive.reference, start_ns)
+        filters = resolve_filters(config, from_beams=velocities.from_beams)
         noise = filters[0].sensor_noise(velocities)
         alignment = align(
             dive.imu, velocities, noise, dive.reference, config.initial, mounting.lever_arm_b, start_ns, end_ns
@@ -132,7 +134,14 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     inside = velocities.within(alignment.start_ns, end_ns)
     by_beams = any("beams" in filter_.aiding for filter_ in filters)
     beams = dvl_beams(dive.dvl, mounting, alignment.start_ns, end_ns) if by_beams else None
-    notes += gap_notes + alignment.notes + _outside_notes(dive.name, velocities, inside) + sensor_notes + own_notes
+    notes += (
+        gap_notes
+        + start_notes
+        + alignment.notes
+        + _outside_notes(dive.name, velocities, inside)
+        + sensor_notes
+        + own_notes
+    )
     gaps = gaps.within(alignment.start_ns, end_ns)
     return Prepared(inside, alignment, end_ns, gaps, mounting, filters, beams, sensors | own, notes)
 

@@ -217,7 +217,9 @@ def test_readings_that_never_change_are_of_no_class(turning: Dive) -> None:
 def test_what_was_given_stands_in_the_file_and_is_not_proposed_again(turning: Dive, tmp_path: Path) -> None:
     log, vehicle = tmp_path / "log.mcap", tmp_path / "vehicle.toml"
     write_dive(log, turning)
-    config = load_config("tactical", overrides=["dvl.lever_arm_m=[1.0, 0.0, 0.5]", "dvl.mounting_rpy_deg=[0, 0, 2.0]"])
+    geometry = ["dvl.lever_arm_m=[1.0, 0.0, 0.5]", "dvl.mounting_rpy_deg=[0, 0, 2.0]"]
+    turn_rate = ['topics.turning.topic="/imu"', 'topics.turning.values="angular_velocity.z"']
+    config = load_config("tactical", overrides=[*geometry, *turn_rate])
     vehicle.write_text(settings_file([log], config).text)
     assert load_config(file=vehicle) == msgspec.structs.replace(config)
 

@@ -8,6 +8,8 @@ from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.nav.own_measurement import OwnMeasurement, OwnReadings
 
 SD_MPS = 0.02
+NORTH_M, EAST_M = 6_354_134.0, 5_366_506.0
+"""Metres of a radian of latitude and of longitude, at 32.8 deg north."""
 
 
 class Speed(OwnMeasurement):
@@ -28,6 +30,30 @@ class Speed(OwnMeasurement):
         z[0] = math.sqrt(ins[3] ** 2 + ins[4] ** 2 + ins[5] ** 2)
         for i in range(3):
             H[0, i] = ins[3 + i] / z[0]
+
+
+BEACON = (math.radians(32.801), math.radians(34.903), -60.0)
+RANGE_SD_M = 0.5
+
+
+class Range(OwnMeasurement):
+    """How far a beacon on the seabed is, by a topic of the log."""
+
+    name, unit = "range", "m"
+
+    def readings(self, dive: Dive) -> OwnReadings:
+        """Take the numbers of the topic."""
+        beacon = dive.topics["beacon"]
+        return OwnReadings(beacon.time_ns, beacon.values, np.array([RANGE_SD_M]))
+
+    @staticmethod
+    def predict(ins: Floats, z: Floats, H: Floats) -> None:
+        """Write the way to the beacon, and its direction."""
+        north = (ins[0] - BEACON[0]) * NORTH_M
+        east = (ins[1] - BEACON[1]) * EAST_M
+        down = BEACON[2] - ins[2]
+        z[0] = math.sqrt(north**2 + east**2 + down**2)
+        H[0, 12], H[0, 13], H[0, 14] = north / z[0], east / z[0], down / z[0]
 
 
 class PlainSpeed(Speed):

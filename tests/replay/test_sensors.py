@@ -13,6 +13,9 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
+from insdvl_replay.geometry.frames import north_east_m
+from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.writing.dive_log import write_dive
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
@@ -257,3 +260,49 @@ def test_what_a_filter_estimates_of_its_sensors_is_noted() -> None:
     assert note.text == (
         f"scaled estimates: scale error of the DVL {value:+.3g} % (sd {sd:.2g} %; at the start +0, sd 0.5)"
     )
+
+
+# --- Started by sensors.
+
+
+def started(dive: Dive, **changes: object) -> Replay:
+    level = msgspec.structs.replace(MEMS.initial, source="level", **changes)
+    settings = config("heading", "position", initial=level, noise=MEMS.noise, heading=Heading(sd_deg=1.0))
+    return replay_dive(replace(dive, reference=None), settings)
+
+
+def test_a_dive_without_a_reference_starts_by_its_sensors() -> None:
+    dive = simulated(duration_s=120.0, heading=SensorErrors(1.0, 1.0), position=SensorErrors(2.0, 1.0))
+    assert dive.reference is not None
+    replay = started(dive)
+    start = replay.histories[0]
+    truth = rpy_from_mat(dive.reference.mat_nb[0])
+    assert abs(float(wrap_angle(np.asarray(rpy_from_mat(start.mat_nb[0])[2] - truth[2])))) < np.deg2rad(3.0)
+    assert np.hypot(*north_east_m(start.position[0], dive.reference.position[0], dive.reference.position[0])) < 8.0
+    codes = {note.code for note in replay.notes}
+    assert {"start_heading_sensor", "start_position_sensor"} <= codes
+    np.testing.assert_allclose(replay.histories[1].sd[0, 12:14], 2.0)
+
+
+def test_what_is_configured_goes_before_a_sensor() -> None:
+    dive = simulated(duration_s=120.0, heading=SensorErrors(1.0, 1.0), position=SensorErrors(2.0, 1.0))
+    replay = started(dive, heading_deg=10.0, latitude_deg=60.0)
+    assert rpy_from_mat(replay.histories[0].mat_nb[0])[2] == pytest.approx(np.deg2rad(10.0))
+    assert replay.histories[0].position[0, 0] == pytest.approx(np.deg2rad(60.0))
+
+
+def test_a_heading_that_begins_late_is_no_start() -> None:
+    dive = simulated(duration_s=120.0, heading=SensorErrors(1.0, 1.0), position=SensorErrors(2.0, 1.0))
+    late = dive.sensors["heading"]
+    late = SensorColumns(late.time_ns[10:], late.values[10:])
+    with pytest.raises(LogError, match=r"nearest to the start is 10.0 s away"):
+        started(replace(dive, sensors={**dive.sensors, "heading": late}))
+
+
+def test_a_sensor_s_heading_is_read_though_no_filter_is_aided_by_it(tmp_path: Path) -> None:
+    write_dive(tmp_path / "dive.mcap", simulated(duration_s=60.0, heading=SensorErrors(1.0, 4.0)))
+    level = msgspec.structs.replace(MEMS.initial, source="level", heading_deg="sensor")
+    replay = replay_log(tmp_path / "dive.mcap", config(initial=level, noise=MEMS.noise))
+    assert "start_heading_sensor" in {note.code for note in replay.notes}
+    facts = inspect_log(tmp_path / "dive.mcap", config(initial=level, noise=MEMS.noise))
+    assert not facts.obstacles

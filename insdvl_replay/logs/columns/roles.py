@@ -16,15 +16,17 @@ from insdvl_replay.core.sensors import SENSORS, asked_sensors
 from insdvl_replay.logs.columns.dvl import decode_dvl
 from insdvl_replay.logs.columns.imu import decode_imu, decode_truth
 from insdvl_replay.logs.columns.reference import decode_reference
-from insdvl_replay.logs.columns.sensors import decode_sensor
+from insdvl_replay.logs.columns.sensors import decode_own_topic, decode_sensor
 from insdvl_replay.logs.columns.tables import Table, clock_notes
 from insdvl_replay.logs.columns.topic_requirements import (
+    OWN_TOPIC,
     TRUTH_REQUIREMENT,
     Source,
     TopicRequirement,
     dvl_requirement,
     fix_requirement,
     imu_requirement,
+    own_requirement,
     sensor_requirement,
     solution_requirement,
     type_of,
@@ -55,6 +57,7 @@ class RoleColumns:
     reference: ReferenceColumns | None = None
     truth: TruthColumns | None = None
     sensors: dict[str, SensorColumns] = field(default_factory=dict)
+    topics: dict[str, SensorColumns] = field(default_factory=dict)
 
     def decode(self, role: str, tables: list[Table]) -> list[Note]:
         """Make the columns of a role; the raw ones are let go, since those of a long dive are large."""
@@ -66,6 +69,8 @@ class RoleColumns:
             self.dvl, notes = decode_dvl(tables.pop(), self.config.dvl)
         elif role in SENSORS:
             self.sensors[role], notes = decode_sensor(role, tables.pop(), self.config)
+        elif role.startswith(OWN_TOPIC):
+            self.topics[role.removeprefix(OWN_TOPIC)], notes = decode_own_topic(tables.pop())
         else:
             self.truth, notes = decode_truth(tables.pop())
         return notes
@@ -81,7 +86,7 @@ class Finding:
 
     Attributes
     ----------
-    role : {'imu', 'dvl', 'reference', 'truth'} or a name in `sensors.SENSORS`
+    role : {'imu', 'dvl', 'reference', 'truth'}, a name in `sensors.SENSORS`, or one with `OWN_TOPIC`
     sources : tuple of Source
         Those that a replay reads; none, or, for a reference, up to two.
     reason : str
@@ -113,6 +118,7 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     reference = _explained(topics, required, lambda: _references(topics, config, besides), besides)
     truth = _explained(topics, TRUTH_REQUIREMENT, lambda: tuple(filter(None, [topics.find(TRUTH_REQUIREMENT)])))
     sensors = [_needed(topics, sensor_requirement(name, config)) for name in asked_sensors(config)]
+    sensors += [_needed(topics, own_requirement(name, config)) for name in config.topics]
     return (imu, dvl, reference, *sensors, *([truth] if truth.sources or truth.error else []))
 
 

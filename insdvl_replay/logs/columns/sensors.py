@@ -37,6 +37,21 @@ def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumn
     return SensorColumns(cleaner.times, cleaner.kept(values)), cleaner.notes
 
 
+def decode_own_topic(table: Table) -> tuple[SensorColumns, list[Note]]:
+    """Make columns of the numbers of a topic that only measurements of the user's own read, as its messages have them.
+
+    Raises
+    ------
+    LogError
+        No reading can be used.
+    """
+    values, cleaner = table.values("values"), Cleaner(table)
+    cleaner.keep_finite(values)
+    cleaner.drop_repeated_times(values)
+    cleaner.require_rows()
+    return SensorColumns(cleaner.times, cleaner.kept(values)), cleaner.notes
+
+
 def _depth_m(table: Table, settings: Depth) -> Floats:
     """Return the metres below where the gauge reads nothing, shape (k, 1); the filters find where that is."""
     if "depth" in table:

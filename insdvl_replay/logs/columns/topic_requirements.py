@@ -19,6 +19,8 @@ from insdvl_replay.logs.encoding.ros2msg import full_name
 
 _MAVLINK: Final = re.compile(r"(?:^|/)mavlink/\d+/\d+/([A-Z][A-Z0-9_]+)$")
 """Topics of whole messages, as BlueOS records them beside one for each field."""
+OWN_TOPIC: Final = "topics."
+"""Begins the role of a topic for measurements of the user's own."""
 BOW_DOWN: Final = "_bow_down"
 """Ends the name of a pitch with the opposite sign."""
 _ANGLES: Final = ({"latitude", "longitude"}, {"roll", "pitch", "heading"})
@@ -225,6 +227,11 @@ def sensor_requirement(name: str, config: Config) -> TopicRequirement:
         if_named=known_types.SENSORS_IF_NAMED.get(name, {}),
         enough=SENSORS[name].enough,
     )
+
+
+def own_requirement(name: str, config: Config) -> TopicRequirement:
+    """State what a topic needs that only measurements of the user's own read."""
+    return _required(config.topics[name], f"{OWN_TOPIC}{name}", ("values",), by_type=[], enough=[{"values"}])
 
 
 def _required(section: Any, role: str, quantities: Iterable[str], key: str = "topic", **needs: Any) -> TopicRequirement:
