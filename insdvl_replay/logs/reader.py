@@ -109,7 +109,8 @@ def schema_notes(sources: Iterable[Source]) -> list[Note]:
 def _lacking(source: Source) -> str:
     if not all(channel.schema_text.strip() for channel in source.channels):
         return f"; that of {source.type_name}"
-    missing = {name for channel in source.channels for name in missing_types(channel.type_name, channel.schema_text)}
+    texts = {(one.type_name, one.schema_text) for one in source.channels if one.schema_encoding != "ros2idl"}
+    missing = {name for text in texts for name in missing_types(*text)}
     return f" of {', '.join(sorted(missing))}; what comes with the tool" if missing else ""
 
 

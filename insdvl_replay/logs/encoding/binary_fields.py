@@ -255,8 +255,12 @@ WIRES: Final = {"cdr": CDR, "ros1": ROS1}
 
 
 @cache
-def definitions_by(type_name: str, schema_text: str, encoding: str) -> dict[str, Definition]:
-    """Parse a schema; one of ROS 2 that is empty is that of a known type, and so are the types that it lacks."""
+def definitions_by(type_name: str, schema_text: str, encoding: str, schema_encoding: str = "") -> dict[str, Definition]:
+    """Parse a schema; one of ROS 2 that is empty is that of a known type, and so are the types that a .msg lacks."""
+    if schema_encoding == "ros2idl":
+        from insdvl_replay.logs.encoding.ros2idl import parse_idl
+
+        return parse_idl(type_name, schema_text)
     if encoding == "ros1":
         return parse_definitions(type_name, schema_text, ROS1MSG)
     text = schema_text if schema_text.strip() else definition_text(type_name)

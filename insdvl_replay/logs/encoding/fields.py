@@ -105,7 +105,7 @@ def fields_hint(known: Kinds, path: str) -> str:
 
 
 ENCODINGS: Final = {
-    "cdr": ("ros2msg", ""),
+    "cdr": ("ros2msg", "ros2idl", ""),
     "ros1": ("ros1msg",),
     "protobuf": ("protobuf",),
     "json": ("jsonschema", ""),
@@ -143,7 +143,7 @@ def channel_paths(channel: LogChannel) -> Kinds:
     from insdvl_replay.logs.encoding.binary_fields import binary_paths, definitions_by
     from insdvl_replay.logs.encoding.ros2msg import full_name
 
-    definitions = definitions_by(channel.type_name, channel.schema_text, channel.encoding)
+    definitions = definitions_by(channel.type_name, channel.schema_text, channel.encoding, channel.schema_encoding)
     return dict(binary_paths(definitions, full_name(channel.type_name)))
 
 
@@ -169,7 +169,7 @@ def open_reader(channel: LogChannel, paths: Sequence[str], element: Element | No
     from insdvl_replay.logs.encoding.binary_fields import WIRES, BinaryReader, definitions_by
 
     definitions, wire = (
-        definitions_by(channel.type_name, channel.schema_text, channel.encoding),
+        definitions_by(channel.type_name, channel.schema_text, channel.encoding, channel.schema_encoding),
         WIRES[channel.encoding],
     )
     if element is None:
