@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from insdvl_replay.core.config import Config, Reference
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_navigation import Reference
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
@@ -15,7 +16,13 @@ from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.consistency import update_notes
 from insdvl_replay.evaluation.curves import Curves, curves_of
 from insdvl_replay.evaluation.hints import constants_notes, settings_hints
-from insdvl_replay.evaluation.judging import judged_candidates, judged_times, reference_notes, tables_of_filters
+from insdvl_replay.evaluation.judging import (
+    judged_candidates,
+    judged_times,
+    reference_notes,
+    tables_of_filters,
+    with_solutions,
+)
 from insdvl_replay.evaluation.losses import ReferenceNoise
 from insdvl_replay.evaluation.reference import ReferenceErrors
 from insdvl_replay.nav.dvl import DvlVelocities
@@ -29,6 +36,7 @@ from insdvl_replay.preparation.running import (
     run_filters,
     run_from_drawn_starts,
 )
+from insdvl_replay.preparation.solutions import read_solutions
 from insdvl_replay.preparation.start_heading import prepare_with_heading
 
 
@@ -47,7 +55,7 @@ class Replay:
     velocities : DvlVelocities
         What the DVL measured, inside the span.
     histories : tuple of History
-        The first is the baseline.
+        The first is the baseline; solutions that were read stand behind the filters that were run.
     errors : dict of str to ReferenceErrors
         By filter name; empty without a reference.
     tables : Tables
@@ -128,6 +136,9 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     draws = config.evaluation
     drawn = run_from_drawn_starts(dive, prepared, draws.starts, draws.seed) if dive.reference is not None else ()
     del timeline
+    dive, read, read_notes = read_solutions(dive, config.solutions, histories[0], judged_ns)
+    histories += read
+    drawn = with_solutions(drawn, histories, dive)
     dive = replace(dive, imu=dive.imu.times_only())
     return_freed_memory()
     begin("judging the filters")
@@ -138,6 +149,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     )  # fmt: skip
     curves = curves_of(drawn, coasts)
     notes = dive.notes + prepared.notes + outage_notes(prepared.velocities.time_ns, *span) + update_notes(histories)
+    notes += read_notes
     notes += reference_notes(dive, *span, histories[0], judged_ns, independent=independent)
     tables, judged = judged_candidates(histories, tables, notes, independent=independent)
     notes += settings_hints(tables, histories[0]) + constants_notes(histories)

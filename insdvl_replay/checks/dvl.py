@@ -9,7 +9,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.checks.imu import AXES, ENOUGH, LONGEST_STEP_S, Check, lies_within
 from insdvl_replay.core.config import Config
@@ -19,10 +18,10 @@ from insdvl_replay.core.states import DEG, FASTEST_MPS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.beams import DvlMounting, solve_beams
 from insdvl_replay.geometry.rotation import wrap_angle
+from insdvl_replay.geometry.steps import Complex, horizontal
 
 _LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and a lever arm's swing
 _LEAST_EXCURSION_MPS: Final = 0.015  # below it a DVL shows its noise
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -97,11 +96,6 @@ def _velocity_pairs(dvl: DvlColumns, reference: ReferenceColumns, config: Config
     true_b = np.einsum("kji,kj->ki", reference.mat_nb[rows], reference.velocity_n[rows])
     at_s, ping_s = seconds(reference.time_ns[rows], ping_ns[0]), seconds(ping_ns, ping_ns[0])
     return np.stack([np.interp(at_s, ping_s, column) for column in measured_b.T], axis=1), true_b
-
-
-def horizontal(vectors: Floats) -> Complex:
-    """Make complex numbers of the first two parts of vectors, shape (k, 3)."""
-    return np.asarray(vectors[:, 0] + 1j * vectors[:, 1])
 
 
 def velocities_b(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:

@@ -15,11 +15,9 @@ from insdvl_replay.checks.dvl import (
     COHERENT,
     INCOHERENT,
     SCALE_DOUBT,
-    Complex,
     Fit,
     dvl_checks,
     fit,
-    horizontal,
     scale_notes,
     velocities_b,
 )
@@ -51,6 +49,7 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import wrap_angle
+from insdvl_replay.geometry.steps import Complex, horizontal
 
 _TRACK_WINDOW_S: Final = 10.0
 _LEAST_WINDOW_M: Final = 3.0  # above the noise of a satellite fix

@@ -1,20 +1,18 @@
 """Whether a reference can be what its log says: it moves where the sensors do, and is somewhere on Earth."""
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl_replay.checks.dvl import Complex, horizontal, median_speed_mps
+from insdvl_replay.checks.dvl import median_speed_mps
 from insdvl_replay.checks.imu import LONGEST_STEP_S, Check, lies_within, turned_by
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
-from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import vector_from_mat
+from insdvl_replay.geometry.steps import AROUND, Complex, Steps, find_jumps, least_difference, steps_of, unexplained_m
 
 _LEG_S: Final = 10.0
 """Over so long a leg, single positions of a receiver are good enough to give a direction."""
@@ -27,20 +25,7 @@ _SIGNIFICANT: Final = 3.0
 
 _JUMP_M: Final = 2.0
 _JUMP_RAD: Final = 5.0 * DEG
-_OUTSTANDING: Final = 10.0  # robust standard deviations
-_AROUND: Final = 3  # steps before and after, of which a step that is no jump is like one
-_LONG_STEP: Final = 3.0  # in usual ones
-_CURVED_S: Final = 1.5  # in longer steps a turning vehicle moves unlike in the ones around
-_MEDIAN_LENGTH: Final = 1.18  # of a vector of normal noise in a plane, in standard deviations
-
-
-@dataclass(frozen=True)
-class _Steps:
-    """From each position to the next: the displacement, and the integrated velocity, m; NaN where unknown."""
-
-    time_s: Floats
-    by_position_m: Complex
-    by_velocity_m: Complex
+_CURVED_S: Final = 1.5  # in longer steps a turning vehicle turns unlike in the ones around
 
 
 def motion_checks(imu: ImuColumns, reference: ReferenceColumns) -> tuple[Check, ...]:
@@ -54,7 +39,7 @@ def motion_checks(imu: ImuColumns, reference: ReferenceColumns) -> tuple[Check, 
 
 def _scale_notes(reference: ReferenceColumns) -> list[Note]:
     """Compare displacements by positions with those by velocity, over legs."""
-    by_position_m, by_velocity_m = _legs(_steps_of(reference))
+    by_position_m, by_velocity_m = _legs(steps_of(reference))
     if len(by_position_m) < _LEGS or min(np.abs(by_position_m).sum(), np.abs(by_velocity_m).sum()) < _LEAST_M:
         return []
     count = int(np.count_nonzero(reference.known["positions"] & reference.known["velocities"]))
@@ -84,48 +69,14 @@ def _scale_notes(reference: ReferenceColumns) -> list[Note]:
 
 def velocity_misfit(reference: ReferenceColumns) -> float | None:
     """Return by which part of the way its velocity and its positions differ over legs; None where they tell nothing."""
-    by_position_m, by_velocity_m = _legs(_steps_of(reference))
+    by_position_m, by_velocity_m = _legs(steps_of(reference))
     way_m = float(np.linalg.norm(by_position_m))
     if len(by_position_m) < _LEGS or np.abs(by_position_m).sum() < _LEAST_M:
         return None
     return float(np.linalg.norm(by_velocity_m - by_position_m)) / way_m
 
 
-def _steps_of(reference: ReferenceColumns) -> _Steps:
-    placed, moving = reference.known["positions"], reference.known["velocities"]
-    time_ns = reference.time_ns[placed]
-    if len(time_ns) < 2:
-        return _Steps(np.empty(0), np.empty(0, complex), np.empty(0, complex))
-    time_s = seconds(time_ns, time_ns[0])
-    by_velocity_m = np.full(len(time_s) - 1, np.nan, complex)
-    if np.count_nonzero(moving) >= 3:
-        velocity_s = seconds(reference.time_ns[moving], time_ns[0])
-        by_velocity_m = _integrated_m(time_s, velocity_s, horizontal(reference.velocity_n[moving]))
-    return _Steps(time_s, _displacements_m(reference.position[placed]), by_velocity_m)
-
-
-def _displacements_m(position: Floats) -> Complex:
-    """Measure each step on the ellipsoid where it is made, so that long ways are as right as short ones."""
-    north_m, east_m = north_east_m(position[1:], position[:-1], 0.5 * (position[1:] + position[:-1]))
-    return np.asarray(north_m + 1j * east_m)
-
-
-def _integrated_m(time_s: Floats, velocity_s: Floats, velocity: Complex) -> Complex:
-    """Integrate the velocity from one time to the next; NaN over a pause of it, and outside of it.
-
-    Trapezoids alone would cut the corners of a turn, by 0.7 % at 17 deg a step; what the acceleration's change adds is
-    Euler and Maclaurin's.
-    """
-    step_s = np.diff(velocity_s)
-    acceleration = np.gradient(velocity, velocity_s)
-    way_m = 0.5 * (velocity[1:] + velocity[:-1]) * step_s - np.diff(acceleration) * step_s**2 / 12.0
-    summed_m = np.append(0.0, np.cumsum(way_m))
-    paused_s = np.append(0.0, np.cumsum(np.where(step_s > LONGEST_STEP_S, step_s, 0.0)))
-    by_velocity_m = np.diff(np.interp(time_s, velocity_s, summed_m, np.nan, np.nan))
-    return np.where(np.diff(np.interp(time_s, velocity_s, paused_s)) > 0.0, np.nan, by_velocity_m)
-
-
-def _legs(steps: _Steps) -> tuple[Complex, Complex]:
+def _legs(steps: Steps) -> tuple[Complex, Complex]:
     """Add steps up to legs, of which each has to be known whole and not much longer than it is meant to be."""
     if not len(steps.time_s):
         return steps.by_position_m, steps.by_velocity_m
@@ -144,14 +95,8 @@ def _legs(steps: _Steps) -> tuple[Complex, Complex]:
 
 def _position_jump_notes(reference: ReferenceColumns) -> list[Note]:
     """Find steps that neither the velocity nor any of the steps around explains."""
-    steps = _steps_of(reference)
-    step_s = np.diff(steps.time_s)
-    if len(step_s) <= 2 * _AROUND:
-        return []
-    unlike_m = np.abs(steps.by_position_m - steps.by_velocity_m)
-    rates = np.where(step_s <= _CURVED_S, steps.by_position_m / step_s, np.nan)
-    unlike_m = np.fmin(unlike_m, _least_difference(np.column_stack([rates.real, rates.imag])) * step_s)
-    unlike_m[step_s > _LONG_STEP * np.median(step_s)] = np.nan
+    steps = steps_of(reference)
+    unlike_m = unexplained_m(steps)
     return _jump_notes("positions", unlike_m, _JUMP_M, "m", 1.0, steps.time_s)
 
 
@@ -161,35 +106,22 @@ def _attitude_jump_notes(imu: ImuColumns, reference: ReferenceColumns) -> list[N
     Such an error is in the steps around, too, and is smaller than what they show.
     """
     rows = np.flatnonzero(reference.known["attitudes"] & lies_within(reference.time_ns, imu.time_ns))
-    if len(rows) <= 2 * _AROUND + 1:
+    if len(rows) <= 2 * AROUND + 1:
         return []
     time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
     step_s = np.diff(time_s)
     shown = np.diff(turned_by(imu, time_s), axis=0)
     unseen = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:]) - shown
-    unlike = np.fmin(np.linalg.norm(unseen, axis=1), _least_difference(unseen))
+    unlike = np.fmin(np.linalg.norm(unseen, axis=1), least_difference(unseen))
     unlike[step_s > _CURVED_S] = np.nan
     smallest = np.maximum(_JUMP_RAD, np.linalg.norm(shown, axis=1))
     return _jump_notes("attitudes", unlike, smallest, "deg", DEG, time_s - time_s[0])
 
 
-def _least_difference(steps: Floats) -> Floats:
-    """Return the distance of each of k vectors from the one of its neighbours that is nearest to it, shape (k,)."""
-    least = np.full(len(steps), np.nan)
-    for reach in range(1, _AROUND + 1):
-        apart = np.linalg.norm(steps[reach:] - steps[:-reach], axis=1)
-        least[reach:], least[:-reach] = np.fmin(least[reach:], apart), np.fmin(least[:-reach], apart)
-    return least
-
-
 def _jump_notes(
     quantity: str, unlike: Floats, smallest: float | Floats, unit: str, factor: float, time_s: Floats
 ) -> list[Note]:
-    known: NDArray[np.bool_] = np.isfinite(unlike)
-    if not known.any():
-        return []
-    limit = np.maximum(smallest, _OUTSTANDING / _MEDIAN_LENGTH * float(np.median(unlike[known])))
-    jumps = np.flatnonzero(known & (unlike > limit))
+    jumps = find_jumps(unlike, smallest)
     if not jumps.size:
         return []
     largest = int(jumps[np.argmax(unlike[jumps])])

@@ -6,31 +6,15 @@
 from typing import Annotated, Literal
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import Meta
 
+from insdvl_replay.core.config_navigation import Reference, Solution, spelled_out
+from insdvl_replay.core.config_section import AXES, STAMP, Comment, Latency, NotNegative, Positive, Section, Vector
 from insdvl_replay.core.sensors import AIDING, SENSORS
 from insdvl_replay.core.states import MORE_STATES
 
-Vector = tuple[float, float, float]
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
-Latency = Annotated[float, Meta(ge=-3600, le=3600)]
 
-
-def Comment(comment: str) -> Meta:  # noqa: N802
-    """Hold the comment that `render_toml` writes beside a key."""
-    return Meta(description=comment)
-
-
-class _Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table of the configuration."""
-
-
-_AXES = 'frd | flu | a signed permutation such as "+x-y-z"; left out: by type, else frd'
-_STAMP = "header | log_time | publish_time | a field path; left out: by type, else header"
-
-
-class Imu(_Section, frozen=True):
+class Imu(Section, frozen=True):
     """Where the specific force and angular rate come from."""
 
     topic: Annotated[str | None, Comment("left out: found by type")] = None
@@ -44,9 +28,9 @@ class Imu(_Section, frozen=True):
     ] = None
     specific_force_scale: Annotated[Positive, Comment("measured over true force; readings are divided by it")] = 1.0
     angular_rate_scale: Annotated[Positive, Comment("measured over true rate; readings are divided by it")] = 1.0
-    axes: Annotated[str | None, Comment(_AXES)] = None
+    axes: Annotated[str | None, Comment(AXES)] = None
     specific_force_axes: Annotated[str | None, Comment("where they differ; left out: by type, else as axes")] = None
-    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    stamp: Annotated[str | None, Comment(STAMP)] = None
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
     min_rate_hz: Annotated[NotNegative, Comment("a slower IMU is refused")] = 20.0
     max_gap_s: Annotated[Positive, Comment("pauses up to this are bridged as if nothing happened in them")] = 0.5
@@ -62,7 +46,7 @@ class Imu(_Section, frozen=True):
     )
 
 
-class Dvl(_Section, frozen=True):
+class Dvl(Section, frozen=True):
     """Where the DVL's pings come from, how it is mounted and how good it is."""
 
     topic: Annotated[str | None, Comment("left out: found by type")] = None
@@ -74,8 +58,8 @@ class Dvl(_Section, frozen=True):
     velocity_unit: Annotated[
         Literal["m/s", "mm/s", "cm/s"] | None, Comment("m/s | mm/s | cm/s; left out: by type, else m/s")
     ] = None
-    axes: Annotated[str | None, Comment(_AXES)] = None
-    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    axes: Annotated[str | None, Comment(AXES)] = None
+    stamp: Annotated[str | None, Comment(STAMP)] = None
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
     beam_tilt_deg: Annotated[
         Annotated[float, Meta(gt=0, lt=90)] | None, Comment("from the DVL's z axis; left out: by the message, else 30")
@@ -96,7 +80,7 @@ class Dvl(_Section, frozen=True):
     ] = None
 
 
-class Depth(_Section, frozen=True):
+class Depth(Section, frozen=True):
     """Where the depth comes from; read where a filter is aided by it, or where it is withheld."""
 
     topic: Annotated[str | None, Comment("left out: found by type")] = None
@@ -112,11 +96,11 @@ class Depth(_Section, frozen=True):
     ] = None
     lever_arm_m: Annotated[Vector, Comment("IMU to the sensor, forward-starboard-down")] = (0.0, 0.0, 0.0)
     sd_m: Annotated[Positive, Comment("noise of one reading")] = 0.1
-    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    stamp: Annotated[str | None, Comment(STAMP)] = None
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
 
 
-class Heading(_Section, frozen=True):
+class Heading(Section, frozen=True):
     """Where a heading comes from that is not the INS's: an AHRS or a compass; read as the depth is."""
 
     topic: Annotated[str | None, Comment("left out: found by type")] = None
@@ -130,11 +114,11 @@ class Heading(_Section, frozen=True):
         Annotated[float, Meta(ge=-180, le=180)], Comment("magnetic north from true north, clockwise, of a compass")
     ] = 0.0
     sd_deg: Annotated[Positive, Comment("noise of one reading")] = 2.0
-    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    stamp: Annotated[str | None, Comment(STAMP)] = None
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
 
 
-class Position(_Section, frozen=True):
+class Position(Section, frozen=True):
     """Where fixes of the position come from: satellites at the surface, or an acoustic system; read as the depth is."""
 
     topic: Annotated[str | None, Comment("left out: found by type")] = None
@@ -145,53 +129,11 @@ class Position(_Section, frozen=True):
     lever_arm_m: Annotated[Vector, Comment("IMU to the antenna, forward-starboard-down")] = (0.0, 0.0, 0.0)
     sd_m: Annotated[Positive, Comment("noise of one fix, north and east")] = 2.0
     height_sd_m: Annotated[Positive | None, Comment("of its height; left out: the height is not used")] = None
-    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    stamp: Annotated[str | None, Comment(STAMP)] = None
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
 
 
-class Reference(_Section, frozen=True):
-    """The solution to start from and to compare with; position, velocity and attitude are each optional."""
-
-    topic: Annotated[str | None, Comment("left out: found by type")] = None
-    fix: Annotated[str | None, Comment("topic of the geographic position; left out: found by type")] = None
-    frames: Annotated[tuple[str, str] | None, Comment("of transforms: parent and child, the child being the body")] = (
-        None
-    )
-    axes: Annotated[Literal["ned_frd", "enu_flu"] | None, Comment("ned_frd | enu_flu; left out: by type")] = None
-    latitude: Annotated[str | None, Comment("field path; left out: by type")] = None
-    longitude: Annotated[str | None, Comment("field path; left out: by type")] = None
-    height: Annotated[str | None, Comment("field path, m above the ellipsoid; left out: by type")] = None
-    depth: Annotated[str | None, Comment("field path, m, in place of the height")] = None
-    velocity_n: Annotated[
-        str | None, Comment("field path, north-east-down, or east-north-up with such axes or beside a quaternion")
-    ] = None
-    velocity_b: Annotated[str | None, Comment("field path, in the axes of the body; left out: by type")] = None
-    quaternion: Annotated[str | None, Comment("field path, x, y, z, w; left out: by type")] = None
-    roll: Annotated[str | None, Comment("field path, starboard side down; left out: by type")] = None
-    pitch: Annotated[str | None, Comment("field path, bow up; left out: by type")] = None
-    heading: Annotated[str | None, Comment("field path, from north over east; left out: by type")] = None
-    angle_unit: Annotated[
-        Literal["deg", "rad"], Comment("deg | rad: of latitude, longitude, roll, pitch and heading")
-    ] = "deg"
-    lever_arm_m: Annotated[Vector, Comment("IMU to the point that the reference is of, forward-starboard-down")] = (
-        0.0,
-        0.0,
-        0.0,
-    )
-    mounting_rpy_deg: Annotated[
-        Vector, Comment("axes of its attitude in those of the IMU: heading, then pitch, then roll")
-    ] = (0.0, 0.0, 0.0)
-    independent: Annotated[bool, Comment("false: it was made from the same IMU or DVL")] = True
-    position_sd_m: Annotated[
-        NotNegative, Comment("its own error: smaller differences between filters count as none")
-    ] = 0.0
-    velocity_sd_mps: Annotated[NotNegative, Comment("likewise, each axis")] = 0.0
-    attitude_sd_deg: Annotated[NotNegative, Comment("likewise, each axis")] = 0.0
-    stamp: Annotated[str | None, Comment(_STAMP)] = None
-    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
-
-
-class Initial(_Section, frozen=True):
+class Initial(Section, frozen=True):
     """State and uncertainty at the start. The uncertainties are the paper's, reconstructed."""
 
     source: Annotated[
@@ -224,7 +166,7 @@ class Initial(_Section, frozen=True):
     gyro_bias_sd_degph: Annotated[Positive, Comment("each axis")] = 10.0
 
 
-class Noise(_Section, frozen=True):
+class Noise(Section, frozen=True):
     """What the filters assume of the inertial sensors."""
 
     accel_white_mps_rts: Annotated[NotNegative, Comment("m/s/sqrt(s)")] = 0.20
@@ -233,7 +175,7 @@ class Noise(_Section, frozen=True):
     gyro_bias_walk_radps_rts: Annotated[NotNegative, Comment("rad/s/sqrt(s)")] = 1e-10
 
 
-class Acceleration(_Section, frozen=True):
+class Acceleration(Section, frozen=True):
     """The acceleration fitted to past DVL velocities, and how the filter uses it."""
 
     model: Annotated[Literal["windowed", "published"], Comment("windowed | published (the paper's, without w x v)")] = (
@@ -245,10 +187,12 @@ class Acceleration(_Section, frozen=True):
     max_window_gap_s: Annotated[Positive, Comment("a longer pause between pings starts a new window")] = 2.5
 
 
-class Filter(_Section, frozen=True):
-    """One filter. The first of the configuration is the baseline."""
+class Filter(Section, frozen=True):
+    """One filter, which is run, or whose solution is read. The first of the configuration is the baseline."""
 
-    aiding: Annotated[tuple[str, ...], Comment(f"measurements, in this order: {' | '.join(AIDING)} | module:Class")]
+    aiding: Annotated[
+        tuple[str, ...], Comment(f"measurements, in this order: {' | '.join(AIDING)} | module:Class")
+    ] = ()
     states: Annotated[
         tuple[str, ...],
         Comment(f"beside the twelve, and those that its aiding needs: {' | '.join(MORE_STATES)}"),
@@ -274,6 +218,9 @@ class Filter(_Section, frozen=True):
         Comment("fixed | adaptive (by the innovations) | student-t (outliers are expected): R of velocity and beams"),
     ] = "fixed"
     acceleration: Acceleration | None = None
+    solution: Annotated[
+        str | Solution | None, Comment("the vehicle's own, in place of all else: a topic, or a TUM file (.tum, .txt)")
+    ] = None
 
 
 def _default_filters() -> dict[str, Filter]:
@@ -283,7 +230,7 @@ def _default_filters() -> dict[str, Filter]:
     }
 
 
-class Clocks(_Section, frozen=True):
+class Clocks(Section, frozen=True):
     """How far the clocks that stamp the roles may lie apart."""
 
     max_disagreement_s: Annotated[
@@ -291,14 +238,14 @@ class Clocks(_Section, frozen=True):
     ] = 1.0
 
 
-class Span(_Section, frozen=True):
+class Span(Section, frozen=True):
     """The part of the dive to replay."""
 
     start_s: Annotated[float | None, Comment("seconds from the first IMU sample; left out: from the start")] = None
     end_s: Annotated[float | None, Comment("seconds from the first IMU sample; left out: to the end")] = None
 
 
-class Evaluation(_Section, frozen=True):
+class Evaluation(Section, frozen=True):
     """How the filters are held against each other."""
 
     starts: Annotated[
@@ -314,16 +261,16 @@ class Evaluation(_Section, frozen=True):
     ] = ()
 
 
-class Topic(_Section, frozen=True):
+class Topic(Section, frozen=True):
     """A topic that a measurement of your own reads, by the name of its section: ``dive.topics["range"]``."""
 
     topic: Annotated[str, Comment("as the log names it")]
     values: Annotated[str, Comment("field path; of several numbers all paths, with commas between them")]
-    stamp: Annotated[str | None, Comment(_STAMP)] = None
+    stamp: Annotated[str | None, Comment(STAMP)] = None
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
 
 
-class Config(_Section, frozen=True):
+class Config(Section, frozen=True):
     """All settings of a replay."""
 
     imu: Imu = Imu()
@@ -337,10 +284,21 @@ class Config(_Section, frozen=True):
     clocks: Clocks = Clocks()
     span: Span = Span()
     evaluation: Evaluation = Evaluation()
-    topics: dict[str, Topic] = {}
+    topics: dict[str, Topic] = msgspec.field(default_factory=dict)
     filters: dict[str, Filter] = msgspec.field(default_factory=_default_filters)
 
     @property
     def baseline(self) -> str:
         """Name of the first filter."""
         return next(iter(self.filters))
+
+    @property
+    def computed(self) -> dict[str, Filter]:
+        """The filters that are run."""
+        return {name: filter_ for name, filter_ in self.filters.items() if filter_.solution is None}
+
+    @property
+    def solutions(self) -> dict[str, Solution]:
+        """The filters whose solution is read, as their settings have it."""
+        given = {name: filter_.solution for name, filter_ in self.filters.items()}
+        return {name: spelled_out(solution) for name, solution in given.items() if solution is not None}

@@ -3,8 +3,10 @@
 Precedence: defaults, then preset, then files in their order, then command line.
 """
 
+import hashlib
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from tomllib import TOMLDecodeError
@@ -14,6 +16,7 @@ import msgspec
 from msgspec import Struct
 
 from insdvl_replay.core.config import Config, Filter, Topic
+from insdvl_replay.core.config_navigation import FILE_ENDINGS, TOPIC_KEYS, Solution, spelled_out
 from insdvl_replay.core.errors import ConfigError, error_context, require_known
 from insdvl_replay.core.plain_text import is_writable, visible
 from insdvl_replay.core.sensors import AIDING, SENSORS
@@ -56,11 +59,55 @@ def load_config(
             if_unreadable="check the path given to -c",
             if_invalid="`insdvl-replay config` prints a valid one",
         )
+        laid = replace(laid, content=_with_whole_paths(laid.content, path.parent))
         settings = _overlaid(settings, laid)
         source = laid if "filters" in laid.content else source
     config = _with_overrides(settings, [_parse_override(text) for text in overrides])
     _check_filters(config, source)
-    return config
+    return _with_digests(config)
+
+
+def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Let the files that filters name be found from wherever the settings are read again."""
+    filters = content.get("filters")
+    if not isinstance(filters, Mapping):
+        return content
+    return {**content, "filters": {name: _with_whole_path(entry, folder) for name, entry in filters.items()}}
+
+
+def _with_whole_path(entry: Any, folder: Path) -> Any:
+    solution = entry.get("solution") if isinstance(entry, Mapping) else None
+    if isinstance(solution, str) and solution.lower().endswith(FILE_ENDINGS):
+        return {**entry, "solution": str((folder / solution).absolute())}
+    if isinstance(solution, Mapping) and isinstance(file := solution.get("file"), str):
+        return {**entry, "solution": {**solution, "file": str((folder / file).absolute())}}
+    return entry
+
+
+def _with_digests(config: Config) -> Config:
+    """Hold fast which files are meant: settings that name another one are others."""
+    filters = {}
+    for name, filter_ in config.filters.items():
+        if filter_.solution is not None and (solution := spelled_out(filter_.solution)).file is not None:
+            solution = _with_digest(solution, f"filters.{name}.solution")
+            filter_ = msgspec.structs.replace(filter_, solution=solution)
+        filters[name] = filter_
+    return msgspec.structs.replace(config, filters=filters)
+
+
+def _with_digest(solution: Solution, key: str) -> Solution:
+    try:
+        sha256 = hashlib.sha256(Path(solution.file or "").read_bytes()).hexdigest()
+    except OSError as error:
+        raise ConfigError(
+            f"{key}: {solution.file}: cannot be read: {error.strerror}", "a path counts from the settings' own folder"
+        ) from error
+    if solution.sha256 not in (None, sha256):
+        raise ConfigError(
+            f"{key}: {solution.file} is not the file that was meant: its SHA-256 is {sha256}",
+            f"leave {key}.sha256 out, and it is taken as it is",
+        )
+    return msgspec.structs.replace(solution, file=str(Path(solution.file or "").absolute()), sha256=sha256)
 
 
 def _overlaid(settings: Mapping[str, Any], source: TomlSource) -> dict[str, Any]:
@@ -173,7 +220,10 @@ def _check_filters(config: Config, source: TomlSource) -> None:
         if len(filter_.aiding) - len(known) > 1:
             raise ConfigError(f"{where}: filters.{name} has more than one measurement of your own", "one a filter")
         _check_words(filter_.states, MORE_STATES, source, "filters", name, "states")
-        _check_filter(filter_, f"filters.{name}", where)
+        if filter_.solution is None:
+            _check_filter(filter_, f"filters.{name}", where)
+        else:
+            _check_solution(filter_, f"filters.{name}", where, is_baseline=name == config.baseline)
 
 
 def _check_words(words: Sequence[str], known: Collection[str], source: TomlSource, *path: str) -> None:
@@ -183,6 +233,30 @@ def _check_words(words: Sequence[str], known: Collection[str], source: TomlSourc
             require_known(source.key(*path, place), word, known)
             if word in words[:place]:
                 raise ConfigError(f"{source.key(*path, place)} '{word}' stands there already", "leave one of them out")
+
+
+def _check_solution(filter_: Filter, key: str, where: str, *, is_baseline: bool) -> None:
+    """Require that a solution that is read stands behind a filter that is run, and has nothing of one itself."""
+    if is_baseline:
+        raise ConfigError(
+            f"{where}: {key}.solution is read, and cannot be the baseline: from its start all others begin",
+            'name a filter first that is run, such as [filters.baseline] with aiding = ["velocity"]',
+        )
+    default = Filter()
+    others = [name for name in Filter.__struct_fields__ if getattr(filter_, name) != getattr(default, name)]
+    if len(others) > 1:
+        names = " and ".join(f"{key}.{name}" for name in others if name != "solution")
+        raise ConfigError(f"{where}: {key}.solution is read and not run, and {names} says how", "leave one of them out")
+    solution = spelled_out(filter_.solution or "")
+    if (solution.topic is None) == (solution.file is None):
+        found = "names nothing" if solution.topic is None else "names a topic and a file"
+        raise ConfigError(f"{where}: {key}.solution {found}", 'solution = "/odometry", or solution = "onboard.tum"')
+    read_from_topic = [name for name in ("fix", *TOPIC_KEYS) if getattr(solution, name) is not None]
+    if solution.file is not None and read_from_topic:
+        raise ConfigError(
+            f"{where}: {key}.solution is a file, of which {key}.solution.{read_from_topic[0]} says nothing",
+            "time x y z qx qy qz qw stand in each line, and solution.axes says in which axes",
+        )
 
 
 def _check_filter(filter_: Filter, key: str, where: str) -> None:
@@ -214,7 +288,8 @@ def render_toml(config: Config) -> str:
 def _toml_lines(section: Struct, path: str) -> Iterator[str]:
     hints = get_type_hints(type(section), include_extras=True)
     tables: list[tuple[str, Struct]] = []
-    for name in section.__struct_fields__:
+    is_read = isinstance(section, Filter) and section.solution is not None
+    for name in ("solution",) if is_read else section.__struct_fields__:
         value = getattr(section, name)
         if isinstance(value, Struct):
             tables.append((f"{path}{name}", value))

@@ -182,6 +182,29 @@ class ReferenceColumns:
 
 
 @dataclass(frozen=True)
+class SolutionColumns:
+    """A solution that the vehicle found itself, as its log or a file has it.
+
+    Attributes
+    ----------
+    motion : ReferenceColumns
+        r rows.
+    way_n : ndarray, shape (r, 3), or None
+        Where positions are metres from an origin that nobody knows: the way from it, m; `motion` has no positions then.
+    cov_ns : ndarray, shape (c,)
+        Those of the times, evenly chosen, of which the covariance is kept.
+    cov : ndarray, shape (c, 9, 9)
+        Of velocity error, misalignment and position error, all in n, SI units: the order of the states. NaN where it
+        says nothing.
+    """
+
+    motion: ReferenceColumns
+    way_n: Floats | None
+    cov_ns: TimeNs
+    cov: Floats
+
+
+@dataclass(frozen=True)
 class TruthColumns:
     """Sensor biases that only a simulation can know.
 
@@ -214,6 +237,8 @@ class Dive:
         The columns; reference and truth where the log has them.
     sensors : mapping of str to SensorColumns
         Those of `sensors.SENSORS` that were asked for.
+    solutions : mapping of str to SolutionColumns
+        By the name of the filter that each is.
     topics : mapping of str to SensorColumns
         Those that the configuration names in ``[topics]``, for measurements of your own; as the log has them.
     channels : tuple of Channel
@@ -228,6 +253,7 @@ class Dive:
     reference: ReferenceColumns | None = None
     truth: TruthColumns | None = None
     sensors: Mapping[str, SensorColumns] = field(default_factory=dict)
+    solutions: Mapping[str, SolutionColumns] = field(default_factory=dict)
     topics: Mapping[str, SensorColumns] = field(default_factory=dict)
     sha256: str = ""
     channels: tuple[Channel, ...] = ()

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, TimeNs
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.states import POSITION, STATES, State
 
 
@@ -94,6 +94,8 @@ class Innovations:
 class History:
     """States and uncertainties of one filter at the start, after each ping, at each reference time and at the end.
 
+    Of a solution that was read and not run, the same at the same times, NaN where it says nothing.
+
     Attributes
     ----------
     filter : str
@@ -123,6 +125,10 @@ class History:
         What it estimates: the twelve of `states.STATES`, and perhaps more.
     constants : ndarray, shape (k, c)
         What it takes the constants of the sensors to be, the last c of its states, SI units.
+    is_read : bool
+        Whether it is a solution that was read.
+    starts_as_others : bool
+        Whether it begins where and as the filters do: not a solution with a heading of its own.
     """
 
     filter: str
@@ -139,11 +145,23 @@ class History:
     innovations: tuple[Innovations, ...]
     states: tuple[State, ...] = STATES
     constants: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    is_read: bool = False
+    starts_as_others: bool = True
+
+    @property
+    def believed(self) -> NDArray[np.bool_]:
+        """Of which states it says how sure it is, shape (n,): all of a filter that was run, even if it broke down."""
+        return np.asarray(np.isfinite(self.sd).any(axis=0) | (not self.is_read))
 
     @property
     def estimates_position(self) -> bool:
         """Whether the position is among its states."""
         return len(self.states) >= POSITION.stop and self.states[POSITION.start].id == "dp_n"
+
+    def motion(self) -> ReferenceColumns:
+        """Return where it is and how it moves, in the rows that say anything of that."""
+        motion = ReferenceColumns(self.time_ns, self.position, self.velocity_n, self.mat_nb)
+        return motion.rows(np.any(list(motion.known.values()), axis=0)) if self.is_read else motion
 
     def without_cov(self) -> "History":
         """Let go of P, by far the largest part; its diagonal stays."""

@@ -303,6 +303,29 @@ class DriftRow(Struct, frozen=True):
     worst_to_s: Number
 
 
+class JumpRow(Struct, frozen=True):
+    """How often the position of one filter jumps."""
+
+    about: ClassVar = (
+        "A filter whose position can jump: the steps of it that neither its velocity nor the steps around explain."
+    )
+    baseline_too: ClassVar = True
+
+    log: Annotated[str, Column("Dive and filter: a solution that was read, or one that estimates its position.")]
+    filter: str
+    steps: Annotated[int, Column("Steps from a horizontal position to the next that were looked at.")]
+    jumps: Annotated[
+        int,
+        Column(
+            "Those of which more than 0.5 m, and ten robust standard deviations of what usually is, is unexplained.",
+            better="lower",
+            primary=True,
+        ),
+    ]
+    largest_m: Annotated[Number, Column("The most of a step that is unexplained.", better="lower")]
+    largest_at_s: Annotated[Number, Column("Where that step ends, from the start.")]
+
+
 class TrackFitRow(Struct, frozen=True):
     """What would lay a filter's track on the reference's."""
 

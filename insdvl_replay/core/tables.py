@@ -14,6 +14,7 @@ from insdvl_replay.core.rows import (
     DriftRow,
     EvidenceRow,
     ImprovementRow,
+    JumpRow,
     ReferenceErrorRow,
     TrackFitRow,
 )
@@ -22,7 +23,7 @@ from insdvl_replay.core.words import Belief, Judgement
 
 
 class Tables(Struct, frozen=True):
-    """The tables, row for row as in the CSV files; null for what is missing. Early reports lack the last five."""
+    """The tables, row for row as in the CSV files; null for what is missing. Early reports lack the last six."""
 
     improvement: list[ImprovementRow]
     convergence: list[ConvergenceRow]
@@ -33,6 +34,7 @@ class Tables(Struct, frozen=True):
     coasting: list[CoastingRow] = []
     drift: list[DriftRow] = []
     track_fit: list[TrackFitRow] = []
+    jumps: list[JumpRow] = []
 
 
 class Candidate(Struct, frozen=True):

@@ -13,6 +13,8 @@ class Consistency(StrEnum):
     TOO_FEW = "too few"
     NOT_IN_REFERENCE = "not in reference"
     NO_REFERENCE = "no reference"
+    NOT_TOLD = "not told"
+    """A solution that was read has no innovations, or no covariance."""
 
 
 class Reason(StrEnum):
@@ -93,6 +95,8 @@ class ReferenceStatus(StrEnum):
     COMPARED = "compared"
     NO_REFERENCE = "no reference"
     NOT_IN_REFERENCE = "not in reference"
+    NOT_IN_SOLUTION = "not in solution"
+    """The candidate is a solution that was read, and says nothing of it where the reference does."""
     NO_DISTANCE = "no distance"
     PARTLY_COVERED = "partly covered"
     """The reference knows the quantity in a part of the replay alone."""

@@ -12,7 +12,7 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.core.rows import ConvergenceRow, ImprovementRow
-from insdvl_replay.core.states import NINE, STATES
+from insdvl_replay.core.states import NINE, STATES, State
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import ImprovementStatus
 
@@ -21,7 +21,7 @@ SAME_PCT = 0.05
 
 
 def improvement_table(log: str, histories: tuple[History, ...]) -> list[ImprovementRow]:
-    """Compare the standard deviations at the end of the dive, 12 states for each candidate.
+    """Compare the standard deviations at the end of the dive, 12 states for each candidate, or those that it tells.
 
     Parameters
     ----------
@@ -33,17 +33,31 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> list[Improvem
     baseline, *candidates = histories
     rows = []
     for candidate in candidates:
-        for state in STATES:
-            before, after = (float(final_sd(history)[state.index]) / state.factor for history in (baseline, candidate))
+        for state in believed_states(candidate):
+            ends = final_sd(baseline, candidate), final_sd(candidate)
+            before, after = (float(sd[state.index]) / state.factor for sd in ends)
             change_pct = improvement_pct(before, after)
             status = _improvement_status(change_pct)
             rows.append(ImprovementRow(log, candidate.filter, state.id, state.unit, before, after, change_pct, status))
     return rows
 
 
-def final_sd(history: History) -> Floats:
-    """Return the standard deviations after the last ping."""
-    sd: Floats = history.sd[np.flatnonzero(history.updated)[-1]]
+def believed_states(history: History) -> list[State]:
+    """List the twelve states, or those of them of which a solution that was read says how sure it is."""
+    believed = history.believed if history.updated.any() else np.zeros(len(history.states), np.bool_)
+    return [state for state in STATES if believed[state.index]]
+
+
+def last_row(history: History, judged_as: History | None = None) -> int:
+    """Return the row of the last ping; of one beside a solution that was read, the last that it speaks of, too."""
+    is_read = judged_as is not None and judged_as.is_read
+    rows = np.flatnonzero(history.updated & judged_as.updated if judged_as is not None and is_read else history.updated)
+    return int(rows[-1])
+
+
+def final_sd(history: History, judged_as: History | None = None) -> Floats:
+    """Return the standard deviations after the last ping; the other argument as of `last_row`."""
+    sd: Floats = history.sd[last_row(history, judged_as)]
     return sd
 
 
@@ -63,9 +77,12 @@ def _improvement_status(change_pct: float) -> ImprovementStatus:
 
 
 def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: str) -> float:
-    """Average a table's improvement over the nine states without the velocity errors, as the paper does."""
+    """Average a table's improvement over the nine states without the velocity errors, as the paper does.
+
+    NaN of a candidate that does not tell all nine.
+    """
     nine = {state.id for state in NINE}
     rows = [row for row in table if row.filter == candidate and row.state in nine]
-    if any(row.status == ImprovementStatus.NOT_FINITE for row in rows):
+    if len(rows) < len(nine) or any(row.status == ImprovementStatus.NOT_FINITE for row in rows):
         return float("nan")
     return float(np.mean(np.nan_to_num([finite(row.improvement_pct) for row in rows])))

@@ -9,9 +9,8 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Floats, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.rows import ConvergenceRow
-from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import ConvergenceStatus
-from insdvl_replay.evaluation.believed import final_sd, improvement_pct
+from insdvl_replay.evaluation.believed import believed_states, improvement_pct, last_row
 from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
 
 NOT_MEASURED: Final[Mapping[str, Mapping[str, MeasuredConvergence]]] = MappingProxyType({})
@@ -21,6 +20,8 @@ def convergence_table(
     log: str, histories: tuple[History, ...], measured: Mapping[str, Mapping[str, MeasuredConvergence]] = NOT_MEASURED
 ) -> list[ConvergenceRow]:
     """State when each candidate became, and stayed, as sure as the baseline is at the end, in 12 states.
+
+    Of a solution that was read, in those of which it says how sure it is.
 
     Parameters
     ----------
@@ -35,20 +36,25 @@ def convergence_table(
         Times are seconds from the start, the baseline's that of the last ping.
     """
     baseline, *candidates = histories
-    baseline_s = float(seconds(baseline.time_ns[baseline.updated], baseline.time_ns[0])[-1])
     rows = []
     for candidate in candidates:
-        read = candidate.updated | (candidate.time_ns == candidate.time_ns[0])
-        time_s = seconds(candidate.time_ns[read], candidate.time_ns[0])
-        for state in STATES:
-            target = float(final_sd(baseline)[state.index])
-            reached_s, status = time_to_stay_below(time_s, candidate.sd[read, state.index], target)
+        pings = candidate.updated | (candidate.time_ns == candidate.time_ns[0])
+        for state in believed_states(candidate):
+            last = last_row(baseline, candidate)
+            target, baseline_s = float(baseline.sd[last, state.index]), _since_start_s(baseline, last)
+            told = pings & np.isfinite(candidate.sd[:, state.index]) if candidate.is_read else pings
+            time_s = seconds(candidate.time_ns[told], candidate.time_ns[0])
+            reached_s, status = time_to_stay_below(time_s, candidate.sd[told, state.index], target)
             faster_pct = improvement_pct(baseline_s, reached_s) if status == ConvergenceStatus.REACHED else float("nan")
             named = log, candidate.filter, state.id, state.unit
             predicted = target / state.factor, baseline_s, reached_s, faster_pct
             found = _measured(measured.get(candidate.filter, {}).get(state.id), state.factor)
             rows.append(ConvergenceRow(*named, *predicted, status, *found))
     return rows
+
+
+def _since_start_s(history: History, row: int) -> float:
+    return float(seconds(history.time_ns[row : row + 1], history.time_ns[0])[0])
 
 
 def _measured(found: MeasuredConvergence | None, factor: float) -> tuple[float, float, float, str]:

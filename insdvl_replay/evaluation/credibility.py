@@ -73,7 +73,8 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
         For velocity and attitude, for the biases where the log carries the true ones; for the groups of these with
         their block of P, and for ``all`` of them with the whole of P. The shares of these are those inside the
         ellipsoids with the probabilities of one and three standard deviations. ``over-confident`` is also said where
-        too many errors are beyond three of them. Where the verdict is not what the interval says, ``why`` tells.
+        too many errors are beyond three of them. Where the verdict is not what the interval says, ``why`` tells. A
+        solution that was read has rows of what its covariances tell.
     """
     return [
         CredibilityRow(log, name, quantity, *judged)
@@ -95,14 +96,15 @@ def _rows(errors: StateErrors) -> Iterator[tuple[str, _Judged]]:
     of_each = _independent_of_each(of_vehicle)
     quantities = (*CREDIBILITY_QUANTITIES, *POSITION_QUANTITIES)[: errors.error.shape[1]]
     for state, quantity in enumerate(quantities):
-        if state < BA.start or ever[state]:
+        if errors.believed[state] and (state < BA.start or ever[state]):
             yield quantity, _judged(of_vehicle, np.array([state]), of_each)
     # What stays the same in n turns with the vehicle from one of its axes to the other: a group would not show that.
     of_each = _independent_of_each(errors)
     for group, states in ALL_CREDIBILITY_GROUPS.items():
-        if states.stop <= BA.start or ever[states].any():
+        if errors.believed[states].any() and (states.stop <= BA.start or ever[states].any()):
             yield group, _judged(errors, np.arange(states.start, states.stop), of_each)
-    yield JOINT, _judged(errors, np.flatnonzero(ever), of_each)
+    if errors.believed.any():
+        yield JOINT, _judged(errors, np.flatnonzero(ever), of_each)
 
 
 def _standardised(errors: StateErrors, states: NDArray[np.int64]) -> tuple[Floats, Floats]:
@@ -144,7 +146,8 @@ def _judged(errors: StateErrors, states: NDArray[np.int64], independent_of_each:
     independent = _independent(samples_in_mean_square(standardised), of_each, independent_of_each, states)
     mean_nees, (low, high) = float(squared.mean()), mean_interval(dof, independent)
     near_pct, far_pct = (100.0 * float(np.mean(squared <= _ellipsoid(sigmas, dof))) for sigmas in (1.0, 3.0))
-    word, why = _word(mean_nees, low, high, dof, independent, 1.0 - of_attitude)
+    own_share = 1.0 - of_attitude if errors.exact_start else np.inf
+    word, why = _word(mean_nees, low, high, dof, independent, own_share)
     if word != Consistency.OVER_CONFIDENT and _many_far_off(1.0 - far_pct / 100.0, independent):
         word, why = Consistency.OVER_CONFIDENT, Reason.BEYOND_3_SD
     return _Judged(dof, samples, mean_nees, low, high, near_pct, far_pct, word, independent, why)
@@ -170,7 +173,8 @@ def _word(
 
     A filter starts on the reference: the misalignment that it allows for is not there, nor is what hangs on it, such as
     a velocity across the track or, on a straight line, a horizontal accelerometer bias. Errors that are too small are
-    therefore held against the own share of a variance, which would be left if the attitude were known.
+    therefore held against the own share of a variance, which would be left if the attitude were known; infinitely much
+    of a solution with a start of its own.
     """
     word = consistency_word(mean_nees, low, high, dof)
     if word != Consistency.OVER_CONFIDENT and dof * independent < FEWEST_UPDATES:

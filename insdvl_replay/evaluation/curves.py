@@ -137,7 +137,8 @@ def coasting_curves(coasts: Coasts) -> dict[str, CoastingCurve]:
 
 def convergence_curves(drawn: Sequence[DrawnErrors]) -> dict[str, ConvergenceCurves]:
     """Take the rms of each filter's true errors over its drawn starts, without the dive's own."""
-    if not drawn or len(drawn[0].error) < FEWEST_STARTS:
+    drawn = [of_one for of_one in drawn if len(of_one.error) >= FEWEST_STARTS]
+    if not drawn:
         return {}
     squares = [_from_drawn_starts(of_one) for of_one in drawn]
     found = {

@@ -1,7 +1,7 @@
 """True errors of one filter from several starts: what is left of what the start got wrong, and of what sensors add."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,6 +80,41 @@ def drawn_errors(runs: Sequence[RunFromStart]) -> DrawnErrors:
     """Take the runs of one filter together, that from the dive's own start first."""
     own, error = runs[0], np.stack([run.error for run in runs])
     return DrawnErrors(own.filter, own.time_s, tuple(run.against_reference for run in runs), error, own.sd)
+
+
+def errors_of_one_run(
+    history: History, like: DrawnErrors, reference: ReferenceColumns, truth: TruthColumns | None
+) -> DrawnErrors:
+    """Take the errors of a run that has one start, such as a solution that was read, at the times of others."""
+    times_ns = like.against_reference[0].time_ns
+    return drawn_errors([run_from_start(history, reference.rows(np.isin(reference.time_ns, times_ns)), truth)])
+
+
+def own_start(drawn: DrawnErrors) -> DrawnErrors:
+    """Keep the run from the dive's own start alone."""
+    return replace(drawn, against_reference=drawn.against_reference[:1], error=drawn.error[:1])
+
+
+def side_by_side(drawn: DrawnErrors, one: DrawnErrors) -> tuple[DrawnErrors, DrawnErrors]:
+    """Cut the runs of a filter, and the one run of another, to what the latter tells.
+
+    Returns
+    -------
+    DrawnErrors
+        From the first to the last time of which the one run says anything, NaN where it does not.
+    DrawnErrors
+        The one run, as often as the other has starts.
+    """
+    run, starts = one.against_reference[0], len(drawn.error)
+    told = np.hstack([run.position_error_ned_m, run.velocity_error_n, run.attitude_error_rad])
+    rows = np.flatnonzero(np.isfinite(told).any(axis=1))
+    part = slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0, 0)
+    time_s = drawn.time_s[part] - (drawn.time_s[rows[0]] if len(rows) else 0.0)
+    own = tuple(errors.where_known(run).part(part) for errors in drawn.against_reference)
+    known = np.isfinite(one.error[:, part])
+    before = DrawnErrors(drawn.filter, time_s, own, np.where(known, drawn.error[:, part], np.nan), drawn.sd[part])
+    repeated = np.repeat(one.error[:, part], starts, axis=0)
+    return before, DrawnErrors(one.filter, time_s, (run.part(part),) * starts, repeated, one.sd[part])
 
 
 def squared_errors(drawn: DrawnErrors) -> dict[str, Floats]:

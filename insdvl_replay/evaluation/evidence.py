@@ -8,8 +8,8 @@ says; the last says nothing of gain or loss. The word of a piece is that of `pai
 """
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,7 +29,13 @@ from insdvl_replay.evaluation.consistency import NORMAL_95
 from insdvl_replay.evaluation.losses import Losses
 from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
 from insdvl_replay.evaluation.over_dives import holm
-from insdvl_replay.evaluation.paired_statistics import RatioInterval, paired_ratio, windows_ratio, word_of
+from insdvl_replay.evaluation.paired_statistics import (
+    RatioInterval,
+    paired_ratio,
+    ratio_beside_starts,
+    windows_ratio,
+    word_of,
+)
 
 HONESTY: Final = "honesty"
 NOTABLY: Final = 1.1
@@ -58,12 +64,15 @@ class Measured:
         By candidate and quantity.
     withheld : mapping of str to mapping of str to Losses
         By filter and quantity of `quantities.WITHHELD_QUANTITIES`; empty where no sensor is withheld.
+    beside : mapping of str to (mapping of str to Losses, mapping of str to Losses)
+        By candidate that is a solution that was read: the baseline's losses and its own, at the same instants.
     """
 
     losses: Mapping[str, Mapping[str, Losses]]
     coasting: Mapping[str, Mapping[str, Floats]]
     convergence: Mapping[str, Mapping[str, MeasuredConvergence]]
     withheld: Mapping[str, Mapping[str, Losses]]
+    beside: Mapping[str, tuple[Mapping[str, Losses], Mapping[str, Losses]]] = field(default_factory=dict)
 
 
 def evidence_table(
@@ -94,9 +103,9 @@ def evidence_table(
     for candidate in candidates:
         named = log, candidate
         deciding = [
-            *_of_losses(named, "accuracy", measured.losses, baseline),
+            *_accuracy(named, measured, baseline),
             *_coasting(named, measured, baseline),
-            *_of_losses(named, "withheld", measured.withheld, baseline),
+            *_withheld(named, measured, baseline),
             *_convergence(named, measured),
         ]
         rows += [*_corrected(deciding), *_honesty(named, consistency, credibility, baseline)]
@@ -145,17 +154,54 @@ def _chance(row: EvidenceRow) -> float:
     return math.erfc(sds / math.sqrt(2.0))
 
 
+def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
+    if named[1] in measured.beside:
+        yield from _of_losses(named, "accuracy", *measured.beside[named[1]], _from_one_start)
+    elif named[1] in measured.losses:
+        pair = measured.losses[baseline], measured.losses[named[1]]
+        yield from _of_losses(named, "accuracy", *pair, _from_same_starts)
+
+
+def _withheld(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
+    """Compare what sensors say of both that were withheld: nothing of a solution that was read."""
+    if ours := measured.withheld.get(named[1]):
+        yield from _of_losses(named, "withheld", measured.withheld[baseline], ours, _from_same_starts)
+
+
 def _of_losses(
-    named: _Named, evidence: str, losses: Mapping[str, Mapping[str, Losses]], baseline: str
+    named: _Named,
+    evidence: str,
+    befores: Mapping[str, Losses],
+    afters: Mapping[str, Losses],
+    compare: Callable[[Losses, Losses], tuple[float, float, RatioInterval]],
 ) -> Iterator[EvidenceRow]:
-    ours = losses.get(named[1], {})
-    for quantity, before in losses.get(baseline, {}).items():
-        after = ours[quantity]
+    for quantity, before in befores.items():
         starts, windows = before.squared.shape
-        interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
-        values = _rms(before.squared), _rms(after.squared)
-        word = _word_above_noise(word_of(interval), before.floor / max(values) if any(values) else math.inf)
-        yield EvidenceRow(*named, evidence, quantity, before.unit, *values, *_ends(interval), starts, windows, word)
+        of_baseline, value, interval = compare(before, afters[quantity])
+        largest = max(of_baseline, value)
+        word = _word_above_noise(word_of(interval), before.floor / largest if largest else math.inf)
+        values = of_baseline, value, *_ends(interval)
+        yield EvidenceRow(*named, evidence, quantity, before.unit, *values, starts, windows, word)
+
+
+def _from_same_starts(before: Losses, after: Losses) -> tuple[float, float, RatioInterval]:
+    """Compare the losses of two filters that ran from the same starts: values of both, and their ratio."""
+    interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
+    return _rms(before.squared), _rms(after.squared), interval
+
+
+def _from_one_start(before: Losses, after: Losses) -> tuple[float, float, RatioInterval]:
+    """Compare a filter from its starts with a run that may have had any of them: usual values, and their ratio."""
+    if len(before.squared) == 1:
+        return _from_same_starts(before, after)
+    interval = ratio_beside_starts(before.squared, after.squared[0], least_block=before.least_block)
+    return _usual_rms(before.squared), _usual_rms(after.squared), interval
+
+
+def _usual_rms(squared: Floats) -> float:
+    """Return the geometric mean over starts of root mean squares, shape (s, k)."""
+    each = [_rms(of_start) for of_start in squared]
+    return math.exp(float(np.mean(np.log(each)))) if min(each) > 0.0 else _rms(squared)
 
 
 def _word_above_noise(word: EvidenceWord, share: float) -> EvidenceWord:
@@ -166,8 +212,8 @@ def _word_above_noise(word: EvidenceWord, share: float) -> EvidenceWord:
 
 def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
     for window, before in measured.coasting.get(baseline, {}).items():
-        after = measured.coasting[named[1]][window]
-        if not len(before):
+        after = measured.coasting.get(named[1], {}).get(window)
+        if after is None or not len(before):
             continue
         interval = windows_ratio(before, after)
         values = _rms(before**2), _rms(after**2)
@@ -207,9 +253,11 @@ def _honesty(
 ) -> Iterator[EvidenceRow]:
     """Compare how far the mean NIS, and the mean NEES, is from what each filter expects.
 
-    Of the baseline's measurements, and of the groups of states, the gravest stands for a filter.
+    Of the baseline's measurements, and of the groups of states, the gravest stands for a filter; of the baseline's
+    groups those that the candidate has.
     """
     of_both = {row.measurement for row in consistency if row.filter == baseline}
+    groups = {row.quantity for row in credibility if row.filter == named[1]} & set(ALL_CREDIBILITY_GROUPS)
     sizes = {
         "nis": [
             (row.filter, _Size(_mean(row.mean_nis, row.dof), row.verdict))
@@ -219,7 +267,7 @@ def _honesty(
         "nees": [
             (row.filter, _Size(_mean(row.mean_nees, row.dof), row.verdict))
             for row in credibility
-            if row.quantity in ALL_CREDIBILITY_GROUPS
+            if row.quantity in groups
         ],
     }
     for quantity, found in sizes.items():

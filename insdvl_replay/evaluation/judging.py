@@ -1,7 +1,7 @@
 """Filters that ran side by side, compared with the reference and with each other: all tables of a dive."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -18,10 +18,11 @@ from insdvl_replay.evaluation.consistency import consistency_table
 from insdvl_replay.evaluation.convergence import convergence_table
 from insdvl_replay.evaluation.coverage import reference_coverage_notes, reference_rate_notes, truth_coverage_notes
 from insdvl_replay.evaluation.credibility import credibility_table
-from insdvl_replay.evaluation.drawn_errors import DrawnErrors
+from insdvl_replay.evaluation.drawn_errors import DrawnErrors, errors_of_one_run, own_start
 from insdvl_replay.evaluation.drift_table import drift_table, track_fit_table
 from insdvl_replay.evaluation.evidence import Measured, evidence_table, without_words
-from insdvl_replay.evaluation.losses import Losses, ReferenceNoise, losses_of
+from insdvl_replay.evaluation.jumps import jump_table
+from insdvl_replay.evaluation.losses import Losses, ReferenceNoise, losses_beside, losses_of
 from insdvl_replay.evaluation.measured_convergence import measured_convergences
 from insdvl_replay.evaluation.paired_statistics import windows_ratio
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
@@ -82,7 +83,10 @@ def tables_of_filters(
     """
     errors, in_states = {}, {}
     if dive.reference is not None:
-        errors = {history.filter: reference_errors(history, dive.reference) for history in histories}
+        errors = {
+            history.filter: reference_errors(history, dive.reference, histories[0] if history.is_read else None)
+            for history in histories
+        }
         in_states = {
             history.filter: state_errors(history, dive.reference, dive.truth).after(start_ns) for history in histories
         }
@@ -95,6 +99,7 @@ def tables_of_filters(
         window_drifts(coasts),
         convergence,
         {history.filter: withheld_losses(history, sensor_sd) for history in histories},
+        _losses_beside(dive, drawn, histories, noise, bridged_gaps=bridged_gaps),
     )
     return errors, Tables(
         improvement_table(dive.name, histories),
@@ -105,6 +110,7 @@ def tables_of_filters(
         evidence_table(dive.name, names[0], names[1:], measured, consistency, credibility),
         coasting_table(dive.name, coasts, windows_ratio),
         *_drift(dive, errors, start_ns, bridged_gaps=bridged_gaps),
+        jump_table(dive.name, histories, dive.solutions),
     )
 
 
@@ -123,6 +129,33 @@ def _losses(
     if dive.reference is None:
         return {}
     return {of_one.filter: losses_of(of_one, dive.reference, noise, bridged_gaps=bridged_gaps) for of_one in drawn}
+
+
+def _losses_beside(
+    dive: Dive,
+    drawn: tuple[DrawnErrors, ...],
+    histories: tuple[History, ...],
+    noise: ReferenceNoise,
+    *,
+    bridged_gaps: bool,
+) -> dict[str, tuple[dict[str, Losses], dict[str, Losses]]]:
+    """Square the errors of solutions that were read, and of the baseline from starts like theirs."""
+    if dive.reference is None:
+        return {}
+    of_filters, found = {of_one.filter: of_one for of_one in drawn}, {}
+    for history in (history for history in histories if history.is_read):
+        baseline = own_start(drawn[0]) if history.starts_as_others else drawn[0]
+        one = of_filters[history.filter]
+        found[history.filter] = losses_beside(baseline, one, dive.reference, noise, bridged_gaps=bridged_gaps)
+    return found
+
+
+def with_solutions(drawn: Sequence[DrawnErrors], histories: Iterable[History], dive: Dive) -> tuple[DrawnErrors, ...]:
+    """Add the errors of solutions that were read to those of the filters from drawn starts."""
+    if dive.reference is None:
+        return ()
+    read = (history for history in histories if history.is_read)
+    return (*drawn, *(errors_of_one_run(history, drawn[0], dive.reference, dive.truth) for history in read))
 
 
 def judged_candidates(

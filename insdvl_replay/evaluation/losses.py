@@ -13,7 +13,7 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.states import DEG, PHI
 from insdvl_replay.evaluation.coverage import WELL_COVERED, covered_share
-from insdvl_replay.evaluation.drawn_errors import DrawnErrors
+from insdvl_replay.evaluation.drawn_errors import DrawnErrors, side_by_side
 from insdvl_replay.evaluation.drift import (
     Segments,
     course_errors,
@@ -75,6 +75,28 @@ def losses_of(
     """
     found = dict(_losses(drawn, reference, noise, bridged_gaps=bridged_gaps))
     return {quantity: losses for quantity, losses in found.items() if losses.squared.shape[1] > 1}
+
+
+def losses_beside(
+    drawn: DrawnErrors, one: DrawnErrors, reference: ReferenceColumns, noise: ReferenceNoise, *, bridged_gaps: bool
+) -> tuple[dict[str, Losses], dict[str, Losses]]:
+    """Square the errors of a filter, and of a run that has one start, where and when both have any.
+
+    Parameters
+    ----------
+    drawn : DrawnErrors
+        Of the filter.
+    one : DrawnErrors
+        Of the one run.
+
+    Returns
+    -------
+    tuple of dict of str to Losses
+        Of both, with the same quantities, times and number of starts.
+    """
+    pair = side_by_side(drawn, one)
+    before, after = (losses_of(of_one, reference, noise, bridged_gaps=bridged_gaps) for of_one in pair)
+    return before, {quantity: after[quantity] for quantity in before}
 
 
 def _losses(

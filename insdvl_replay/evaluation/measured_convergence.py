@@ -72,9 +72,9 @@ def measured_convergences(baseline: DrawnErrors, candidate: DrawnErrors) -> dict
     Returns
     -------
     dict of str to MeasuredConvergence
-        By quantity; empty where fewer than two starts were drawn.
+        By quantity; empty where fewer than two starts were drawn, as of a solution that was read.
     """
-    if len(baseline.error) < 3:
+    if min(len(baseline.error), len(candidate.error)) < 3:
         return {}
     before, after = squared_errors(baseline), squared_errors(candidate)
     return {

@@ -111,6 +111,37 @@ def paired_ratio(
     return _student_interval(log_ratio, log_sd, freedom, samples)
 
 
+def ratio_beside_starts(baseline_sq: Floats, candidate_sq: Floats, *, least_block: int = 1) -> RatioInterval:
+    """Return the ratio of the root mean square of one run to that of a baseline's runs, in the mean of logarithms.
+
+    The one run has a start of its own, of which it is one draw, as each of the baseline's: what starts scatter by
+    counts once for the run, and once over the number of starts for the mean that it is held against.
+
+    Parameters
+    ----------
+    baseline_sq : ndarray, shape (s, k)
+        Squared losses from s starts, two at least, evenly spaced in time. A time at which one is not finite is left
+        out.
+    candidate_sq : ndarray, shape (k,)
+        Of the one run.
+    least_block : int
+        As of `paired_ratio`.
+    """
+    baseline, candidate = _finite_pairs(baseline_sq, np.broadcast_to(candidate_sq, baseline_sq.shape))
+    if baseline.shape[1] < 2 or not (baseline.any(axis=1).all() and candidate.any()):
+        return NOTHING
+    logs = 0.5 * np.log(candidate.mean(axis=1) / baseline.mean(axis=1))
+    together = -(-baseline.shape[1] // MOST_VALUES)
+    baseline, candidate = _averaged(baseline, together), _averaged(candidate, together)
+    differential = 0.5 * (candidate / candidate.mean() - baseline / baseline.mean())
+    block = _block(differential.mean(axis=0), -(-least_block // together))
+    time_variance = _block_variance(baseline.mean(axis=0), candidate[0], block)
+    start_variance = float(logs.var(ddof=1)) * (1.0 + 1.0 / len(logs))
+    freedom = _freedom(time_variance, baseline.shape[1] / block - 1.0, start_variance, len(logs) - 1.0)
+    log_sd = float(np.sqrt(time_variance + start_variance))
+    return _student_interval(float(logs.mean()), log_sd, freedom, _effective_over_starts(differential))
+
+
 def windows_ratio(baseline: Floats, candidate: Floats) -> RatioInterval:
     """Return the ratio of root mean squares of two filters' errors over windows of one dive, such as coasting drifts.
 

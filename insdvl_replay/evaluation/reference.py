@@ -1,6 +1,6 @@
 """Error against the reference, at the reference's own times."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,14 +45,35 @@ class ReferenceErrors:
     attitude_error_rad: Floats
     distance_m: float
 
+    def where_known(self, other: "ReferenceErrors") -> "ReferenceErrors":
+        """Keep what another filter's errors have a number for at the same times, too; else NaN."""
+        return replace(
+            self,
+            position_error_ned_m=np.where(np.isfinite(other.position_error_ned_m), self.position_error_ned_m, np.nan),
+            velocity_error_n=np.where(np.isfinite(other.velocity_error_n), self.velocity_error_n, np.nan),
+            attitude_error_rad=np.where(np.isfinite(other.attitude_error_rad), self.attitude_error_rad, np.nan),
+        )
 
-def reference_errors(history: History, reference: ReferenceColumns) -> ReferenceErrors:
+    def part(self, rows: slice) -> "ReferenceErrors":
+        """Keep some of the times."""
+        return replace(
+            self,
+            time_ns=self.time_ns[rows],
+            position_error_ned_m=self.position_error_ned_m[rows],
+            velocity_error_n=self.velocity_error_n[rows],
+            attitude_error_rad=self.attitude_error_rad[rows],
+        )
+
+
+def reference_errors(history: History, reference: ReferenceColumns, moved_as: History | None = None) -> ReferenceErrors:
     """Compare a history with the reference where the history was recorded at the reference's times.
 
     Parameters
     ----------
     history : History
         Recorded at every reference time inside the replay.
+    moved_as : History, optional
+        By whose velocity the distance is, of a solution that may give none.
 
     Returns
     -------
@@ -68,7 +89,7 @@ def reference_errors(history: History, reference: ReferenceColumns) -> Reference
         error_ned_m,
         history.velocity_n[ours] - reference.velocity_n[theirs],
         attitude_error(history.mat_nb[ours], reference.mat_nb[theirs]),
-        distance_travelled_m(history, time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]),
+        distance_travelled_m(moved_as or history, time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]),
     )
 
 
@@ -136,21 +157,27 @@ def reference_error_table(
     list of ReferenceErrorRow
         9 for each candidate; final errors keep their sign. Where the status is ``partly covered``, since the reference
         has the quantity for less than `coverage.WELL_COVERED` of the replay, or ``lost in gap``, the numbers stand, but
-        say nothing of the filters.
+        say nothing of the filters. Beside a solution that was read, the baseline's numbers are of the same instants.
     """
-    baseline, *candidates = (history.filter for history in histories)
-    span_ns = int(histories[0].time_ns[0]), int(histories[0].time_ns[-1])
+    baseline, *candidates = histories
+    span_ns = int(baseline.time_ns[0]), int(baseline.time_ns[-1])
     summaries = {name: _summary(error, span_ns) for name, error in errors.items()}
     rows, nan = [], float("nan")
-    for candidate in candidates:
+    for history in candidates:
+        candidate = history.filter
+        beside = summaries.get(baseline.filter, {})
+        if history.is_read and errors:
+            beside = _summary(errors[baseline.filter].where_known(errors[candidate]), span_ns)
         for quantity, unit in REFERENCE_QUANTITIES.items():
             named = log, candidate, quantity, unit
             if not errors:
                 rows.append(ReferenceErrorRow(*named, nan, nan, nan, nan, nan, 0, ReferenceStatus.NO_REFERENCE))
                 continue
-            before_rmse, before_final, samples, covered = summaries[baseline][quantity]
+            before_rmse, before_final, samples, covered = beside[quantity]
             rmse, final, *_ = summaries[candidate][quantity]
             status = _status(quantity, samples, covered, errors[candidate], bridged_gaps)
+            if not samples and summaries[baseline.filter][quantity][2]:
+                status = ReferenceStatus.NOT_IN_SOLUTION
             numbers = before_rmse, rmse, improvement_pct(before_rmse, rmse), before_final, final
             rows.append(ReferenceErrorRow(*named, *numbers, samples, status))
     return rows

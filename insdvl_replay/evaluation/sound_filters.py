@@ -93,7 +93,9 @@ def dead_filters(histories: tuple[History, ...]) -> dict[str, str]:
         than `MANY_REOPENED` of its pings. What a gate rejects of a sound filter by chance is allowed for.
     """
     found = {
-        history.filter: _not_finite(history) or _locked_out(history) or _set_again(history) for history in histories
+        history.filter: _not_finite(history) or _locked_out(history) or _set_again(history)
+        for history in histories
+        if not history.is_read  # what a solution leaves out it leaves out
     }
     return {name: wrong for name, wrong in found.items() if wrong}
 

@@ -34,6 +34,10 @@ class StateErrors:
         P.
     heading : ndarray, shape (k,)
         Of the reference, rad.
+    believed : ndarray of bool, shape (n,)
+        Of which states the filter says how sure it is.
+    exact_start : bool
+        Whether it starts on the reference, so that for a while it errs less than it says.
     """
 
     filter: str
@@ -42,12 +46,19 @@ class StateErrors:
     sd: Floats
     cov: Floats
     heading: Floats
+    believed: NDArray[np.bool_]
+    exact_start: bool = True
 
     def after(self, time_ns: int) -> "StateErrors":
         """Keep the times after one, such as the start, where a filter is set to the reference."""
         rows = slice(int(np.searchsorted(self.time_ns, time_ns, side="right")), None)
-        return StateErrors(
-            self.filter, self.time_ns[rows], self.error[rows], self.sd[rows], self.cov[rows], self.heading[rows]
+        return replace(
+            self,
+            time_ns=self.time_ns[rows],
+            error=self.error[rows],
+            sd=self.sd[rows],
+            cov=self.cov[rows],
+            heading=self.heading[rows],
         )
 
 
@@ -68,7 +79,12 @@ def state_errors(history: History, reference: ReferenceColumns, truth: TruthColu
     ours, error = np.searchsorted(history.time_ns, time_ns), errors_at(time_ns, history, reference, truth)
     heading = rpy_from_mat(reference.mat_nb[theirs])[:, 2]
     n = error.shape[1]
-    return StateErrors(history.filter, time_ns, error, history.sd[ours, :n], history.cov[of_cov, :n, :n], heading)
+    sd, cov = history.sd[ours, :n], history.cov[of_cov, :n, :n]
+    if history.is_read:
+        error[~np.isfinite(np.diagonal(cov, axis1=1, axis2=2))] = np.nan
+    return StateErrors(
+        history.filter, time_ns, error, sd, cov, heading, history.believed[:n], exact_start=history.starts_as_others
+    )
 
 
 def errors_at(time_ns: TimeNs, history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> Floats:
@@ -114,7 +130,7 @@ def motion_error(
     velocity_n, true_velocity_n : ndarray, shape (k, 3)
         m/s
     mat_nb, true_mat_nb : ndarray, shape (k, 3, 3)
-        Attitudes. Where the true one is not known, the velocity error is the difference.
+        Attitudes. Where one is not known, the velocity error is the difference.
 
     Returns
     -------
@@ -123,7 +139,7 @@ def motion_error(
     misalignment_n : ndarray, shape (k, 3)
         rad; NaN where it is not known.
     """
-    known = np.isfinite(true_mat_nb).all(axis=(1, 2))
+    known = np.isfinite(true_mat_nb).all(axis=(1, 2)) & np.isfinite(mat_nb).all(axis=(1, 2))
     velocity_error_n, misalignment_n = velocity_n - true_velocity_n, np.full_like(velocity_n, np.nan)
     turned = mat_nb[known] @ np.swapaxes(true_mat_nb[known], 1, 2)
     misalignment_n[known] = vector_from_mat(turned)

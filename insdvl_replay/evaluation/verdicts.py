@@ -13,6 +13,7 @@ import numpy as np
 
 from insdvl_replay.core.quantities import ALL_CREDIBILITY_GROUPS, DECIDING, NAMES, VERDICTS_BEST_FIRST, is_used
 from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
+from insdvl_replay.core.states import NINE
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
@@ -98,7 +99,8 @@ def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
 
     Their axes say where and do not count: of eight tests one fails by chance in every third honest filter.
     """
-    return _gravest(row.verdict for row in table if row.filter == filter_name and is_used(row.measurement))
+    words = [row.verdict for row in table if row.filter == filter_name and is_used(row.measurement)]
+    return _gravest(words) if words else Consistency.NOT_TOLD
 
 
 def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
@@ -108,6 +110,8 @@ def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
     could be compared, what the first says of that is returned; early results have no groups.
     """
     words = [row.verdict for row in _groups(table, filter_name)]
+    if table and not any(row.filter == filter_name for row in table):
+        return Consistency.NOT_TOLD
     return _gravest(words) if set(words) & set(GRAVEST_FIRST) else next(iter(words), Consistency.NO_REFERENCE)
 
 
@@ -123,14 +127,15 @@ def _gravest(words: Iterable[str]) -> str:
 def _verdict(tables: Tables, baseline: str, candidate: str, unsound: Mapping[str, str], independent: bool) -> Candidate:
     believed_pct = mean_over_nine(tables.improvement, candidate)
     evidence = [row for row in tables.evidence if row.filter == candidate]
+    tells_all = len([row for row in tables.improvement if row.filter == candidate]) >= len(NINE)
     wrong = unsound.get(candidate, "")
     judgement = Judgement.NOT_JUDGED if wrong else judgement_of(evidence)
     belief = Belief.UNDECIDED if wrong else belief_of(believed_pct, evidence)
     measured = (
         f"{candidate} is NOT JUDGED against {baseline}: {wrong}; settle that first"
         if wrong
-        else f"{_measured(candidate, baseline, judgement, evidence)}. "
-        f"It {_believes(believed_pct, baseline)}{_of_belief(believed_pct, belief, tables, evidence)}"
+        else f"{_measured(candidate, baseline, judgement, evidence)}. It "
+        f"{_believes(believed_pct, baseline, tells_all=tells_all)}{_of_belief(believed_pct, belief, tables, evidence)}"
     )
     trust = trust_sentence(tables, candidate, baseline)
     shared = "" if independent or not _has_reference(tables) else f" {SHARED}"
@@ -232,9 +237,9 @@ def _has_reference(tables: Tables) -> bool:
     return any(row.samples for row in tables.reference_error)
 
 
-def _believes(believed_pct: float, baseline: str) -> str:
+def _believes(believed_pct: float, baseline: str, *, tells_all: bool) -> str:
     if not np.isfinite(believed_pct):
-        return "believes in nothing finite"
+        return "believes in nothing finite" if tells_all else "does not say how sure it is of all nine states"
     if abs(believed_pct) < NOTABLE_PCT:
         return f"believes in errors as large as those of {baseline} ({believed_pct:+.1f} %)"
     return f"believes in {abs(believed_pct):.1f} % {'smaller' if believed_pct > 0 else 'larger'} errors"
@@ -261,6 +266,8 @@ def _trust(tables: Tables, name: str) -> str:
     consistency, credibility = consistency_of(tables.consistency, name), credibility_of(tables.credibility, name)
     if credibility == Consistency.TOO_FEW or credibility not in GRAVEST_FIRST:
         return consistency
+    if consistency == Consistency.NOT_TOLD:
+        return f"{credibility}{_where(tables.credibility, name, credibility)} against the reference"
     where = _where(tables.credibility, name, credibility)
     if consistency == credibility:
         return f"{consistency} by the innovations, and{where} against the reference" if where else consistency
@@ -279,6 +286,8 @@ def _where(table: Sequence[CredibilityRow], name: str, credibility: str) -> str:
 def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
     """State whether innovations and errors of a candidate, and of the baseline, are as large as each says."""
     trust, of_baseline = _trust(tables, candidate), _trust(tables, baseline)
+    if trust == Consistency.NOT_TOLD:
+        return f"{candidate} does not say how sure it is, {baseline} is {of_baseline}."
     if trust != of_baseline:
         return f"{candidate} is {trust}, {baseline} {of_baseline}."
     return "Too few updates to judge either." if trust == Consistency.TOO_FEW else f"Both filters are {trust}."

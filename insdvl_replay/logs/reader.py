@@ -68,6 +68,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     notes += columns.clock_notes([table.clock() for table in tables])
     for finding in filter(lambda finding: finding.sources, findings):
         notes += columns.decode(finding.role, [tables.pop(0) for _ in finding.sources])
+    notes += columns.read_files()
     return Dive(
         name=dive_name(log.path),
         imu=cast(ImuColumns, columns.imu),  # else there was an error
@@ -75,6 +76,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         reference=columns.reference,
         truth=columns.truth,
         sensors=columns.sensors,
+        solutions=columns.solutions,
         topics=columns.topics,
         sha256=sha256,
         channels=_channels(log.channels, sources),
@@ -128,7 +130,7 @@ def stamp_notes(tables: Iterable[Table]) -> list[Note]:
         if numbers is not None:
             unit = stamp_unit(numbers, table.columns["log_time"][:, 0])[1]
             text = f"{source.topic}: stamp '{source.stamp}' was read as {unit}"
-            notes.append(Note(f"{source.role}_stamp_unit", text))
+            notes.append(Note(f"{source.code}_stamp_unit", text))
     return notes
 
 

@@ -214,9 +214,9 @@ MORE_SD: Final[dict[str, Callable[[Config], Floats]]] = {
 
 
 def resolve_filters(config: Config, *, from_beams: bool) -> tuple[ResolvedFilter, ...]:
-    """Resolve all filters of a configuration, the baseline first; see `resolve_filter`."""
+    """Resolve all filters of a configuration that are run, the baseline first; see `resolve_filter`."""
     return tuple(
-        resolve_filter(name, filter_, config, from_beams=from_beams) for name, filter_ in config.filters.items()
+        resolve_filter(name, filter_, config, from_beams=from_beams) for name, filter_ in config.computed.items()
     )
 
 

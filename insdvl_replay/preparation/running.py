@@ -52,7 +52,7 @@ def run_filters(prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None
     Returns
     -------
     tuple of History
-        In the order of the configuration.
+        In the order of the configuration, without solutions that are read.
     """
     begin("running the filters")
     return_freed_memory()

@@ -36,7 +36,7 @@ from insdvl_replay.report.document import (
 )
 from insdvl_replay.report.page import page
 from insdvl_replay.report.plots.panel import Figure, Panel
-from insdvl_replay.results.dive_tables import TONES, evidence_tables, filter_tables, glance_table
+from insdvl_replay.results.dive_tables import EVIDENCE, TONES, evidence_tables, filter_tables, glance_table
 from insdvl_replay.results.json_report import Report
 from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference, reference_tables, track_fit_line
 
@@ -66,13 +66,14 @@ def dive_document(
     evidence, tables = list(evidence_tables(report)), list(filter_tables(report))
     glance = [glance_table(report)] if report.filters else []
     references = reference_tables(report)
-    folded = [Folded(table.title, (table,)) for table in (*evidence[len(report.filters) :], *references, *tables)]
+    of_candidates = [table for table in evidence if table.title.startswith(EVIDENCE)]
+    folded = [Folded(table.title, (table,)) for table in (*evidence[len(of_candidates) :], *references, *tables)]
     return [
         Only(PRINTED, (Title(heading(report)),)),
         Only(PAGE, (Title(_replayed(report)),)),
         *(Callout(candidate.verdict, TONES.get(candidate.improvement, "")) for candidate in report.filters.values()),
         *first,
-        Only(PAGE, tuple(evidence[: len(report.filters)])),
+        Only(PAGE, tuple(of_candidates)),
         *track_fit_line(report),
         *([] if has_reference(report) else [NO_REFERENCE]),
         Only(PRINTED, tuple(evidence)),

@@ -10,7 +10,7 @@ from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER, NAMES
 from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
-from insdvl_replay.core.words import Belief, EvidenceWord, Judgement
+from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement
 from insdvl_replay.evaluation.evidence import HONESTY
 from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
 from insdvl_replay.report.document import (
@@ -109,6 +109,8 @@ def _word_on(report: Report, name: str) -> Callout:
 
 def _believed(candidate: Candidate) -> str:
     """State what a candidate believes to gain, and what has become of that."""
+    if candidate.mean_improvement_pct is None and candidate.consistency == Consistency.NOT_TOLD:
+        return "it was read, not run, and does not say how sure it is of all nine states"
     smaller, sooner = candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct
     word = candidate.belief or Belief.UNDECIDED
     return f"it believes in {percent(smaller)} smaller errors, {percent(sooner)} sooner: {word}"

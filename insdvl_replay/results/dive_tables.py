@@ -33,6 +33,8 @@ from insdvl_replay.report.document import (
 from insdvl_replay.results.json_report import Report
 from insdvl_replay.results.reference_tables import has_reference
 
+EVIDENCE: Final = "Evidence: what was measured"
+"""Begins the title of the table of each candidate."""
 TENFOLD: Final = 10.0
 """From here on, a ratio has as many digits as other numbers."""
 MEANS: Final = (
@@ -127,7 +129,7 @@ def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> Iterator
             ("high", "r", lambda row: _ratio(row.high)),
             ("n", "r", lambda row: decimal(row.effective_samples, 0)),
         ]
-        title = f"Evidence: what was measured, {name} against {baseline}"
+        title = f"{EVIDENCE}, {name} against {baseline}"
         yield table_of(title, rows, columns, _how_measured(rows))
 
 

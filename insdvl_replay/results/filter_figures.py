@@ -108,6 +108,8 @@ def sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
 def _sigma_panel(state: State, histories: Sequence[History], clock: Clock) -> Panel:
     highest, curves = 0.0, []
     for number, history in enumerate(histories):
+        if not history.believed[state.index]:
+            continue
         rows = _told(history)
         sd = history.sd[rows, state.index] / state.factor
         pings = history.updated[rows] & clock.settled(history.time_ns[rows])

@@ -4,10 +4,10 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from insdvl_replay.core.quantities import NAMES
-from insdvl_replay.core.rows import DriftRow, TrackFitRow
+from insdvl_replay.core.rows import DriftRow, JumpRow, TrackFitRow
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import ReferenceStatus
-from insdvl_replay.report.document import MISSING, Column, DisplayTable, number, row_label, table_of
+from insdvl_replay.report.document import MISSING, Column, DisplayTable, decimal, number, row_label, table_of
 from insdvl_replay.results.json_report import Report
 
 NO_REFERENCE: Final = (
@@ -40,8 +40,8 @@ def _with_sd(row: TrackFitRow) -> str:
 
 
 def reference_tables(report: Report) -> list[DisplayTable]:
-    """Lay out how far each filter is from the reference; nothing without one."""
-    return [*_drift(report.tables.drift), *_track_fit(report.tables.track_fit)]
+    """Lay out how far each filter is from the reference, nothing without one; and how often positions jump."""
+    return [*_drift(report.tables.drift), *_track_fit(report.tables.track_fit), *_jumps(report.tables.jumps)]
 
 
 def _drift(rows: Sequence[DriftRow]) -> Iterator[DisplayTable]:
@@ -72,6 +72,25 @@ def _when(row: DriftRow) -> str:
     if begin is None or end is None:
         return MISSING
     return f"{begin:.0f}" if begin == end else f"{begin:.0f}\N{EN DASH}{end:.0f}"
+
+
+def _jumps(rows: Sequence[JumpRow]) -> Iterator[DisplayTable]:
+    if rows:
+        columns: list[Column[JumpRow]] = [
+            ("filter", "l", lambda row: row.filter),
+            ("steps", "r", lambda row: str(row.steps)),
+            ("jumps", "r", lambda row: str(row.jumps)),
+            ("largest [m]", "r", lambda row: number(row.largest_m)),
+            ("at [s]", "r", lambda row: decimal(row.largest_at_s, 1)),
+        ]
+        yield table_of(
+            "Jumps: steps of the position that its own velocity does not explain",
+            rows,
+            columns,
+            "What neither the velocity nor one of the three steps before and after explains of a horizontal step; a "
+            "jump is more than 0.5 m and ten robust standard deviations of what usually is. Filters that go by their "
+            "velocity alone have none.",
+        )
 
 
 def _track_fit(rows: Sequence[TrackFitRow]) -> Iterator[DisplayTable]:

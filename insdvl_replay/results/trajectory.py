@@ -90,8 +90,9 @@ def _curves(replay: "Replay") -> dict[str, Floats]:
     found: dict[str, Floats] = {}
     for quantity, curve in replay.curves.convergence.items():
         found[f"{quantity}_time_s"] = curve.time_s
-        found[f"{quantity}_rms"] = np.stack([curve.rms[name] for name in names])
-        found[f"{quantity}_believed"] = np.stack([curve.believed[name] for name in names])
+        unknown = np.full(len(curve.time_s), np.nan)  # of a solution that was read
+        found[f"{quantity}_rms"] = np.stack([curve.rms.get(name, unknown) for name in names])
+        found[f"{quantity}_believed"] = np.stack([curve.believed.get(name, unknown) for name in names])
     return found
 
 

@@ -7,7 +7,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.config import Vector
+from insdvl_replay.core.config_section import Vector
 from insdvl_replay.core.dive_columns import (
     Dive,
     DvlColumns,

@@ -89,8 +89,8 @@ def test_any_value_survives_being_written_as_toml(
         ("[filters]\na = 3", "vehicle.toml:2: filters.a is a section, found 3", "write [filters.a]"),
         (
             "[filters.a]\ngate_probability = 1.0",
-            "vehicle.toml:1: filters.a: lacks aiding",
-            "prints every key",
+            "vehicle.toml:1: filters.a.aiding names nothing",
+            "aiding = ",
         ),
         (
             '[dvl]\nlever_arm_m = [0.0, "x", 0.0]',

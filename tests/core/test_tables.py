@@ -30,6 +30,7 @@ def test_the_tables_have_these_names_keys_and_primary_columns() -> None:
         ("coasting", "window_s", "drift_median_m"),
         ("drift", "quantity", "p50"),
         ("track_fit", "quantity", "fitted"),
+        ("jumps", "filter", "jumps"),
     ]
 
 

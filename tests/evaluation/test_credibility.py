@@ -46,7 +46,13 @@ def drawn(factor: float = 1.0, seed: int = 2, k: int = K) -> StateErrors:
     error = factor * rng.multivariate_normal(np.zeros(12), cov, size=k, method="cholesky")
     heading = rng.uniform(-np.pi, np.pi, k)
     return StateErrors(
-        "aided", np.arange(k, dtype=np.int64), error, np.tile(SD, (k, 1)), np.tile(cov, (k, 1, 1)), heading
+        "aided",
+        np.arange(k, dtype=np.int64),
+        error,
+        np.tile(SD, (k, 1)),
+        np.tile(cov, (k, 1, 1)),
+        heading,
+        np.ones(12, np.bool_),
     )
 
 

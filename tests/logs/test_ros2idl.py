@@ -86,7 +86,7 @@ PATHS = (
 
 
 def oracle() -> Any:
-    """Make a store of rosbags with its own parse of the same texts, but for arrays of arrays, which it does not read."""
+    """Make a store of rosbags with its own parse of the same texts, but no arrays of arrays, which it does not read."""
     store = store_with({})
     for text in (PING.replace("row rows[2]", "double rows[6]"), *OTHERS.values()):
         stripped = "\n".join(line for line in text.splitlines() if not line.startswith("#"))

@@ -177,7 +177,9 @@ class Cleaner:
         """Add a note about some of the rows."""
         first_s = 0.0 if first is None else float(seconds(self.time_ns[first].min(), self._first_ns))
         since = f"the first {first_s:.3f} s after the first message"
-        self.notes.append(Note(f"{self.role}_{code}", f"{self.role}: {count} {text}; {since}", count, severity, hint))
+        self.notes.append(
+            Note(f"{self.table.source.code}_{code}", f"{self.role}: {count} {text}; {since}", count, severity, hint)
+        )
 
     def _note_wrong_stamps(self, order: Order, first_s: float) -> None:
         """Drop single stamps that are wrong with a warning; refuse many, and those of a clock that was set back."""
@@ -191,7 +193,13 @@ class Cleaner:
         if not is_few(order.wrong.size, self.time_ns.size):
             raise LogError(text, hint, *self.table.where)
         self.notes.append(
-            Note(f"{self.role}_wrong_stamps", f"{self.role}: {text}; dropped", order.wrong.size, Severity.WARNING, hint)
+            Note(
+                f"{self.table.source.code}_wrong_stamps",
+                f"{self.role}: {text}; dropped",
+                order.wrong.size,
+                Severity.WARNING,
+                hint,
+            )
         )
 
     def _drop_stamped_together(self, good: Mask, count: int) -> None:

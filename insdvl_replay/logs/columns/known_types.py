@@ -285,6 +285,32 @@ SENSORS_IF_NAMED: Final[Mapping[str, Types]] = {
 }
 """Too common to be taken unasked for what one of their fields holds."""
 
+SOLUTIONS: Final[Types] = {
+    **NAV_SOLUTION,
+    **ODOMETRY,
+    **POSES,
+    **FIX,
+    "nav_msgs/msg/Odometry": KnownType(
+        {
+            **ODOMETRY["nav_msgs/msg/Odometry"].fields,
+            "pose_cov": "pose.covariance",
+            "twist_cov": "twist.covariance",
+        }
+    ),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": KnownType(
+        {**POSES["geometry_msgs/msg/PoseWithCovarianceStamped"].fields, "pose_cov": "pose.covariance"}
+    ),
+    "blueye.protocol.PositionEstimateTel": KnownType(
+        {
+            "latitude": "position_estimate.global_position.latitude",
+            "longitude": "position_estimate.global_position.longitude",
+        },
+        stamp=LOG_TIME,
+    ),
+}
+"""Of a solution of the vehicle's own, whose topic is always named: what it says of its errors is read, too. Of the
+Blueye the estimate of all its sensors together."""
+
 TRUTH: Final[Types] = {
     "insdvl_msgs/msg/SensorBiases": KnownType(
         {"accel_bias": "accel_bias_mps2", "gyro_bias": "gyro_bias_radps"}, about="written by `simulate`"

@@ -1,11 +1,13 @@
 """The reference solution: positions, velocities and attitudes of one or two topics, on the union of their times."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Initial, Reference
+from insdvl_replay.core.config import Initial
+from insdvl_replay.core.config_navigation import Navigation, Reference
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, distinct
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
@@ -22,33 +24,37 @@ _LEAST_FIX: Final = 2
 """PX4's type of a fix in two dimensions."""
 _NED, _BODY, _OLD_NED = 1, 3, 0
 """PX4's frames, and that of the messages before 1.13."""
+_NORTHS: Final = (("pose_frame", _NED), ("local_frame", _OLD_NED))
+"""Which frame of a pose is north-east-down."""
 
 ANGLE_UNITS: Final = {"deg": DEG, "rad": 1.0}
 """Factors to rad."""
 
 
 @dataclass(frozen=True)
-class _Part:
-    """What one topic tells."""
+class Part:
+    """What one topic tells.
+
+    Attributes
+    ----------
+    cleaner : Cleaner
+        Which of its messages were taken.
+    """
 
     time_ns: TimeNs
     position: Floats | None
     velocity_n: Floats | None
     mat_nb: Floats | None
+    cleaner: Cleaner
 
 
 def decode_reference(
     tables: list[Table], settings: Reference, initial: Initial
 ) -> tuple[ReferenceColumns | None, list[Note]]:
     """Make the columns of the reference; positions in metres are from the initial one."""
-    notes: list[Note] = []
-    parts = []
     has_fixes = any("latitude" in table for table in tables)
-    for table in tables:
-        part, found = _part(_without_local_positions(table) if has_fixes else table, settings, initial)
-        parts.append(part)
-        notes += found
-    return (_union(parts) if parts else None), notes
+    parts = [read_part(_without_local_positions(table) if has_fixes else table, settings, initial) for table in tables]
+    return (union(parts) if parts else None), [note for part in parts for note in part.cleaner.notes]
 
 
 def _without_local_positions(table: Table) -> Table:
@@ -57,7 +63,8 @@ def _without_local_positions(table: Table) -> Table:
     return replace(table, source=replace(table.source, fields=fields))
 
 
-def _part(table: Table, settings: Reference, initial: Initial) -> tuple[_Part, list[Note]]:
+def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
+    """Read what a topic tells of position, velocity and attitude, and clean it."""
     settings = table.source.completed(settings)
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
@@ -77,11 +84,13 @@ def _part(table: Table, settings: Reference, initial: Initial) -> tuple[_Part, l
     mat_nb = _attitude(table, settings)
     velocity_n = _velocity_n(table, settings, mat_nb)
     _note_missing(cleaner, told, velocity_n, mat_nb)
-    chosen = (None if values is None else cleaner.kept(values) for values in (position, velocity_n, mat_nb))
-    return _Part(cleaner.times, *chosen), cleaner.notes
+    position, velocity_n, mat_nb = (
+        None if values is None else cleaner.kept(values) for values in (position, velocity_n, mat_nb)
+    )
+    return Part(cleaner.times, position, velocity_n, mat_nb, cleaner)
 
 
-def _position(table: Table, settings: Reference, initial: Initial) -> Floats | None:
+def _position(table: Table, settings: Navigation, initial: Initial) -> Floats | None:
     if "latitude" not in table:
         return _local_position(table, settings, initial) if "local_position" in table else None
     unit = ANGLE_UNITS[settings.angle_unit]
@@ -90,17 +99,14 @@ def _position(table: Table, settings: Reference, initial: Initial) -> Floats | N
     return np.stack([latitude, -wrap_angle(-longitude), _height_m(table)], axis=1)
 
 
-def _local_position(table: Table, settings: Reference, initial: Initial) -> Floats | None:
+def _local_position(table: Table, settings: Navigation, initial: Initial) -> Floats | None:
     """Make positions of metres from an origin: the messages' own, else the initial position; none without either.
 
     Nor where all are zero in the plane, as in messages that are about something else.
     """
-    local_m = _in_north(table, table.values("local_position", 3))
-    if not np.nan_to_num(local_m[:, :2]).any():
+    north_east_down_m = local_way_n(table, settings)
+    if not np.nan_to_num(north_east_down_m[:, :2]).any():
         return None
-    if "local_valid" in table:
-        local_m = np.where(table.values("local_valid", 2)[:, [0, 0, 1]] > 0.0, local_m, np.nan)
-    north_east_down_m = local_m if settings.axes == "ned_frd" else local_m @ MAT_ENU_NED
     origin = np.full((len(table), 3), np.nan)
     if initial.latitude_deg is not None:
         origin[:] = initial.latitude_deg, initial.longitude_deg, initial.height_m
@@ -121,6 +127,17 @@ def _local_position(table: Table, settings: Reference, initial: Initial) -> Floa
     )
 
 
+def local_way_n(table: Table, settings: Navigation) -> Floats:
+    """Return the ways from the origin that positions in metres have, shape (k, 3), north, east, down."""
+    local_m = table.values("local_position", 3)
+    if "local_valid" in table:
+        local_m = np.where(table.values("local_valid", 2)[:, [0, 0, 1]] > 0.0, local_m, np.nan)
+    for frame, north in _NORTHS:
+        if frame in table:
+            local_m = np.where(table.column(frame)[:, None] == north, local_m, np.nan)
+    return local_m if settings.axes == "ned_frd" else local_m @ MAT_ENU_NED
+
+
 def _height_m(table: Table) -> Floats:
     if "depth" in table:
         return -table.column("depth")
@@ -130,7 +147,10 @@ def _height_m(table: Table) -> Floats:
 def _keep_latitudes(position: Floats, cleaner: Cleaner) -> None:
     """Drop the few positions beyond the poles; where they are many, the angles are something else."""
     possible = ~(np.abs(position[:, 0]) > np.pi / 2.0)
-    count, hint = int(np.count_nonzero(~possible)), "reference.angle_unit, or reference.latitude names another field"
+    count, hint = (
+        int(np.count_nonzero(~possible)),
+        f"{cleaner.role}.angle_unit, or {cleaner.role}.latitude names another field",
+    )
     if not is_few(count, possible.size):
         raise LogError(f"{count} of {possible.size} latitudes are beyond the poles", hint, *cleaner.table.where)
     cleaner.keep_possible(possible, "latitudes are beyond the poles", hint)
@@ -143,7 +163,12 @@ def _drop_zeros(position: Floats, cleaner: Cleaner) -> None:
         position[zero] = np.nan
         text = "positions have latitude and longitude 0, as receivers without satellites report, and are left out"
         cleaner.note(
-            "zero", text, zero.size, Severity.WARNING, "reference.fix names another topic of positions", first=zero
+            "zero",
+            text,
+            zero.size,
+            Severity.WARNING,
+            f"{cleaner.role}.fix names another topic of positions",
+            first=zero,
         )
 
 
@@ -166,9 +191,12 @@ def of_receiver(table: Table, quantity: str) -> Floats:
     return np.asarray(chosen[np.arange(len(chosen)), satellites.argmax(axis=1)])
 
 
-def _attitude(table: Table, settings: Reference) -> Floats | None:
+def _attitude(table: Table, settings: Navigation) -> Floats | None:
     if _by_quaternion(table, settings):
-        mat = _in_north(table, mat_from_quat(table.values("quaternion", 4)))
+        mat = mat_from_quat(table.values("quaternion", 4))
+        for frame, north in _NORTHS:
+            if frame in table:
+                mat[table.column(frame) != north] = np.nan
         return mat if settings.axes == "ned_frd" else np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
     if "roll" in table:
         pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
@@ -177,25 +205,16 @@ def _attitude(table: Table, settings: Reference) -> Floats | None:
     return None
 
 
-def _in_north(table: Table, values: Floats) -> Floats:
-    """Return what is given of a pose, NaN where its frame is one of PX4's that has no north."""
-    for frame, north in (("pose_frame", _NED), ("local_frame", _OLD_NED)):
-        if frame in table:
-            told = (table.column(frame) == north).reshape(-1, *(1 for _ in values.shape[1:]))
-            values = np.where(told, values, np.nan)
-    return values
-
-
-def _is_east_north_up(table: Table, settings: Reference) -> bool:
+def _is_east_north_up(table: Table, settings: Navigation) -> bool:
     """Return in which axes a velocity in n is: unless it is said, in those of the quaternion beside it."""
     return settings.axes == "enu_flu" or (settings.axes is None and _by_quaternion(table, settings))
 
 
-def _by_quaternion(table: Table, settings: Reference) -> bool:
+def _by_quaternion(table: Table, settings: Navigation) -> bool:
     return "quaternion" in table and ("roll" not in table or settings.quaternion is not None)
 
 
-def _velocity_n(table: Table, settings: Reference, mat_nb: Floats | None) -> Floats | None:
+def _velocity_n(table: Table, settings: Navigation, mat_nb: Floats | None) -> Floats | None:
     if "velocity_frame" in table:
         return _velocity_by_frame(table, mat_nb)
     if "velocity_n" in table and ("velocity_b" not in table or settings.velocity_n is not None):
@@ -220,7 +239,8 @@ def _velocity_by_frame(table: Table, mat_nb: Floats | None) -> Floats:
     return np.where((frame == _BODY)[:, None], np.einsum("kij,kj->ki", mat_nb, velocity), in_n)
 
 
-def _union(parts: list[_Part]) -> ReferenceColumns:
+def union(parts: Sequence[Part]) -> ReferenceColumns:
+    """Lay what several topics tell on the union of their times."""
     time_ns = distinct(np.concatenate([part.time_ns for part in parts]))
     position, velocity_n = np.full((time_ns.size, 3), np.nan), np.full((time_ns.size, 3), np.nan)
     mat_nb = np.full((time_ns.size, 3, 3), np.nan)

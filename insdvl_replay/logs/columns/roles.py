@@ -1,15 +1,24 @@
 """Which topics play which role: by type where only one can, else as the configuration says."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import DvlColumns, ImuColumns, ReferenceColumns, SensorColumns, TruthColumns
+from insdvl_replay.core.config_navigation import Solution
+from insdvl_replay.core.dive_columns import (
+    DvlColumns,
+    ImuColumns,
+    ReferenceColumns,
+    SensorColumns,
+    SolutionColumns,
+    TruthColumns,
+)
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, error_context, listed, nearest
 from insdvl_replay.core.sensors import SENSORS, asked_sensors
@@ -17,6 +26,7 @@ from insdvl_replay.logs.columns.dvl import decode_dvl
 from insdvl_replay.logs.columns.imu import decode_imu, decode_truth
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.sensors import decode_own_topic, decode_sensor
+from insdvl_replay.logs.columns.solutions import decode_solution, solution_name, solution_role
 from insdvl_replay.logs.columns.tables import Table, clock_notes
 from insdvl_replay.logs.columns.topic_requirements import (
     OWN_TOPIC,
@@ -27,10 +37,12 @@ from insdvl_replay.logs.columns.topic_requirements import (
     fix_requirement,
     imu_requirement,
     own_requirement,
+    own_solution_requirement,
     sensor_requirement,
     solution_requirement,
     type_of,
 )
+from insdvl_replay.logs.columns.tum import read_tum
 from insdvl_replay.logs.container.records import LogChannel, by_topic
 from insdvl_replay.logs.encoding.ros2msg import full_name
 
@@ -57,6 +69,7 @@ class RoleColumns:
     reference: ReferenceColumns | None = None
     truth: TruthColumns | None = None
     sensors: dict[str, SensorColumns] = field(default_factory=dict)
+    solutions: dict[str, SolutionColumns] = field(default_factory=dict)
     topics: dict[str, SensorColumns] = field(default_factory=dict)
 
     def decode(self, role: str, tables: list[Table]) -> list[Note]:
@@ -69,10 +82,21 @@ class RoleColumns:
             self.dvl, notes = decode_dvl(tables.pop(), self.config.dvl)
         elif role in SENSORS:
             self.sensors[role], notes = decode_sensor(role, tables.pop(), self.config)
+        elif (name := solution_name(role)) is not None:
+            self.solutions[name], notes = decode_solution(tables, self.config.solutions[name])
         elif role.startswith(OWN_TOPIC):
             self.topics[role.removeprefix(OWN_TOPIC)], notes = decode_own_topic(tables.pop())
         else:
             self.truth, notes = decode_truth(tables.pop())
+        return notes
+
+    def read_files(self) -> list[Note]:
+        """Read the solutions that stand in files beside the log."""
+        notes = []
+        for name, settings in self.config.solutions.items():
+            if settings.file is not None:
+                self.solutions[name], found = read_tum(Path(settings.file), settings, solution_role(name))
+                notes += found
         return notes
 
     def clock_notes(self, clocks: Sequence[Clock]) -> tuple[Note, ...]:
@@ -86,7 +110,8 @@ class Finding:
 
     Attributes
     ----------
-    role : {'imu', 'dvl', 'reference', 'truth'}, a name in `sensors.SENSORS`, or one with `OWN_TOPIC`
+    role : str
+        As of `topic_requirements.Source`.
     sources : tuple of Source
         Those that a replay reads; none, or, for a reference, up to two.
     reason : str
@@ -113,13 +138,15 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     """
     topics = _Topics(place, channels)
     imu, dvl = _needed(topics, imu_requirement(config)), _needed(topics, dvl_requirement(config))
-    besides = dvl.sources[0].topic if dvl.sources else ""
+    besides = {source.topic for source in dvl.sources} | {own.topic for own in config.solutions.values() if own.topic}
     required = solution_requirement(config)
     reference = _explained(topics, required, lambda: _references(topics, config, besides), besides)
+    named = ((name, own) for name, own in config.solutions.items() if own.topic is not None)
+    solutions = [_solution(topics, own, solution_role(name), reference.sources) for name, own in named]
     truth = _explained(topics, TRUTH_REQUIREMENT, lambda: tuple(filter(None, [topics.find(TRUTH_REQUIREMENT)])))
     sensors = [_needed(topics, sensor_requirement(name, config)) for name in asked_sensors(config)]
     sensors += [_needed(topics, own_requirement(name, config)) for name in config.topics]
-    return (imu, dvl, reference, *sensors, *([truth] if truth.sources or truth.error else []))
+    return (imu, dvl, reference, *sensors, *solutions, *([truth] if truth.sources or truth.error else []))
 
 
 def _needed(topics: "_Topics", required: TopicRequirement) -> Finding:
@@ -127,7 +154,7 @@ def _needed(topics: "_Topics", required: TopicRequirement) -> Finding:
 
 
 def _explained(
-    topics: "_Topics", required: TopicRequirement, look: Callable[[], tuple[Source, ...]], besides: str = ""
+    topics: "_Topics", required: TopicRequirement, look: Callable[[], tuple[Source, ...]], besides: Collection[str] = ()
 ) -> Finding:
     try:
         with error_context(topics.place):
@@ -147,15 +174,38 @@ def _explained(
     return Finding(required.role, sources, "by type, which no other topic has")
 
 
-def _references(topics: "_Topics", config: Config, dvl_topic: str) -> tuple[Source, ...]:
+def _references(topics: "_Topics", config: Config, besides: Collection[str]) -> tuple[Source, ...]:
     required = solution_requirement(config)
-    solution = topics.find(required, besides=dvl_topic) or (
-        topics.need(required) if any(required.paths.values()) else None
-    )
+    solution = topics.find(required, besides) or (topics.need(required) if any(required.paths.values()) else None)
     if solution and solution.fields.keys() & {"latitude", "origin"} and config.reference.fix is None:
         return (solution,)
-    fix = topics.find(fix_requirement(config))
+    fix = topics.find(fix_requirement(config.reference, "reference"), besides)
     return tuple(source for source in (solution, fix) if source is not None)
+
+
+def _solution(topics: "_Topics", settings: Solution, role: str, reference: Sequence[Source]) -> Finding:
+    required = own_solution_requirement(settings, role)
+    of_fix = [fix_requirement(settings, role)] if settings.fix is not None else []
+
+    def look() -> tuple[Source, ...]:
+        sources = tuple(map(topics.need, [required, *of_fix]))
+        for source in sources:
+            _raise_if_same(source, reference)
+        return sources
+
+    return _explained(topics, required, look)
+
+
+def _raise_if_same(source: Source, reference: Sequence[Source]) -> None:
+    """Refuse a solution that is what it would be judged by."""
+    for other in reference:
+        shared = [path for name, path in source.fields.items() if other.fields.get(name) == path]
+        if other.topic == source.topic and shared:
+            what = f"{source.role} reads {shared[0]} of topic '{source.topic}', which is the reference"
+            raise LogError(
+                f"{what}: its error would be 0",
+                "reference.topic and reference.fix name what it is to be judged by",
+            )
 
 
 class _Topics:
@@ -199,8 +249,8 @@ class _Topics:
         announced = f" Announced are {listed(sorted(self._empty))}" if self._empty else ""
         return f"was anything recorded?{announced}"
 
-    def find(self, required: TopicRequirement, besides: str = "") -> Source | None:
-        """Find the topic of a role, not looking at the topic of another."""
+    def find(self, required: TopicRequirement, besides: Collection[str] = ()) -> Source | None:
+        """Find the topic of a role, not looking at those of others."""
         topic = self._only_topic(required, besides) if required.topic is None else required.topic
         return None if topic is None else self.source(required, topic)
 
@@ -208,24 +258,24 @@ class _Topics:
         """Make a topic the source of a role."""
         return required.source(topic, self._channels_of(topic, required.key))
 
-    def candidates(self, required: TopicRequirement, besides: str) -> list[str]:
+    def candidates(self, required: TopicRequirement, besides: Collection[str]) -> list[str]:
         """Name the topics of the first group of types that the log has, the better types first."""
         for types in required.by_type:
             order = list(types)
-            looked_at = {topic: channels[0] for topic, channels in self._channels.items() if topic != besides}
+            looked_at = {topic: channels[0] for topic, channels in self._channels.items() if topic not in besides}
             type_names = {topic: type_of(channel) for topic, channel in looked_at.items()}
             if found := [topic for topic, type_name in type_names.items() if type_name in types]:
                 return sorted(found, key=lambda topic: order.index(type_names[topic]))
         return []
 
-    def alternatives(self, required: TopicRequirement, besides: str) -> Iterator[Source]:
+    def alternatives(self, required: TopicRequirement, besides: Collection[str]) -> Iterator[Source]:
         """Make sources of the topics between which the configuration has to choose, of those that can be."""
         candidates = self.candidates(required, besides) if required.topic is None else []
         for topic in candidates if len(candidates) > 1 else []:
             with suppress(LogError):
                 yield self.source(required, topic)
 
-    def _only_topic(self, required: TopicRequirement, besides: str) -> str | None:
+    def _only_topic(self, required: TopicRequirement, besides: Collection[str]) -> str | None:
         candidates = self.candidates(required, besides)
         if len(candidates) > 1:
             named = " or ".join(f'{required.key} = "{topic}"' for topic in candidates)

@@ -15,7 +15,7 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, distinct, 
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity
-from insdvl_replay.logs.columns.topic_requirements import Source
+from insdvl_replay.logs.columns.topic_requirements import Source, code_of
 from insdvl_replay.logs.container.loss import damaged_file_error
 from insdvl_replay.logs.encoding.fields import Columns, Kinds, fields_hint, split_paths
 
@@ -113,7 +113,11 @@ def _unsteady_note(clock: Clock) -> Note:
         f"{clock.spread_s:.3f} s between its 5th and 95th percentile"
     )
     return Note(
-        f"{clock.role}_clock_unsteady", text, clock.messages, Severity.WARNING, f'{clock.role}.stamp = "log_time"'
+        f"{code_of(clock.role)}_clock_unsteady",
+        text,
+        clock.messages,
+        Severity.WARNING,
+        f'{clock.role}.stamp = "log_time"',
     )
 
 
@@ -122,7 +126,7 @@ def _offset_note(clock: Clock) -> Note:
         f"{clock.topic}: log time minus stamp '{clock.stamp}' is {clock.log_minus_stamp_s:.3f} s in the median, "
         f"{clock.spread_s:.3f} s between its 5th and 95th percentile"
     )
-    return Note(f"{clock.role}_clock_offset", text, clock.messages)
+    return Note(f"{code_of(clock.role)}_clock_offset", text, clock.messages)
 
 
 RECORDER_STAMPS: Final = ("log_time", "publish_time")

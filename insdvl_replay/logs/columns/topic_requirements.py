@@ -9,6 +9,7 @@ from typing import Any, Final, TypeVar
 import msgspec
 
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_navigation import TOPIC_KEYS, Navigation, Solution
 from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.logs.columns import known_dvls, known_types
@@ -24,20 +25,18 @@ OWN_TOPIC: Final = "topics."
 BOW_DOWN: Final = "_bow_down"
 """Ends the name of a pitch with the opposite sign."""
 _ANGLES: Final = ({"latitude", "longitude"}, {"roll", "pitch", "heading"})
-_SOLUTION: Final = (
-    "latitude",
-    "longitude",
-    "height",
-    "depth",
-    "velocity_n",
-    "velocity_b",
-    "quaternion",
-    "roll",
-    "pitch",
-    "heading",
-)
+_MOTION: Final = ({"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES)
 
 Section = TypeVar("Section", bound=msgspec.Struct)
+
+
+SOLUTION: Final = "solution"
+"""Begins the codes of notes on a solution that is judged as a filter, whichever."""
+
+
+def code_of(role: str) -> str:
+    """Return what the codes of notes on a role begin with."""
+    return SOLUTION if role.startswith("filters.") else role
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,8 @@ class Source:
 
     Attributes
     ----------
-    role : {'imu', 'dvl', 'reference', 'truth'}
+    role : str
+        ``imu``, ``dvl``, ``reference``, ``truth``, a sensor's, or the section of a solution, ``filters.NAME.solution``.
     channels : tuple of LogChannel
         The channels of the topic that have messages.
     fields : mapping of str to str
@@ -70,6 +70,11 @@ class Source:
     latency_s: float
     conventions: Mapping[str, Any] = field(default_factory=dict)
     element: Element | None = None
+
+    @property
+    def code(self) -> str:
+        """What the codes of notes on it begin with."""
+        return code_of(self.role)
 
     def completed(self, section: Section) -> Section:
         """Fill in by the type what this role's section of the configuration leaves out."""
@@ -200,20 +205,30 @@ def solution_requirement(config: Config) -> TopicRequirement:
     return _required(
         config.reference,
         "reference",
-        _SOLUTION,
+        TOPIC_KEYS,
         by_type=[known_types.NAV_SOLUTION, known_types.ODOMETRY],
         if_named={**known_types.FIX, **known_types.EXTENDED_FIX, **known_types.POSES},
-        enough=[{"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES],
+        enough=_MOTION,
         together=_ANGLES,
-        frames=config.reference.frames,
     )
 
 
-def fix_requirement(config: Config) -> TopicRequirement:
+def fix_requirement(settings: Navigation, role: str) -> TopicRequirement:
     """State what a geographic position needs."""
     enough = [{"latitude", "longitude"}]
+    return _required(settings, role, (), "fix", by_type=[known_types.FIX, known_types.EXTENDED_FIX], enough=enough)
+
+
+def own_solution_requirement(settings: Solution, role: str) -> TopicRequirement:
+    """State what a solution of the vehicle's own needs, whose topic is named."""
     return _required(
-        config.reference, "reference", (), "fix", by_type=[known_types.FIX, known_types.EXTENDED_FIX], enough=enough
+        settings,
+        role,
+        TOPIC_KEYS,
+        by_type=[],
+        if_named={**known_types.SOLUTIONS, **known_types.EXTENDED_FIX},
+        enough=[*_MOTION, {"latitude", "longitude"}, {"local_position"}],
+        together=_ANGLES,
     )
 
 
@@ -243,6 +258,7 @@ def _required(section: Any, role: str, quantities: Iterable[str], key: str = "to
         paths={quantity: getattr(section, quantity) for quantity in quantities},
         stamp=section.stamp,
         latency_s=section.latency_s,
+        frames=getattr(section, "frames", None) if key == "topic" else None,
         **needs,
     )
 

@@ -98,8 +98,9 @@ def write_replay(
     OSError
         The file cannot be written.
     """
+    origin = histories[0].position[0]
     end_ns = max(int(history.time_ns[-1]) for history in histories)
-    batches = [batch for history in histories for batch in _filter_batches(history, errors.get(history.filter))]
+    batches = [batch for history in histories for batch in _filter_batches(history, errors.get(history.filter), origin)]
     batches += [_dvl(quantity, *sampled) for quantity, sampled in dvl.items()]
     if dive.reference is not None:
         batches += _reference_batches(dive.reference, histories[0])
@@ -110,16 +111,23 @@ def write_replay(
     write_log(path, batches, metadata, {"config.toml": ("application/toml", config_toml.encode())})
 
 
-def _filter_batches(history: History, errors: Errors | None) -> Iterator[Batch]:
+def _filter_batches(history: History, errors: Errors | None, origin: Floats) -> Iterator[Batch]:
     topic = f"/insdvl/{history.filter}"
-    yield _state(f"{topic}/state", history)
-    yield _sigma(f"{topic}/sigma", history)
+    motion = history.motion()
+    yield _solution(f"{topic}/state", motion) if history.is_read else _state(f"{topic}/state", history)
+    if history.believed.any():
+        yield _sigma(f"{topic}/sigma", history)
     if errors is not None:
         yield _error(f"{topic}/error", errors)
     for innovations in history.innovations:
         yield _innovation(f"{topic}/innovation/{innovations.measurement}", innovations)
-    yield _odometry(f"{topic}/odometry", history, history.position[0])
-    yield _fix(f"{topic}/fix", history)
+    if not history.is_read:
+        yield _odometry(f"{topic}/odometry", motion, origin)
+        yield _fix(f"{topic}/fix", motion)
+        return
+    yield from _whole_odometry(f"{topic}/odometry", motion, origin)
+    if motion.has_position:
+        yield _fix(f"{topic}/fix", motion.rows(motion.known["positions"]))
 
 
 def _state(topic: str, history: History) -> Batch:
@@ -169,14 +177,23 @@ def _reference_batches(reference: ReferenceColumns, history: History) -> Iterato
     """Write down what the filters are held against, as they are; poses count from where the first of them starts."""
     replayed = (reference.time_ns >= history.time_ns[0]) & (reference.time_ns <= history.time_ns[-1])
     shown = reference.rows(replayed)
-    columns = solution(shown.position, shown.velocity_n, rpy_from_mat(shown.mat_nb))
-    yield stamped("/insdvl/reference/state", "insdvl_msgs/msg/NavSolution", shown.time_ns, NED, columns)
-    whole = np.logical_and.reduce(list(shown.known.values()))
+    yield _solution("/insdvl/reference/state", shown)
+    yield from _whole_odometry("/insdvl/reference/odometry", shown, history.position[0])
+
+
+def _solution(topic: str, motion: ReferenceColumns) -> Batch:
+    columns = solution(motion.position, motion.velocity_n, rpy_from_mat(motion.mat_nb))
+    return stamped(topic, "insdvl_msgs/msg/NavSolution", motion.time_ns, NED, columns)
+
+
+def _whole_odometry(topic: str, motion: ReferenceColumns, origin: Floats) -> Iterator[Batch]:
+    """Write the rows with position, height, velocity and attitude, if there are any; a pose has no part missing."""
+    whole = np.logical_and.reduce(list(motion.known.values()))
     if whole.any():
-        yield _odometry("/insdvl/reference/odometry", shown.rows(whole), history.position[0])
+        yield _odometry(topic, motion.rows(whole), origin)
 
 
-def _odometry(topic: str, motion: History | ReferenceColumns, origin: Floats) -> Batch:
+def _odometry(topic: str, motion: ReferenceColumns, origin: Floats) -> Batch:
     """East-north-up and forward-port-up, the velocity in the body; zero covariances mean unknown."""
     velocity_b = np.einsum("kji,kj->ki", motion.mat_nb, motion.velocity_n)
     quat = quat_enu_flu(motion.mat_nb)
@@ -190,10 +207,10 @@ def _odometry(topic: str, motion: History | ReferenceColumns, origin: Floats) ->
     return stamped(topic, "nav_msgs/msg/Odometry", motion.time_ns, ODOM, columns)
 
 
-def _fix(topic: str, history: History) -> Batch:
-    latitude_deg, longitude_deg = np.rad2deg(history.position[:, :2]).T
-    columns = {"latitude": latitude_deg, "longitude": longitude_deg, "altitude": history.position[:, 2]}
-    return stamped(topic, "sensor_msgs/msg/NavSatFix", history.time_ns, BASE_LINK, columns)
+def _fix(topic: str, motion: ReferenceColumns) -> Batch:
+    latitude_deg, longitude_deg = np.rad2deg(motion.position[:, :2]).T
+    columns = {"latitude": latitude_deg, "longitude": longitude_deg, "altitude": motion.position[:, 2]}
+    return stamped(topic, "sensor_msgs/msg/NavSatFix", motion.time_ns, BASE_LINK, columns)
 
 
 def _dvl(quantity: str, time_ns: TimeNs, values_b: Floats) -> Batch:
