@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.geometry.frames import north_east_down_m
-from insdvl_replay.logs.writing.writer import BASE_LINK, ODOM, stamped, write_log, xyz
+from insdvl_replay.geometry.rotation import rpy_from_mat
+from insdvl_replay.logs.writing.writer import BASE_LINK, NED, ODOM, solution, stamped, write_log, xyz
 
 ENU_OF_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_OF_FRD = Rotation.from_euler("x", 180.0, degrees=True)
@@ -74,6 +75,13 @@ def write_odometry(
         **{field: cov.reshape(len(quat), 36) for field, cov in (covariances or {}).items()},
     }
     write_log(path, [stamped(topic, "nav_msgs/msg/Odometry", told.time_ns, ODOM, columns)], {})
+    return path
+
+
+def write_nav_solution(path: Path, motion: ReferenceColumns, topic: str = "/vehicle") -> Path:
+    """Write a log of the project's own insdvl_msgs/NavSolution."""
+    columns = solution(motion.position, motion.velocity_n, rpy_from_mat(motion.mat_nb))
+    write_log(path, [stamped(topic, "insdvl_msgs/msg/NavSolution", motion.time_ns, NED, columns)], {})
     return path
 
 

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from insdvl_replay.calibration.beam_errors import pulled_by_beams
 from insdvl_replay.calibration.certainty import (
     SEEN,
     Certainty,
@@ -17,16 +18,19 @@ from insdvl_replay.calibration.certainty import (
 )
 from insdvl_replay.calibration.fit import DELAY_STEP_S, Fit, Mask, fit, scatter_of
 from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
+from insdvl_replay.calibration.noise import NO_GEOMETRY, FittedNoise, fit_noise, levelled, noise_doubts, noise_rows
 from insdvl_replay.calibration.parameters import (
+    ALL_GROUPS,
     DELAY,
-    GROUPS,
+    NAMES,
+    NOISE,
     PARAMETERS,
     SCALE,
     DvlGeometry,
     Parameter,
 )
 from insdvl_replay.calibration.reference_parameters import ReferenceGeometry
-from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow, ReferenceDiveRow, StartRow
+from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, ParameterRow, ReferenceDiveRow, StartRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.table_layout import Number
@@ -75,7 +79,11 @@ class Calibration:
     doubts : tuple of str
         What speaks against believing it.
     fit : Fit
-        Behind what is proposed.
+        Of all that was asked for, with what is then held.
+    noise : FittedNoise
+        Of the sensors, by which the innovations are weighed.
+    noise_rows : tuple of NoiseRow
+        What of it is proposed.
     tried : str
         Which mounting was tried first, where nobody knew it.
     """
@@ -87,6 +95,8 @@ class Calibration:
     dives: tuple[DiveRow, ...]
     doubts: tuple[str, ...]
     fit: Fit
+    noise: FittedNoise
+    noise_rows: tuple[NoiseRow, ...]
     held_out: tuple[HeldOutRow, ...] = ()
     tried: str = ""
     reference: ReferenceCalibration | None = None
@@ -104,10 +114,19 @@ class Calibration:
         )
         return replace(self, before=before, tried=tried)
 
+    def change_of_dive(self, dive: int) -> Floats:
+        """Return what is proposed with the dive's own delay, shape (8,)."""
+        return self.fit.of_dive(dive) * [row.status == Estimated.ESTIMATED for row in self.rows]
+
     @property
     def estimated(self) -> tuple[ParameterRow, ...]:
         """The parameters that are proposed, the DVL's first."""
         return tuple(row for row in self.all_rows if row.status == Estimated.ESTIMATED)
+
+    @property
+    def proposes_noise(self) -> bool:
+        """Whether any noise is proposed."""
+        return any(row.status == Estimated.ESTIMATED for row in self.noise_rows)
 
     @property
     def all_rows(self) -> tuple[ParameterRow, ...]:
@@ -116,7 +135,7 @@ class Calibration:
 
 
 def calibrate(
-    dives: Sequence[DiveInnovations], config: Config, groups: Collection[str] = GROUPS, *, one_delay: bool = False
+    dives: Sequence[DiveInnovations], config: Config, groups: Collection[str] = ALL_GROUPS, *, one_delay: bool = False
 ) -> Calibration:
     """Estimate what the dives show, and leave the rest as it is.
 
@@ -132,19 +151,24 @@ def calibrate(
         Whether all dives are late by the same.
     """
     asked = np.array([parameter.group in groups for parameter in PARAMETERS])
-    all_at_once = fit(dives, asked, one_delay=one_delay)
-    certainty = certainty_of(all_at_once)
+    # Of a noise that is far off, the standard deviations are, and a noise that is fitted before the geometry hides it.
+    first = fit(dives, asked, one_delay=one_delay)
+    noise = fit_noise(dives, [first.of_dive(i) for i in range(len(dives))])
+    dives = [noise.applied(dive) for dive in dives]
+    all_at_once = fit(dives, asked, one_delay=one_delay, start=first.values)
+    certainty = certainty_of(all_at_once, pulled_by_beams(all_at_once, dives))
     refused = dict(_refused(certainty, mean_change(all_at_once), asked))
     free = asked & np.array([row not in refused for row in range(len(PARAMETERS))])
-    # What is held has the last word on what is correlated with it; how sure the rest is was told with it free.
-    found = all_at_once if (free == asked).all() else fit(dives, free, one_delay=one_delay)
-    change = np.where(free, mean_change(found), 0.0)
+    # Told with what is held free: a scale of 2 % that is held would be taken for arm and delay, beyond all their sds.
+    change = np.where(free, mean_change(all_at_once), 0.0)
+    noise = levelled(noise, dives, [change] * len(dives))
     before = DvlGeometry.of(config)
-    first = [dive.residuals(np.zeros(len(PARAMETERS))) for dive in dives]
     rows = tuple(parameter_rows(PARAMETERS, certainty, change, mean_change(all_at_once), asked, refused))
-    of_dives = tuple(_dive_rows(dives, found, first))
-    doubts = (*_doubts(all_at_once, certainty, free), *_doubts_of_dives(of_dives))
-    return Calibration(before, before.changed(change), change, rows, of_dives, doubts, found)
+    of_dives = tuple(_dive_rows([noise.applied(dive) for dive in dives], all_at_once, free))
+    held = NO_GEOMETRY if asked.any() and not free.any() else ""
+    of_noise = tuple(noise_rows(noise, dives, config, asked=NOISE in groups, held=held))
+    doubts = (*_doubts(all_at_once, certainty, free), *_doubts_of_dives(of_dives), *noise_doubts(of_noise))
+    return Calibration(before, before.changed(change), change, rows, of_dives, doubts, all_at_once, noise, of_noise)
 
 
 def _refused(certainty: Certainty, change: Floats, asked: Mask) -> Iterator[tuple[int, tuple[Estimated, str]]]:
@@ -185,6 +209,7 @@ def parameter_rows(
             _number(shown * certainty.formal[row]),
             _number(shown * certainty.correlated[row]),
             _number(shown * certainty.between[row]),
+            _number(shown * certainty.beams[row]),
             _number(shown * certainty.sd[row]),
             _number(certainty.signal_to_noise[row]),
             _number(certainty.birge[row]),
@@ -197,17 +222,18 @@ def _number(value: float) -> Number:
     return float(value) if np.isfinite(value) else None
 
 
-def _dive_rows(dives: Sequence[DiveInnovations], found: Fit, first: Sequence[Floats]) -> Iterator[DiveRow]:
+def _dive_rows(dives: Sequence[DiveInnovations], found: Fit, free: Mask) -> Iterator[DiveRow]:
     delays_s, sds_s = own_delays(found)
-    is_free = bool(found.unknowns.free[DELAY])
-    for i, (dive, near, before) in enumerate(zip(dives, found.dives, first, strict=True)):
+    is_free = bool(free[DELAY])
+    for i, (dive, near) in enumerate(zip(dives, found.dives, strict=True)):
+        before, after = (scatter_of(dive.residuals(free * at)) for at in (np.zeros(len(NAMES)), found.of_dive(i)))
         yield DiveRow(
             dive.name,
             dive.count,
             dive.left_out,
             float(delays_s[i]) if is_free else None,
             float(sds_s[i]) if is_free else None,
-            *(_triple(axes) for axes in (scatter_of(before), near.scatter, autocorrelation(near))),
+            *(_triple(axes) for axes in (before, after, autocorrelation(near))),
         )
 
 
@@ -237,10 +263,10 @@ def _doubts_of_dives(dives: Sequence[DiveRow]) -> Iterator[str]:
             if scatter > TOO_LARGE:
                 yield (
                     f"{dive.dive}: innovations {axis} still scatter by {scatter:.1f} of their standard deviations: "
-                    "wrong axes or units, or noise set too small"
+                    "wrong axes or units"
                 )
             elif correlation > CORRELATED:
                 yield (
                     f"{dive.dive}: neighbouring innovations {axis} are alike ({correlation:.2f}): the DVL smooths, "
-                    "or the IMU's noise is set too small"
+                    "or is less noisy along this axis than along others"
                 )

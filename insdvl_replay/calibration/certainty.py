@@ -31,6 +31,8 @@ class Certainty:
     formal, correlated, between : ndarray, shape (p,)
         By the information, by the correlation of the innovations, and by how the dives differ; the last is NaN of fewer
         than `FEWEST_DIVES`.
+    beams : ndarray, shape (p,)
+        What single beams may be off by, see `beam_errors`.
     birge : ndarray, shape (p,)
         How much more dives differ than they should: 1 is expected; NaN of one dive.
     """
@@ -40,11 +42,13 @@ class Certainty:
     correlated: Floats
     between: Floats
     birge: Floats
+    beams: Floats
 
     @property
     def sd(self) -> Floats:
-        """The largest of the three, at most the prior's, shape (p,)."""
-        return np.asarray(np.minimum(np.fmax(np.fmax(self.formal, self.correlated), self.between), self.prior_sd))
+        """The largest of the three, and what beams may be off by beside it, at most the prior's, shape (p,)."""
+        largest = np.fmax(np.fmax(self.formal, self.correlated), self.between)
+        return np.asarray(np.minimum(np.hypot(largest, self.beams), self.prior_sd))
 
     @property
     def signal_to_noise(self) -> Floats:
@@ -52,20 +56,28 @@ class Certainty:
         return np.sqrt((self.prior_sd / self.sd) ** 2 - 1.0)
 
 
-def certainty_of(fit: Fit) -> Certainty:
-    """Say how sure a fit is."""
+def certainty_of(fit: Fit, pulled: Floats | None = None) -> Certainty:
+    """Say how sure a fit is.
+
+    Parameters
+    ----------
+    pulled : ndarray, shape (count, m), optional
+        By `beam_errors.pulled_by_beams`; left out, beams are taken to be perfect but for their white noise.
+    """
     cov, mean_of = fit.cov, _means(fit)
     formal = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, cov, mean_of))
-    sandwich = cov @ _scores_cov(fit) @ cov
+    moved = fit.moved_by_scores
+    sandwich = moved @ _scores_cov(fit) @ moved
     correlated = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, sandwich, mean_of))
+    beams = np.zeros(len(NAMES)) if pulled is None else np.linalg.norm(mean_of @ pulled, axis=1)
     own, own_sd = one_by_one(fit)
     n = len(own)
     if n < FEWEST_DIVES:
         unknown = np.full(len(NAMES), np.nan)
-        return Certainty(PRIOR_SD, formal, correlated, unknown, unknown)
+        return Certainty(PRIOR_SD, formal, correlated, unknown, unknown, beams)
     off = own - np.average(own, axis=0)
     birge = np.sqrt(np.sum((off / own_sd) ** 2, axis=0) / (n - 1))
-    return Certainty(PRIOR_SD, formal, correlated, own.std(axis=0, ddof=1) / np.sqrt(n), birge)
+    return Certainty(PRIOR_SD, formal, correlated, own.std(axis=0, ddof=1) / np.sqrt(n), birge, beams)
 
 
 def correlations(fit: Fit, at_least: float) -> list[tuple[str, str, float]]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from insdvl_replay.calibration.fit import fit, robust_cost
 from insdvl_replay.calibration.innovations import DiveInnovations, dive_innovations
+from insdvl_replay.calibration.noise import FittedNoise, nis_per_dof
 from insdvl_replay.calibration.parameters import NAMES, PARAMETERS, DvlGeometry, moved_mounting, moved_pings
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.core.config import Config
@@ -159,13 +160,14 @@ def with_mounting(config: Config, rpy_deg: tuple[float, float, float]) -> Config
     return msgspec.structs.replace(config, dvl=msgspec.structs.replace(config.dvl, mounting_rpy_deg=rpy_deg))
 
 
-def held_out_row(read: ReadDive, change: Floats) -> HeldOutRow:
-    """Say how a dive that was not fitted fares before and after a change, shape (8,)."""
+def held_out_row(read: ReadDive, change: Floats, noise: FittedNoise | None = None) -> HeldOutRow:
+    """Say how a dive that was not fitted fares before and after a change, shape (8,), and with another noise, too."""
     asked = read.innovations()
     before, after = (_nis_per_dof(asked, of) for of in (np.zeros(len(NAMES)), change))
     windows, drift_before_m = _coasted(read, np.zeros(len(NAMES)))
     _, drift_after_m = _coasted(read, change)
-    return HeldOutRow(asked.name, before, after, windows, drift_before_m, drift_after_m)
+    noisy = None if noise is None else nis_per_dof(noise.applied(asked), change)
+    return HeldOutRow(asked.name, before, after, noisy, windows, drift_before_m, drift_after_m)
 
 
 def _nis_per_dof(asked: DiveInnovations, change: Floats) -> float:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from insdvl_replay.calibration.calibration import AXES, Calibration
-from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, ParameterRow, ReferenceDiveRow, StartRow
+from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, ParameterRow, ReferenceDiveRow, StartRow
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.report.document import (
     Callout,
@@ -43,6 +43,7 @@ def calibration_document(found: Calibration, written: str = "", figures: Sequenc
         Title(f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"),
         Callout(_headline(found), "good" if found.estimated and not found.doubts else "bad"),
         _parameters("Change from what the configuration says; x forward, y starboard, z down", found.rows),
+        _noise(found.noise_rows),
         _dives(found.dives),
     ]
     if found.tried:
@@ -61,13 +62,14 @@ def calibration_document(found: Calibration, written: str = "", figures: Sequenc
 
 
 def _headline(found: Calibration) -> str:
-    if not found.estimated:
+    if not found.estimated and not found.proposes_noise:
         return "Nothing could be estimated: these dives hold no manoeuvre that would show it."
-    return f"Estimated: {_named(found, Estimated.ESTIMATED)}."
+    names = [*_named(found, Estimated.ESTIMATED), *(["noise"] if found.proposes_noise else [])]
+    return f"Estimated: {', '.join(names)}."
 
 
-def _named(found: Calibration, status: Estimated) -> str:
-    return ", ".join(LABELS[row.parameter] for row in found.all_rows if row.status == status)
+def _named(found: Calibration, status: Estimated) -> list[str]:
+    return [LABELS[row.parameter] for row in found.all_rows if row.status == status]
 
 
 def _reasons(found: Calibration) -> Iterator[Remark]:
@@ -77,10 +79,12 @@ def _reasons(found: Calibration) -> Iterator[Remark]:
         for why in dict.fromkeys(row.why for row in rows):
             names = ", ".join(LABELS[row.parameter] for row in rows if row.why == why)
             yield Remark(f"{names}: {said}; {why}")
+    for why in dict.fromkeys(row.why for row in found.noise_rows if row.status == Estimated.HELD):
+        yield Remark(f"noise: held; {why}")
 
 
 def _what_now(found: Calibration, written: str) -> Iterator[Part]:
-    if written and found.estimated:
+    if written and (found.estimated or found.proposes_noise):
         yield f"Nothing is applied by itself: `insdvl-replay run LOG -c ... -c {written}` uses it."
 
 
@@ -97,7 +101,8 @@ def _parameters(title: str, rows: tuple[ParameterRow, ...]) -> DisplayTable:
             ("between\ndives", "r", lambda row: number(row.between_dives_sd)),
             ("signal /\nnoise", "r", lambda row: number(row.signal_to_noise)),
         ),
-        "The sd is the largest of the three. What is below a signal to noise of 3 (the scale: 30) is held.",
+        "The sd is the largest of the three, with what beams may be off by, each by 0.2 % and 1 mm/s. What is below a "
+        "signal to noise of 3 (the scale: 30) is held.",
     )
 
 
@@ -108,12 +113,26 @@ def _change(row: ParameterRow) -> str:
     return f"{sign}{number(abs(row.change))}{doubt}"
 
 
+def _noise(rows: tuple[NoiseRow, ...]) -> DisplayTable:
+    return table_of(
+        "White noise under which the innovations are likeliest",
+        rows,
+        (
+            ("noise", "l", lambda row: f"{row.parameter} [{row.unit}]"),
+            ("before", "r", lambda row: number(row.before)),
+            ("after", "r", lambda row: "held" if row.status == Estimated.HELD else number(row.after)),
+            ("class", "l", lambda row: row.sensor_class),
+        ),
+        "" if all(row.status != Estimated.NOT_ASKED for row in rows) else "It was not asked for, and only weighs.",
+    )
+
+
 def _dives(rows: tuple[DiveRow, ...]) -> DisplayTable:
     def axes(values: tuple[float, float, float]) -> str:
         return " ".join(f"{value:.2f}" for value in values)
 
     return table_of(
-        f"Innovations in their own standard deviations, {', '.join(AXES)}",
+        f"Innovations in standard deviations of the noise that was fitted, {', '.join(AXES)}",
         rows,
         (
             ("dive", "l", lambda row: row.dive),
@@ -169,6 +188,7 @@ def _held_out(rows: tuple[HeldOutRow, ...]) -> DisplayTable:
             ("dive", "l", lambda row: row.dive),
             ("NIS before", "r", lambda row: number(row.nis_per_dof_before)),
             ("after", "r", lambda row: number(row.nis_per_dof_after)),
+            ("with\nnoise", "r", lambda row: number(row.nis_per_dof_noise)),
             ("windows", "r", lambda row: str(row.windows)),
             ("drift before\n[m]", "r", lambda row: number(row.drift_before_m)),
             ("after\n[m]", "r", lambda row: number(row.drift_after_m)),

@@ -8,7 +8,7 @@ import numpy as np
 from insdvl_replay.calibration.calibration import AXES, Calibration
 from insdvl_replay.calibration.certainty import mean_change, one_by_one
 from insdvl_replay.calibration.document import LABELS
-from insdvl_replay.calibration.fit import Fit, delay_profile
+from insdvl_replay.calibration.fit import delay_profile
 from insdvl_replay.calibration.innovations import LATEST_S, SKIPPED, DiveInnovations
 from insdvl_replay.calibration.parameters import DELAY, NAMES, PARAMETERS
 from insdvl_replay.calibration.rows import HeldOutRow
@@ -36,14 +36,14 @@ def calibration_figures(found: Calibration, dives: Sequence[DiveInnovations]) ->
     dives : sequence of DiveInnovations
         Those that were fitted, in the same order.
     """
-    fit = found.fit
-    figures = [_innovations(fit, i, dive) for i, dive in enumerate(dives[:DRAWN])]
-    figures.append(_delays(fit, dives))
+    dives = [found.noise.applied(dive) for dive in dives]
+    figures = [_innovations(found.change_of_dive(i), dive) for i, dive in enumerate(dives[:DRAWN])]
+    figures.append(_delays(found, dives))
     return (*figures, *_between_dives(found), *_coasting(found.held_out))
 
 
-def _innovations(fit: Fit, i: int, dive: DiveInnovations) -> Figure:
-    before, after = dive.residuals(np.zeros(len(NAMES))), fit.dives[i].residuals
+def _innovations(change: Floats, dive: DiveInnovations) -> Figure:
+    before, after = (dive.residuals(at) for at in (np.zeros(len(NAMES)), change))
     time_ns = dive.prepared.velocities.time_ns[SKIPPED:-SKIPPED]
     clock = Clock(dive.prepared.alignment.start_ns, dive.prepared.end_ns)
     shown = [
@@ -63,11 +63,11 @@ def _innovations(fit: Fit, i: int, dive: DiveInnovations) -> Figure:
     )
 
 
-def _delays(fit: Fit, dives: Sequence[DiveInnovations]) -> Figure:
+def _delays(found: Calibration, dives: Sequence[DiveInnovations]) -> Figure:
     """Draw what a delay costs beyond the best, with all else as it was found."""
     panels = []
     for i, dive in enumerate(dives[:DRAWN]):
-        change = fit.unknowns.of_dive(fit.values, i)
+        change = found.change_of_dive(i)
         delays_s = np.union1d(_PROFILE_S, change[DELAY])
         costs = delay_profile(dive, change, delays_s)
         costs = costs - costs.min()

@@ -113,6 +113,14 @@ class Linearised:
         return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights, self.jacobian, self.jacobian))
 
     @property
+    def curvature(self) -> Floats:
+        """How fast the scores' sum falls with the parameters, shape (8, 8).
+
+        Less than the information: a residual that is weighed down is weighed down more when it grows.
+        """
+        return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights**3, self.jacobian, self.jacobian))
+
+    @property
     def scores(self) -> Floats:
         """What each ping says, shape (k, 8): minus half the gradient of the cost."""
         return -np.asarray(np.einsum("ka,ka,kai->ki", self.weights, self.scaled, self.jacobian))
@@ -133,6 +141,10 @@ class Fit:
     values: Floats
     dives: tuple[Linearised, ...]
 
+    def of_dive(self, dive: int) -> Floats:
+        """Return the change of one dive, shape (8,)."""
+        return self.unknowns.of_dive(self.values, dive)
+
     @property
     def information(self) -> Floats:
         """Of the dives and of the prior together, shape (count, count); what is held has the prior alone."""
@@ -142,6 +154,12 @@ class Fit:
     def cov(self) -> Floats:
         """Formal covariance, shape (count, count)."""
         return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
+
+    @property
+    def moved_by_scores(self) -> Floats:
+        """How far the answer moves with what the pings say, shape (count, count): the inverse curvature."""
+        curvature = _total(self.unknowns, [near.curvature for near in self.dives])
+        return np.asarray(np.linalg.inv(curvature), dtype=np.float64)
 
 
 def weights_of(scaled: Floats) -> Floats:
@@ -160,7 +178,7 @@ def scatter_of(residuals: Floats) -> Floats:
     return np.maximum(scatter, np.finfo(float).tiny)
 
 
-def fit(dives: Sequence[DiveInnovations], free: Mask, *, one_delay: bool = False) -> Fit:
+def fit(dives: Sequence[DiveInnovations], free: Mask, *, one_delay: bool = False, start: Floats | None = None) -> Fit:
     """Find the changes under which the innovations of all dives are smallest.
 
     Parameters
@@ -171,9 +189,11 @@ def fit(dives: Sequence[DiveInnovations], free: Mask, *, one_delay: bool = False
         What may change.
     one_delay : bool
         Whether all dives have the same.
+    start : ndarray, shape (count,), optional
+        Where to begin; left out, nothing has changed but for the delays.
     """
     unknowns = Unknowns(len(dives), one_delay, free)
-    values = _with_delays(unknowns, dives)
+    values = _with_delays(unknowns, dives) if start is None else np.where(unknowns.is_free, start, 0.0)
     damping = 1e-3
     linearised = _linearised(unknowns, dives, values)
     for _ in steps("fitting the innovations", range(MOST_ROUNDS)):
@@ -243,11 +263,16 @@ def _cost(
 
 
 def _information(unknowns: Unknowns, linearised: Sequence[Linearised]) -> Floats:
-    information = np.diag(unknowns.prior_sd**-2.0)
-    for i, near in enumerate(linearised):
+    return _total(unknowns, [near.information for near in linearised])
+
+
+def _total(unknowns: Unknowns, of_dives: Sequence[Floats]) -> Floats:
+    """Add what each dive says, shapes (8, 8), to what the prior says, shape (count, count)."""
+    total = np.diag(unknowns.prior_sd**-2.0)
+    for i, of_dive in enumerate(of_dives):
         rows = unknowns.rows(i)
-        information[np.ix_(rows, rows)] += near.information
-    return information
+        total[np.ix_(rows, rows)] += of_dive
+    return total
 
 
 def _gradient(unknowns: Unknowns, linearised: Sequence[Linearised], values: Floats) -> Floats:

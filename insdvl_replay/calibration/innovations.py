@@ -3,6 +3,7 @@
 One filter run for each question; its gate is open, since a gate that follows the answer would make the cost jump.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -13,11 +14,11 @@ from numpy.typing import NDArray
 from insdvl_replay.calibration.parameters import DELAY, NAMES, SCALE, STEPS, moved_mounting, moved_pings
 from insdvl_replay.core.dive_columns import Dive, Floats, nanoseconds
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.core.history import History
+from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.states import DV
 from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.timeline import build_timeline
+from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.prepared import Prepared
 from insdvl_replay.preparation.running import run_one
@@ -71,8 +72,24 @@ class DiveInnovations:
         """How many pings count."""
         return len(self.prepared.velocities.time_ns) - 2 * SKIPPED
 
+    @property
+    def gated(self) -> ResolvedFilter:
+        """The filter with the gate that is configured."""
+        configured = self.prepared.filters[0]
+        probability, reopen_after = configured.gate_probability, configured.gate_reopen_after
+        return replace(self.filter, gate_probability=probability, gate_reopen_after=reopen_after)
+
     def history(self, change: Floats) -> History:
         """Run the filter with another geometry, shape (8,)."""
+        moved, timeline = self._moved(change)
+        return run_one(self.filter, moved, timeline)
+
+    def runner(self, change: Floats) -> Callable[[ResolvedFilter], Innovations]:
+        """Return what gives the innovations of velocities with another geometry, shape (8,), filter by filter."""
+        moved, timeline = self._moved(change)
+        return lambda tried: run_one(tried, moved, timeline).innovations[0]
+
+    def _moved(self, change: Floats) -> tuple[Prepared, Timeline]:
         pings = moved_pings(self.prepared.velocities, change)
         moved = replace(self.prepared, velocities=pings, mounting=moved_mounting(self.prepared.mounting, change))
         timeline = build_timeline(
@@ -83,7 +100,7 @@ class DiveInnovations:
             self.prepared.end_ns,
             self.prepared.gaps,
         )
-        return run_one(self.filter, moved, timeline)
+        return moved, timeline
 
     def residuals(self, change: Floats) -> Floats:
         """Return the innovations in their own standard deviations, shape (count, 3).

@@ -1,6 +1,6 @@
 """A calibration as a fragment of configuration, as JSON and as CSV."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -9,10 +9,12 @@ from msgspec import Struct
 
 from insdvl_replay import __version__
 from insdvl_replay.calibration.calibration import Calibration, ReferenceCalibration
+from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.calibration.parameters import PARAMETERS, DvlGeometry, Parameter
 from insdvl_replay.calibration.reference_parameters import OF_REFERENCE
 from insdvl_replay.calibration.rows import (
     CalibrationResult,
+    NoiseRow,
     ParameterRow,
     ReferenceResult,
     ReferenceSettings,
@@ -56,6 +58,7 @@ def calibration_json(found: Calibration, config: Config) -> bytes:
             _settings(found.before),
             _settings(found.after),
             list(found.rows),
+            list(found.noise_rows),
             list(found.dives),
             list(found.held_out),
             _reference(found.reference),
@@ -84,6 +87,7 @@ def calibration_csv(found: Calibration) -> str:
     reference = found.reference
     tables: dict[str, Sequence[Struct]] = {
         "parameters": found.all_rows,
+        "noise": found.noise_rows,
         "dives": found.dives,
         "held_out": found.held_out,
         "reference": () if reference is None else reference.dives,
@@ -126,6 +130,10 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
         f"{f' to {days[-1]}' if len(days) > 1 else ''}: {names}"
     )
     lines = ["[dvl]", *_lines(KEYS, PARAMETERS, found.rows, found)]
+    inertial = [row for row in found.noise_rows if row.parameter in INERTIAL]
+    lines += _noise_lines(row for row in found.noise_rows if row not in inertial)
+    if found.proposes_noise:
+        lines += ["", "[noise]", *_noise_lines(inertial)]
     if (reference := found.reference) is not None:
         lines += ["", "[reference]", *_lines(REFERENCE_KEYS, OF_REFERENCE, reference.rows, reference)]
         lines += _initial(reference.starts)
@@ -146,6 +154,14 @@ def _lines(
         yield from (f"# {_in_words(row)}" for row in rows)
         if is_moved or any(row.status == Estimated.ESTIMATED for row in rows):
             yield f"{key} = {toml_value(_rounded(getattr(found.before, key), getattr(found.after, key)))}"
+
+
+def _noise_lines(rows: Iterable[NoiseRow]) -> Iterator[str]:
+    for row in rows:
+        if row.status == Estimated.ESTIMATED:
+            of_class = f", class {row.sensor_class}" if row.sensor_class else ""
+            yield f"# the innovations are likeliest with it; it was {row.before:.4g} {row.unit}{of_class}"
+            yield f"{row.parameter} = {toml_value(row.after)}"
 
 
 def _initial(starts: Sequence[StartRow]) -> Iterator[str]:

@@ -65,6 +65,8 @@ logarithm of its factor."""
 # found where the dive shows it.
 NAMES: Final = tuple(parameter.name for parameter in PARAMETERS)
 GROUPS: Final = ("arm", "mounting", "delay", "scale")
+NOISE: Final = "noise"
+ALL_GROUPS: Final = (*GROUPS, NOISE)
 DELAY: Final = NAMES.index("delay")
 MOUNTING: Final = slice(NAMES.index("mounting_x"), NAMES.index("mounting_z") + 1)
 ARM: Final = slice(NAMES.index("arm_x"), NAMES.index("arm_z") + 1)

@@ -68,6 +68,7 @@ def with_reference(
         None of the dives has a reference that says enough.
     """
     before = ReferenceGeometry.of(reads[0].config.reference)
+    dives = [found.noise.applied(dive) for dive in dives]
     compared = list(_compared(found, reads, dives, before))
     if not compared:
         raise LogError(
@@ -122,7 +123,7 @@ def _compared(
     for i, (read, asked) in enumerate(zip(reads, dives, strict=True)):
         if read.as_read is None:
             continue
-        change = found.fit.unknowns.of_dive(found.fit.values, i)
+        change = found.change_of_dive(i)
         gives_start = read.config.initial.source == "reference"
         if (compared := reference_dive(asked, read.as_read, before, change, gives_start=gives_start)) is not None:
             yield compared

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.calibration.parameters import GROUPS, MOUNTING, PARAMETERS, Parameter
+from insdvl_replay.calibration.parameters import ALL_GROUPS, MOUNTING, PARAMETERS, Parameter
 from insdvl_replay.core.config_navigation import Reference
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import DEG
@@ -23,7 +23,7 @@ OF_REFERENCE: Final = (
     Parameter("reference_arm_z", "reference_arm", "m", 1.0, 3.0, 0.02, "rolling or pitching"),
 )
 """Changes from what ``[reference]`` says, in this order; the mounting is turned about the axes of b."""
-REFERENCE_GROUPS: Final = (*GROUPS, "reference_arm", "reference_mounting", "reference_clock")
+REFERENCE_GROUPS: Final = (*ALL_GROUPS, "reference_arm", "reference_mounting", "reference_clock")
 SHARED: Final = (*PARAMETERS, *OF_REFERENCE)
 """What all dives share: the DVL's numbers first, as changes from what the innovations said."""
 HEADING: Final = MOUNTING.stop - 1

@@ -20,15 +20,28 @@ class ParameterRow(Struct, frozen=True):
         None
     )
     between_dives_sd: Annotated[Number, Meta(description="of the mean over dives; null of one dive")] = None
-    sd: Annotated[Number, Meta(description="the largest of the three, at most the prior's")] = None
+    beams_sd: Annotated[Number, Meta(description="what beams may be off by, each by 0.2 % and 1 mm/s")] = None
+    sd: Annotated[Number, Meta(description="the largest of the three with the beams', at most the prior's")] = None
     signal_to_noise: Annotated[Number, Meta(description="prior's sd over that of the data")] = None
     birge: Annotated[Number, Meta(description="how much more dives differ than they should; 1 is expected")] = None
     status: Estimated = Estimated.HELD
     why: Annotated[str, Meta(description="the manoeuvre that shows it, or what keeps it as it was")] = ""
 
 
+class NoiseRow(Struct, frozen=True):
+    """White noise of one kind of sensor, by the innovations with the DVL as it was found."""
+
+    parameter: Annotated[str, Meta(description="key of [noise] or [dvl]")]
+    unit: str
+    before: Annotated[float, Meta(description="what the configuration says")]
+    after: Annotated[float, Meta(description="under which the innovations are likeliest")]
+    sensor_class: Annotated[str, Meta(description="best class of inertial sensors that may be so noisy; else empty")]
+    status: Estimated
+    why: Annotated[str, Meta(description="why it cannot be the sensor's, or is not proposed; else empty")]
+
+
 class DiveRow(Struct, frozen=True):
-    """One dive: its delay, and its innovations before and after, in their own standard deviations."""
+    """One dive: its delay, and its innovations before and after, in standard deviations by the fitted noise."""
 
     dive: str
     pings: int
@@ -46,6 +59,7 @@ class HeldOutRow(Struct, frozen=True):
     dive: str
     nis_per_dof_before: Number
     nis_per_dof_after: Number
+    nis_per_dof_noise: Annotated[Number, Meta(description="after, with the noise that is proposed, too; null without")]
     windows: Annotated[int, Meta(description="of 60 s without velocities")]
     drift_before_m: Annotated[Number, Meta(description="median over them")]
     drift_after_m: Number
@@ -112,6 +126,7 @@ class CalibrationResult(Struct, frozen=True):
     before: Annotated[Settings, Meta(description="what the configuration says, of [dvl]")]
     after: Annotated[Settings, Meta(description="what is proposed")]
     parameters: list[ParameterRow]
+    noise: Annotated[list[NoiseRow], Meta(description="by which the innovations are weighed")]
     dives: list[DiveRow]
     held_out: Annotated[list[HeldOutRow], Meta(description="dives that were not fitted")]
     reference: Annotated[ReferenceResult | None, Meta(description="null without --reference")]

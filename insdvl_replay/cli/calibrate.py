@@ -59,7 +59,9 @@ def calibrate(
     settings: Settings = [],  # noqa: B006
     only: Annotated[
         str | None,
-        typer.Option(metavar="NAMES", help="Of arm, mounting, delay and scale, with commas; left out, all of them."),
+        typer.Option(
+            metavar="NAMES", help="Of arm, mounting, delay, scale and noise, with commas; left out, all of them."
+        ),
     ] = None,
     reference: Annotated[
         bool, typer.Option("--reference", help="Hold it against the dives' references, and calibrate these, too.")
@@ -81,7 +83,7 @@ def calibrate(
     verbose: Verbose = 0,
     color: Colored = Color.AUTO,
 ) -> int:
-    """Estimate where the DVL sits, how it is turned, how late and how long it reads.
+    """Estimate where the DVL sits, how it is turned, how late and how long it reads, and how noisy the sensors are.
 
     The dives' own innovations say it, without a reference, as far as the vehicle turned and changed its speed. What
     they do not show stays as it is. Nothing is applied: -o writes settings that `run -c` reads. The exit code is 0 if
@@ -127,7 +129,8 @@ def calibrate(
         found = calibrated(asked, resolved, groups, one_delay=delays is Delays.ONE)
         found = with_reference(found, kept, asked, groups) if reference else found
         found = found.from_mounting(known, ways) if mounting is Mounting.UNKNOWN else found
-        others = [held_out_row(dive, found.change) for dive in steps("trying it on other dives", held)]
+        noise = found.noise if found.proposes_noise else None
+        others = [held_out_row(dive, found.change, noise) for dive in steps("trying it on other dives", held)]
         found = found.with_held_out(others)
     for read, of_one in zip(kept, asked, strict=True):
         log_notes(_of_dive(read.dive, of_one.prepared), verbose=verbose > 0)
@@ -141,9 +144,10 @@ def calibrate(
     )
     pages = {page_file: lambda: page(calibration_document(found, _named(output), calibration_figures(found, asked)))}
     started_ns = [of_one.prepared.alignment.start_ns for of_one in asked]
-    settings_files = {output: lambda: calibration_toml(found, started_ns).encode()} if found.estimated else {}
+    is_found = bool(found.estimated) or found.proposes_noise
+    settings_files = {output: lambda: calibration_toml(found, started_ns).encode()} if is_found else {}
     _write_together(pages | settings_files, force=force)
-    if not found.estimated:
+    if not is_found:
         raise LogError(
             "nothing could be estimated from these dives",
             "record turns at speed, changes of speed, rolling and pitching, and calibrate by those",
@@ -175,11 +179,11 @@ def _named(file: Path | None) -> str:
 
 
 def _groups(only: str | None, *, reference: bool) -> tuple[str, ...]:
-    from insdvl_replay.calibration.parameters import GROUPS
+    from insdvl_replay.calibration.parameters import ALL_GROUPS
     from insdvl_replay.calibration.reference_parameters import REFERENCE_GROUPS
     from insdvl_replay.core.errors import ConfigError, require_known
 
-    known = REFERENCE_GROUPS if reference else GROUPS
+    known = REFERENCE_GROUPS if reference else ALL_GROUPS
     if only is None:
         return known
     names = tuple(name.strip() for name in only.split(",") if name.strip())

@@ -60,8 +60,8 @@ class Solution(Navigation, frozen=True):
     align: Annotated[
         Literal["none", "position", "heading"] | None,
         Comment(
-            "none | position: laid on where the baseline is when it begins | heading: turned, too; left out: position, "
-            "of geographic positions none"
+            "none | position: laid on the baseline where it begins | heading: turned to it, too; left out: position, "
+            "of geographic ones none"
         ),
     ] = None
 

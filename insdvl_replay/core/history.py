@@ -127,8 +127,8 @@ class History:
         What it takes the constants of the sensors to be, the last c of its states, SI units.
     is_read : bool
         Whether it is a solution that was read.
-    starts_as_others : bool
-        Whether it begins where and as the filters do: not a solution with a heading of its own.
+    is_turned : bool
+        Whether the heading of a solution was laid on the baseline's, so that it does not err at first.
     """
 
     filter: str
@@ -146,7 +146,7 @@ class History:
     states: tuple[State, ...] = STATES
     constants: Floats = field(default_factory=lambda: np.empty((0, 0)))
     is_read: bool = False
-    starts_as_others: bool = True
+    is_turned: bool = False
 
     @property
     def believed(self) -> NDArray[np.bool_]:

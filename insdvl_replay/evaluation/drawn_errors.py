@@ -90,31 +90,21 @@ def errors_of_one_run(
     return drawn_errors([run_from_start(history, reference.rows(np.isin(reference.time_ns, times_ns)), truth)])
 
 
-def own_start(drawn: DrawnErrors) -> DrawnErrors:
-    """Keep the run from the dive's own start alone."""
-    return replace(drawn, against_reference=drawn.against_reference[:1], error=drawn.error[:1])
-
-
 def side_by_side(drawn: DrawnErrors, one: DrawnErrors) -> tuple[DrawnErrors, DrawnErrors]:
-    """Cut the runs of a filter, and the one run of another, to what the latter tells.
+    """Lay the runs of a filter and the one run of another side by side.
 
     Returns
     -------
     DrawnErrors
-        From the first to the last time of which the one run says anything, NaN where it does not.
+        NaN where the one run says nothing.
     DrawnErrors
         The one run, as often as the other has starts.
     """
     run, starts = one.against_reference[0], len(drawn.error)
-    told = np.hstack([run.position_error_ned_m, run.velocity_error_n, run.attitude_error_rad])
-    rows = np.flatnonzero(np.isfinite(told).any(axis=1))
-    part = slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0, 0)
-    time_s = drawn.time_s[part] - (drawn.time_s[rows[0]] if len(rows) else 0.0)
-    own = tuple(errors.where_known(run).part(part) for errors in drawn.against_reference)
-    known = np.isfinite(one.error[:, part])
-    before = DrawnErrors(drawn.filter, time_s, own, np.where(known, drawn.error[:, part], np.nan), drawn.sd[part])
-    repeated = np.repeat(one.error[:, part], starts, axis=0)
-    return before, DrawnErrors(one.filter, time_s, (run.part(part),) * starts, repeated, one.sd[part])
+    known = tuple(errors.where_known(run) for errors in drawn.against_reference)
+    before = replace(drawn, against_reference=known, error=np.where(np.isfinite(one.error), drawn.error, np.nan))
+    after = replace(one, against_reference=(run,) * starts, error=np.repeat(one.error, starts, axis=0))
+    return before, after
 
 
 def squared_errors(drawn: DrawnErrors) -> dict[str, Floats]:

@@ -108,7 +108,10 @@ def evidence_table(
             *_withheld(named, measured, baseline),
             *_convergence(named, measured),
         ]
-        rows += [*_corrected(deciding), *_honesty(named, consistency, credibility, baseline)]
+        rows += [
+            *_corrected(deciding),
+            *_honesty(named, consistency, credibility, baseline, candidate in measured.beside),
+        ]
     return rows
 
 
@@ -249,15 +252,20 @@ def _rms(squared: Floats) -> float:
 
 
 def _honesty(
-    named: _Named, consistency: Sequence[ConsistencyRow], credibility: Sequence[CredibilityRow], baseline: str
+    named: _Named,
+    consistency: Sequence[ConsistencyRow],
+    credibility: Sequence[CredibilityRow],
+    baseline: str,
+    is_read: bool,
 ) -> Iterator[EvidenceRow]:
     """Compare how far the mean NIS, and the mean NEES, is from what each filter expects.
 
-    Of the baseline's measurements, and of the groups of states, the gravest stands for a filter; of the baseline's
-    groups those that the candidate has.
+    Of the baseline's measurements, and of the groups of states, the gravest stands for a filter; beside a solution that
+    was read, of the groups of which that tells.
     """
     of_both = {row.measurement for row in consistency if row.filter == baseline}
-    groups = {row.quantity for row in credibility if row.filter == named[1]} & set(ALL_CREDIBILITY_GROUPS)
+    told = {row.quantity for row in credibility if row.filter == named[1]}
+    groups = told & set(ALL_CREDIBILITY_GROUPS) if is_read else ALL_CREDIBILITY_GROUPS
     sizes = {
         "nis": [
             (row.filter, _Size(_mean(row.mean_nis, row.dof), row.verdict))

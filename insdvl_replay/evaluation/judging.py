@@ -18,11 +18,11 @@ from insdvl_replay.evaluation.consistency import consistency_table
 from insdvl_replay.evaluation.convergence import convergence_table
 from insdvl_replay.evaluation.coverage import reference_coverage_notes, reference_rate_notes, truth_coverage_notes
 from insdvl_replay.evaluation.credibility import credibility_table
-from insdvl_replay.evaluation.drawn_errors import DrawnErrors, errors_of_one_run, own_start
+from insdvl_replay.evaluation.drawn_errors import DrawnErrors, errors_of_one_run
 from insdvl_replay.evaluation.drift_table import drift_table, track_fit_table
 from insdvl_replay.evaluation.evidence import Measured, evidence_table, without_words
 from insdvl_replay.evaluation.jumps import jump_table
-from insdvl_replay.evaluation.losses import Losses, ReferenceNoise, losses_beside, losses_of
+from insdvl_replay.evaluation.losses import Losses, ReferenceNoise, losses_beside, losses_of, without_heading
 from insdvl_replay.evaluation.measured_convergence import measured_convergences
 from insdvl_replay.evaluation.paired_statistics import windows_ratio
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
@@ -144,9 +144,12 @@ def _losses_beside(
         return {}
     of_filters, found = {of_one.filter: of_one for of_one in drawn}, {}
     for history in (history for history in histories if history.is_read):
-        baseline = own_start(drawn[0]) if history.starts_as_others else drawn[0]
-        one = of_filters[history.filter]
-        found[history.filter] = losses_beside(baseline, one, dive.reference, noise, bridged_gaps=bridged_gaps)
+        before, after = losses_beside(
+            drawn[0], of_filters[history.filter], dive.reference, noise, bridged_gaps=bridged_gaps
+        )
+        if history.is_turned:
+            before, after = without_heading(before), without_heading(after)
+        found[history.filter] = before, after
     return found
 
 

@@ -5,7 +5,7 @@ heading wrong at the start decides. Levels and headings are judged from drawn st
 reference's own attitude has nothing to find.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -26,6 +26,8 @@ from insdvl_replay.evaluation.reference import ReferenceErrors
 
 ROOT_2: Final = float(np.sqrt(2.0))
 SEGMENTS_S: Final = (30.0, 60.0)
+HEADING_FREE: Final = ("velocity_along", "depth_60s", "level")
+"""Quantities in which a heading that is off shows in the second order alone."""
 FEWEST_STARTS: Final = 8
 """With fewer, levels and headings are no evidence: each start is one sample of them."""
 
@@ -92,34 +94,54 @@ def losses_beside(
     Returns
     -------
     tuple of dict of str to Losses
-        Of both, with the same quantities, times and number of starts.
+        Of both, with the same quantities, times and number of starts; the reference has to cover the filter's runs,
+        the one run may be as short as it is.
     """
-    pair = side_by_side(drawn, one)
-    before, after = (losses_of(of_one, reference, noise, bridged_gaps=bridged_gaps) for of_one in pair)
-    return before, {quantity: after[quantity] for quantity in before}
+    before, after = (
+        dict(_losses(of_one, reference, noise, bridged_gaps=bridged_gaps, covered=drawn))
+        for of_one in side_by_side(drawn, one)
+    )
+    known = [
+        quantity
+        for quantity in before
+        if np.count_nonzero(np.isfinite(before[quantity].squared[0] + after[quantity].squared[0])) > 1
+    ]
+    return {quantity: before[quantity] for quantity in known}, {quantity: after[quantity] for quantity in known}
+
+
+def without_heading(losses: Mapping[str, Losses]) -> dict[str, Losses]:
+    """Keep what does not hang on the heading at the start: all that says something of one that was given it."""
+    return {quantity: of_one for quantity, of_one in losses.items() if quantity in HEADING_FREE}
 
 
 def _losses(
-    drawn: DrawnErrors, reference: ReferenceColumns, noise: ReferenceNoise, *, bridged_gaps: bool
+    drawn: DrawnErrors,
+    reference: ReferenceColumns,
+    noise: ReferenceNoise,
+    *,
+    bridged_gaps: bool,
+    covered: DrawnErrors | None = None,
 ) -> Iterator[tuple[str, Losses]]:
-    runs = drawn.against_reference
-    time_ns, located, moving = runs[0].time_ns, runs[0].position_error_ned_m, runs[0].velocity_error_n
-    if _is_covered(drawn, located[:, :2]) and not bridged_gaps:
+    """Yield each quantity that the reference covers, in these runs or in others of the same dive."""
+    runs, whole = drawn.against_reference, covered or drawn
+    time_ns, covering = runs[0].time_ns, whole.against_reference[0]
+    located, moving = covering.position_error_ned_m, covering.velocity_error_n
+    if _is_covered(whole, located[:, :2]) and not bridged_gaps:
         for length_s in SEGMENTS_S:
             yield f"drift_{length_s:.0f}s", _drift(runs, time_segments(time_ns, length_s), noise.position_m)
         way_m = reference_distance_m(reference, time_ns)
         yield "drift_100m", _drift(runs, distance_segments(time_ns, way_m), noise.position_m)
-    if _is_covered(drawn, moving[:, :2]):
+    if _is_covered(whole, moving[:, :2]):
         of_course = [course_errors(errors, reference) for errors in runs]
         along = np.stack([errors.along_mps for errors in of_course])
         across = np.stack([errors.across_mps for errors in of_course])
         yield "velocity_along", Losses("m/s", along**2, 1, noise.velocity_mps)
         yield "velocity_across", Losses("m/s", across**2, 1, noise.velocity_mps)
-    if _is_covered(drawn, located[:, 2:]) and not bridged_gaps:
+    if _is_covered(whole, located[:, 2:]) and not bridged_gaps:
         segments = time_segments(time_ns)
         down_m = np.stack([segment_drift(errors, segments).down_m for errors in runs])
         yield "depth_60s", Losses("m", down_m**2, segments.steps, ROOT_2 * noise.position_m)
-    if len(drawn.error) >= FEWEST_STARTS and _is_covered(drawn, drawn.error[0, :, PHI]):
+    if len(drawn.error) >= FEWEST_STARTS and _is_covered(whole, whole.error[0, :, PHI]):
         squared = (drawn.error[1:, :, PHI] / DEG) ** 2
         yield "level", Losses("deg", squared[..., :2].mean(axis=-1), 1, noise.attitude_deg)
         yield "heading", Losses("deg", squared[..., 2], 1, noise.attitude_deg)

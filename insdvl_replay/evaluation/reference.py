@@ -54,16 +54,6 @@ class ReferenceErrors:
             attitude_error_rad=np.where(np.isfinite(other.attitude_error_rad), self.attitude_error_rad, np.nan),
         )
 
-    def part(self, rows: slice) -> "ReferenceErrors":
-        """Keep some of the times."""
-        return replace(
-            self,
-            time_ns=self.time_ns[rows],
-            position_error_ned_m=self.position_error_ned_m[rows],
-            velocity_error_n=self.velocity_error_n[rows],
-            attitude_error_rad=self.attitude_error_rad[rows],
-        )
-
 
 def reference_errors(history: History, reference: ReferenceColumns, moved_as: History | None = None) -> ReferenceErrors:
     """Compare a history with the reference where the history was recorded at the reference's times.

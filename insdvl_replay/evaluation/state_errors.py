@@ -82,9 +82,8 @@ def state_errors(history: History, reference: ReferenceColumns, truth: TruthColu
     sd, cov = history.sd[ours, :n], history.cov[of_cov, :n, :n]
     if history.is_read:
         error[~np.isfinite(np.diagonal(cov, axis1=1, axis2=2))] = np.nan
-    return StateErrors(
-        history.filter, time_ns, error, sd, cov, heading, history.believed[:n], exact_start=history.starts_as_others
-    )
+    believed, exact_start = history.believed[:n], not history.is_read
+    return StateErrors(history.filter, time_ns, error, sd, cov, heading, believed, exact_start)
 
 
 def errors_at(time_ns: TimeNs, history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> Floats:

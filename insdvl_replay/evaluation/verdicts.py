@@ -127,15 +127,14 @@ def _gravest(words: Iterable[str]) -> str:
 def _verdict(tables: Tables, baseline: str, candidate: str, unsound: Mapping[str, str], independent: bool) -> Candidate:
     believed_pct = mean_over_nine(tables.improvement, candidate)
     evidence = [row for row in tables.evidence if row.filter == candidate]
-    tells_all = len([row for row in tables.improvement if row.filter == candidate]) >= len(NINE)
     wrong = unsound.get(candidate, "")
     judgement = Judgement.NOT_JUDGED if wrong else judgement_of(evidence)
     belief = Belief.UNDECIDED if wrong else belief_of(believed_pct, evidence)
     measured = (
         f"{candidate} is NOT JUDGED against {baseline}: {wrong}; settle that first"
         if wrong
-        else f"{_measured(candidate, baseline, judgement, evidence)}. It "
-        f"{_believes(believed_pct, baseline, tells_all=tells_all)}{_of_belief(believed_pct, belief, tables, evidence)}"
+        else f"{_measured(candidate, baseline, judgement, evidence)}"
+        f"{_on_belief(candidate, baseline, believed_pct, tables)}{_of_belief(believed_pct, belief, tables, evidence)}"
     )
     trust = trust_sentence(tables, candidate, baseline)
     shared = "" if independent or not _has_reference(tables) else f" {SHARED}"
@@ -237,9 +236,17 @@ def _has_reference(tables: Tables) -> bool:
     return any(row.samples for row in tables.reference_error)
 
 
-def _believes(believed_pct: float, baseline: str, *, tells_all: bool) -> str:
+def _on_belief(candidate: str, baseline: str, believed_pct: float, tables: Tables) -> str:
+    """Begin the sentence on what is believed; of a solution that says nothing of that there is none."""
+    told = {row.state for row in tables.improvement if row.filter == candidate}
+    if told >= {state.id for state in NINE}:
+        return f". It {_believes(believed_pct, baseline)}"
+    return ". It says how sure it is of some states alone" if told else ""
+
+
+def _believes(believed_pct: float, baseline: str) -> str:
     if not np.isfinite(believed_pct):
-        return "believes in nothing finite" if tells_all else "does not say how sure it is of all nine states"
+        return "believes in nothing finite"
     if abs(believed_pct) < NOTABLE_PCT:
         return f"believes in errors as large as those of {baseline} ({believed_pct:+.1f} %)"
     return f"believes in {abs(believed_pct):.1f} % {'smaller' if believed_pct > 0 else 'larger'} errors"

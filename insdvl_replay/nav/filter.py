@@ -4,7 +4,7 @@ One loop for every filter. What a filter is aided by is the tuple of its measure
 """
 
 from collections.abc import Collection
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,13 +12,11 @@ from insdvl_replay.core.compiled import compiled, inlined, is_compiled, plain
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import states_with
-from insdvl_replay.nav.correction import correct, locks_out, open_state
+from insdvl_replay.nav.correction import correct
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
 from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.innovation import DEPTH, InsAtPing, linearise
-from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square, transposed_gain, update_cov
+from insdvl_replay.nav.innovation import DEPTH, InsAtPing
 from insdvl_replay.nav.local_earth import GravityHeight, Place, followed, gravity_at, place_about, place_at
-from insdvl_replay.nav.measurement_noise import FIXED, STUDENT_T, adapted_factor, outlier_factor
 from insdvl_replay.nav.measurements import BEAM, VELOCITY, Measurement, Stack, stacked
 from insdvl_replay.nav.own_measurement import Predict
 from insdvl_replay.nav.position_error import position_growth, propagate_position_cov
@@ -30,10 +28,10 @@ from insdvl_replay.nav.state_log import (
     new_records,
     new_updates,
     write_record,
-    write_update,
 )
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import PINGS, Node, Timeline, first_node, is_event, is_last, mean, next_node
+from insdvl_replay.nav.update import Matrices, count_lost_ping, new_matrices, update
 from insdvl_replay.nav.vector_algebra import (
     Vector,
     add,
@@ -44,10 +42,6 @@ from insdvl_replay.nav.vector_algebra import (
     write_row_vector,
 )
 
-BEAMS_TO_AXES: Final = 4.0
-"""The square of a velocity error is at most so many times the sum of its squares along the beams of a Janus at 20 deg
-or more."""
-
 
 class _Memory(NamedTuple):
     """What windows need of past pings, see `innovation.InsAtPing`."""
@@ -55,25 +49,6 @@ class _Memory(NamedTuple):
     rate_nb_b: Floats
     rate_eb_b: Floats
     velocity_change_b: Floats
-
-
-class _Matrices(NamedTuple):
-    """The covariance, the same memory row by row, what an update is worked out in, see `kalman`, and P0's diagonal."""
-
-    P: Floats
-    P_by_row: Floats
-    H: Floats
-    HP: Floats
-    KT: Floats
-    rest: Floats
-    R: Floats
-    S: Floats
-    L: Floats
-    z: Floats
-    standardised: Floats
-    dx: Floats
-    start_var: Floats
-    constants: Floats
 
 
 def run_filter(
@@ -111,7 +86,7 @@ def run_filter(
     keep_cov = np.isin(timeline.event_ns[timeline.record >= 0], () if cov_ns is None else cov_ns)
     states, stack = states_with(more_states), stacked(measurements)
     records, updates = new_records(keep_cov, len(states), len(start.constants)), new_updates(*stack.values.shape)
-    state, matrices = _state_at(start), _new_matrices(start, max(3, stack.values.shape[2]))
+    state, matrices = _state_at(start), new_matrices(start, max(3, stack.values.shape[2]))
     memory = _Memory(*np.zeros((3, int(timeline.ping.max()) + 1, 3)))
     density = (*noise_density.tolist(), *[0.0] * (len(states) - len(noise_density)))
     layout, arm_b = layout_of(more_states), vector(lever_arm_b)
@@ -131,20 +106,11 @@ def _state_at(start: Start) -> NavState:
     )
 
 
-def _new_matrices(start: Start, size: int) -> _Matrices:
-    cov, n, constants = start.cov, len(start.cov), start.constants.copy()
-    P, (H, HP, KT, rest) = np.array(cov, order="C"), np.empty((4, size, n))
-    (R, S, L), (z, standardised) = np.empty((3, size, size)), np.empty((2, size))
-    return _Matrices(
-        P, P.ravel(), H, HP, KT, rest, R, S, L, z, standardised, np.empty(n), np.diag(cov).copy(), constants
-    )
-
-
 @compiled
 def _run(
     timeline: Timeline,
     state: NavState,
-    matrices: _Matrices,
+    matrices: Matrices,
     noise_density: tuple[float, ...],
     layout: StateLayout,
     measurements: Stack,
@@ -205,7 +171,7 @@ def _meet_readings(
     measurements: Stack,
     own: Predict | None,
     memory: _Memory,
-    matrices: _Matrices,
+    matrices: Matrices,
     updates: Updates,
 ) -> tuple[NavState, GravityHeight]:
     """Update by all that is measured at an event, in the order of the measurements."""
@@ -215,7 +181,7 @@ def _meet_readings(
         if row >= 0 and measurements.available[m, row]:
             ping = timeline.rows[PINGS, now.event]
             ins = _ins_now(state, motion, memory, ping, carried, place, matrices.constants)
-            used, square = _update(measurements, m, row, time_s, ins, layout, own, estimated, matrices, updates)
+            used, square = update(measurements, m, row, time_s, ins, layout, own, estimated, matrices, updates)
             refused_square += square
             estimated = estimated or used
         if measurements.goes_on[m]:
@@ -224,7 +190,7 @@ def _meet_readings(
             state = correct(state, matrices.constants, matrices.P, matrices.dx, layout, place)
             gravity = _aided(gravity, measurements.kind[m], state.position[2], time_s)
         elif measurements.kind[m] == BEAM and refused_square > 0.0:
-            _count_lost_ping(refused_square, measurements, m, time_s, matrices, updates)
+            count_lost_ping(refused_square, measurements, m, time_s, matrices, updates)
         estimated, refused_square = False, 0.0
     return state, gravity
 
@@ -290,110 +256,3 @@ def _ins_now(
 @inlined
 def _rate_eb_b(state: NavState, motion: Motion, reading_b: Vector) -> Vector:
     return subtract(subtract(reading_b, state.gyro_bias_b), rotate_back(motion.mat_nb, motion.rate_ie_n))
-
-
-@inlined
-def _update(
-    measurements: Stack,
-    m: int,
-    row: int,
-    time_s: float,
-    ins: InsAtPing,
-    layout: StateLayout,
-    own: Predict | None,
-    goes_on: bool,
-    matrices: _Matrices,
-    updates: Updates,
-) -> tuple[bool, float]:
-    """Judge an innovation by its gate, use it if it passes, and write down both.
-
-    What is used changes P and the estimated errors ``dx``, to which those of the measurements before it are added if it
-    goes on with their reading. The state is corrected by all of them.
-
-    Returns
-    -------
-    used : bool
-    square : float
-        Of an innovation that was not used; else 0.
-    """
-    P, dx, size = matrices.P, matrices.dx, measurements.size[m]
-    H, HP, KT, rest = matrices.H[:size], matrices.HP[:size], matrices.KT[:size], matrices.rest[:size]
-    R, S, L = matrices.R[:size, :size], matrices.S[:size, :size], matrices.L[:size, :size]
-    z, standardised = matrices.z[:size], matrices.standardised[:size]
-    linearise(measurements, m, row, ins, layout, own, z, matrices.H[: max(size, 3)])
-    if goes_on:
-        _take_off(H, dx, z)
-    for i in range(size):
-        for j in range(size):
-            R[i, j] = updates.noise_factor[m] * measurements.cov[m, row, i, j]
-    innovation_cov(P, H, R, HP, S)
-    cholesky(S, L)
-    nis = normalised_square(L, z, standardised)
-    if measurements.noise[m] != FIXED and nis <= measurements.gate[m]:
-        _scale(R, _noise_factor(measurements.noise[m], m, nis, z, S, R, updates))
-        innovation_cov(P, H, R, HP, S)
-        cholesky(S, L)
-        nis = normalised_square(L, z, standardised)
-    used = nis <= measurements.gate[m]
-    alone = measurements.kind[m] != BEAM
-    reopened = not used and alone and locks_out(updates, m, nis, time_s, measurements.reopen_after[m])
-    write_update(updates, m, row, z, S, L, nis, used or reopened, reopened)
-    if reopened:
-        open_state(P, _square(z), matrices.start_var, updates, m, time_s)
-        innovation_cov(P, H, R, HP, S)
-        cholesky(S, L)
-    elif used:
-        updates.refused_in_a_row[m] = 0
-    else:
-        return False, _square(z)
-    transposed_gain(HP, L, KT)
-    for i in range(len(dx)):
-        estimate = KT[0, i] * z[0]
-        for k in range(1, size):
-            estimate += KT[k, i] * z[k]
-        dx[i] = dx[i] + estimate if goes_on else estimate
-    update_cov(P, H, R, HP, KT, rest)
-    return True, 0.0
-
-
-@inlined
-def _take_off(H: Floats, dx: Floats, z: Floats) -> None:
-    """Take off an innovation what errors that are estimated already leave of it, ``z <- z - H dx``."""
-    for i in range(len(z)):
-        for j in range(len(dx)):
-            z[i] -= H[i, j] * dx[j]
-
-
-@inlined
-def _noise_factor(kind: int, m: int, nis: float, z: Floats, S: Floats, R: Floats, updates: Updates) -> float:
-    """Return by how much larger an innovation says that R is, and remember it where the noise is followed."""
-    if kind == STUDENT_T:
-        return outlier_factor(nis, len(z))
-    before: float = updates.noise_factor[m]
-    after = adapted_factor(before, z, S, R)
-    updates.noise_factor[m] = after
-    return after / before
-
-
-@inlined
-def _scale(R: Floats, factor: float) -> None:
-    for i in range(len(R)):
-        for j in range(len(R)):
-            R[i, j] *= factor
-
-
-@inlined
-def _square(z: Floats) -> float:
-    total = 0.0
-    for i in range(len(z)):
-        total += z[i] * z[i]
-    return total
-
-
-@inlined
-def _count_lost_ping(
-    square: float, measurements: Stack, m: int, time_s: float, matrices: _Matrices, updates: Updates
-) -> None:
-    """Count a ping of which no beam passed; after so many in a row the next one sets the INS to the DVL."""
-    if locks_out(updates, m, square, time_s, measurements.reopen_after[m]):
-        open_state(matrices.P, BEAMS_TO_AXES * square, matrices.start_var, updates, m, time_s)

@@ -17,6 +17,12 @@ from insdvl_replay.core.sensors import states_for
 from insdvl_replay.core.states import DEG, MORE_STATES
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities
+from insdvl_replay.nav.dvl_measurements import (
+    acceleration_measurement,
+    beam_measurements,
+    velocity_cov,
+    velocity_measurement,
+)
 from insdvl_replay.nav.error_model import noise_density
 from insdvl_replay.nav.levelling import SensorNoise
 from insdvl_replay.nav.measurement_noise import ADAPTIVE, FIXED, STUDENT_T
@@ -24,10 +30,6 @@ from insdvl_replay.nav.measurements import (
     PUBLISHED,
     WINDOWED,
     Measurement,
-    acceleration_measurement,
-    beam_measurements,
-    velocity_cov,
-    velocity_measurement,
     withheld,
 )
 from insdvl_replay.nav.timeline import NO_GAPS, Gaps

@@ -69,7 +69,7 @@ def read_solutions(
     laid, histories, notes = dict[str, SolutionColumns](), list[History](), list[Note]()
     for name, setting in settings.items():
         laid[name], found, turned = laid_solution(name, dive.solutions[name], setting, dive.imu, baseline)
-        histories.append(history_of(name, laid[name], baseline, judged_ns, starts_as_others=turned))
+        histories.append(history_of(name, laid[name], baseline, judged_ns, is_turned=turned))
         notes += [*found, *_coverage_notes(name, laid[name].motion, baseline), *_belief_notes(name, histories[-1])]
     return replace(dive, solutions=laid), tuple(histories), tuple(notes)
 
@@ -124,7 +124,7 @@ def laid_solution(
 
 
 def history_of(
-    name: str, solution: SolutionColumns, baseline: History, judged_ns: TimeNs, *, starts_as_others: bool
+    name: str, solution: SolutionColumns, baseline: History, judged_ns: TimeNs, *, is_turned: bool
 ) -> History:
     """Tell a solution with geographic positions at the times of the baseline.
 
@@ -161,7 +161,7 @@ def history_of(
         innovations=(),
         states=STATES,
         is_read=True,
-        starts_as_others=starts_as_others,
+        is_turned=is_turned,
     )
 
 
@@ -268,17 +268,17 @@ def _coverage_notes(name: str, motion: ReferenceColumns, baseline: History) -> I
     never = [quantity for quantity in MAPPED if not motion.known[quantity].any()]
     if never:
         yield Note("solution_lacks", f"filters.{name}.solution says nothing of {' and '.join(never)}", len(never))
+    alike: dict[str, list[str]] = {}
     for quantity in (one for one in MAPPED if one not in never):
-        known = motion.known[quantity]
-        share = covered_share(motion.time_ns, known, start_ns, end_ns)
+        share = covered_share(motion.time_ns, motion.known[quantity], start_ns, end_ns)
         if share < WELL_COVERED:
-            text = (
-                f"{quantity} of filters.{name}.solution cover {100.0 * share:.0f} % of the replay; it is judged on "
-                "that part, and beside it the baseline at the same instants"
-            )
-            inside = motion.time_ns[known]
-            count = int(np.count_nonzero((inside >= start_ns) & (inside <= end_ns)))
-            yield Note("solution_coverage", text, count, Severity.WARNING, "--start and --end choose that part")
+            alike.setdefault(f"{100.0 * share:.0f}", []).append(quantity)
+    for percent, quantities in alike.items():
+        text = (
+            f"{' and '.join(quantities)} of filters.{name}.solution cover {percent} % of the replay; it is judged on "
+            "that part, and the baseline beside it at the same instants"
+        )
+        yield Note("solution_coverage", text, len(quantities), Severity.WARNING, "--start and --end choose that part")
 
 
 def _belief_notes(name: str, history: History) -> Iterator[Note]:

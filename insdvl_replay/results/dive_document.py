@@ -206,9 +206,9 @@ def _bars(report: Report) -> Iterator[str]:
 
 def _gains(report: Report, name: str) -> Iterator[tuple[str, float | None, float | None]]:
     """Yield label, believed and measured improvement in percent, of what has both: the mean beside the first piece."""
-    measured = _measured_pct(report, name)
-    for quantity, measured_pct in list(measured.items())[:1]:
-        yield f"mean / {NAMES[quantity]}", report.filters[name].mean_improvement_pct, measured_pct
+    measured, believed_pct = _measured_pct(report, name), report.filters[name].mean_improvement_pct
+    for quantity, measured_pct in list(measured.items())[:1] if believed_pct is not None else ():
+        yield f"mean / {NAMES[quantity]}", believed_pct, measured_pct
     for row in report.tables.improvement:
         quantity = _MEASURED_BY.get(row.state, "")
         if row.filter == name and quantity in measured:

@@ -110,7 +110,7 @@ def _word_on(report: Report, name: str) -> Callout:
 def _believed(candidate: Candidate) -> str:
     """State what a candidate believes to gain, and what has become of that."""
     if candidate.mean_improvement_pct is None and candidate.consistency == Consistency.NOT_TOLD:
-        return "it was read, not run, and does not say how sure it is of all nine states"
+        return "it was read, not run: what it believes is told of some states, or of none"
     smaller, sooner = candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct
     word = candidate.belief or Belief.UNDECIDED
     return f"it believes in {percent(smaller)} smaller errors, {percent(sooner)} sooner: {word}"

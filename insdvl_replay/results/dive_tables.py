@@ -94,7 +94,7 @@ def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
 def evidence_tables(report: Report) -> Iterator[DisplayTable]:
     """Lay out what was measured of each candidate, and how all filters coast, where there are rows."""
     for name in report.filters:
-        yield from _evidence(report.baseline, name, _of(name, report.tables.evidence))
+        yield from _evidence(report, name, _of(name, report.tables.evidence))
     yield from _coasting(report.tables.coasting)
 
 
@@ -115,7 +115,8 @@ def _of(name: str, rows: Iterable[Row]) -> list[Row]:
     return [row for row in rows if row.filter == name]
 
 
-def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> Iterator[DisplayTable]:
+def _evidence(report: Report, name: str, rows: Sequence[EvidenceRow]) -> Iterator[DisplayTable]:
+    baseline = report.baseline
     rows = [row for row in rows if row.baseline is not None or row.value is not None]
     if rows:
         columns: list[Column[EvidenceRow]] = [
@@ -130,7 +131,12 @@ def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> Iterator
             ("n", "r", lambda row: decimal(row.effective_samples, 0)),
         ]
         title = f"{EVIDENCE}, {name} against {baseline}"
-        yield table_of(title, rows, columns, _how_measured(rows))
+        yield table_of(title, rows, columns, _how_measured(rows, is_read=is_read(report, name)))
+
+
+def is_read(report: Report, name: str) -> bool:
+    """Return whether a filter is a solution that was read; early reports know of none."""
+    return bool(report.config.get("filters", {}).get(name, {}).get("solution"))
 
 
 def pooled_table(pooled: PooledCandidate) -> DisplayTable:
@@ -159,8 +165,17 @@ def _ratio(value: Number) -> str:
     return decimal(value, 3) if abs(finite(value)) < TENFOLD else number(value)
 
 
-def _how_measured(rows: Sequence[EvidenceRow]) -> str:
+def _how_measured(rows: Sequence[EvidenceRow], *, is_read: bool) -> str:
     starts = max(row.starts for row in rows)
+    if is_read:
+        begun = (
+            f"the one start that it had against {starts} of the baseline, whose scatter low and high allow for"
+            if starts > 1
+            else "the one start that it had against that of the baseline, which is without error (--starts 16)"
+        )
+        return (
+            f"{begun}; n: independent values that the interval rests on; of NEES the ratio is of how far it is from 1"
+        )
     drawn = (
         f"from {starts} starts, drawn from what the filters say of theirs"
         if starts > 1

@@ -166,7 +166,7 @@ def error_figure(errors: Sequence[FilterErrors], clock: Clock) -> Figure:
         "How wrong they are: errors against the reference",
         "Shaded: three standard deviations to either side, as each filter believes them. An honest filter stays "
         "inside, and fills a good part of it; a band that is much wider than the errors leaves the panel. The position "
-        "is no state of these filters and has no band.",
+        "has no band.",
         tuple(panel for panel in (*states, *positions) if _any(panel)),
         filter_legend([of_filter.filter for of_filter in errors]),
     )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 
@@ -19,10 +19,11 @@ from insdvl_replay.core.dive_columns import (
     nanoseconds,
     seconds,
 )
-from insdvl_replay.core.errors import ConfigError, require_known
+from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.beams import AZIMUTH_DEG
 from insdvl_replay.geometry.rotation import mat_from_sines, turned
+from insdvl_replay.sim.checked_options import LONGEST_S, check_duration, check_positive, check_spans, named
 from insdvl_replay.sim.motion import Trajectory
 from insdvl_replay.sim.sensor_errors import (
     GRADES,
@@ -36,8 +37,6 @@ from insdvl_replay.sim.sensor_errors import (
 from insdvl_replay.sim.sensors import SIMULATED, SensorErrors, add_sensor_errors
 from insdvl_replay.sim.trajectories import SCENARIOS, sine_and_cosine
 
-LONGEST_S: Final = 7 * 86400.0
-"""No simulated dive is longer: a week at 100 Hz already fills 10 GB."""
 START_NS: Final = 1_704_067_200_000_000_000
 """Time of the first IMU sample of every dive, 2024-01-01T00:00:00Z."""
 FIRST_PING_S: Final = 0.3717
@@ -47,8 +46,6 @@ BLOCK: Final = 100_000
 
 NO_SENSORS: Final[Mapping[str, SensorErrors]] = MappingProxyType({})
 NO_RATES: Final[Mapping[str, float]] = MappingProxyType({})
-
-T = TypeVar("T")
 
 
 def simulate_dive(
@@ -125,7 +122,7 @@ def late_and_long(dive: Dive, delay_s: float, scale: float) -> Dive:
     ConfigError
         A scale that is not above 0, or a delay that is no number.
     """
-    _check_positive("DVL scale", "times the velocity", scale)
+    check_positive("DVL scale", "times the velocity", scale)
     if not abs(delay_s) < LONGEST_S:
         raise ConfigError(f"DVL delay is {delay_s:g} s", "give the delay in s")
     if (delay_s, scale) == (0.0, 1.0) or dive.dvl.beam_velocity_mps is None:
@@ -178,15 +175,15 @@ def exact_dive(
     """
     way = named("scenario", scenario, SCENARIOS)
     end_s = way.duration_s if duration_s is None else duration_s
-    _check_duration(end_s)
+    check_duration(end_s)
     rates_hz = {"IMU": imu_rate_hz, "DVL": dvl_rate_hz, "reference": reference_rate_hz, **sensor_rates_hz}
     for sensor, rate_hz in rates_hz.items():
-        _check_positive(f"{sensor} rate", "Hz", rate_hz)
+        check_positive(f"{sensor} rate", "Hz", rate_hz)
     if end_s * imu_rate_hz < 1.0:
         raise ConfigError(f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples", "--duration 60")
     every_beam = range(len(AZIMUTH_DEG))
     spans = [*lost_beams, *(LostBeam(beam, *outage) for outage in outages for beam in every_beam)]
-    _check_spans(spans)
+    check_spans(spans)
     trajectory = Trajectory(way, end_s)
     ping_ns = _grid_ns(FIRST_PING_S, dvl_rate_hz, end_s)
     own_ns = _grid_ns(0.0, reference_rate_hz, end_s)
@@ -250,53 +247,6 @@ def add_errors(
             for name, errors in sensor_errors.items()
         },
     )
-
-
-def named(kind: str, name: str, known: Mapping[str, T]) -> T:
-    """Look a name up, or say which one was meant.
-
-    Parameters
-    ----------
-    kind : str
-        What it names, for the error.
-
-    Returns
-    -------
-    anything
-        What the name stands for.
-
-    Raises
-    ------
-    ConfigError
-        The name is not known.
-    """
-    require_known(kind, name, known)
-    return known[name]
-
-
-def _check_duration(duration_s: float) -> None:
-    _check_positive("duration", "s", duration_s)
-    if duration_s > LONGEST_S:
-        raise ConfigError(
-            f"duration is {duration_s:g} s, and may be {LONGEST_S:g} s at most", f"--duration {LONGEST_S:g}"
-        )
-
-
-def _check_positive(what: str, unit: str, value: float) -> None:
-    if not 0.0 < value < np.inf:
-        raise ConfigError(f"{what} is {value:g} {unit}, and must be above 0", f"give the {what} in {unit}")
-
-
-def _check_spans(spans: Sequence[LostBeam]) -> None:
-    beams = len(AZIMUTH_DEG)
-    for span in spans:
-        if not span.start_s < span.end_s:
-            raise ConfigError(
-                f"an outage from {span.start_s:g} s to {span.end_s:g} s does not end after its start",
-                "give its start first, then its end, in seconds from the start of the dive",
-            )
-        if not 0 <= span.beam < beams:
-            raise ConfigError(f"beam {span.beam} cannot be lost", f"beams are counted from 0 to {beams - 1}")
 
 
 def _grid_ns(first_s: float, rate_hz: float, end_s: float) -> TimeNs:

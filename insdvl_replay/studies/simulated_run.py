@@ -20,7 +20,8 @@ from insdvl_replay.preparation.filters import dvl_mounting, resolve_filters
 from insdvl_replay.preparation.prepared import Prepared
 from insdvl_replay.preparation.running import prepared_timeline, run_one
 from insdvl_replay.preparation.sensors import prepare_sensors
-from insdvl_replay.sim.dive import add_errors, exact_dive, named
+from insdvl_replay.sim.checked_options import named
+from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 
 MATCHED: Final = "matched"

@@ -215,7 +215,12 @@ def test_gravest_verdict_of_the_measurements_stands_for_the_filter() -> None:
         ("c", "velocity", "too few"),
     ]
     table = [consistency(*row) for row in rows]
-    assert [consistency_of(table, name) for name in "abcd"] == ["over-confident", "over-cautious", "too few", "too few"]
+    assert [consistency_of(table, name) for name in "abcd"] == [
+        "over-confident",
+        "over-cautious",
+        "too few",
+        "not told",
+    ]
 
 
 def test_sentence_names_the_groups_where_others_are_better() -> None:

@@ -11,6 +11,11 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.beams import beam_vectors, solve_beams
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.dvl import DvlVelocities
+from insdvl_replay.nav.dvl_measurements import (
+    acceleration_measurement,
+    velocity_cov,
+    velocity_measurement,
+)
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.local_earth import place_at
 from insdvl_replay.nav.measurements import (
@@ -19,10 +24,7 @@ from insdvl_replay.nav.measurements import (
     VELOCITY,
     WINDOWED,
     Measurement,
-    acceleration_measurement,
     stacked,
-    velocity_cov,
-    velocity_measurement,
 )
 from insdvl_replay.nav.state_layout import layout_of
 from insdvl_replay.nav.strapdown import NavState, propagate

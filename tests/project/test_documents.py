@@ -151,6 +151,8 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
     without = {
         "preparation.own_measurements",
         "preparation.sensors",
+        "preparation.solutions",
+        "nav.measurements",
         "preparation.start_by_sensors",
         "nav.own_measurement",
         "nav.state_layout",

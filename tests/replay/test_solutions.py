@@ -1,0 +1,312 @@
+"""The vehicle's own solution as a filter: what is put into it stands in the tables, whatever its frames are."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from vehicles_own import Told, off, truth_of, write_nav_solution, write_odometry, write_tum
+
+from insdvl_replay.core.config import Config, Evaluation, Filter
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.config_navigation import Reference, Solution
+from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns, seconds
+from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.states import DEG
+from insdvl_replay.evaluation.credibility import credibility_table
+from insdvl_replay.evaluation.state_errors import state_errors
+from insdvl_replay.evaluation.verdicts import credibility_of
+from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.columns.solutions import no_covariances
+from insdvl_replay.logs.writing.dive_log import write_dive
+from insdvl_replay.nav.drawn_starts import drawn_starts
+from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.running import prepared_timeline, run_one
+from insdvl_replay.preparation.solutions import read_solutions
+from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.sim.dive import simulate_dive
+
+MEMS = load_config("mems")
+POSE_SD = np.array([0.3, 0.2, 0.1, 0.01, 0.02, 0.03])  # east, north, up, m; about these, rad
+TWIST_SD = np.array([0.05, 0.03, 0.02])  # forward, port, up, m/s
+
+
+@pytest.fixture(scope="module")
+def dive() -> Dive:
+    return simulate_dive("lawnmower", seed=1, duration_s=200.0, grade="mems")
+
+
+def config(*solutions: str | Solution, starts: int = 1, **changes: Any) -> Config:
+    """A baseline, and solutions that are called ``onboard``, ``onboard1`` and so on."""
+    named = {f"onboard{number or ''}": Filter(solution=one) for number, one in enumerate(solutions)}
+    filters = {"baseline": Filter(aiding=("velocity",)), **named}
+    return msgspec.structs.replace(MEMS, filters=filters, evaluation=Evaluation(starts=starts), **changes)
+
+
+def replayed(folder: Path, dive: Dive, settings: Config, *parts: Path) -> Replay:
+    """Write the dive, read it with the logs of its vehicle, and replay it."""
+    write_dive(folder / "dive.mcap", dive)
+    return replay_dive(read_dive([folder / "dive.mcap", *parts], settings), settings)
+
+
+def rows(replay: Replay, table: str, name: str = "onboard") -> dict[str, Any]:
+    found = [row for row in getattr(replay.tables, table) if row.filter == name]
+    return {getattr(row, "quantity", getattr(row, "state", "")): row for row in found}
+
+
+def codes(replay: Replay) -> list[str]:
+    return [note.code for note in replay.notes if note.code.startswith("solution")]
+
+
+def slow_errors(told: Told) -> tuple[Told, Floats]:
+    """Errors of which tables can be foretold: a drift of 1 cm/s north and 2 cm/s west, and of 1 deg in heading."""
+    since_s = seconds(told.time_ns, told.time_ns[0])[:, None]
+    velocity_n = np.array([0.03, -0.04, 0.02])
+    wrong = off(told, way_n=since_s * [0.01, -0.02, 0.005], velocity_n=velocity_n, turn_n=np.array([0.0, 0.0, DEG]))
+    return wrong, velocity_n
+
+
+def test_errors_drift_and_jumps_are_those_that_were_put_in(dive: Dive, tmp_path: Path) -> None:
+    told, velocity_n = slow_errors(truth_of(dive))
+    replay = replayed(tmp_path, dive, config("/odometry"), write_odometry(tmp_path / "own.mcap", told))
+    error, drift = rows(replay, "reference_error"), rows(replay, "drift")
+    for axis, expected in zip("ned", velocity_n, strict=True):
+        assert error[f"velocity_{axis}"].rmse == pytest.approx(abs(expected), rel=1e-6)
+        assert error[f"velocity_{axis}"].final == pytest.approx(expected, rel=1e-6)
+    assert error["heading"].rmse == pytest.approx(1.0, rel=1e-6)
+    assert max(error["roll"].rmse, error["pitch"].rmse) < 1e-6
+    last_s = seconds(replay.errors["onboard"].time_ns[-1:], replay.start_ns)[0]
+    assert error["position_h"].final == pytest.approx(np.hypot(0.01, 0.02) * last_s, rel=1e-4)
+    assert error["depth"].final == pytest.approx(0.005 * last_s, rel=1e-4)
+    assert drift["drift_60s"].p50 == pytest.approx(60.0 * np.hypot(0.01, 0.02), rel=1e-3)
+    assert drift["velocity_along"].worst <= np.hypot(0.03, 0.04) + 1e-9
+    assert [(row.jumps, row.filter) for row in replay.tables.jumps] == [(0, "onboard")]
+    assert {row.status for row in error.values()} == {"compared"}
+    assert codes(replay) == ["solution_laid", "solution_without_covariance"]
+
+
+def test_what_it_does_not_say_has_no_rows_and_is_noted(dive: Dive, tmp_path: Path) -> None:
+    """No belief, no innovations, no coasting: no row is made up, and words say so."""
+    parts = write_odometry(tmp_path / "own.mcap", truth_of(dive))
+    replay = replayed(tmp_path, dive, config("/odometry"), parts)
+    for table in ("improvement", "convergence", "consistency", "credibility", "coasting"):
+        assert rows(replay, table) == {}
+    candidate = replay.verdicts["onboard"]
+    assert (candidate.consistency, candidate.credibility, candidate.belief) == ("not told", "not told", "undecided")
+    assert np.isnan([candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct]).all()
+    assert "onboard does not say how sure it is, baseline is" in candidate.verdict
+    assert "elieves" not in candidate.verdict
+
+
+@pytest.mark.parametrize("axes", ["enu_flu", "ned_frd"])
+def test_a_tum_file_is_read_in_either_axes(dive: Dive, tmp_path: Path, axes: str) -> None:
+    told, _ = slow_errors(truth_of(dive))
+    write_tum(tmp_path / "own.tum", told, east_north_up=axes == "enu_flu")
+    settings = config(Solution(file=str(tmp_path / "own.tum"), axes=axes))  # type: ignore[arg-type]
+    replay = replayed(tmp_path, dive, settings)
+    error = rows(replay, "reference_error")
+    assert error["heading"].rmse == pytest.approx(1.0, rel=1e-6)
+    assert rows(replay, "drift")["drift_60s"].p50 == pytest.approx(60.0 * np.hypot(0.01, 0.02), rel=1e-3)
+    assert {error[f"velocity_{axis}"].status for axis in "ned"} == {"not in solution"}
+    assert np.isnan(error["velocity_n"].baseline_rmse)
+    assert "solution_lacks" in codes(replay)
+
+
+def correlated(told: Told, seed: int, factor: float = 1.0) -> tuple[Told, dict[str, Floats]]:
+    """White errors as the covariances say, times a factor: the twist's in the body, the pose's in its frame."""
+    rng, count = np.random.default_rng(seed), len(told.time_ns)
+    pose, twist = rng.normal(size=(count, 6)) * POSE_SD * factor, rng.normal(size=(count, 3)) * TWIST_SD * factor
+    pose[0, :3] = 0.0  # where it is laid
+    way_n, turn_n = (part[:, [1, 0, 2]] * [1.0, 1.0, -1.0] for part in (pose[:, :3], pose[:, 3:]))
+    turned = Rotation.from_rotvec(turn_n) * told.attitude
+    velocity_b = told.attitude.inv().apply(told.velocity_n) + twist * [1.0, -1.0, -1.0]
+    covs = {
+        "pose.covariance": np.tile(np.diag(POSE_SD**2), (count, 1, 1)),
+        "twist.covariance": np.tile(np.diag(np.append(TWIST_SD, [1.0, 1.0, 1.0]) ** 2), (count, 1, 1)),
+    }
+    return Told(told.time_ns, told.way_n + way_n, turned.apply(velocity_b), turned), covs
+
+
+@pytest.mark.parametrize("factor", [1.0, 3.0, 0.2])
+def test_nees_is_by_its_own_covariance(dive: Dive, tmp_path: Path, factor: float) -> None:
+    """With errors in the body and a heading error the covariance in n is full; each group has its NEES."""
+    told, covs = correlated(truth_of(dive), seed=3, factor=factor)
+    replay = replayed(tmp_path, dive, config("/odometry"), write_odometry(tmp_path / "own.mcap", told, covs))
+    found = rows(replay, "credibility")
+    assert list(found)[-4:] == ["velocity", "attitude", "position", "all"]
+    for group in ("velocity", "attitude", "position"):
+        assert found[group].mean_nees == pytest.approx(3.0 * factor**2, rel=0.12)
+    word = {1.0: "consistent", 3.0: "over-confident", 0.2: "over-cautious"}[factor]
+    assert {found[group].verdict for group in ("velocity", "attitude", "position", "all")} == {word}
+    assert replay.verdicts["onboard"].credibility == word
+    assert f"onboard is {word} against the reference" in replay.verdicts["onboard"].verdict
+    assert len(rows(replay, "improvement")) == len(rows(replay, "convergence")) == 6  # no bias
+
+
+def test_the_words_on_its_covariance_are_right_over_seeds(dive: Dive, tmp_path: Path) -> None:
+    """Of twelve honest solutions at most one is called something else; of those a half too sure none is honest."""
+    settings = config("/odometry")
+    first = replayed(tmp_path, dive, settings, write_odometry(tmp_path / "own.mcap", truth_of(dive)))
+    words: dict[float, list[str]] = {1.0: [], 1.5: []}
+    for seed in range(12):
+        for factor, found in words.items():
+            told, covs = correlated(truth_of(dive), 100 + seed, factor)
+            parts = [tmp_path / "dive.mcap", write_odometry(tmp_path / "own.mcap", told, covs)]
+            found.append(word_on_groups(read_dive(parts, settings), settings, first))
+    assert words[1.0].count("consistent") >= 11
+    assert words[1.5] == ["over-confident"] * 12
+
+
+def word_on_groups(dive: Dive, settings: Config, first: Replay) -> str:
+    """Judge a solution by its errors, beside the baseline of another replay of the same dive."""
+    assert dive.reference is not None
+    judged_ns = dive.reference.time_ns[dive.reference.time_ns <= first.end_ns]
+    _, (history,), _ = read_solutions(dive, settings.solutions, first.histories[0], judged_ns)
+    errors = state_errors(history, dive.reference, None).after(first.start_ns)
+    return credibility_of(credibility_table("dive", ["onboard"], {"onboard": errors}), "onboard")
+
+
+def test_a_jump_is_counted_with_its_size_and_time(dive: Dive, tmp_path: Path) -> None:
+    told = truth_of(dive)
+    since_s = seconds(told.time_ns, told.time_ns[0])
+    jumped = off(told, way_n=np.where(since_s[:, None] >= 80.0, [1.2, 1.6, 0.0], 0.0))
+    parts = write_odometry(tmp_path / "own.mcap", jumped)
+    write_tum(tmp_path / "own.tum", jumped)
+    replay = replayed(tmp_path, dive, config("/odometry", Solution(file=str(tmp_path / "own.tum"))), parts)
+    for row in replay.tables.jumps:
+        assert (row.jumps, row.largest_m) == (1, pytest.approx(2.0, rel=1e-3))
+        assert row.largest_at_s == pytest.approx(80.0, abs=0.21)
+    assert [row.filter for row in replay.tables.jumps] == ["onboard", "onboard1"]
+
+
+def test_where_it_is_silent_nobody_is_judged(dive: Dive, tmp_path: Path) -> None:
+    """From 40 to 120 s, with a hole: the baseline's numbers beside it are of the same instants."""
+    told = truth_of(dive)
+    since_s = seconds(told.time_ns, told.time_ns[0])
+    keep = (since_s > 39.9) & (since_s < 120.1) & ~((since_s > 60.1) & (since_s < 79.9))
+    part = Told(told.time_ns[keep], told.way_n[keep], told.velocity_n[keep], told.attitude[keep])
+    replay = replayed(tmp_path, dive, config("/odometry", starts=8), write_odometry(tmp_path / "own.mcap", part))
+    own, baseline = replay.errors["onboard"], replay.errors["baseline"]
+    silent = ~np.isfinite(own.velocity_error_n[:, 0])
+    at_s = seconds(own.time_ns, replay.start_ns)
+    np.testing.assert_array_equal(silent, (at_s < 39.9) | (at_s > 120.1) | ((at_s > 60.1) & (at_s < 79.9)))
+    row = rows(replay, "reference_error")["velocity_n"]
+    assert row.baseline_rmse == pytest.approx(np.sqrt(np.mean(baseline.velocity_error_n[~silent, 0] ** 2)))
+    assert (row.samples, row.status) == (int((~silent).sum()), "partly covered")
+    assert "solution_coverage" in codes(replay)
+    assert rows(replay, "evidence")["velocity_along"].word == "better"
+
+
+def test_its_start_is_laid_on_the_baseline_and_only_if_asked_turned(dive: Dive, tmp_path: Path) -> None:
+    told = truth_of(dive)
+    # The frame itself is turned: ways, velocities and attitude alike.
+    turn = Rotation.from_rotvec([0.0, 0.0, 20.0 * DEG])
+    turned = Told(told.time_ns, turn.apply(told.way_n), turn.apply(told.velocity_n), turn * told.attitude)
+    asked = config("/odometry", Solution(topic="/odometry", align="heading"))
+    replay = replayed(tmp_path, dive, asked, write_odometry(tmp_path / "own.mcap", turned))
+    own, laid = rows(replay, "reference_error"), rows(replay, "reference_error", "onboard1")
+    assert own["heading"].rmse == pytest.approx(20.0, rel=1e-6)
+    assert own["position_h"].rmse > 1.0
+    # What is left is what the baseline's heading is off by at the start: nothing.
+    assert max(laid["heading"].rmse, laid["position_h"].rmse, laid["velocity_n"].rmse) < 1e-4
+    (text,) = (note.text for note in replay.notes if note.code == "solution_turned")
+    assert "turned by -20.00 deg" in text
+
+
+def test_a_lever_arm_and_a_mounting_are_taken_off(dive: Dive, tmp_path: Path) -> None:
+    told = truth_of(dive)
+    arm_b, mounting = np.array([1.5, -0.5, 0.3]), Rotation.from_euler("ZYX", [90.0, 3.0, -2.0], degrees=True)
+    moved = Told(told.time_ns, told.way_n + told.attitude.apply(arm_b), told.velocity_n, told.attitude * mounting)
+    part = write_odometry(tmp_path / "own.mcap", moved)
+    replay = replayed(
+        tmp_path,
+        dive,
+        config(Solution(topic="/odometry", lever_arm_m=tuple(arm_b), mounting_rpy_deg=(-2.0, 3.0, 90.0))),
+        part,
+    )
+    error = rows(replay, "reference_error")
+    assert max(error[name].rmse for name in ("roll", "pitch", "heading")) < 1e-6
+    assert max(error["position_h"].rmse, error["depth"].rmse) < 1e-4
+
+
+def test_without_attitude_a_lever_arm_is_refused(dive: Dive) -> None:
+    settings = config(Solution(topic="/odometry", lever_arm_m=(1.0, 0.0, 0.0)))
+    reference = dive.reference
+    assert reference is not None
+    lacking = replace(reference, mat_nb=np.full_like(reference.mat_nb, np.nan))
+    with pytest.raises(ConfigError, match=r"filters.onboard.solution gives no attitude"):
+        replay_dive(replace(dive, solutions={"onboard": SolutionColumns(lacking, None, *no_covariances())}), settings)
+
+
+@pytest.mark.parametrize(
+    ("solution", "reference", "message"),
+    [
+        ("/reference", Reference(topic="/reference"), "which is the reference: its error would be 0"),
+        ("/nowhere", Reference(), "has no messages on topic '/nowhere' (filters.onboard.solution.topic)"),
+        ("/imu", Reference(), "is not known as a type for filters.onboard.solution.topic"),
+    ],
+)
+def test_what_cannot_be_a_solution_is_refused(
+    dive: Dive, tmp_path: Path, solution: str, reference: Reference, message: str
+) -> None:
+    write_dive(tmp_path / "dive.mcap", dive)
+    with pytest.raises(LogError) as caught:
+        read_dive(tmp_path / "dive.mcap", config(solution, reference=reference))
+    assert message in caught.value.message
+    assert caught.value.hint
+
+
+def test_the_only_odometry_is_not_the_reference_if_it_is_a_solution(dive: Dive, tmp_path: Path) -> None:
+    """Found by type it would be both, and free of error."""
+    write_dive(tmp_path / "dive.mcap", replace(dive, reference=None))
+    parts = [tmp_path / "dive.mcap", write_odometry(tmp_path / "own.mcap", truth_of(dive))]
+    assert read_dive(parts, config()).reference is not None
+    assert read_dive(parts, config("/odometry")).reference is None
+
+
+def test_the_projects_own_message_is_taken_as_it_is(dive: Dive, tmp_path: Path) -> None:
+    """A geographic position has an origin: an offset stays an error, unless its start is to be laid, too."""
+    reference = dive.reference
+    assert reference is not None
+    higher = replace(reference, position=reference.position + np.array([0.0, 0.0, 2.5]))
+    asked = config("/vehicle", Solution(topic="/vehicle", align="position"))
+    settings = msgspec.structs.replace(asked, reference=Reference(topic="/reference"))
+    replay = replayed(tmp_path, dive, settings, write_nav_solution(tmp_path / "own.mcap", higher))
+    assert rows(replay, "reference_error")["depth"].rmse == pytest.approx(2.5, abs=1e-6)
+    assert rows(replay, "reference_error", "onboard1")["depth"].rmse < 1e-6
+
+
+@pytest.mark.parametrize(("factor", "word"), [(1.0, "undecided"), (5.0, "worse"), (0.2, "better")])
+def test_the_baseline_from_another_start_is_neither_better_nor_worse(factor: float, word: str) -> None:
+    """What flies is often the same filter. Its one start scatters as those of the baseline do, which words allow for;
+    with errors five times as large, or as small, they are said."""
+    settings = config(Solution(topic="/odometry", align="none"), starts=16)
+    tactical = load_config("tactical")
+    settings = msgspec.structs.replace(tactical, filters=settings.filters)
+    for seed in (1, 2, 3):
+        made = simulate_dive("figure-eight", seed=seed, duration_s=400.0, grade="tactical")
+        flown = flown_from_a_drawn_start(made, settings, seed, factor)
+        replay = replay_dive(replace(made, solutions={"onboard": flown}), settings)
+        assert replay.verdicts["onboard"].improvement == word
+
+
+def flown_from_a_drawn_start(dive: Dive, settings: Config, seed: int, factor: float) -> SolutionColumns:
+    """Run the baseline as if it flew, from a start as wrong as it says, and make its errors larger by a factor."""
+    prepared, reference = prepare_dive(dive, settings), dive.reference
+    assert reference is not None
+    _, start = drawn_starts(prepared.alignment.start, 2, (seed, 77))
+    begun = replace(prepared, alignment=replace(prepared.alignment, start=start))
+    flown = run_one(prepared.filters[0], begun, prepared_timeline(dive, prepared)).motion()
+    flown = flown.rows(np.isin(flown.time_ns, reference.time_ns))
+    true = reference.rows(np.isin(reference.time_ns, flown.time_ns))
+    turn = Rotation.from_matrix(flown.mat_nb @ true.mat_nb.swapaxes(1, 2)).as_rotvec()
+    wrong = replace(
+        flown,
+        position=true.position + factor * (flown.position - true.position),
+        velocity_n=true.velocity_n + factor * (flown.velocity_n - true.velocity_n),
+        mat_nb=Rotation.from_rotvec(factor * turn).as_matrix() @ true.mat_nb,
+    )
+    return SolutionColumns(wrong, None, *no_covariances())
