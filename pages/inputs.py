@@ -69,7 +69,7 @@ PARTS = {
             for name, kinds in ENCODINGS.items()
         ],
     ),
-    "imu": lambda: _types(known_types.IMU),
+    "imu": lambda: _types(known_types.IMU, known_types.IMU_OF_DRIVERS),
     "dvl": lambda: _types(known_dvls.DVL_BEAMS, known_dvls.DVL_VELOCITY, known_dvls.DVL_IF_NAMED),
     "reference": lambda: _types(
         known_types.NAV_SOLUTION,

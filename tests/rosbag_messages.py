@@ -49,6 +49,8 @@ def _value(store: Typestore, kind: tuple[int, Any], value: Any) -> Any:
     if int(node) == 2:  # a structure
         return _made(store, argument, value or {})
     inner, length = argument
+    if int(inner[0]) == 1 and inner[1][0] == "string":
+        return [""] * length if value is None else value
     if int(inner[0]) == 1:
         return np.array(np.zeros(length) if value is None else value, dtype=inner[1][0])
     return [_value(store, inner, item) for item in (value if value is not None else [{}] * length)]

@@ -105,12 +105,12 @@ class Calibration:
         """Add how dives fare that were not fitted."""
         return replace(self, held_out=tuple(rows))
 
-    def from_mounting(self, before: DvlGeometry) -> "Calibration":
-        """Tell that the mounting was tried first, and what the configuration says in its place."""
+    def from_mounting(self, before: DvlGeometry, ways: int) -> "Calibration":
+        """Tell that so many ways of mounting were tried first, and what the configuration says in their place."""
         roll, pitch, heading = self.before.mounting_rpy_deg
         tried = (
-            f"of 24 mountings, roll {roll:g}, pitch {pitch:g}, heading {heading:g} deg is the likeliest; changes of "
-            "the mounting are from there"
+            f"of {ways} mountings, roll {roll:g}, pitch {pitch:g}, heading {heading:g} deg is the likeliest; changes "
+            "of the mounting are from there"
         )
         return replace(self, before=before, tried=tried)
 

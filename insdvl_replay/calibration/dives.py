@@ -9,17 +9,18 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.calibration.fit import robust_cost
+from insdvl_replay.calibration.fit import fit, robust_cost
 from insdvl_replay.calibration.innovations import DiveInnovations, dive_innovations
 from insdvl_replay.calibration.noise import FittedNoise, nis_per_dof
-from insdvl_replay.calibration.parameters import NAMES, DvlGeometry, moved_mounting, moved_pings
+from insdvl_replay.calibration.parameters import NAMES, PARAMETERS, DvlGeometry, moved_mounting, moved_pings
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ReferenceColumns
 from insdvl_replay.core.runtime import steps
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.coasting import coasting_table
 from insdvl_replay.evaluation.paired_statistics import windows_ratio
+from insdvl_replay.geometry.beams import look_down
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
@@ -34,7 +35,10 @@ AXES: Final[tuple[Floats, ...]] = tuple(
     if np.linalg.det(turn) > 0.0
 )
 """The 24 ways in which right-handed axes can lie along others."""
+CLEARLY: Final = 0.8
+"""Share of what one mounting leaves of the innovations, below which another one is the likelier."""
 COASTED_S: Final = "60"
+_ARM_AND_DELAY: Final = np.array([parameter.group in ("arm", "delay") for parameter in PARAMETERS])
 
 
 @dataclass(frozen=True)
@@ -91,31 +95,55 @@ def with_geometry(config: Config, geometry: DvlGeometry) -> Config:
 
 @dataclass(frozen=True)
 class TriedMounting:
-    """One way in which the DVL's axes could lie along the body's, and the robust sum of squares that it leaves."""
+    """One way in which the DVL's axes could lie along the body's, and the robust sum of squares that it leaves.
+
+    That of several likely ones is with the arm and the delay that fit each best.
+    """
 
     rpy_deg: tuple[float, float, float]
     cost: float
 
 
+def possible_axes(dvl: DvlColumns) -> tuple[Floats, ...]:
+    """Leave out the ways with which the beams would not look down, where the messages tell where they look."""
+    if dvl.look_d is None:
+        return AXES
+    return tuple(turn for turn in AXES if look_down(turn @ dvl.look_d)) or AXES
+
+
 def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
-    """Try the 24 ways in which the DVL's axes can lie along the body's, the likeliest first."""
+    """Try the ways in which the DVL's axes can lie along the body's, the likeliest first."""
+
+    def asked(rpy_deg: tuple[float, float, float]) -> list[DiveInnovations]:
+        config = with_any_heading(with_mounting(dives[0].config, rpy_deg))
+        return [dive.with_config(config).innovations() for dive in dives]
 
     def tried(turn: Floats) -> TriedMounting:
-        config = with_any_heading(_turned(dives[0].config, turn))
-        found = [dive.with_config(config).innovations().residuals(np.zeros(len(NAMES))) for dive in dives]
-        return TriedMounting(config.dvl.mounting_rpy_deg, sum(robust_cost(residuals) for residuals in found))
+        rpy_deg = _rpy_deg(turn)
+        return TriedMounting(rpy_deg, sum(robust_cost(dive.residuals(np.zeros(len(NAMES)))) for dive in asked(rpy_deg)))
 
-    return sorted(map(tried, steps("trying mountings", AXES)), key=lambda one: one.cost)
+    def fitted(one: TriedMounting) -> TriedMounting:
+        near = fit(asked(one.rpy_deg), _ARM_AND_DELAY).dives
+        return replace(one, cost=sum(robust_cost(dive.residuals) for dive in near))
+
+    found = sorted(map(tried, steps("trying mountings", possible_axes(dives[0].dive.dvl))), key=_cost)
+    likely = [one for one in found if one.cost * CLEARLY <= found[0].cost]
+    # In turns a wrong arm hides what tells them apart.
+    return found if len(likely) == 1 else [*sorted(map(fitted, likely), key=_cost), *found[len(likely) :]]
+
+
+def _cost(tried: TriedMounting) -> float:
+    return tried.cost
 
 
 def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
-    """Return the best of the 24 ways in which the DVL's axes can lie along the body's, as roll, pitch, heading."""
+    """Return the best of the ways in which the DVL's axes can lie along the body's, as roll, pitch, heading."""
     return tried_mountings(dives)[0].rpy_deg
 
 
-def _turned(config: Config, turn: Floats) -> Config:
+def _rpy_deg(turn: Floats) -> tuple[float, float, float]:
     roll, pitch, heading = (rpy_from_mat(turn) / DEG + 0.0).tolist()  # no -0.0, which people would read
-    return with_mounting(config, (roll, pitch, heading))
+    return roll, pitch, heading
 
 
 def with_any_heading(config: Config) -> Config:

@@ -67,6 +67,15 @@ def _scale_notes(reference: ReferenceColumns) -> list[Note]:
     return [Note("reference_scale", text, len(by_position_m), Severity.WARNING, hint)]
 
 
+def velocity_misfit(reference: ReferenceColumns) -> float | None:
+    """Return by which part of the way its velocity and its positions differ over legs; None where they tell nothing."""
+    by_position_m, by_velocity_m = _legs(steps_of(reference))
+    way_m = float(np.linalg.norm(by_position_m))
+    if len(by_position_m) < _LEGS or np.abs(by_position_m).sum() < _LEAST_M:
+        return None
+    return float(np.linalg.norm(by_velocity_m - by_position_m)) / way_m
+
+
 def _legs(steps: Steps) -> tuple[Complex, Complex]:
     """Add steps up to legs, of which each has to be known whole and not much longer than it is meant to be."""
     if not len(steps.time_s):
@@ -157,6 +166,11 @@ def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumn
         )
         for name, doing in found
     ]
+
+
+def says_anything(reference: ReferenceColumns) -> bool:
+    """Return whether it gives an attitude, a position, or a velocity that is not always zero."""
+    return reference.has_attitude or reference.has_position or bool(np.nan_to_num(reference.velocity_n).any())
 
 
 def _is_constant(rows: Floats) -> bool:

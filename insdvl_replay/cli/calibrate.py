@@ -98,7 +98,7 @@ def calibrate(
       insdvl-replay calibrate archive --only arm,delay --mounting unknown
     """
     from insdvl_replay.calibration.calibration import calibrate as calibrated
-    from insdvl_replay.calibration.dives import held_out_row, likeliest_mounting, with_mounting
+    from insdvl_replay.calibration.dives import held_out_row, likeliest_mounting, possible_axes, with_mounting
     from insdvl_replay.calibration.document import calibration_document
     from insdvl_replay.calibration.figures import calibration_figures
     from insdvl_replay.calibration.output import calibration_csv, calibration_json, calibration_toml
@@ -121,14 +121,14 @@ def calibrate(
         if not dives:
             return failed
         kept, held = _parted(dives, hold_out)
-        known = DvlGeometry.of(resolved)
+        known, ways = DvlGeometry.of(resolved), len(possible_axes(kept[0].dive.dvl))
         if mounting is Mounting.UNKNOWN:
             resolved = with_mounting(resolved, likeliest_mounting(kept))
             kept, held = ([dive.with_config(resolved) for dive in some] for some in (kept, held))
         asked = [dive.innovations() for dive in kept]
         found = calibrated(asked, resolved, groups, one_delay=delays is Delays.ONE)
         found = with_reference(found, kept, asked, groups) if reference else found
-        found = found.from_mounting(known) if mounting is Mounting.UNKNOWN else found
+        found = found.from_mounting(known, ways) if mounting is Mounting.UNKNOWN else found
         noise = found.noise if found.proposes_noise else None
         others = [held_out_row(dive, found.change, noise) for dive in steps("trying it on other dives", held)]
         found = found.with_held_out(others)

@@ -10,6 +10,9 @@ class Navigation(Section, frozen=True):
 
     topic: Annotated[str | None, Comment("left out: found by type")] = None
     fix: Annotated[str | None, Comment("topic of the geographic position; left out: found by type")] = None
+    frames: Annotated[tuple[str, str] | None, Comment("of transforms: parent and child, the child being the body")] = (
+        None
+    )
     axes: Annotated[Literal["ned_frd", "enu_flu"] | None, Comment("ned_frd | enu_flu; left out: by type")] = None
     latitude: Annotated[str | None, Comment("field path; left out: by type")] = None
     longitude: Annotated[str | None, Comment("field path; left out: by type")] = None

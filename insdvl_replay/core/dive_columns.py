@@ -102,12 +102,15 @@ class DvlColumns:
         Unit vectors of the beams in d, from the instrument towards the seabed.
     velocity_d : ndarray, shape (m, 3), or None
         Velocity over ground in d, m/s, NaN where invalid; given when the instrument reports no beams.
+    look_d : ndarray, shape (3,), or None
+        Where the beams look on average in d, if the messages tell it.
     """
 
     time_ns: TimeNs
     beam_velocity_mps: Floats | None = None
     beam_vectors_d: Floats | None = None
     velocity_d: Floats | None = None
+    look_d: Floats | None = None
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,9 @@ TILT_DEG: Final = 30.0
 AZIMUTH_DEG: Final = (45.0, 135.0, 225.0, 315.0)
 """From forward towards starboard."""
 
+_DOWN: Final = 0.5
+"""The beams of a DVL that looks down have together at least such a part along z, whatever tilt they have."""
+
 
 @dataclass(frozen=True)
 class DvlMounting:
@@ -42,6 +45,11 @@ class DvlMounting:
     def velocity_b(self, velocity_d: Floats) -> Floats:
         """Divide the scale out of velocities in d, shape (m, 3), and turn them to b."""
         return velocity_d @ self.mat_bd.T / self.scale
+
+
+def look_down(look: Floats) -> bool:
+    """Return whether beams look down that look on average along a vector, shape (3,), of forward-starboard-down."""
+    return bool(look[2] >= _DOWN * np.linalg.norm(look))
 
 
 def beam_vectors(tilt_deg: float = TILT_DEG, azimuth_deg: Sequence[float] = AZIMUTH_DEG) -> Floats:

@@ -4,9 +4,14 @@ All functions take arrays with any leading dimensions.
 Source: Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", 2nd edition, chapter 2.
 """
 
+from typing import Final
+
 import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats
+
+_UPRIGHT: Final = 1e-12
+"""Cosine of a pitch at which roll and heading are about one axis, but for rounding."""
 
 
 def skew(vector: Floats) -> Floats:
@@ -80,7 +85,7 @@ def turned(mat: Floats, vector: Floats) -> Floats:
 
 
 def rpy_from_mat(mat_nb: Floats) -> Floats:
-    """Return roll, pitch, heading of an attitude matrix; heading in (-pi, pi].
+    """Return roll, pitch, heading of an attitude matrix; heading in (-pi, pi], roll 0 where the bow points up or down.
 
     Parameters
     ----------
@@ -93,6 +98,11 @@ def rpy_from_mat(mat_nb: Floats) -> Floats:
     roll = np.arctan2(mat_nb[..., 2, 1], mat_nb[..., 2, 2])
     pitch = -np.arcsin(np.clip(mat_nb[..., 2, 0], -1.0, 1.0))
     heading = np.arctan2(mat_nb[..., 1, 0], mat_nb[..., 0, 0])
+    upright = np.hypot(mat_nb[..., 2, 1], mat_nb[..., 2, 2]) < _UPRIGHT
+    if np.any(upright):
+        # Roll and heading are about the same axis there, and the elements above are both zero.
+        roll = np.where(upright, 0.0, roll)
+        heading = np.where(upright, np.arctan2(-mat_nb[..., 0, 1], mat_nb[..., 1, 1]), heading)
     return np.stack([roll, pitch, heading], axis=-1)
 
 

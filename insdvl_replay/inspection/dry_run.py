@@ -14,13 +14,15 @@ import numpy as np
 
 from insdvl_replay.checks.imu import Check
 from insdvl_replay.checks.plausibility import plausibility_checks
+from insdvl_replay.checks.reference import says_anything
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import DvlColumns, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.dive_record import Clock
-from insdvl_replay.core.errors import ConfigError, Note, UserError
+from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError
 from insdvl_replay.core.words import Severity
 from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
+from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.roles import Finding, RoleColumns
 from insdvl_replay.logs.columns.table_reading import read_sample, read_tables
 from insdvl_replay.logs.columns.tables import Table
@@ -56,7 +58,8 @@ class DryRun:
     """Looks at the messages, role by role, and keeps what it finds.
 
     Deep reads the messages whole, not only the first of each topic. The clocks are those of the topics that play a
-    role, then of the others. Doubted are those of several topics for one role of which there is a warning.
+    role, then of the others. Doubted are those of several topics for one role of which there is a warning, and
+    refused those with which a replay would stop, with the reason.
     """
 
     log: Recording
@@ -68,8 +71,10 @@ class DryRun:
     pings: PingFacts | None = None
     reference: ReferenceFacts | None = None
     doubted: set[str] = field(default_factory=set)
+    refused: dict[str, str] = field(default_factory=dict)
     columns: RoleColumns = field(init=False)
     _other_imus: dict[str, ImuColumns] = field(default_factory=dict)
+    _own_clocks: list[Clock] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.columns = RoleColumns(str(self.log.path), self.config)
@@ -84,7 +89,7 @@ class DryRun:
                 self._look_at_candidate(source)
         if self.columns.imu is not None:
             with errors_to(self._add_obstacle):
-                self._remark(self.columns.clock_notes(self.clocks))
+                self._remark(self.columns.clock_notes(self._own_clocks))
             self._check(self.columns.imu)
         for topic, imu in self._other_imus.items():
             self._check_candidate(topic, imu)
@@ -106,6 +111,7 @@ class DryRun:
             if self.deep:
                 self._remark(loss_notes(read))
             tables = read
+            self._own_clocks += self.clocks[len(self.clocks) - len(read) :]
         if tables and finding.role != "truth":
             with errors_to(partial(self._not_decoded, finding.role)):
                 self._decode(finding.role, tables)
@@ -125,6 +131,16 @@ class DryRun:
             table = self._read(source, doubt)
             if source.role == "imu":
                 self._other_imus[source.topic], _ = decode_imu(table, self.config.imu)
+            elif source.role == "reference":
+                self._look_at_reference(table)
+            if self._own_clocks and self._own_clocks[0].role == "imu":
+                self.columns.clock_notes([self._own_clocks[0], self.clocks[-1]])
+
+    def _look_at_reference(self, table: Table) -> None:
+        """Doubt a topic that has the type of a reference, and in it nothing that one would tell."""
+        columns, _ = decode_reference([table], self.config.reference, self.config.initial)
+        if columns is not None and not says_anything(columns):
+            raise LogError("has neither an attitude nor a velocity that is not zero in all messages", "", *table.where)
 
     def _read(self, source: Source, on_error: OnError) -> Table:
         """Read a topic; where its stamps are no times, report it and go on with the recorder's."""
@@ -176,6 +192,7 @@ class DryRun:
 
     def _doubt(self, topic: str, error: UserError) -> None:
         self.doubted.add(topic)
+        self.refused.setdefault(topic, error.inside(self.log.path, topic))
         text = f"{topic}: {error.inside(self.log.path, topic)}"
         self.notes.append(Note("candidate", text, 1, Severity.WARNING, self._hint(error.hint)))
 

@@ -10,7 +10,7 @@ from insdvl_replay.checks.imu import SPIN_RADPS, gyro_by_attitude
 from insdvl_replay.checks.plausibility import TRACK_DOUBT, UNIT_WRONG, GyroScale
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.dive_columns import Floats, ImuColumns, ReferenceColumns
-from insdvl_replay.core.states import ANGULAR_RATE_UNITS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
+from insdvl_replay.core.states import ANGULAR_RATE_UNITS, DEG, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.inspection.proposed_settings import Setting, field_setting, stamp_setting
 from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic
 from insdvl_replay.logs.columns.imu import FRD, in_frd
@@ -20,6 +20,8 @@ _SAME: Final = 0.1
 """Part by which a unit may differ from gravity."""
 _COHERENT: Final = 0.95
 _CLEARLY: Final = 0.02
+_TURNED: Final = 2.0 * DEG
+_FOLLOWS: Final = 0.8
 _NAMES: Final = {"+x+y+z": "frd", "+x-y-z": "flu"}
 _UNITS_OPEN: Final = "rad/s or deg/s, which the maker says"
 
@@ -86,7 +88,7 @@ def level_axes(force: Floats) -> list[str]:
     level = []
     for axis in (*np.eye(3), *-np.eye(3)):
         if not axis[strongest]:
-            level.append(_word(np.stack([axis, np.cross(down, axis), down])))
+            level.append(axes_word(np.stack([axis, np.cross(down, axis), down])))
     return level
 
 
@@ -109,6 +111,12 @@ class _Axes:
         fit = gyro_by_attitude(turned, reference)
         return fit.correlation if fit is not None else 0.0
 
+    def follows(self, imu: ImuColumns, reference: ReferenceColumns) -> bool:
+        """Return whether the rate follows the attitude about each axis about which it turns."""
+        turned = replace(imu, angular_rate_b=in_frd(imu.angular_rate_b, self.rate, "imu.axes"))
+        fit = gyro_by_attitude(turned, reference)
+        return fit is not None and bool((fit.by_axis[fit.excursion > _TURNED] > _FOLLOWS).all())
+
 
 def _axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[Setting]:
     force = np.median(imu.specific_force_b, axis=0)
@@ -124,6 +132,9 @@ def _axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[Setti
     best = possible[int(np.argmax(np.array(scores) > max(scores) - _CLEARLY))]
     if max(scores) > _COHERENT:
         rivals = [axes for axes, score in zip(possible, scores, strict=True) if score > max(scores) - _CLEARLY]
+        if reference is not None and len(rivals) > 1:
+            rivals = [axes for axes in rivals if axes.follows(imu, reference)] or rivals
+            best = rivals[0]
         seen = f"{felt}, and the angular rate follows the reference's attitude, correlation {max(scores):.3f}"
         left = "" if len(rivals) == 1 or best.rate == "frd" else _alternatives(rivals[1:])
         yield from best.settings(seen, left)
@@ -173,8 +184,8 @@ def _force_unit(force: Candidate) -> Setting:
     return Setting("imu.specific_force_unit", "m/s2", open=text)
 
 
-def _word(rows: Floats) -> str:
-    """Write axes as a signed permutation."""
+def axes_word(rows: Floats) -> str:
+    """Write axes as a signed permutation: forward, starboard and down in those of the instrument, shape (3, 3)."""
     parts = [(int(np.argmax(np.abs(row))), float(row.sum())) for row in rows]
     text = "".join(f"{'+' if sign > 0.0 else '-'}{'xyz'[axis]}" for axis, sign in parts)
     return _NAMES.get(text, text)

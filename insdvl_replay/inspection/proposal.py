@@ -4,8 +4,7 @@ In three steps, each of which reads with what the one before has found: who play
 stamps; what units and axes those show; and whether their clocks agree. What then stops a replay is said too.
 """
 
-import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -24,85 +23,15 @@ from insdvl_replay.inspection.proposed_settings import (
     not_yet_set,
     recorder_stamps,
     settings_toml,
-    stamp_setting,
     undecided_keys,
     with_settings,
 )
+from insdvl_replay.inspection.reference_proposal import measured_reference, reference_settings, reference_topic
 from insdvl_replay.inspection.topic_probe import ProbedTopic, probe_topics
 from insdvl_replay.logs.columns.roles import Finding, find_roles
 from insdvl_replay.logs.columns.tables import clock_notes
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.recording import Recording
-
-_WORDS: Final = {
-    "latitude": re.compile(r"(^|[._])lat(itude)?([._]|$)"),
-    "longitude": re.compile(r"(^|[._])(lon|lng|long|longitude)([._]|$)"),
-    "depth": re.compile(r"(^|[._])depth([._]|$)"),
-    "roll": re.compile(r"(^|[._])roll([._]|$)"),
-    "pitch": re.compile(r"(^|[._])pitch([._]|$)"),
-    "heading": re.compile(r"(^|[._])(heading|hdg|yaw)([._]|$)"),
-}
-"""An altitude is no height here: most vehicles mean that above the bottom."""
-_PLACE: Final = ("latitude", "longitude")
-_ATTITUDE: Final = ("roll", "pitch", "heading")
-_NORTH: Final = re.compile(r"(?i)(.*(?:v|vel|velocity)_?)(n|north)")
-_OTHERS: Final = {"n": ("e", "d"), "north": ("east", "down")}
-_FULL_CIRCLE: Final = 6.3
-"""No angle in radians is larger."""
-_MEANT: Final = (
-    "whether it is a solution to start from and to compare with; meant are roll starboard side down, pitch bow up and "
-    "heading from north over east"
-)
-
-
-def reference_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
-    """Choose the topic with the most of a position, a velocity and an attitude."""
-    return max(
-        (topic for topic in seen if _reference_fields(topic)),
-        key=lambda topic: len(_reference_fields(topic)),
-        default=None,
-    )
-
-
-def reference_settings(log: Recording, topic: ProbedTopic) -> list[Setting]:
-    """Propose topic, fields, unit and stamp of a reference."""
-    fields = _reference_fields(topic)
-    settings = [Setting("reference.topic", topic.topic, open=_MEANT)]
-    settings += [Setting(f"reference.{quantity}", path) for quantity, path in fields.items()]
-    angles = [abs(topic.scalars[path]) for quantity, path in fields.items() if quantity in (*_PLACE, *_ATTITUDE)]
-    return [*settings, _unit(max(angles)), stamp_setting(log, topic, "reference")]
-
-
-def _reference_fields(topic: ProbedTopic) -> dict[str, str]:
-    """Find the fields of a solution; angles only where none is missing."""
-    found = {quantity: path for quantity, words in _WORDS.items() if (path := _first(topic, words))}
-    for together in (_PLACE, _ATTITUDE):
-        if not found.keys() >= set(together):
-            found = {quantity: path for quantity, path in found.items() if quantity not in together}
-    if not found.keys() & {*_PLACE, *_ATTITUDE}:
-        return {}
-    velocity = next(_velocities(topic), None)
-    return found | ({"velocity_n": velocity} if velocity else {})
-
-
-def _first(topic: ProbedTopic, words: re.Pattern[str]) -> str | None:
-    return next((path for path in topic.scalars if words.search(path.lower())), None)
-
-
-def _velocities(topic: ProbedTopic) -> Iterator[str]:
-    """Find fields such as ``vn``, ``ve``, ``vd`` or ``vel_north``, ``vel_east``, ``vel_down``."""
-    for path in topic.scalars:
-        if (match := _NORTH.fullmatch(path)) and (others := _OTHERS.get(match[2])):
-            names = [path, *(f"{match[1]}{other}" for other in others)]
-            if topic.scalars.keys() >= set(names):
-                yield ", ".join(names)
-
-
-def _unit(largest: float) -> Setting:
-    if largest > _FULL_CIRCLE:
-        return Setting("reference.angle_unit", "deg", f"an angle of {largest:.3g} is none in radians")
-    return Setting("reference.angle_unit", "deg", open=f"no angle is larger than {largest:.3g}: deg or rad")
-
 
 _NEEDED: Final = {"imu": ("specific_force", "angular_rate"), "dvl": ("velocity",)}
 _INSTEAD: Final = {"velocity": ("beam_velocity =  # one number for each beam",)}
@@ -138,6 +67,8 @@ _DEFAULTS: Final = ("frd", "rad/s")
 """What a known type is taken to give; only something else is worth a setting."""
 
 
+_REFERENCE: Final = 2
+"""Its place among the findings."""
 _ROLES: Final = (
     ("imu", imu_topic, imu_settings),
     ("dvl", dvl_topic, dvl_settings),
@@ -162,7 +93,7 @@ def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: C
     if not seen.obstacles and not list(_start(findings, config.initial)):
         return Proposal()
     fields, notes = _fields(log, findings, config)
-    settings = [*_choices(findings, seen.doubted), *not_yet_set(fields, config)]
+    settings = [*_choices(findings, seen), *not_yet_set(fields, config)]
     settings += _measured(log, with_settings(config, settings), settings, deep=seen.deep)
     draft = with_settings(config, settings)
     found = find_roles(str(log.path), log.channels, draft)
@@ -172,16 +103,25 @@ def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: C
     return Proposal(tuple(settings), settings_toml(settings), undecided_keys(settings), tuple(last.obstacles), notes)
 
 
-def _choices(findings: Sequence[Finding], doubted: Collection[str]) -> Iterator[Setting]:
-    """Choose between topics that could each play a role, those without warnings first.
+def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:
+    """Choose between topics that could each play a role, those without warnings first; one alone that can is chosen.
 
     As far as settings can: none names that of the true biases.
     """
     for finding in findings:
         if finding.error and finding.candidates and finding.role in Config.__struct_fields__:
-            first, *others = sorted((source.topic for source in finding.candidates), key=lambda topic: topic in doubted)
+            first, *others = sorted((source.topic for source in finding.candidates), key=_doubts(seen))
+            key = f"{finding.role}.topic"
+            if first not in seen.refused and all(topic in seen.refused for topic in others):
+                yield Setting(key, first, "; ".join(f"{topic} cannot be it: {seen.refused[topic]}" for topic in others))
+                continue
             lines = tuple(f"topic = {toml_value(topic)}" for topic in others)
-            yield Setting(f"{finding.role}.topic", first, open="each of these could be it", others=lines)
+            yield Setting(key, first, open="each of these could be it", others=lines)
+
+
+def _doubts(seen: DryRun) -> Callable[[str], tuple[bool, bool]]:
+    """Order topics: those that cannot be last, before them those with warnings."""
+    return lambda topic: (topic in seen.refused, topic in seen.doubted)
 
 
 def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> tuple[list[Setting], tuple[Note, ...]]:
@@ -227,6 +167,8 @@ def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, de
         (source,) = findings[0].sources
         found = list(_measured_imu(seen, seen.columns.imu, source))
         measured += found if "imu.angular_rate" in named else _worth_proposing(found, source.topic)
+    for source in findings[_REFERENCE].sources:
+        measured += measured_reference(log, source, config)
     if "dvl.velocity" in named and len(seen.columns.dvl.time_ns):
         measured += measured_dvl(seen.columns.dvl, seen.columns.reference, config)
     return measured

@@ -71,7 +71,10 @@ def settings_file(
     if read:
         trial = trial_runs(read, draft)
         settings += not_yet_set(trial.settings, config)
-        failures, preset, warnings = (*failures, *trial.failures), trial.preset, tuple(warned(read))
+        failures, preset = (*failures, *trial.failures), trial.preset
+        if any(setting.key == "dvl.axes" for setting in trial.settings):  # what was wrong with the others is no longer
+            read, _ = readable(dives[:MOST_DIVES], with_settings(config, settings), allow_damaged=allow_damaged)
+        warnings = tuple(warned(read))
     filters = preset_config(preset, config).filters
     head = _head([dive.name for dive in read] or [_name(dives[0])], failures, warnings, undecided_keys(settings))
     parts = [

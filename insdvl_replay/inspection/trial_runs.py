@@ -10,23 +10,26 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
+import numpy as np
 
-from insdvl_replay.calibration.dives import ReadDive, TriedMounting, tried_mountings
+from insdvl_replay.calibration.dives import CLEARLY, ReadDive, TriedMounting, tried_mountings
 from insdvl_replay.core.config import Config, Dvl, Initial, Noise
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_columns import Dive, ImuColumns
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.sensor_classes import SENSORS, readings_scatter, sensor_class
 from insdvl_replay.evaluation.track_fit import UNKNOWN, TrackFit, filter_track_fit
+from insdvl_replay.geometry.rotation import mat_from_rpy
+from insdvl_replay.inspection.imu_proposal import axes_word
 from insdvl_replay.inspection.proposed_settings import Setting, with_settings
+from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.preparation.prepared import with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.preparation.start_heading import FIT, fitted_start
 from insdvl_replay.replay import replay_dive
 
-CLEARLY: Final = 0.8
-"""Share of what the configured mounting leaves of the innovations, below which another one is proposed."""
 UNKNOWN_LATITUDE_DEG: Final = 45.0
 CERTAIN_SDS: Final = 5.0
 """A scale that a track shows less surely is not worth a line."""
@@ -142,17 +145,20 @@ def _mounting(dives: Sequence[ReadDive], config: Config) -> Iterator[Setting]:
     tried = tried_mountings(dives)
     configured = next((one for one in tried if one.rpy_deg == config.dvl.mounting_rpy_deg), None)
     if configured is None:
-        return  # a person has set it to what is none of the 24
+        if config.dvl.mounting_rpy_deg == Dvl().mounting_rpy_deg:  # else a person has set it to what is none of them
+            yield from _axes_of_beams(tried, dives[0].dive.dvl, config)
+        return
     best, second = tried[:2]
     key, others = "dvl.mounting_rpy_deg", [one for one in tried if one is not configured]
     if best is configured:
-        text = f"of 24 ways to lay its axes this one leaves least of the innovations, {_compared(others[0], best)}"
+        least = "this one leaves least of the innovations"
+        text = f"of {len(tried)} ways to lay its axes {least}, {_compared(others[0], best)}"
         yield Setting(key, best.rpy_deg, text)
         yield from _axes(best, second, config)
     elif best.cost < CLEARLY * configured.cost:
         text = (
-            f"of 24 ways to lay its axes, as its innovations say: as configured, {_compared(configured, best)}; "
-            f"the next best, {_rpy(second)}, {_compared(second, best)}"
+            f"of {len(tried)} ways to lay its axes, as its innovations say: as configured, "
+            f"{_compared(configured, best)}; the next best, {_rpy(second)}, {_compared(second, best)}"
         )
         open_ = "it could as well be the next best" if best.cost > CLEARLY * second.cost else ""
         yield Setting(key, best.rpy_deg, text, open_)
@@ -160,6 +166,26 @@ def _mounting(dives: Sequence[ReadDive], config: Config) -> Iterator[Setting]:
     else:
         text = f"the innovations do not tell: {_rpy(best)} leaves {best.cost / configured.cost:.2f} of what this does"
         yield Setting(key, configured.rpy_deg, text, "DVL to body, roll, pitch, heading, as built")
+
+
+def _axes_of_beams(tried: Sequence[TriedMounting], dvl: DvlColumns, config: Config) -> Iterator[Setting]:
+    """Propose axes with which the beams look down, where they do not as it is."""
+    best, second = tried[:2]
+    as_read = config.dvl.axes or FRD
+    axes, other = (_turned_axes(as_read, one) for one in (best, second))
+    look = ", ".join(f"{part:.2f}" for part in np.array(dvl.look_d))
+    text = (
+        f"with {as_read} the beams look along ({look}); of {len(tried)} ways to lay its axes so that they look down, "
+        f"its innovations say this one; the next best, {other}, {_compared(second, best)}"
+    )
+    open_ = f'it could as well be "{other}"' if best.cost > CLEARLY * second.cost else ""
+    yield Setting("dvl.axes", axes, text, open_)
+
+
+def _turned_axes(axes: str, mounting: TriedMounting) -> str:
+    """Write axes that have a mounting along them in them."""
+    as_read = in_frd(np.eye(3), axes, "dvl.axes").T
+    return axes_word(np.rint(mat_from_rpy(np.array(mounting.rpy_deg) * DEG)) @ as_read)
 
 
 def _axes(best: TriedMounting, second: TriedMounting, config: Config) -> Iterator[Setting]:
@@ -180,11 +206,11 @@ def _heading(dives: Sequence[Dive], tried: Config) -> Iterator[Setting]:
     """Let the heading at the start be fitted where a track tells it, with the DVL's scale that is seen beside it."""
     key = "initial.heading_deg"
     reference = dives[0].reference
+    if reference is not None and reference.has_attitude and tried.initial.source == "reference":
+        return
     if reference is None or not reference.has_position:
         text = "nothing in the log tells it: all that is replayed is relative to the first heading"
         yield Setting(key, 0.0, open=text)
-        return
-    if reference.has_attitude and tried.initial.source == "reference":
         return
     fitted, failed = [], []
     for dive in dives:

@@ -119,7 +119,8 @@ def schema_notes(sources: Iterable[Source]) -> list[Note]:
 def _lacking(source: Source) -> str:
     if not all(channel.schema_text.strip() for channel in source.channels):
         return f"; that of {source.type_name}"
-    missing = {name for channel in source.channels for name in missing_types(channel.type_name, channel.schema_text)}
+    texts = {(one.type_name, one.schema_text) for one in source.channels if one.schema_encoding != "ros2idl"}
+    missing = {name for text in texts for name in missing_types(*text)}
     return f" of {', '.join(sorted(missing))}; what comes with the tool" if missing else ""
 
 
@@ -154,7 +155,7 @@ def stamp_notes(tables: Iterable[Table]) -> list[Note]:
 
 def _missing_note(table: Table) -> Note | None:
     announced = sum(channel.messages for channel in table.source.channels)
-    found = len(table) + table.duplicates + len(table.unreadable_ns)
+    found = len(table) + table.others + table.duplicates + len(table.unreadable_ns)
     if announced == found:
         return None
     text = f"{table.source.topic}: the log announces {announced} messages, and {found} are found"

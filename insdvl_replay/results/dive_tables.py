@@ -6,7 +6,6 @@ from typing import Final, Protocol, TypeVar
 from insdvl_replay.core.pooled_row import PooledRow
 from insdvl_replay.core.quantities import NAMES, is_whole
 from insdvl_replay.core.rows import (
-    CoastingRow,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
@@ -16,6 +15,7 @@ from insdvl_replay.core.rows import (
 )
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
+from insdvl_replay.core.track_rows import CoastingRow
 from insdvl_replay.core.words import Judgement, ReferenceStatus
 from insdvl_replay.evaluation.evidence import HONESTY
 from insdvl_replay.evaluation.pooled_evidence import PooledCandidate

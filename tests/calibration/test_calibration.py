@@ -25,15 +25,17 @@ from scipy.stats import norm
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
 from insdvl_replay.calibration.certainty import certainty_of, mean_change, newey_west
-from insdvl_replay.calibration.dives import AXES, held_out_row, likeliest_mounting, read_dive
+from insdvl_replay.calibration.dives import AXES, held_out_row, likeliest_mounting, possible_axes, read_dive
 from insdvl_replay.calibration.fit import fit
 from insdvl_replay.calibration.output import calibration_toml
 from insdvl_replay.calibration.parameters import ARM, DELAY, MOUNTING, NAMES, PARAMETERS
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import DvlColumns
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import Estimated
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors
 
@@ -175,6 +177,14 @@ def test_axes_are_the_24_right_handed_ones() -> None:
     for turn in AXES:
         np.testing.assert_array_equal(turn @ turn.T, np.eye(3))
         assert np.linalg.det(turn) == pytest.approx(1.0)
+        # As they are written in settings.
+        np.testing.assert_allclose(mat_from_rpy(rpy_from_mat(turn)), turn, atol=1e-12)
+
+
+def test_ways_with_which_the_beams_of_a_dvl_look_up_or_aside_are_not_tried() -> None:
+    ways = possible_axes(DvlColumns(np.arange(3), velocity_d=np.zeros((3, 3)), look_d=np.array([0.0, -0.9, 0.1])))
+    assert len(ways) == 4
+    assert all((turn @ [0.0, -1.0, 0.0])[2] == 1.0 for turn in ways)
 
 
 def test_sum_of_correlated_scores_scatters_as_newey_and_west_say() -> None:

@@ -40,6 +40,15 @@ def test_quaternion_of_no_length_is_missing() -> None:
     assert np.isnan(mat_from_quat(np.zeros(4))).all()
 
 
+@pytest.mark.parametrize("pitch_deg", [90.0, -90.0])
+@pytest.mark.parametrize("heading_deg", [-135.0, -90.0, 0.0, 30.0, 180.0])
+def test_roll_pitch_heading_of_an_upright_vehicle_are_of_its_attitude(pitch_deg: float, heading_deg: float) -> None:
+    mat = Rotation.from_euler("ZYX", [heading_deg, pitch_deg, 20.0], degrees=True).as_matrix()
+    rpy = rpy_from_mat(mat)
+    assert rpy[0] == 0.0
+    np.testing.assert_allclose(mat_from_rpy(rpy), mat, atol=1e-7)  # of an arcsine near 1
+
+
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, np.pi - 1e-6, np.pi])
 def test_rotation_vector_agrees_with_scipy(angle: float) -> None:
     axis = np.array([1.0, -2.0, 0.5]) / np.linalg.norm([1.0, -2.0, 0.5])

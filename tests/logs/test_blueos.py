@@ -9,7 +9,7 @@ import pytest
 from mcap.writer import Writer
 from rosbag_messages import START_NS, imu_messages, serialised, store_with
 
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config import Config, Dvl
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.document import inventory_csv, inventory_tables
 from insdvl_replay.inspection.survey import inspect_log
@@ -90,3 +90,44 @@ def test_imu_of_telemetry_is_too_slow_and_the_file_with_all_of_it_is_named(tmp_p
         read_dive(blueos(tmp_path / "recorder.mcap", with_imu=False), Config())
     assert ".BIN" in raised.value.hint
     assert "LOG_REPLAY" in raised.value.hint
+
+
+def vision(i: int, velocity: tuple[float, float, float]) -> dict[str, bytes]:
+    """Give what the DVL's extension of BlueOS sends, by its templates."""
+    time_us, confidence = (125_000 + 1000 * i, 0.0 if i == 5 else 97.5)
+    way = [speed * time_us * 1e-6 for speed in velocity]
+    delta = {"type": "VISION_POSITION_DELTA", "time_usec": 0, "time_delta_usec": time_us, "angle_delta": [0, 0, 0.01]}
+    speed = {"type": "VISION_SPEED_ESTIMATE", "usec": 1000 * i, **dict(zip("xyz", velocity, strict=True))}
+    found = {}
+    for message in (delta | {"position_delta": way, "confidence": confidence}, speed):
+        topic = f"mavlink/255/0/{message['type']}"
+        found[topic] = json.dumps({"header": {"system_id": 255}, "message": message}).encode()
+        found[f"{topic}/time_usec"] = b"0"
+    return found
+
+
+def test_ways_of_a_dvl_in_mavlink_are_velocities(tmp_path: Path) -> None:
+    velocities = [(1.0 + 0.1 * i, 0.2 - 0.01 * i, 0.01 * i) for i in range(20)]
+    path = tmp_path / "recorder.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("imu", "cdr", writer.register_schema(IMU_TYPE, "ros2msg", BARE.encode()))
+        store = store_with({})
+        for _, _, time_s, values in imu_messages():
+            time_ns = START_NS + round(time_s * 1e9)
+            writer.add_message(channel, time_ns, serialised(store, IMU_TYPE, values), time_ns)
+        ids = {topic: writer.register_channel(topic, "json", 0) for topic in vision(0, velocities[0])}
+        for i, velocity in enumerate(velocities):
+            for topic, data in vision(i, velocity).items():
+                writer.add_message(ids[topic], START_NS + 100_000_000 * i, data, START_NS + 100_000_000 * i)
+        writer.finish()
+    dive = read_dive(path, Config())
+    kept = [i for i in range(20) if i != 5]
+    assert dive.dvl.velocity_d is not None
+    np.testing.assert_allclose(dive.dvl.velocity_d, np.array(velocities)[kept], rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(dive.dvl.time_ns, START_NS + 100_000_000 * np.array(kept))
+    assert {note.code: note.count for note in dive.notes}["dvl_invalid"] == 1
+    named = read_dive(path, Config(dvl=Dvl(topic="mavlink/255/0/VISION_SPEED_ESTIMATE")))
+    assert named.dvl.velocity_d is not None
+    np.testing.assert_allclose(named.dvl.velocity_d, velocities, rtol=1e-12)

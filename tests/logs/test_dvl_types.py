@@ -18,7 +18,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.geometry import beams
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns.known_dvls import DVL_BEAMS, DVL_VELOCITY
+from insdvl_replay.logs.columns.known_dvls import DVL_BEAMS, DVL_IF_NAMED, DVL_VELOCITY
 from insdvl_replay.logs.encoding.ros2msg import definition_text
 
 TIMES = 0.1 * np.arange(20)
@@ -315,7 +315,9 @@ def test_type_that_is_none_names_those_that_are(read: Any) -> None:
     assert "stonefish_ros2/msg/DVL" in raised.value.message
 
 
-@pytest.mark.parametrize("name", [n for n in {**DVL_BEAMS, **DVL_VELOCITY} if "/" in n and "dvl1000" not in n])
+@pytest.mark.parametrize(
+    "name", [n for n in {**DVL_BEAMS, **DVL_VELOCITY, **DVL_IF_NAMED} if "/" in n and "dvl1000" not in n]
+)
 def test_every_type_has_a_definition_for_logs_without(name: str) -> None:
     assert definition_text(name)
 
@@ -347,6 +349,34 @@ GZ: dict[str, dict[str, Any]] = {
     },
 }
 """As gz-msgs@a9a203a numbers the fields; enumerations are INT32 on the wire."""
+
+
+def test_gazebos_message_of_stanford(read: Any) -> None:
+    def ping(i: int) -> dict[str, Any]:
+        return {
+            "target": {"type": 2 if i == 4 else 1, "range_mean": 3.0},
+            "velocity": {"mean": xyz(TRUE_D[i]), "covariance": np.full(9, 0.1)},
+            "beams": [{"id": n, "locked": True, "velocity": {"mean": xyz((0.1, 0.1, 0.1))}} for n in range(4)],
+        }
+
+    dive = read("msgs/msg/DVLData", ping)
+    np.testing.assert_allclose(by_velocity(dive), np.delete(TRUE_D, 4, axis=0), atol=1e-12)
+    assert codes(dive)["dvl_water_track"] == 1
+
+
+def test_teledyne_of_ucsd_if_named_by_the_recorders_time(read: Any) -> None:
+    """Its driver fills no header; the numbers are of the bottom in a ship's axes here, and the fourth is an error."""
+
+    def ping(i: int) -> dict[str, Any]:
+        forward, starboard, down = TRUE_D[i]
+        velocity = np.array([-starboard, -forward, down, 0.01]) if i != 3 else np.full(4, np.nan)
+        return {"header": {}, "time": "20210101", "velocity": velocity}
+
+    dive = read("dvl_driver/msg/DVL", ping, topic="/dvl", axes="-y-x+z")
+    np.testing.assert_allclose(by_velocity(dive), np.delete(TRUE_D, 3, axis=0), atol=1e-7)
+    assert dive.dvl.time_ns[0] == START_NS
+    with pytest.raises(LogError, match="has no DVL"):
+        read("dvl_driver/msg/DVL", ping)
 
 
 def gazebo_file() -> FileDescriptorProto:

@@ -1,5 +1,6 @@
 """Known types of IMUs and references, as rosbags writes them: frames, flags, increments, stamps."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns.known_types import FIX, IMU, ODOMETRY, POSES
+from insdvl_replay.logs.columns.known_types import FIX, IMU, IMU_OF_DRIVERS, ODOMETRY, POSES
 from insdvl_replay.logs.encoding.ros2msg import definition_text
 
 TIMES = 0.1 * np.arange(20)
@@ -111,6 +112,25 @@ def test_means_of_px4_are_of_the_middle_of_their_interval(read: Any) -> None:
     np.testing.assert_array_equal(dive.imu.time_ns, np.rint((BOOT_US + TIMES * 1e6 - 2500) * 1e3).astype(np.int64))
 
 
+@pytest.mark.parametrize(
+    ("name", "force", "rate"),
+    [
+        ("sbg_driver/msg/SbgImuData", "accel", "gyro"),
+        ("vectornav_msgs/msg/CommonGroup", "imu_accel", "imu_rate"),
+        ("vectornav_msgs/msg/ImuGroup", "uncompaccel", "uncompgyro"),
+    ],
+)
+def test_imus_of_drivers(name: str, force: str, rate: str, read: Any) -> None:
+    def message(i: int) -> dict[str, Any]:
+        return {"header": header(TIMES[i]), force: xyz(FORCE[i]), rate: xyz(RATE[i])}
+
+    dive = read(name, message, imu=[])
+    np.testing.assert_allclose(dive.imu.specific_force_b, FORCE, rtol=1e-7)
+    np.testing.assert_allclose(dive.imu.angular_rate_b, RATE, rtol=1e-7)
+    # Beside the message that all write it is not asked which.
+    assert len(read(name, message).imu.time_ns) == len(imu_messages())
+
+
 def test_clock_of_an_autopilot_is_not_mixed_with_another(read: Any) -> None:
     message = {"gyro_rad": RATE[0], "accelerometer_m_s2": FORCE[0]}
     with pytest.raises(LogError, match="stamped by different clocks"):
@@ -149,6 +169,17 @@ def test_odometry_of_px4_without_north_gives_neither_attitude_nor_velocity(read:
     assert np.flatnonzero(np.isnan(dive.reference.velocity_n).any(axis=1)).tolist() == [5, 7]
 
 
+def test_position_of_an_odometry_of_px4_is_from_the_initial_place_where_its_frame_has_a_north(read: Any) -> None:
+    def message(i: int) -> dict[str, Any]:
+        return odometry(i, 2 if i == 5 else 1) | {"position": TIMES[i] * np.array([3.0, -2.0, 1.0])}
+
+    config = Config(clocks=Clocks(max_disagreement_s=2e9), initial=PLACE)
+    dive = read("px4_msgs/msg/VehicleOdometry", message, config=config)
+    expected = np.stack([3.0 * TIMES, -2.0 * TIMES], axis=1)
+    expected[5] = np.nan
+    np.testing.assert_allclose(moved_m(dive), expected, atol=1e-5)
+
+
 def local(i: int) -> dict[str, Any]:
     north, east, down = (TIMES[i] * np.array([3.0, -2.0, 1.0])).tolist()
     return {
@@ -170,10 +201,8 @@ def local_config(**changes: Any) -> Config:
 
 def test_local_position_of_px4_is_from_the_initial_place(read: Any) -> None:
     dive = read("px4_msgs/msg/VehicleLocalPosition", local, config=local_config(initial=PLACE))
-    place = np.array([np.deg2rad(32.8), np.deg2rad(35.0), -5.0])
-    moved = np.stack(north_east_m(dive.reference.position, np.tile(place, (20, 1)), np.tile(place, (20, 1))), axis=1)
     good = np.arange(20) != 3
-    np.testing.assert_allclose(moved[good], np.stack([3.0 * TIMES, -2.0 * TIMES], axis=1)[good], atol=1e-5)
+    np.testing.assert_allclose(moved_m(dive)[good], np.stack([3.0 * TIMES, -2.0 * TIMES], axis=1)[good], atol=1e-5)
     np.testing.assert_allclose(dive.reference.position[good, 2], -5.0 - TIMES[good], atol=1e-6)
     assert np.isnan(dive.reference.position[3, :2]).all()
     assert np.flatnonzero(np.isnan(dive.reference.velocity_n).any(axis=1)).tolist() == [4]
@@ -187,24 +216,73 @@ def test_local_position_of_px4_is_from_its_own_origin_where_it_has_one(read: Any
     np.testing.assert_allclose(dive.reference.position[0], [np.deg2rad(10.0), np.deg2rad(20.0), 30.0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("covariance", [False, True])
-def test_pose_is_east_north_up_from_the_initial_place(covariance: bool, read: Any) -> None:
+def pose_enu(i: int) -> dict[str, Any]:
+    """Give the attitude, and a position that goes 3 m/s east, 2 m/s south and 1 m/s up."""
     to_flu, to_ned = np.diag([1.0, -1.0, -1.0]), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    quaternion = Rotation.from_matrix(to_ned.T @ TURNS[i].as_matrix() @ to_flu).as_quat()
+    return {
+        "position": xyz(TIMES[i] * np.array([3.0, -2.0, 1.0])),
+        "orientation": dict(zip("xyzw", quaternion.tolist(), strict=True)),
+    }
+
+
+def moved_m(dive: Dive) -> np.ndarray:
+    """Return how far north and east of the initial place the reference says it is."""
+    place = np.tile([np.deg2rad(32.8), np.deg2rad(35.0), -5.0], (20, 1))
+    return np.stack(north_east_m(dive.reference.position, place, place), axis=1)
+
+
+def ros_odometry(i: int) -> dict[str, Any]:
+    return {"header": header(TIMES[i]), "pose": {"pose": pose_enu(i)}, "twist": {"twist": {"linear": xyz((1, 0, 0))}}}
+
+
+def test_position_of_an_odometry_is_from_the_initial_place(read: Any) -> None:
+    dive = read("nav_msgs/msg/Odometry", ros_odometry, config=Config(initial=PLACE))
+    np.testing.assert_allclose(moved_m(dive), np.stack([-2.0 * TIMES, 3.0 * TIMES], axis=1), atol=1e-5)
+    np.testing.assert_allclose(dive.reference.position[:, 2], -5.0 + TIMES, atol=1e-12)
+    assert np.isnan(read("nav_msgs/msg/Odometry", ros_odometry).reference.position).all()
+
+
+def test_position_of_an_odometry_that_is_always_zero_is_none(read: Any) -> None:
+    """Some messages are about a velocity alone, others about a depth."""
 
     def message(i: int) -> dict[str, Any]:
-        quaternion = Rotation.from_matrix(to_ned.T @ TURNS[i].as_matrix() @ to_flu).as_quat()
-        pose = {
-            "position": xyz(TIMES[i] * np.array([3.0, -2.0, 1.0])),
-            "orientation": dict(zip("xyzw", quaternion.tolist(), strict=True)),
-        }
+        whole = ros_odometry(i)
+        return whole | {"pose": {"pose": whole["pose"]["pose"] | {"position": xyz((0.0, 0.0, -3.0))}}}
+
+    dive = read("nav_msgs/msg/Odometry", message, config=Config(initial=PLACE))
+    assert np.isnan(dive.reference.position).all()
+    np.testing.assert_allclose(dive.reference.mat_nb, TURNS.as_matrix(), atol=1e-12)
+
+
+def test_position_of_an_odometry_is_left_for_that_of_a_receiver(tmp_path: Path) -> None:
+    fix = {"latitude": 10.0, "longitude": 20.0, "altitude": 0.0}
+    messages = [
+        *imu_messages(),
+        *(
+            ("/dvl", "geometry_msgs/msg/TwistStamped", t, {"header": header(t), "twist": {"linear": xyz(v)}})
+            for t, v in zip(TIMES.tolist(), VELOCITY_N, strict=True)
+        ),
+        *(("/it", "nav_msgs/msg/Odometry", t, ros_odometry(i)) for i, t in enumerate(TIMES.tolist())),
+        *(("/fix", "sensor_msgs/msg/NavSatFix", t + 0.05, {"header": header(t + 0.05), **fix}) for t in TIMES.tolist()),
+    ]
+    reference = read_dive(write_log(tmp_path / "dive.mcap", messages), Config(initial=PLACE)).reference
+    assert reference is not None
+    placed = np.isfinite(reference.position[:, 0])
+    assert np.count_nonzero(placed) == np.count_nonzero(~placed) == 20
+    np.testing.assert_allclose(np.rad2deg(reference.position[placed, :2]), [[10.0, 20.0]] * 20)
+
+
+@pytest.mark.parametrize("covariance", [False, True])
+def test_pose_is_east_north_up_from_the_initial_place(covariance: bool, read: Any) -> None:
+    def message(i: int) -> dict[str, Any]:
+        pose = pose_enu(i)
         return {"header": header(TIMES[i]), "pose": {"pose": pose} if covariance else pose}
 
     name = f"geometry_msgs/msg/Pose{'WithCovariance' if covariance else ''}Stamped"
     dive = read(name, message, config=Config(reference=Reference(topic="/it"), initial=PLACE))
-    place = np.tile([np.deg2rad(32.8), np.deg2rad(35.0), -5.0], (20, 1))
     np.testing.assert_allclose(dive.reference.mat_nb, TURNS.as_matrix(), atol=1e-12)
-    moved = np.stack(north_east_m(dive.reference.position, place, place), axis=1)
-    np.testing.assert_allclose(moved, np.stack([-2.0 * TIMES, 3.0 * TIMES], axis=1), atol=1e-5)
+    np.testing.assert_allclose(moved_m(dive), np.stack([-2.0 * TIMES, 3.0 * TIMES], axis=1), atol=1e-5)
     np.testing.assert_allclose(dive.reference.position[:, 2], -5.0 + TIMES, atol=1e-12)
     without = read(name, message, config=Config(reference=Reference(topic="/it")))
     assert np.isnan(without.reference.position).all()
@@ -228,6 +306,8 @@ def test_fixes(read: Any) -> None:
         assert codes(dive)["reference_no_fix"] == 1
 
 
-@pytest.mark.parametrize("name", [n for n in {**IMU, **ODOMETRY, **POSES, **FIX} if "/" in n])
+@pytest.mark.parametrize(
+    "name", [n for n in {**IMU, **IMU_OF_DRIVERS, **ODOMETRY, **POSES, **FIX} if re.match(r"(?!tf/)\w+/", n)]
+)
 def test_every_type_has_a_definition_for_logs_without(name: str) -> None:
     assert definition_text(name)

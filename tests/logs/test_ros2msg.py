@@ -124,7 +124,7 @@ def test_known_types_agree_with_rosbags(type_name: str) -> None:
 def _flat(name: str, description: tuple[int, object]) -> tuple[str, object, int]:
     """Bring a field description of rosbags into the form name, type, number of values."""
     node, argument = description
-    if int(node) == 3:
+    if int(node) in (3, 4):  # an array or a sequence, whose length is 0 in both
         (inner, length) = argument
         return name, _type_of(inner), length
     return name, _type_of(description), 1

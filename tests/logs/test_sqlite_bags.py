@@ -199,7 +199,8 @@ ENDLESS = f"{RECURSION} SELECT i AS id, 1 AS topic_id, i AS timestamp, zeroblob(
         ("UPDATE topics SET id = 99 WHERE id = 1", "messages are of topic 1, which it does not list"),
         ("UPDATE topics SET type = x'ff00fe', name = 3.5", "has no IMU"),
         ("UPDATE topics SET serialization_format = 'ros2_telepathy'", "are encoded as ros2_telepathy"),
-        ("UPDATE message_definitions SET encoding = 'ros2idl'", "with ros2idl schema"),
+        ("UPDATE message_definitions SET encoding = 'ros2idl'", "in the schema is not where it belongs"),
+        ("UPDATE message_definitions SET encoding = 'omgidl'", "with omgidl schema"),
         ("UPDATE message_definitions SET encoded_message_definition = 9", "'9' in the schema is no field"),
     ],
 )

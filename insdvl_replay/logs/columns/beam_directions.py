@@ -26,8 +26,6 @@ _MOVING_MPS: Final = 0.05
 _HINT: Final = "dvl.beam_tilt_deg and dvl.beam_azimuth_deg say what the instrument has"
 _LARGEST: Final = 1000.0
 """m/s, or of a vector that should be of length 1."""
-_DOWN: Final = 0.5
-"""The beams of a DVL that looks down have together at least such a part along z, whatever tilt they have."""
 _SAME_LENGTH: Final = 1e-6
 _SPEEDS: Final = "velocities along the beams"
 _AXES: Final = "axes of the beams"
@@ -95,17 +93,19 @@ def _repaired(quaternions: Floats) -> Floats:
     return np.concatenate([np.where(is_axis, vectors * sines, vectors), w], axis=-1)
 
 
-def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
-    """Return the unit vectors of the beams in d, shape (beams, 3); note what the messages tell and cannot be true."""
+def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[Floats, Floats | None]:
+    """Return the unit vectors of the beams in d, shape (beams, 3), and where they look if messages tell it, shape (3,).
+
+    Note what the messages tell and cannot be true.
+    """
     configured = settings.beam_tilt_deg is not None or settings.beam_azimuth_deg is not None
     if configured or not ("beam_vectors" in table or "beam_quaternions" in table):
-        return _geometry(settings)
+        return _geometry(settings), None
     vectors = _told_vectors(table, cleaner)
     doubt = _doubt(vectors, table, cleaner)
     if not doubt:
         vectors = in_frd(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), settings.axes or FRD, "dvl.axes")
-        note_not_down(cleaner, vectors)
-        return vectors
+        return vectors, _look(cleaner, vectors)
     cleaner.note(
         "beam_geometry",
         f"pings have beam vectors that cannot be true ({doubt}); a tilt of {beams.TILT_DEG:g} deg and azimuths of "
@@ -114,24 +114,26 @@ def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats:
         Severity.WARNING,
         _HINT,
     )
-    return _geometry(settings)
+    return _geometry(settings), None
 
 
-def note_poses(table: Table, settings: Dvl, cleaner: Cleaner) -> None:
-    """Note axes that are not forward-starboard-down by the poses of the beams, where only velocities are used."""
+def look_of_poses(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats | None:
+    """Return where the beams look in d by their poses, shape (3,), where only velocities are used; None if untold."""
     vectors = _told_vectors(table, cleaner)
-    if len(vectors) and not _doubt(vectors, table, cleaner):
-        note_not_down(cleaner, in_frd(vectors, settings.axes or FRD, "dvl.axes"))
+    if not len(vectors) or _doubt(vectors, table, cleaner):
+        return None
+    return _look(cleaner, in_frd(vectors, settings.axes or FRD, "dvl.axes"))
 
 
-def note_not_down(cleaner: Cleaner, vectors_d: Floats) -> None:
-    """Note beams, shape (beams, 3), that do not look down in the axes in use: these are not forward-starboard-down."""
-    mean = vectors_d.mean(axis=0)
-    if mean[2] >= _DOWN * np.linalg.norm(mean):
-        return
+def _look(cleaner: Cleaner, vectors_d: Floats) -> Floats:
+    """Average beams, shape (beams, 3); note it if they do not look down, so that d is not forward-starboard-down."""
+    mean: Floats = vectors_d.mean(axis=0)
+    if beams.look_down(mean):
+        return mean
     text = "pings have beams that do not look down but along ({:.2f}, {:.2f}, {:.2f}) in the axes in use".format(*mean)
     hint = 'dvl.axes says which of its axes look forward, starboard and down, as "flu" or "+z-y+x"'
     cleaner.note("beams_not_down", text, cleaner.rows.size, Severity.WARNING, hint)
+    return mean
 
 
 def note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: Floats, velocity_d: Floats) -> None:

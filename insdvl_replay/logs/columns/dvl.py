@@ -14,7 +14,7 @@ from insdvl_replay.core.dive_columns import DvlColumns, Floats, find_runs, secon
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
 from insdvl_replay.core.words import Severity
-from insdvl_replay.logs.columns.beam_directions import beam_vectors, note_contradiction, note_poses, with_beam_speeds
+from insdvl_replay.logs.columns.beam_directions import beam_vectors, look_of_poses, note_contradiction, with_beam_speeds
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.order import Mask
@@ -123,14 +123,17 @@ def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColum
         cleaner.keep(enough, "invalid", "pings have fewer than three good beams")
     cleaner.keep_finite(velocity_d)
     _drop_repeats(cleaner, velocity_d)
-    if "beam_quaternions" in table:
-        note_poses(table, settings, cleaner)
-    return DvlColumns(cleaner.times, velocity_d=cleaner.kept(velocity_d)), cleaner.notes
+    look_d = look_of_poses(table, settings, cleaner) if "beam_quaternions" in table else None
+    return DvlColumns(cleaner.times, velocity_d=cleaner.kept(velocity_d), look_d=look_d), cleaner.notes
 
 
 def _velocity_d(table: Table, settings: Dvl) -> Floats:
     unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
-    return in_frd(_told(table.values("velocity", 3), unit), settings.axes or FRD, "dvl.axes", unit)
+    velocity = _told(table.values("velocity", 3), unit)
+    if "velocity_interval_us" in table:
+        interval_us = table.column("velocity_interval_us")
+        velocity = velocity / np.where(interval_us > 0.0, interval_us * 1e-6, np.nan)[:, None]
+    return in_frd(velocity, settings.axes or FRD, "dvl.axes", unit)
 
 
 def _told(values: Floats, unit: float) -> Floats:
@@ -147,7 +150,7 @@ def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, l
         _keep_valid(table, cleaner)
     cleaner.keep(_has_beams(table), "invalid", "pings have no valid beam")
     _drop_repeats(cleaner, beam_velocity_mps)
-    vectors_d = beam_vectors(table, settings, cleaner)
+    vectors_d, look_d = beam_vectors(table, settings, cleaner)
     if len(vectors_d) != beam_velocity_mps.shape[1]:
         raise ConfigError(
             f"has {beam_velocity_mps.shape[1]} beams, and the geometry {len(vectors_d)}",
@@ -158,7 +161,7 @@ def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, l
     finite = cleaner.kept(np.where(np.isfinite(beam_velocity_mps), beam_velocity_mps, np.nan))
     if "velocity" in table and "coordinates" not in table:
         note_contradiction(cleaner, finite, vectors_d, cleaner.kept(_velocity_d(table, settings)))
-    return DvlColumns(cleaner.times, finite, vectors_d), cleaner.notes
+    return DvlColumns(cleaner.times, finite, vectors_d, look_d=look_d), cleaner.notes
 
 
 def _beam_velocity(table: Table) -> Floats:

@@ -4,7 +4,9 @@ Sources, by repository and commit: apl-ocean-engineering/marine_msgs@ad0fa4b; wa
 uuvsimulator/uuv_simulator and its copies smarc_msgs@562af48, stonefish_ros@da007c0, stonefish_ros2@6646e7a, mvp_msgs,
 vortexntnu/dvl1000-driver@0d98629, cola2_msgs; labust/uuv_sensor_msgs@8e46b8f; IOES-Lab/dave@2bd7cce;
 gazebosim/gz-msgs@a9a203a, whose sensor is gz-sensors@028bd08; uf-mil/mil; arvpUofA/nortek_dvl@232f80d;
-osu-uwrt/riptide_msgs@29e8bbe; GSO-soslab/nortek_dvl@05338be; san-soucie/ds_msgs; the makers' manuals for the beams.
+osu-uwrt/riptide_msgs@29e8bbe; GSO-soslab/nortek_dvl@05338be; san-soucie/ds_msgs; UCSD-E4E/dvl_driver@7698c40;
+the makers' manuals for the beams; for MAVLink https://mavlink.io/en/messages/ardupilotmega.html, and what
+bluerobotics/BlueOS-Water-Linked-DVL@02e75d0 sends.
 """
 
 from typing import Final
@@ -162,6 +164,11 @@ DVL_BEAMS: Final[Types] = {
     "nortek_dvl/msg/Dvl": KnownType({"velocity": "velocity"}, about=_PNORBT),
     "riptide_msgs/msg/Dvl": KnownType({"velocity": "velocity"}, about=_PNORBT),
     "nortek_dvl/msg/ButtomTrack": KnownType({"velocity": "speed"}, about=_PNORBT),
+    # The velocities of the beams there hold the same number three times, which points nowhere.
+    "msgs/msg/DVLData": KnownType(
+        {"mode": "target.type", "velocity": "velocity.mean"},
+        about="Stanford's AUV: Gazebo's message in ROS 2; velocities alone; water track is left out",
+    ),
     "ds_sensor_msgs/msg/NortekDF21": KnownType(
         {"velocity": "velX, velY, velZ1", "beam_velocity": "velBeam", "nortek_status": "status"},
         {"kind": "velocity"},
@@ -178,9 +185,33 @@ DVL_VELOCITY: Final[Types] = {
     "geometry_msgs/msg/TwistWithCovarianceStamped": KnownType(
         {"velocity": "twist.twist.linear"}, about="velocities alone"
     ),
+    "mavlink.VISION_POSITION_DELTA": KnownType(
+        {
+            "velocity": "message.position_delta",
+            "velocity_interval_us": "message.time_delta_usec",
+            "valid": "message.confidence",
+        },
+        stamp=LOG_TIME,
+        about="BlueOS with a Water Linked, by its topic `mavlink/SYSTEM/COMPONENT/VISION_POSITION_DELTA` in JSON: the "
+        "way over its time, forward-starboard-down; a confidence of 0 is no velocity; times are the recorder's",
+    ),
 }
 
 DVL_IF_NAMED: Final[Types] = {
-    "nav_msgs/msg/Odometry": KnownType({"velocity": "twist.twist.linear"}, about="if `dvl.topic` names it")
+    "nav_msgs/msg/Odometry": KnownType({"velocity": "twist.twist.linear"}, about="if `dvl.topic` names it"),
+    # Its header is left empty, and no field says in which coordinates the numbers are.
+    "dvl_driver/msg/DVL": KnownType(
+        {"velocity": "velocity[0], velocity[1], velocity[2]", "beam_velocity": "velocity"},
+        {"kind": "velocity"},
+        LOG_TIME,
+        "UCSD: a Teledyne's bottom track, if `dvl.topic` names it: its message tells neither coordinates nor sign, so "
+        "that `dvl.axes` has to be set; times are the recorder's",
+    ),
+    "mavlink.VISION_SPEED_ESTIMATE": KnownType(
+        {"velocity": "message.x, message.y, message.z"},
+        stamp=LOG_TIME,
+        about="BlueOS with a Water Linked, if `dvl.topic` names it: velocities forward-starboard-down; times are the "
+        "recorder's",
+    ),
 }
 """Too common to be taken for a DVL's unasked."""

@@ -5,7 +5,7 @@ definitions in the public repositories of the packages, and the Blueye protocol'
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 Fields = Mapping[str, str]
@@ -24,6 +24,8 @@ class KnownType:
         Values for keys of the role's section in the configuration that are left out there.
     stamp : str
         Where the time of validity stands; empty for the header, or the recorder's log time where there is none.
+    element : tuple of str
+        Of a list in the messages: its field, and the texts in its elements by which settings tell which count.
     about : str
         Who writes it, and what is to be known of it, for the page of inputs.
     """
@@ -32,6 +34,7 @@ class KnownType:
     conventions: Mapping[str, Any] = field(default_factory=dict)
     stamp: str = ""
     about: str = ""
+    element: tuple[str, ...] = ()
 
 
 Types = Mapping[str, KnownType]
@@ -86,6 +89,26 @@ IMU: Final[Types] = {
 """A variance of -1 says that the quantity is not measured. ``interfaces`` is Nortek's package for the Nucleus. What is
 given with an interval is an increment over it, and what has one at all is of its middle; PX4 counts in microseconds."""
 
+_VECTORNAV: Final = (
+    "VectorNav, {0}; what its user has not switched on is zero and no reading; stamped by the computer as it came in"
+)
+IMU_OF_DRIVERS: Final[Types] = {
+    "sbg_driver/msg/SbgImuData": KnownType(
+        {"specific_force": "accel", "angular_rate": "gyro"},
+        about='SBG Systems; axes of the device, and `imu.axes = "+y+x-z"` where its driver was set to ENU',
+    ),
+    "vectornav_msgs/msg/CommonGroup": KnownType(
+        {"specific_force": "imu_accel", "angular_rate": "imu_rate"},
+        about=_VECTORNAV.format("the readings without what its own filter takes off them"),
+    ),
+    "vectornav_msgs/msg/ImuGroup": KnownType(
+        {"specific_force": "uncompaccel", "angular_rate": "uncompgyro"},
+        about=_VECTORNAV.format("likewise"),
+    ),
+}
+"""What drivers write beside a `sensor_msgs/Imu`, of which the latter is taken. Sources:
+SBG-Systems/sbg_ros2_driver@5a543fb; dawonn/vectornav@3f13c4b."""
+
 NAV_SOLUTION: Final[Types] = {
     "insdvl_msgs/msg/NavSolution": KnownType(
         {
@@ -122,8 +145,13 @@ _LOCAL: Final = (
 
 ODOMETRY: Final[Types] = {
     "nav_msgs/msg/Odometry": KnownType(
-        {"quaternion": "pose.pose.orientation", "velocity_b": "twist.twist.linear"},
-        about="velocity in the body and attitude, east-north-up and forward-port-up",
+        {
+            "quaternion": "pose.pose.orientation",
+            "velocity_b": "twist.twist.linear",
+            "local_position": "pose.pose.position",
+        },
+        about="velocity in the body, attitude and position, east-north-up and forward-port-up; positions are in metres "
+        "from the place of `[initial]`, whose `latitude_deg` must be set, and left out where the log has fixes",
     ),
     "px4_msgs/msg/VehicleOdometry": KnownType(
         {
@@ -133,14 +161,28 @@ ODOMETRY: Final[Types] = {
             "velocity_n": "velocity",
             "velocity_b": "velocity",
             "velocity_frame": "velocity_frame",
+            "local_position": "position",
         },
         {"axes": "ned_frd"},
         "timestamp_sample",
-        "PX4; attitude and velocity where their frames are north-east-down or the body, since others have no north",
+        "PX4; attitude, position and velocity where their frames are north-east-down or the body, since others have no "
+        "north",
     ),
 }
-"""East-north-up and forward-port-up, the twist in the child frame; the position has no known origin. PX4's pose frame
-is 1, and that of its older messages 0, for north-east-down; its velocity frame 1 for that and 3 for the body."""
+"""East-north-up and forward-port-up, the twist in the child frame; the position is from an origin that no message
+tells. PX4's pose frame is 1, and that of its older messages 0, for north-east-down; its velocity frame 1 for that and 3
+for the body."""
+
+_TRANSFORMS: Final = KnownType(
+    {
+        "quaternion": "transforms[*].transform.rotation",
+        "local_position": "transforms[*].transform.translation",
+    },
+    stamp="transforms[*].header.stamp",
+    about=f'{_LOCAL}; `reference.frames` names parent and child, as `["map", "base_link"]`, whose transform stands in '
+    "the messages as such: a chain of several is not composed",
+    element=("transforms", "header.frame_id", "child_frame_id"),
+)
 
 POSES: Final[Types] = {
     "geometry_msgs/msg/PoseStamped": KnownType(
@@ -149,6 +191,7 @@ POSES: Final[Types] = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": KnownType(
         {"quaternion": "pose.pose.orientation", "local_position": "pose.pose.position"}, about=_LOCAL
     ),
+    **dict.fromkeys(("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), _TRANSFORMS),
     "px4_msgs/msg/VehicleLocalPosition": KnownType(
         {
             "velocity_n": "vx, vy, vz",
@@ -250,14 +293,9 @@ SOLUTIONS: Final[Types] = {
     "nav_msgs/msg/Odometry": KnownType(
         {
             **ODOMETRY["nav_msgs/msg/Odometry"].fields,
-            "local_position": "pose.pose.position",
             "pose_cov": "pose.covariance",
             "twist_cov": "twist.covariance",
         }
-    ),
-    "px4_msgs/msg/VehicleOdometry": replace(
-        ODOMETRY["px4_msgs/msg/VehicleOdometry"],
-        fields={**ODOMETRY["px4_msgs/msg/VehicleOdometry"].fields, "local_position": "position"},
     ),
     "geometry_msgs/msg/PoseWithCovarianceStamped": KnownType(
         {**POSES["geometry_msgs/msg/PoseWithCovarianceStamped"].fields, "pose_cov": "pose.covariance"}
@@ -270,8 +308,8 @@ SOLUTIONS: Final[Types] = {
         stamp=LOG_TIME,
     ),
 }
-"""Of a solution of the vehicle's own, whose topic is always named: what it says of its errors, and positions whose
-origin nobody knows, are read, too. Of the Blueye the estimate of all its sensors together."""
+"""Of a solution of the vehicle's own, whose topic is always named: what it says of its errors is read, too. Of the
+Blueye the estimate of all its sensors together."""
 
 TRUTH: Final[Types] = {
     "insdvl_msgs/msg/SensorBiases": KnownType(

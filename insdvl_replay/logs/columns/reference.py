@@ -1,7 +1,7 @@
 """The reference solution: positions, velocities and attitudes of one or two topics, on the union of their times."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -52,8 +52,15 @@ def decode_reference(
     tables: list[Table], settings: Reference, initial: Initial
 ) -> tuple[ReferenceColumns | None, list[Note]]:
     """Make the columns of the reference; positions in metres are from the initial one."""
-    parts = [read_part(table, settings, initial) for table in tables]
+    has_fixes = any("latitude" in table for table in tables)
+    parts = [read_part(_without_local_positions(table) if has_fixes else table, settings, initial) for table in tables]
     return (union(parts) if parts else None), [note for part in parts for note in part.cleaner.notes]
+
+
+def _without_local_positions(table: Table) -> Table:
+    """Leave out positions from an origin that nobody knows, where another topic has them on Earth."""
+    fields = {quantity: path for quantity, path in table.source.fields.items() if quantity != "local_position"}
+    return replace(table, source=replace(table.source, fields=fields))
 
 
 def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
@@ -93,8 +100,13 @@ def _position(table: Table, settings: Navigation, initial: Initial) -> Floats | 
 
 
 def _local_position(table: Table, settings: Navigation, initial: Initial) -> Floats | None:
-    """Make positions of metres from an origin: the messages' own, else the initial position; none without either."""
+    """Make positions of metres from an origin: the messages' own, else the initial position; none without either.
+
+    Nor where all are zero in the plane, as in messages that are about something else.
+    """
     north_east_down_m = local_way_n(table, settings)
+    if not np.nan_to_num(north_east_down_m[:, :2]).any():
+        return None
     origin = np.full((len(table), 3), np.nan)
     if initial.latitude_deg is not None:
         origin[:] = initial.latitude_deg, initial.longitude_deg, initial.height_m

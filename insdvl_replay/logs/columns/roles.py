@@ -40,6 +40,7 @@ from insdvl_replay.logs.columns.topic_requirements import (
     own_solution_requirement,
     sensor_requirement,
     solution_requirement,
+    type_of,
 )
 from insdvl_replay.logs.columns.tum import read_tum
 from insdvl_replay.logs.container.records import LogChannel, by_topic
@@ -176,7 +177,7 @@ def _explained(
 def _references(topics: "_Topics", config: Config, besides: Collection[str]) -> tuple[Source, ...]:
     required = solution_requirement(config)
     solution = topics.find(required, besides) or (topics.need(required) if any(required.paths.values()) else None)
-    if solution and "latitude" in solution.fields and config.reference.fix is None:
+    if solution and solution.fields.keys() & {"latitude", "origin"} and config.reference.fix is None:
         return (solution,)
     fix = topics.find(fix_requirement(config.reference, "reference"), besides)
     return tuple(source for source in (solution, fix) if source is not None)
@@ -262,9 +263,9 @@ class _Topics:
         for types in required.by_type:
             order = list(types)
             looked_at = {topic: channels[0] for topic, channels in self._channels.items() if topic not in besides}
-            type_of = {topic: full_name(channel.type_name) for topic, channel in looked_at.items()}
-            if found := [topic for topic, type_name in type_of.items() if type_name in types]:
-                return sorted(found, key=lambda topic: order.index(type_of[topic]))
+            type_names = {topic: type_of(channel) for topic, channel in looked_at.items()}
+            if found := [topic for topic, type_name in type_names.items() if type_name in types]:
+                return sorted(found, key=lambda topic: order.index(type_names[topic]))
         return []
 
     def alternatives(self, required: TopicRequirement, besides: Collection[str]) -> Iterator[Source]:

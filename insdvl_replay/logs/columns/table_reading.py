@@ -10,15 +10,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S
-from insdvl_replay.core.errors import LogError, error_context
+from insdvl_replay.core.errors import LogError, error_context, listed
 from insdvl_replay.logs.columns.order import merge_channels
 from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table, stamp_path
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.recording import CHANNELS_OF_A_PART, Recording
 from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.fields import Columns, FieldReader, open_reader, split_paths
+from insdvl_replay.logs.encoding.fields import ROWS, Columns, FieldReader, open_reader, split_paths
 
 _HOPELESS: Final = 1000
 """Where so many messages cannot be read, and fewer can, the schema is wrong and not the messages."""
@@ -130,12 +131,11 @@ def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
 
 
 def read_sample(log: Recording, source: Source, enough: int) -> Table:
-    """Read the columns of a topic's first messages, up to the block with which there are enough."""
-    builder, messages = _Builder(log, source), 0
+    """Read the columns of a topic's first rows, up to the block with which there are enough."""
+    builder = _Builder(log, source)
     for block in log.blocks({channel.id for channel in source.channels}):
         builder.add(block)
-        messages += len(block)
-        if messages >= enough:
+        if sum(count for _, count in builder.runs) >= enough:
             break
     return builder.table()
 
@@ -151,6 +151,7 @@ class _Builder:
     runs: list[tuple[int, int]] = field(default_factory=list)
     decoder: PartialDecoder = field(init=False)
     has_whole_times: bool = False
+    others: int = 0
 
     def __post_init__(self) -> None:
         self.where = (str(self.log.path), self.source.topic)
@@ -163,14 +164,19 @@ class _Builder:
 
     def _reader(self, channel: LogChannel) -> FieldReader:
         with error_context(*self.where):
-            return open_reader(channel, [path for path in self.buffers if path not in RECORDER_STAMPS])
+            paths = [path for path in self.buffers if path not in RECORDER_STAMPS]
+            return open_reader(channel, paths, self.source.element)
 
     def add(self, block: Block) -> None:
         """Read a block if it is of this topic."""
         reader = self.readers.get(block.channel_id)
         if reader is None:
             return
-        for part, fields in self.decoder.read(reader, block):
+        for whole, fields in self.decoder.read(reader, block):
+            part = whole.part(fields[ROWS][:, 0]) if ROWS in fields else whole
+            self.others += len(whole) - len(part)
+            if not len(part):
+                continue
             for path, column in self.buffers.items():
                 is_recorders = path in RECORDER_STAMPS
                 values = getattr(part, path)[:, None] if is_recorders else self._narrowed(path, fields[path])
@@ -188,16 +194,41 @@ class _Builder:
         """Return what has been read."""
         unreadable, error = tuple(self.decoder.unreadable_ns), self.decoder.error
         if not all(self.buffers.values()):
-            raise error or LogError("has no messages", "the counts in the log's summary are wrong", *self.where)
+            raise (
+                error
+                or self._lacks_element()
+                or LogError("has no messages", "the counts in the log's summary are wrong", *self.where)
+            )
         read = {path: column.rows() for path, column in self.buffers.items()}
         columns, channel_ids, duplicates = merge_channels(read, self.runs)
         known, files = next(iter(self.readers.values())).known, _files_of(channel_ids)
         table = Table(
-            self.where, self.source, columns, unreadable, error, duplicates, known, files, self.has_whole_times
+            self.where,
+            self.source,
+            columns,
+            unreadable,
+            error,
+            duplicates,
+            known,
+            files,
+            self.has_whole_times,
+            self.others,
         )
         if unreadable and not self.log.allow_damaged:
             raise table.damage_error()
         return table
+
+    def _lacks_element(self) -> LogError | None:
+        """State which elements there are where none is what was asked for."""
+        element = self.source.element
+        if element is None:
+            return None
+        seen = {texts for reader in self.readers.values() for texts in getattr(reader, "seen", ())}
+        pairs = [f"{self.source.role}.frames = {toml_value(texts)}" for texts in sorted(seen)]
+        what = (
+            f"has no transform from {' to '.join(element.texts)}" if element.texts else "has transforms of many frames"
+        )
+        return LogError(what, f"it has {listed(pairs)}" if pairs else "its messages are empty", *self.where)
 
 
 def _files_of(channel_ids: NDArray[np.int64]) -> NDArray[np.int64] | None:

@@ -153,6 +153,8 @@ class Table:
         Every path that the messages have, with the type of what is there.
     files : ndarray of int64, shape (k,), or None
         Number of the file from which each message is, where they are from several.
+    others : int
+        Messages without a row, less the rows that some messages have beyond one.
     has_whole_times : bool
         Whether the stamps were seconds and nanoseconds. Their column is nanoseconds, which takes half the memory.
     """
@@ -166,6 +168,7 @@ class Table:
     known: Kinds = field(default_factory=dict)
     files: NDArray[np.int64] | None = None
     has_whole_times: bool = False
+    others: int = 0
 
     def __len__(self) -> int:
         """Return the number of messages."""

@@ -1,5 +1,6 @@
 """What each role needs of a topic: a type that is known by name, or the field paths of the configuration."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
@@ -14,9 +15,11 @@ from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.logs.columns import known_dvls, known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
 from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.fields import Kinds, channel_paths, check_encoding, find_path, split_paths
+from insdvl_replay.logs.encoding.fields import Element, Kinds, channel_paths, check_encoding, find_path, split_paths
 from insdvl_replay.logs.encoding.ros2msg import full_name
 
+_MAVLINK: Final = re.compile(r"(?:^|/)mavlink/\d+/\d+/([A-Z][A-Z0-9_]+)$")
+"""Topics of whole messages, as BlueOS records them beside one for each field."""
 OWN_TOPIC: Final = "topics."
 """Begins the role of a topic for measurements of the user's own."""
 BOW_DOWN: Final = "_bow_down"
@@ -54,6 +57,8 @@ class Source:
         From validity to stamp.
     conventions : mapping of str to Any
         What the type says where the configuration leaves a key out.
+    element : Element or None
+        Which elements of a list in the messages count, each as if it were a message.
     """
 
     role: str
@@ -64,6 +69,7 @@ class Source:
     stamp: str
     latency_s: float
     conventions: Mapping[str, Any] = field(default_factory=dict)
+    element: Element | None = None
 
     @property
     def code(self) -> str:
@@ -100,6 +106,8 @@ class TopicRequirement:
         Of the configuration.
     latency_s : float
         From validity to stamp.
+    frames : tuple of str or None
+        Parent and child of the transforms that count.
     """
 
     role: str
@@ -112,10 +120,11 @@ class TopicRequirement:
     together: Sequence[set[str]] = ()
     stamp: str | None = None
     latency_s: float = 0.0
+    frames: tuple[str, str] | None = None
 
-    def known(self, type_name: str) -> KnownType | None:
-        """Return what is known of a type, which ROS 1 calls ``package/Type``."""
-        groups, name = (*self.by_type, self.if_named), full_name(type_name)
+    def known(self, channel: LogChannel) -> KnownType | None:
+        """Return what is known of the type of a channel's messages."""
+        groups, name = (*self.by_type, self.if_named), type_of(channel)
         return next((types[name] for types in groups if name in types), None)
 
     def source(self, topic: str, channels: Sequence[LogChannel]) -> Source:
@@ -125,7 +134,7 @@ class TopicRequirement:
         type_name = channels[0].type_name
         with error_context(topic):
             paths = channel_paths(channels[0])
-        known = self.known(type_name) or KnownType({})
+        known = self.known(channels[0]) or KnownType({})
         fields = {**_present(known.fields, paths), **{name: path for name, path in self.paths.items() if path}}
         self._raise_if_incomplete(topic, fields)
         if not any(quantities <= fields.keys() for quantities in self.enough):
@@ -134,7 +143,18 @@ class TopicRequirement:
                 reason = f"is of type {type_name}, and its schema lacks some of {', '.join(known.fields.values())}"
             raise LogError(f"topic '{topic}' {reason}", self.how_to_name())
         stamp = self.stamp or _stamp(known.stamp, paths)
-        return Source(self.role, topic, type_name, tuple(channels), fields, stamp, self.latency_s, known.conventions)
+        channel_tuple, element = tuple(channels), self._element(topic, known)
+        return Source(
+            self.role, topic, type_name, channel_tuple, fields, stamp, self.latency_s, known.conventions, element
+        )
+
+    def _element(self, topic: str, known: KnownType) -> Element | None:
+        if known.element:
+            list_name, *texts = known.element
+            return Element(list_name, tuple(texts), self.frames or ())
+        if self.frames is not None:
+            raise LogError(f"topic '{topic}' has no transforms, and {self.role}.frames is set", "leave it out")
+        return None
 
     def _raise_if_incomplete(self, topic: str, fields: Fields) -> None:
         """Refuse quantities that say nothing without another one."""
@@ -154,10 +174,18 @@ class TopicRequirement:
         return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` proposes what to set'
 
 
+def type_of(channel: LogChannel) -> str:
+    """Return the type of a channel's messages as it is known: ROS 1's as ROS 2's, MAVLink's in JSON by its topic."""
+    mavlink = _MAVLINK.search(channel.topic) if channel.encoding == "json" else None
+    return f"mavlink.{mavlink[1]}" if mavlink else full_name(channel.type_name)
+
+
 def imu_requirement(config: Config) -> TopicRequirement:
     """State what an IMU needs."""
     quantities = ("specific_force", "angular_rate")
-    return _required(config.imu, "imu", quantities, by_type=[known_types.IMU], enough=[set(quantities)])
+    return _required(
+        config.imu, "imu", quantities, by_type=[known_types.IMU, known_types.IMU_OF_DRIVERS], enough=[set(quantities)]
+    )
 
 
 def dvl_requirement(config: Config) -> TopicRequirement:
@@ -230,6 +258,7 @@ def _required(section: Any, role: str, quantities: Iterable[str], key: str = "to
         paths={quantity: getattr(section, quantity) for quantity in quantities},
         stamp=section.stamp,
         latency_s=section.latency_s,
+        frames=getattr(section, "frames", None) if key == "topic" else None,
         **needs,
     )
 

@@ -86,7 +86,7 @@ class Block:
         """When each message was published, shape (k,), ns."""
         return message_field(self.buffer, self.starts, "publish_time")
 
-    def part(self, rows: slice) -> "Block":
+    def part(self, rows: slice | NDArray[np.int64]) -> "Block":
         """Return some of the messages."""
         return replace(self, starts=self.starts[rows], lengths=self.lengths[rows])
 
@@ -120,7 +120,7 @@ class TimedBlock(Block):
         """The same, for want of another."""
         return self.time_ns
 
-    def part(self, rows: slice) -> "TimedBlock":
+    def part(self, rows: slice | NDArray[np.int64]) -> "TimedBlock":
         """Return some of the messages."""
         return replace(self, starts=self.starts[rows], lengths=self.lengths[rows], time_ns=self.time_ns[rows])
 

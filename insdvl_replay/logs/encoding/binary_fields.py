@@ -180,14 +180,17 @@ class BinaryReader:
 
     def columns(self, block: Block) -> Columns:
         """Read the fields of all messages of a block, shape (k, n); shorter sequences are filled up with NaN."""
+        parts = list(self.groups(block))
+        return {path: _joined([(rows, columns[path]) for rows, _, columns in parts]) for path in self._paths}
+
+    def groups(self, block: Block) -> Iterator[tuple[Rows, Layout, Columns]]:
+        """Read the messages of a block that share a layout, group after group: which they are, and their fields."""
         data = np.frombuffer(block.buffer, np.uint8)
-        parts: list[tuple[Rows, Columns]] = []
         left = np.arange(len(block))
         while left.size:
-            rows, columns = self._next_group(block, data, left)
-            parts.append((rows, columns))
+            rows, layout, columns = self._next_group(block, data, left)
+            yield rows, layout, columns
             left = left[:0] if rows.size == left.size else np.setdiff1d(left, rows, assume_unique=True)
-        return {path: _joined([(rows, columns[path]) for rows, columns in parts]) for path in self._paths}
 
     def _check_encapsulation(self, block: Block, data: NDArray[np.uint8]) -> None:
         if np.any(block.sizes < len(ENCAPSULATION)):
@@ -203,12 +206,12 @@ class BinaryReader:
                 "record with the default middleware, or convert the log with `ros2 bag convert`",
             )
 
-    def _next_group(self, block: Block, data: NDArray[np.uint8], left: Rows) -> tuple[Rows, Columns]:
+    def _next_group(self, block: Block, data: NDArray[np.uint8], left: Rows) -> tuple[Rows, Layout, Columns]:
         """Read all messages that share a layout: the latest one if any has it, else that of the first message."""
         if self._latest is not None:
             rows, columns = self._with_layout(block, data, left, self._latest)
             if rows.size:
-                return rows, columns
+                return rows, self._latest, columns
         if self._wire.head:
             self._check_encapsulation(block, data)
         layout = self._latest = self._layout(block, int(left[0]))
@@ -218,7 +221,7 @@ class BinaryReader:
                 f"a message of {block.sizes[left[0]]} bytes has {layout.size} by its schema ({self._type_name})",
                 "the schema in the log is not that of the messages",
             )
-        return rows, columns
+        return rows, layout, columns
 
     def _with_layout(self, block: Block, data: NDArray[np.uint8], rows: Rows, layout: Layout) -> tuple[Rows, Columns]:
         """Read those of some messages that have a layout: its size, apart from padding at the end, and its lengths."""
@@ -252,8 +255,12 @@ WIRES: Final = {"cdr": CDR, "ros1": ROS1}
 
 
 @cache
-def definitions_by(type_name: str, schema_text: str, encoding: str) -> dict[str, Definition]:
-    """Parse a schema; one of ROS 2 that is empty is that of a known type, and so are the types that it lacks."""
+def definitions_by(type_name: str, schema_text: str, encoding: str, schema_encoding: str = "") -> dict[str, Definition]:
+    """Parse a schema; one of ROS 2 that is empty is that of a known type, and so are the types that a .msg lacks."""
+    if schema_encoding == "ros2idl":
+        from insdvl_replay.logs.encoding.ros2idl import parse_idl
+
+        return parse_idl(type_name, schema_text)
     if encoding == "ros1":
         return parse_definitions(type_name, schema_text, ROS1MSG)
     text = schema_text if schema_text.strip() else definition_text(type_name)

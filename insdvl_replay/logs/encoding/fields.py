@@ -8,6 +8,7 @@ What reads an encoding is not loaded before a log has it: protobuf's takes longe
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from insdvl_replay.logs.container.records import LogChannel
 
 Columns = dict[str, NDArray[Any]]
 """By field path, one row per message and one column per number; int64 where all numbers are whole, else float64."""
+ROWS: Final = ""
+"""Stands among columns of which messages may give several rows, or none: the number of the message, row by row."""
 Kinds = Mapping[str, str]
 """Every path that a type knows, with the type of what is there."""
 NUMBER: Final = "number"
@@ -32,6 +35,15 @@ _LISTED: Final = 24
 """Fields that an error lists at most."""
 TEXTS: Final = (TEXT, "string", "wstring")
 """Kinds of what holds no numbers."""
+
+
+@dataclass(frozen=True)
+class Element:
+    """Which elements of a list in the messages count: those with the texts in the fields; none where no texts are."""
+
+    list_name: str
+    fields: tuple[str, ...]
+    texts: tuple[str, ...]
 
 
 class FieldReader(Protocol):
@@ -93,7 +105,7 @@ def fields_hint(known: Kinds, path: str) -> str:
 
 
 ENCODINGS: Final = {
-    "cdr": ("ros2msg", ""),
+    "cdr": ("ros2msg", "ros2idl", ""),
     "ros1": ("ros1msg",),
     "protobuf": ("protobuf",),
     "json": ("jsonschema", ""),
@@ -131,18 +143,21 @@ def channel_paths(channel: LogChannel) -> Kinds:
     from insdvl_replay.logs.encoding.binary_fields import binary_paths, definitions_by
     from insdvl_replay.logs.encoding.ros2msg import full_name
 
-    definitions = definitions_by(channel.type_name, channel.schema_text, channel.encoding)
+    definitions = definitions_by(channel.type_name, channel.schema_text, channel.encoding, channel.schema_encoding)
     return dict(binary_paths(definitions, full_name(channel.type_name)))
 
 
-def open_reader(channel: LogChannel, paths: Sequence[str]) -> FieldReader:
+def open_reader(channel: LogChannel, paths: Sequence[str], element: Element | None = None) -> FieldReader:
     """Make the reader of some fields of a channel, once `check_encoding` has let it pass.
 
     Raises
     ------
     LogError
-        The schema cannot be read, or knows no such field.
+        The schema cannot be read, or knows no such field; elements are asked of what is decoded message by message.
     """
+    if element is not None and channel.encoding in ("protobuf", "json"):
+        text = f"elements of '{element.list_name}' by their texts are read from CDR and messages of ROS 1 alone"
+        raise LogError(text, "record the one that is meant on a topic of its own")
     if channel.encoding == "protobuf":
         from insdvl_replay.logs.encoding.protobuf_fields import ProtobufReader
 
@@ -153,5 +168,12 @@ def open_reader(channel: LogChannel, paths: Sequence[str]) -> FieldReader:
         return JsonReader(channel.type_name, channel.schema_data, paths)
     from insdvl_replay.logs.encoding.binary_fields import WIRES, BinaryReader, definitions_by
 
-    definitions = definitions_by(channel.type_name, channel.schema_text, channel.encoding)
-    return BinaryReader(definitions, channel.type_name, paths, WIRES[channel.encoding])
+    definitions, wire = (
+        definitions_by(channel.type_name, channel.schema_text, channel.encoding, channel.schema_encoding),
+        WIRES[channel.encoding],
+    )
+    if element is None:
+        return BinaryReader(definitions, channel.type_name, paths, wire)
+    from insdvl_replay.logs.encoding.list_elements import ElementReader
+
+    return ElementReader(definitions, channel.type_name, paths, wire, element)

@@ -9,7 +9,7 @@ well-known schema encodings, https://mcap.dev/spec/registry; for ROS 1 http://wi
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -35,7 +35,7 @@ PRIMITIVES: Final[dict[str, str]] = {
 }
 """Numpy formats of the primitive types of fixed size."""
 
-_LONGEST_ARRAY: Final = 2**32 - 1
+LONGEST_ARRAY: Final = 2**32 - 1
 """CDR counts elements in words of four bytes."""
 _SEPARATOR: Final = "=" * 80
 _ANY_SEPARATOR: Final = re.compile(r"^={3,}[ \t]*$", re.MULTILINE)
@@ -80,7 +80,7 @@ class Definition:
 
 @dataclass(frozen=True)
 class Dialect:
-    """In what ROS 1 and ROS 2 differ.
+    """In what the languages of ROS 1 and ROS 2 differ.
 
     Attributes
     ----------
@@ -122,6 +122,7 @@ ROS2MSG: Final = Dialect(
     builtin={},
     empty=(Field("structure_needs_at_least_one_member", "uint8", "single", 1),),
 )
+ROS2IDL: Final = replace(ROS2MSG, schema_encoding="ros2idl")
 ROS1MSG: Final = Dialect(
     schema_encoding="ros1msg",
     recorder="`mcap convert`",
@@ -138,7 +139,7 @@ def parse_definitions(type_name: str, text: str, dialect: Dialect = ROS2MSG) -> 
     for name, section in _sections(type_name, text, dialect):
         definitions.setdefault(name, Definition(name, tuple(_fields(name, section, dialect)) or dialect.empty))
     definitions |= dialect.builtin
-    _check_complete(type_name, definitions, dialect)
+    check_complete(type_name, definitions, dialect)
     return definitions
 
 
@@ -188,7 +189,8 @@ def _sections(type_name: str, text: str, dialect: Dialect) -> Iterator[tuple[str
         yield full_name(heading[1]), section[heading.end() :]
 
 
-def _check_complete(type_name: str, definitions: Mapping[str, Definition], dialect: Dialect) -> None:
+def check_complete(type_name: str, definitions: Mapping[str, Definition], dialect: Dialect) -> None:
+    """Refuse definitions of which one is missing or contains itself, or which are more than any message has."""
     graph = {name: [field.type_name for field in definition.fields] for name, definition in definitions.items()}
     for name, used in graph.items():
         for missing in (other for other in used if "/" in other and other not in definitions):
@@ -234,8 +236,8 @@ def _field(package: str, match: re.Match[str], dialect: Dialect) -> Field:
     if match["bounded"] or not match["length"]:
         return Field(match["name"], type_name, "sequence", 0)
     # Python makes no number of thousands of digits.
-    length = int(match["length"]) if len(match["length"]) <= len(str(_LONGEST_ARRAY)) else 0
-    if not 0 < length <= _LONGEST_ARRAY:
+    length = int(match["length"]) if len(match["length"]) <= len(str(LONGEST_ARRAY)) else 0
+    if not 0 < length <= LONGEST_ARRAY:
         array = f"{match['base']}[{match['length'][:12]}]"
         raise LogError(f"{package}: the schema has an array '{array}', which is none or too long", dialect.record_again)
     return Field(match["name"], type_name, "array", length)
