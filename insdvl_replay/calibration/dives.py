@@ -9,10 +9,10 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.calibration.fit import robust_cost
+from insdvl_replay.calibration.fit import fit, robust_cost
 from insdvl_replay.calibration.innovations import DiveInnovations, dive_innovations
 from insdvl_replay.calibration.noise import FittedNoise, nis_per_dof
-from insdvl_replay.calibration.parameters import NAMES, DvlGeometry, moved_mounting, moved_pings
+from insdvl_replay.calibration.parameters import NAMES, PARAMETERS, DvlGeometry, moved_mounting, moved_pings
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
@@ -34,6 +34,9 @@ AXES: Final[tuple[Floats, ...]] = tuple(
     if np.linalg.det(turn) > 0.0
 )
 """The 24 ways in which right-handed axes can lie along others."""
+NOT_FAR_OFF: Final = 4.0
+"""Times the least that a mounting leaves, beyond which no arm or delay makes it the best."""
+MOST_FITTED: Final = 6
 COASTED_S: Final = "60"
 
 
@@ -98,14 +101,36 @@ class TriedMounting:
 
 
 def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
-    """Try the 24 ways in which the DVL's axes can lie along the body's, the likeliest first."""
+    """Try the 24 ways in which the DVL's axes can lie along the body's, the likeliest first.
 
-    def tried(turn: Floats) -> TriedMounting:
-        config = with_any_heading(_turned(dives[0].config, turn))
-        found = [dive.with_config(config).innovations().residuals(np.zeros(len(NAMES))) for dive in dives]
-        return TriedMounting(config.dvl.mounting_rpy_deg, sum(robust_cost(residuals) for residuals in found))
+    An arm or a delay that is not known yet can make another one look better, so that those that are not far off, and
+    what is configured, are tried with arm and delay fitted; these stand before all others.
+    """
+    configured = dives[0].config.dvl.mounting_rpy_deg
+    first = sorted((_tried(dives, turn) for turn in steps("trying mountings", AXES)), key=lambda one: one.cost)
+    near = [one for one in first if one.cost < NOT_FAR_OFF * first[0].cost][:MOST_FITTED]
+    near += [one for one in first if one.rpy_deg == configured and one not in near]
+    fitted = [_fitted(dives, one) for one in steps("trying mountings with arm and delay", near)]
+    return sorted(fitted, key=lambda one: one.cost) + [one for one in first if one not in near]
 
-    return sorted(map(tried, steps("trying mountings", AXES)), key=lambda one: one.cost)
+
+def _tried(dives: Sequence[ReadDive], turn: Floats) -> TriedMounting:
+    config = _turned(dives[0].config, turn)
+    asked = _with_mounting(dives, config.dvl.mounting_rpy_deg)
+    found = [dive.residuals(np.zeros(len(NAMES))) for dive in asked]
+    return TriedMounting(config.dvl.mounting_rpy_deg, sum(map(robust_cost, found)))
+
+
+def _fitted(dives: Sequence[ReadDive], tried: TriedMounting) -> TriedMounting:
+    asked = _with_mounting(dives, tried.rpy_deg)
+    found = fit(asked, np.array([parameter.group in ("arm", "delay") for parameter in PARAMETERS]))
+    left = [dive.residuals(found.of_dive(i)) for i, dive in enumerate(asked)]
+    return TriedMounting(tried.rpy_deg, sum(map(robust_cost, left)))
+
+
+def _with_mounting(dives: Sequence[ReadDive], rpy_deg: tuple[float, float, float]) -> list[DiveInnovations]:
+    config = with_any_heading(with_mounting(dives[0].config, rpy_deg))
+    return [dive.with_config(config).innovations() for dive in dives]
 
 
 def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
@@ -139,7 +164,7 @@ def held_out_row(read: ReadDive, change: Floats, noise: FittedNoise | None = Non
     windows, drift_before_m = _coasted(read, np.zeros(len(NAMES)))
     _, drift_after_m = _coasted(read, change)
     noisy = None if noise is None else nis_per_dof(noise.applied(asked), change)
-    return HeldOutRow(asked.name, before, after, noisy, windows, drift_before_m, drift_after_m)
+    return HeldOutRow(asked.name, before, after, windows, drift_before_m, drift_after_m, noisy)
 
 
 def _nis_per_dof(asked: DiveInnovations, change: Floats) -> float:
