@@ -36,8 +36,10 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.table_layout import Number
 from insdvl_replay.core.words import Estimated
 
-SCALE_SEEN: Final = 30.0
-"""Signal to noise from which the scale is moved: a DVL that smooths, or stamps that jitter, look like a smaller one."""
+LEAST_SEEN: Final = {"mounting": 4.0, "scale": 30.0}
+"""Signal to noise from which something is moved, where it is not `SEEN`: how a filter finds its level looks like a
+mounting, which a straight line shows with up to 3.3; a DVL that smooths, or stamps that jitter, look like a smaller
+scale."""
 SMOOTHED: Final = "seen, but not beyond what a DVL that smooths would look like"
 BELIEVABLE_SDS: Final = 3.0
 """An estimate further from the configuration, in sds of the prior, comes from something else."""
@@ -174,10 +176,12 @@ def calibrate(
 def _refused(certainty: Certainty, change: Floats, asked: Mask) -> Iterator[tuple[int, tuple[Estimated, str]]]:
     """Find what must stay as it is, and why."""
     for row in np.flatnonzero(asked).tolist():
-        parameter, seen = PARAMETERS[row], certainty.signal_to_noise[row]
-        least = SCALE_SEEN if row == SCALE else SEEN
+        parameter = PARAMETERS[row]
+        # What beams may be off by is a part of the scale that this DVL has.
+        seen = (certainty.seen if row == SCALE else certainty.signal_to_noise)[row]
+        least = LEAST_SEEN.get(parameter.group, SEEN)
         if seen < least:
-            yield row, (Estimated.HELD, SMOOTHED if seen >= SEEN else f"needs {parameter.shown_by}")
+            yield row, (Estimated.HELD, SMOOTHED if row == SCALE and seen >= SEEN else f"needs {parameter.shown_by}")
         elif row == DELAY and abs(change[row]) > LATEST_S - DELAY_STEP_S:
             yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
         elif row == SCALE and abs(np.expm1(change[row])) > BELIEVABLE_SCALE:

@@ -47,13 +47,21 @@ class Certainty:
     @property
     def sd(self) -> Floats:
         """The largest of the three, and what beams may be off by beside it, at most the prior's, shape (p,)."""
-        largest = np.fmax(np.fmax(self.formal, self.correlated), self.between)
-        return np.asarray(np.minimum(np.hypot(largest, self.beams), self.prior_sd))
+        return np.asarray(np.minimum(np.hypot(self._largest, self.beams), self.prior_sd))
+
+    @property
+    def _largest(self) -> Floats:
+        return np.fmax(np.fmax(self.formal, self.correlated), self.between)
 
     @property
     def signal_to_noise(self) -> Floats:
         """The prior's sd over that of the data alone, shape (p,)."""
         return np.sqrt((self.prior_sd / self.sd) ** 2 - 1.0)
+
+    @property
+    def seen(self) -> Floats:
+        """The same with perfect beams, shape (p,): whether the dives show it at all."""
+        return np.sqrt((self.prior_sd / np.minimum(self._largest, self.prior_sd)) ** 2 - 1.0)
 
 
 def certainty_of(fit: Fit, pulled: Floats | None = None) -> Certainty:

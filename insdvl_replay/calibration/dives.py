@@ -35,8 +35,9 @@ AXES: Final[tuple[Floats, ...]] = tuple(
     if np.linalg.det(turn) > 0.0
 )
 """The 24 ways in which right-handed axes can lie along others."""
-CLEARLY: Final = 0.8
-"""Share of what one mounting leaves of the innovations, below which another one is the likelier."""
+NOT_FAR_OFF: Final = 4.0
+"""Times the least that a mounting leaves, beyond which no arm or delay makes it the best."""
+MOST_FITTED: Final = 6
 COASTED_S: Final = "60"
 _ARM_AND_DELAY: Final = np.array([parameter.group in ("arm", "delay") for parameter in PARAMETERS])
 
@@ -112,28 +113,38 @@ def possible_axes(dvl: DvlColumns) -> tuple[Floats, ...]:
 
 
 def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
-    """Try the ways in which the DVL's axes can lie along the body's, the likeliest first."""
+    """Try the ways in which the DVL's axes can lie along the body's, the likeliest first.
 
-    def asked(rpy_deg: tuple[float, float, float]) -> list[DiveInnovations]:
-        config = with_any_heading(with_mounting(dives[0].config, rpy_deg))
-        return [dive.with_config(config).innovations() for dive in dives]
-
-    def tried(turn: Floats) -> TriedMounting:
-        rpy_deg = _rpy_deg(turn)
-        return TriedMounting(rpy_deg, sum(robust_cost(dive.residuals(np.zeros(len(NAMES)))) for dive in asked(rpy_deg)))
-
-    def fitted(one: TriedMounting) -> TriedMounting:
-        near = fit(asked(one.rpy_deg), _ARM_AND_DELAY).dives
-        return replace(one, cost=sum(robust_cost(dive.residuals) for dive in near))
-
-    found = sorted(map(tried, steps("trying mountings", possible_axes(dives[0].dive.dvl))), key=_cost)
-    likely = [one for one in found if one.cost * CLEARLY <= found[0].cost]
-    # In turns a wrong arm hides what tells them apart.
-    return found if len(likely) == 1 else [*sorted(map(fitted, likely), key=_cost), *found[len(likely) :]]
+    An arm or a delay that is not known yet can make another one look better, so that those that are not far off, and
+    what is configured, are tried with arm and delay fitted; these stand before all others.
+    """
+    configured = dives[0].config.dvl.mounting_rpy_deg
+    first = sorted(
+        (_tried(dives, turn) for turn in steps("trying mountings", possible_axes(dives[0].dive.dvl))),
+        key=lambda one: one.cost,
+    )
+    near = [one for one in first if one.cost < NOT_FAR_OFF * first[0].cost][:MOST_FITTED]
+    near += [one for one in first if one.rpy_deg == configured and one not in near]
+    fitted = [_fitted(dives, one) for one in steps("trying mountings with arm and delay", near)]
+    return sorted(fitted, key=lambda one: one.cost) + [one for one in first if one not in near]
 
 
-def _cost(tried: TriedMounting) -> float:
-    return tried.cost
+def _tried(dives: Sequence[ReadDive], turn: Floats) -> TriedMounting:
+    rpy_deg = _rpy_deg(turn)
+    found = [dive.residuals(np.zeros(len(NAMES))) for dive in _with_mounting(dives, rpy_deg)]
+    return TriedMounting(rpy_deg, sum(map(robust_cost, found)))
+
+
+def _fitted(dives: Sequence[ReadDive], tried: TriedMounting) -> TriedMounting:
+    asked = _with_mounting(dives, tried.rpy_deg)
+    found = fit(asked, _ARM_AND_DELAY)
+    left = [dive.residuals(found.of_dive(i)) for i, dive in enumerate(asked)]
+    return TriedMounting(tried.rpy_deg, sum(map(robust_cost, left)))
+
+
+def _with_mounting(dives: Sequence[ReadDive], rpy_deg: tuple[float, float, float]) -> list[DiveInnovations]:
+    config = with_any_heading(with_mounting(dives[0].config, rpy_deg))
+    return [dive.with_config(config).innovations() for dive in dives]
 
 
 def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
@@ -167,7 +178,7 @@ def held_out_row(read: ReadDive, change: Floats, noise: FittedNoise | None = Non
     windows, drift_before_m = _coasted(read, np.zeros(len(NAMES)))
     _, drift_after_m = _coasted(read, change)
     noisy = None if noise is None else nis_per_dof(noise.applied(asked), change)
-    return HeldOutRow(asked.name, before, after, noisy, windows, drift_before_m, drift_after_m)
+    return HeldOutRow(asked.name, before, after, windows, drift_before_m, drift_after_m, noisy)
 
 
 def _nis_per_dof(asked: DiveInnovations, change: Floats) -> float:

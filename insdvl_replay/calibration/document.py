@@ -102,7 +102,7 @@ def _parameters(title: str, rows: tuple[ParameterRow, ...]) -> DisplayTable:
             ("signal /\nnoise", "r", lambda row: number(row.signal_to_noise)),
         ),
         "The sd is the largest of the three, with what beams may be off by, each by 0.2 % and 1 mm/s. What is below a "
-        "signal to noise of 3 (the scale: 30) is held.",
+        "signal to noise of 3 (mounting: 4, scale: 30) is held.",
     )
 
 

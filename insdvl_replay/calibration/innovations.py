@@ -90,7 +90,13 @@ class DiveInnovations:
         return lambda tried: run_one(tried, moved, timeline).innovations[0]
 
     def _moved(self, change: Floats) -> tuple[Prepared, Timeline]:
-        pings = moved_pings(self.prepared.velocities, change)
+        configured = self.prepared.velocities
+        # With covariances that turn, a mounting is likelier that lays a noisy axis along a quiet one.
+        pings = replace(
+            moved_pings(configured, change),
+            unit_cov_b=configured.unit_cov_b,
+            full_unit_cov_b=configured.full_unit_cov_b,
+        )
         moved = replace(self.prepared, velocities=pings, mounting=moved_mounting(self.prepared.mounting, change))
         timeline = build_timeline(
             self.dive.imu,

@@ -59,10 +59,12 @@ class HeldOutRow(Struct, frozen=True):
     dive: str
     nis_per_dof_before: Number
     nis_per_dof_after: Number
-    nis_per_dof_noise: Annotated[Number, Meta(description="after, with the noise that is proposed, too; null without")]
     windows: Annotated[int, Meta(description="of 60 s without velocities")]
     drift_before_m: Annotated[Number, Meta(description="median over them")]
     drift_after_m: Number
+    nis_per_dof_noise: Annotated[
+        Number, Meta(description="after, with the noise that is proposed, too; null without")
+    ] = None
 
 
 class ReferenceDiveRow(Struct, frozen=True):

@@ -4,8 +4,7 @@ Precedence: defaults, then preset, then files in their order, then command line.
 """
 
 import hashlib
-import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -16,17 +15,14 @@ import msgspec
 from msgspec import Struct
 
 from insdvl_replay.core.config import Config, Filter, Topic
-from insdvl_replay.core.config_navigation import FILE_ENDINGS, TOPIC_KEYS, Solution, spelled_out
-from insdvl_replay.core.errors import ConfigError, error_context, require_known
+from insdvl_replay.core.config_checks import check_filters, check_finite
+from insdvl_replay.core.config_navigation import Solution, key_of, spelled_out
+from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.plain_text import is_writable, visible
-from insdvl_replay.core.sensors import AIDING, SENSORS
-from insdvl_replay.core.states import MORE_STATES
-from insdvl_replay.core.strict_toml import KeyPath, TomlSource, parse_toml, read_toml
+from insdvl_replay.core.strict_toml import TomlSource, parse_toml, read_toml
 
 _HINT: Final = "`insdvl-replay config` prints every key with its kind and unit"
 _OVERRIDE: Final = "for example --set dvl.scale=1.01"
-LARGEST = 1e30
-"""Nothing that is measured is larger, and powers of what is smaller are still numbers."""
 PRESETS = ("levy-klein", "fog", "tactical", "mems")
 
 
@@ -63,7 +59,7 @@ def load_config(
         settings = _overlaid(settings, laid)
         source = laid if "filters" in laid.content else source
     config = _with_overrides(settings, [_parse_override(text) for text in overrides])
-    _check_filters(config, source)
+    check_filters(config, source)
     return _with_digests(config)
 
 
@@ -77,7 +73,7 @@ def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _with_whole_path(entry: Any, folder: Path) -> Any:
     solution = entry.get("solution") if isinstance(entry, Mapping) else None
-    if isinstance(solution, str) and solution.lower().endswith(FILE_ENDINGS):
+    if isinstance(solution, str) and key_of(solution) == "file":
         return {**entry, "solution": str((folder / solution).absolute())}
     if isinstance(solution, Mapping) and isinstance(file := solution.get("file"), str):
         return {**entry, "solution": {**solution, "file": str((folder / file).absolute())}}
@@ -159,6 +155,8 @@ def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     merged = dict(base)
     for key, value in changes.items():
         old = merged.get(key)
+        if key == "solution" and isinstance(old, str):
+            old = {key_of(old): old}
         merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
     return merged
 
@@ -171,113 +169,8 @@ def _converted(settings: Mapping[str, Any], source: TomlSource) -> Config:
             of_each = {name: source.inside(section, name).converted(entry, kind) for name, entry in entries.items()}
             settings = {**settings, section: of_each}
     config = source.converted(settings, Config)
-    _check_finite(msgspec.to_builtins(config), source, ())
+    check_finite(msgspec.to_builtins(config), source, ())
     return config
-
-
-def _check_finite(value: object, source: TomlSource, path: KeyPath) -> None:
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ConfigError(
-            f"{source.where(*path)}: {source.key(*path)} must be a finite number, found {value}",
-            "leave out what is not limited",
-        )
-    if isinstance(value, float | int) and abs(value) > LARGEST:
-        raise ConfigError(
-            f"{source.where(*path)}: {source.key(*path)} must be at most {LARGEST:.0e}, found {value}",
-            "`insdvl-replay config` prints its unit",
-        )
-    entries: Iterable[tuple[Any, object]] = ()
-    if isinstance(value, Mapping):
-        entries = value.items()
-    elif isinstance(value, list | tuple):
-        entries = enumerate(value)
-    for key, entry in entries:
-        _check_finite(entry, source, (*path, key))
-
-
-def _check_filters(config: Config, source: TomlSource) -> None:
-    _check_words(config.evaluation.withheld, SENSORS, source, "evaluation", "withheld")
-    if not config.filters:
-        raise ConfigError(
-            f"{source.where()}: no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
-        )
-    for name in config.topics:
-        if not (name.isascii() and name.isidentifier()):
-            raise ConfigError(
-                f"the topic's name '{name}' is not a letter followed by letters, digits and _",
-                '[topics.range] topic = "/range", values = "range"',
-            )
-    for name, filter_ in config.filters.items():
-        stands_there = "filters" in source.content and name in source.content["filters"]
-        where = source.where("filters", name) if stands_there else "the configuration"
-        if not (name.isascii() and name.isidentifier()):
-            raise ConfigError(
-                f"{where}: filter name '{name}' is not a letter followed by letters, digits and _",
-                "the name becomes part of topics and rows",
-            )
-        known = [word for word in filter_.aiding if ":" not in word]
-        _check_words(known, AIDING, source, "filters", name, "aiding")
-        if len(filter_.aiding) - len(known) > 1:
-            raise ConfigError(f"{where}: filters.{name} has more than one measurement of your own", "one a filter")
-        _check_words(filter_.states, MORE_STATES, source, "filters", name, "states")
-        if filter_.solution is None:
-            _check_filter(filter_, f"filters.{name}", where)
-        else:
-            _check_solution(filter_, f"filters.{name}", where, is_baseline=name == config.baseline)
-
-
-def _check_words(words: Sequence[str], known: Collection[str], source: TomlSource, *path: str) -> None:
-    """Require that a list names what is known, and nothing twice."""
-    for place, word in enumerate(words):
-        with error_context(source.where(*path, place)):
-            require_known(source.key(*path, place), word, known)
-            if word in words[:place]:
-                raise ConfigError(f"{source.key(*path, place)} '{word}' stands there already", "leave one of them out")
-
-
-def _check_solution(filter_: Filter, key: str, where: str, *, is_baseline: bool) -> None:
-    """Require that a solution that is read stands behind a filter that is run, and has nothing of one itself."""
-    if is_baseline:
-        raise ConfigError(
-            f"{where}: {key}.solution is read, and cannot be the baseline: from its start all others begin",
-            'name a filter first that is run, such as [filters.baseline] with aiding = ["velocity"]',
-        )
-    default = Filter()
-    others = [name for name in Filter.__struct_fields__ if getattr(filter_, name) != getattr(default, name)]
-    if len(others) > 1:
-        names = " and ".join(f"{key}.{name}" for name in others if name != "solution")
-        raise ConfigError(f"{where}: {key}.solution is read and not run, and {names} says how", "leave one of them out")
-    solution = spelled_out(filter_.solution or "")
-    if (solution.topic is None) == (solution.file is None):
-        found = "names nothing" if solution.topic is None else "names a topic and a file"
-        raise ConfigError(f"{where}: {key}.solution {found}", 'solution = "/odometry", or solution = "onboard.tum"')
-    read_from_topic = [name for name in ("fix", *TOPIC_KEYS) if getattr(solution, name) is not None]
-    if solution.file is not None and read_from_topic:
-        raise ConfigError(
-            f"{where}: {key}.solution is a file, of which {key}.solution.{read_from_topic[0]} says nothing",
-            "time x y z qx qy qz qw stand in each line, and solution.axes says in which axes",
-        )
-
-
-def _check_filter(filter_: Filter, key: str, where: str) -> None:
-    if not filter_.aiding:
-        raise ConfigError(f"{where}: {key}.aiding names nothing", 'aiding = ["velocity"]')
-    if {"velocity", "beams"} <= set(filter_.aiding):
-        raise ConfigError(
-            f"{where}: {key} is told of every ping twice, by its velocity and its beams", 'aiding = ["beams"]'
-        )
-    acceleration = filter_.acceleration
-    if "acceleration" in filter_.aiding and acceleration is None:
-        raise ConfigError(
-            f"{where}: {key} is aided by acceleration but does not say how",
-            f'[{key}] acceleration = {{ model = "windowed", window = 3 }}',
-        )
-    if acceleration is not None and acceleration.order >= acceleration.window:
-        raise ConfigError(
-            f"{where}: {key}.acceleration.order = {acceleration.order} needs a window above "
-            f"{acceleration.order}, found {acceleration.window}",
-            f"window = {acceleration.order + 1}",
-        )
 
 
 def render_toml(config: Config) -> str:

@@ -85,8 +85,13 @@ TOPIC_KEYS: Final = (
 """Keys that name fields of a topic."""
 
 
+def key_of(name: str) -> str:
+    """Return the key that a mere name stands for: it is a file, by its ending, or a topic."""
+    return "file" if name.lower().endswith(FILE_ENDINGS) else "topic"
+
+
 def spelled_out(solution: str | Solution) -> Solution:
-    """Return what a mere name stands for: a file, by its ending, or a topic."""
+    """Return the settings that a mere name stands for."""
     if isinstance(solution, Solution):
         return solution
-    return Solution(file=solution) if solution.lower().endswith(FILE_ENDINGS) else Solution(topic=solution)
+    return Solution(file=solution) if key_of(solution) == "file" else Solution(topic=solution)

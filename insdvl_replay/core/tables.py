@@ -7,18 +7,15 @@ from msgspec import Meta, Struct
 
 from insdvl_replay.core.quantities import VERDICTS_BEST_FIRST
 from insdvl_replay.core.rows import (
-    CoastingRow,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
-    DriftRow,
     EvidenceRow,
     ImprovementRow,
-    JumpRow,
     ReferenceErrorRow,
-    TrackFitRow,
 )
 from insdvl_replay.core.table_layout import Column, Number, TableLayout, layout_of
+from insdvl_replay.core.track_rows import CoastingRow, DriftRow, JumpRow, TrackFitRow
 from insdvl_replay.core.words import Belief, Judgement
 
 

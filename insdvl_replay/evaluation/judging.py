@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
-from insdvl_replay.core.rows import DriftRow, TrackFitRow
 from insdvl_replay.core.tables import Candidate, Tables
+from insdvl_replay.core.track_rows import DriftRow, TrackFitRow
 from insdvl_replay.evaluation.believed import improvement_table
 from insdvl_replay.evaluation.coasting import Coasts, coasting_table, window_drifts
 from insdvl_replay.evaluation.consistency import consistency_table

@@ -12,7 +12,7 @@ from insdvl_replay.core.quantities import DECIDING_TOGETHER, EVIDENCE_QUANTITIES
 from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import EvidenceWord, Judgement
-from insdvl_replay.evaluation.evidence import HONESTY
+from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.over_dives import Pooled, pooled_ratio
 from insdvl_replay.evaluation.paired_statistics import word_of
 from insdvl_replay.evaluation.verdicts import (

@@ -68,12 +68,14 @@ def not_to_be_judged(histories: tuple[History, ...], tables: Tables, notes: Sequ
 
 
 def _told_the_reference(histories: tuple[History, ...], notes: Iterable[Note]) -> dict[str, str]:
-    """Find the filters that are aided by the reference's own readings: errors against it say nothing of them.
+    """Find the filters that are aided by the reference's own readings, or made of it: errors against it say nothing.
 
     Depth is left out: it has no vote, and the rest of the reference is as good as before.
     """
     own = {note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)}
-    return {
+    read = (history.filter for history in histories if history.is_read)
+    made_of_it = {name: f"{name} is, or may know, the reference" for name in read if f"solution_{name}" in own}
+    return made_of_it | {
         history.filter: f"{history.filter} is aided by the {one.measurement} that the reference is made of"
         for history in histories
         for one in history.innovations

@@ -18,7 +18,7 @@ from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.believed import mean_over_nine
-from insdvl_replay.evaluation.evidence import HONESTY
+from insdvl_replay.evaluation.honesty import HONESTY
 
 NOTABLE_PCT: Final = 5.0
 """A smaller gain is not spoken of as one that somebody believes in."""

@@ -1,6 +1,6 @@
 """A log becomes a dive."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import cast
@@ -11,9 +11,11 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, ImuColumns
 from insdvl_replay.core.dive_record import Channel, dive_name
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.quantities import IS_REFERENCE
 from insdvl_replay.core.runtime import begin
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.roles import RoleColumns, find_roles
+from insdvl_replay.logs.columns.solutions import solution_name
 from insdvl_replay.logs.columns.table_reading import read_tables
 from insdvl_replay.logs.columns.tables import Table, stamp_unit
 from insdvl_replay.logs.columns.topic_requirements import Source
@@ -63,7 +65,13 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         tables = read_tables(log, sources)
         log.check_unopened()
         sha256 = log.sha256(digests.result())
-    notes = [*log.notes, *schema_notes(sources), *loss_notes(tables), *stamp_notes(tables)]
+    notes = [
+        *log.notes,
+        *schema_notes(sources),
+        *shared_topic_notes(sources),
+        *loss_notes(tables),
+        *stamp_notes(tables),
+    ]
     columns = RoleColumns(place, config)
     notes += columns.clock_notes([table.clock() for table in tables])
     for finding in filter(lambda finding: finding.sources, findings):
@@ -114,6 +122,17 @@ def _lacking(source: Source) -> str:
     texts = {(one.type_name, one.schema_text) for one in source.channels if one.schema_encoding != "ros2idl"}
     missing = {name for text in texts for name in missing_types(*text)}
     return f" of {', '.join(sorted(missing))}; what comes with the tool" if missing else ""
+
+
+def shared_topic_notes(sources: Sequence[Source]) -> Iterator[Note]:
+    """State which solutions come in the messages of the reference: what they were made of may be what it is."""
+    of_reference = {source.topic for source in sources if source.role == "reference"}
+    for source in sources:
+        name = solution_name(source.role)
+        if name is not None and source.topic in of_reference:
+            text = f"{source.role} is read from messages of {source.topic}, as the reference is, and may know of it"
+            hint = "reference.topic and reference.fix name what it is to be judged by"
+            yield Note(f"solution_{name}{IS_REFERENCE}", text, 1, Severity.WARNING, hint)
 
 
 def loss_notes(tables: Sequence[Table]) -> list[Note]:

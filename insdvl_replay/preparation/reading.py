@@ -7,6 +7,7 @@ from pathlib import Path
 from insdvl_replay import logs
 from insdvl_replay.checks.plausibility import plausibility_notes
 from insdvl_replay.checks.sensors import sensor_notes
+from insdvl_replay.checks.solutions import solution_notes
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
 
@@ -32,4 +33,5 @@ def read_checked_dive(path: Path | Sequence[Path], config: Config, *, allow_dama
     dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
     place = str(logs.name_giver((path,) if isinstance(path, Path) else path))
     notes = plausibility_notes(place, dive.imu, dive.dvl, dive.reference, config)
-    return replace(dive, notes=(*dive.notes, *notes, *sensor_notes(dive.sensors, dive.reference)))
+    notes += (*sensor_notes(dive.sensors, dive.reference), *solution_notes(dive.solutions, dive.reference))
+    return replace(dive, notes=(*dive.notes, *notes))

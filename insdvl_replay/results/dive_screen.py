@@ -11,7 +11,7 @@ from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement
-from insdvl_replay.evaluation.evidence import HONESTY
+from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
 from insdvl_replay.report.document import (
     MISSING,

@@ -6,18 +6,16 @@ from typing import Final, Protocol, TypeVar
 from insdvl_replay.core.pooled_row import PooledRow
 from insdvl_replay.core.quantities import NAMES, is_whole
 from insdvl_replay.core.rows import (
-    CoastingRow,
-    ConsistencyRow,
     ConvergenceRow,
-    CredibilityRow,
     EvidenceRow,
     ImprovementRow,
     ReferenceErrorRow,
 )
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
+from insdvl_replay.core.track_rows import CoastingRow
 from insdvl_replay.core.words import Judgement, ReferenceStatus
-from insdvl_replay.evaluation.evidence import HONESTY
+from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.pooled_evidence import PooledCandidate
 from insdvl_replay.report.document import (
     MISSING,
@@ -32,6 +30,7 @@ from insdvl_replay.report.document import (
 )
 from insdvl_replay.results.json_report import Report
 from insdvl_replay.results.reference_tables import has_reference
+from insdvl_replay.results.trust_tables import consistency_tables, credibility_tables, innovations_tables
 
 EVIDENCE: Final = "Evidence: what was measured"
 """Begins the title of the table of each candidate."""
@@ -105,10 +104,10 @@ def filter_tables(report: Report) -> Iterator[DisplayTable]:
         yield from _improvement(report.baseline, name, _of(name, tables.improvement))
         yield from _convergence(report.baseline, name, _of(name, tables.convergence))
         yield from _reference_error(report.baseline, name, _of(name, tables.reference_error))
-    yield from _consistency([row for row in tables.consistency if is_whole(row.measurement)])
-    yield from _innovations([row for row in tables.consistency if row.whiteness])
+    yield from consistency_tables([row for row in tables.consistency if is_whole(row.measurement)])
+    yield from innovations_tables([row for row in tables.consistency if row.whiteness])
     for name in (report.baseline, *report.filters):
-        yield from _credibility(name, _of(name, tables.credibility))
+        yield from credibility_tables(name, _of(name, tables.credibility))
 
 
 def _of(name: str, rows: Iterable[Row]) -> list[Row]:
@@ -261,67 +260,3 @@ def _not_compared(rows: Sequence[ReferenceErrorRow]) -> str:
     return "; ".join(
         status if len(names) == len(rows) else f"{status}: {', '.join(names)}" for status, names in quantities.items()
     )
-
-
-def _consistency(rows: Sequence[ConsistencyRow]) -> Iterator[DisplayTable]:
-    if rows:
-        columns: list[Column[ConsistencyRow]] = [
-            ("filter", "l", lambda row: row.filter),
-            ("measurement", "l", lambda row: row.measurement),
-            ("used", "r", lambda row: str(row.used)),
-            ("rejected", "r", lambda row: str(row.rejected)),
-            ("NIS", "r", lambda row: number(row.mean_nis)),
-            ("low", "r", lambda row: number(row.low)),
-            ("high", "r", lambda row: number(row.high)),
-            ("verdict", "l", lambda row: row.verdict),
-        ]
-        title = "Consistency: mean NIS and where 95 % of consistent filters would have it"
-        names = [(f"{row.filter} {row.measurement}", row.why) for row in rows]
-        yield table_of(title, rows, columns, _in_spite(names))
-
-
-def _in_spite(names: Iterable[tuple[str, str]]) -> str:
-    """State why verdicts are not what the interval beside them says."""
-    reasons: dict[str, list[str]] = {}
-    for name, why in names:
-        reasons.setdefault(why, []).append(name)
-    reasons.pop("", None)
-    named = "; ".join(f"{why}: {', '.join(found)}" for why, found in reasons.items())
-    return f"In spite of the interval, {named}." if named else ""
-
-
-def _innovations(rows: Sequence[ConsistencyRow]) -> Iterator[DisplayTable]:
-    if rows:
-        columns: list[Column[ConsistencyRow]] = [
-            ("filter", "l", lambda row: row.filter),
-            ("measurement", "l", lambda row: row.measurement.replace("_", " ")),
-            ("NIS / dof", "r", lambda row: number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof)),
-            ("verdict", "l", lambda row: row.verdict),
-            ("likeness", "r", lambda row: decimal(row.autocorrelation, 2)),
-            ("limit", "r", lambda row: decimal(row.autocorrelation_limit, 2)),
-            ("whiteness", "l", lambda row: row.whiteness),
-        ]
-        yield table_of("Innovations by axis: size, and likeness of each to the one before", rows, columns)
-
-
-def _credibility(name: str, rows: Sequence[CredibilityRow]) -> Iterator[DisplayTable]:
-    compared = [row for row in rows if row.samples]
-    if compared:
-        columns: list[Column[CredibilityRow]] = [
-            ("quantity", "l", lambda row: row_label(row.quantity).replace("accelerometer", "accel.")),
-            ("NEES", "r", lambda row: number(row.mean_nees)),
-            ("low", "r", lambda row: decimal(row.low, 2)),
-            ("high", "r", lambda row: decimal(row.high, 2)),
-            ("in\n1 sd", "r", lambda row: decimal(row.within_1sd_pct, 1)),
-            ("in\n3 sd", "r", lambda row: decimal(row.within_3sd_pct, 1)),
-            ("indep.", "r", lambda row: decimal(row.effective_samples, 0)),
-            ("verdict", "l", lambda row: row.verdict),
-        ]
-        yield table_of(
-            f"Credibility: errors of {name} in its own standard deviations",
-            compared,
-            columns,
-            f"Expected: NEES 1, of a group 3, all together {compared[-1].dof}; 68.3 % and 99.7 %. The "
-            "reference is taken as exact. indep.: samples that do not repeat each other. "
-            + _in_spite([(row_label(row.quantity), row.why) for row in compared]),
-        )

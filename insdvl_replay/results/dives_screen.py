@@ -12,7 +12,7 @@ from insdvl_replay.core.quantities import DECIDING_TOGETHER, NAMES
 from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import GateStatus, Judgement, Severity
-from insdvl_replay.evaluation.evidence import HONESTY
+from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.pooled_evidence import PooledCandidate
 from insdvl_replay.evaluation.verdicts import spoken_of
 from insdvl_replay.report.document import (

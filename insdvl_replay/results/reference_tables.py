@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from insdvl_replay.core.quantities import NAMES
-from insdvl_replay.core.rows import DriftRow, JumpRow, TrackFitRow
 from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.track_rows import DriftRow, JumpRow, TrackFitRow
 from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.report.document import MISSING, Column, DisplayTable, decimal, number, row_label, table_of
 from insdvl_replay.results.json_report import Report

@@ -19,6 +19,10 @@ def written(folder: Path, text: str) -> Path:
     return file
 
 
+RUN = '[filters.a]\naiding = ["velocity"]\n[filters.b]\n'
+"""Settings with a baseline, before the keys of another filter."""
+
+
 def test_the_default_is_the_papers_setting() -> None:
     config = load_config()
     assert config == Config() == load_config("levy-klein")
@@ -117,6 +121,25 @@ def test_any_value_survives_being_written_as_toml(
             "window = 4",
         ),
         ('[filters.a-b]\naiding = ["velocity"]', "filter name 'a-b'", "part of topics"),
+        (
+            '[filters.a]\nsolution = "/o"',
+            "filters.a.solution is read, and cannot be the baseline",
+            "[filters.baseline]",
+        ),
+        (
+            f'{RUN}solution = "/o"\naiding = ["velocity"]',
+            "filters.b.solution is read and not run, and filters.b.aid",
+            "",
+        ),
+        (f"{RUN}solution = {{ align = 'none' }}", "filters.b.solution names nothing", 'solution = "/odometry"'),
+        (f"{RUN}solution = {{ topic = '/o', file = '/o.tum' }}", "names a topic and a file", "solution = "),
+        (f"{RUN}solution = {{ tpic = '/o' }}", "key 'filters.b.solution.tpic' is not known", "solution.topic?"),
+        (
+            f"{RUN}solution = {{ file = 'o.tum', heading = 'h' }}",
+            "of which filters.b.solution.heading says",
+            "time x y",
+        ),
+        (f"{RUN}solution = 'nowhere.tum'", "nowhere.tum: cannot be read", "the settings' own folder"),
         ("[filters.a]\naiding = []", "filters.a.aiding names nothing", "aiding = "),
         ("[filters]", "no filter is configured", "add [filters.baseline]"),
     ],
@@ -216,3 +239,33 @@ def test_numbers_and_words_beyond_all_measure_are_mistakes_of_the_user(setting: 
 def test_a_file_beyond_all_measure_is_not_valid(value: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"vehicle.toml: is not valid TOML: (A number|Too many)"):
         load_config(file=written(tmp_path, f"[dvl]\nscale = {value}\n"))
+
+
+def test_a_file_beside_the_settings_is_found_again_and_held_fast(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Resolved settings lie in a result folder; there the file is another one if a byte of it has changed."""
+    (tmp_path / "there").mkdir()
+    flown = tmp_path / "there" / "flown.tum"
+    flown.write_text("0 0 0 0 0 0 0 1\n")
+    file = written(tmp_path / "there", f'{RUN}solution = "flown.tum"\n')
+    monkeypatch.chdir(tmp_path)
+    config = load_config(file=file.relative_to(tmp_path))
+    (solution,) = config.solutions.values()
+    assert (solution.file, solution.topic) == (str(flown), None)
+    resolved = written(tmp_path, render_toml(config))
+    assert load_config(file=resolved) == config
+    flown.write_text("0 0 0 0 0 0 0 2\n")
+    assert load_config(file=file) != config
+    with pytest.raises(ConfigError, match="is not the file that was meant"):
+        load_config(file=resolved)
+
+
+def test_a_name_is_a_topic_or_by_its_ending_a_file_and_keys_can_be_added(tmp_path: Path) -> None:
+    file = written(tmp_path, f'{RUN}solution = "/odometry"\n')
+    (solution,) = load_config(file=file, overrides=["filters.b.solution.align=heading"]).solutions.values()
+    assert (solution.topic, solution.align) == ("/odometry", "heading")
+    config = load_config(file=file)
+    assert list(config.computed) == ["a"]
+    assert 'solution = "/odometry"' in render_toml(config)
+    assert "gate_probability" not in render_toml(config).partition("[filters.b]")[2]  # what it has not is not shown

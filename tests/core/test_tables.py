@@ -52,7 +52,10 @@ def test_a_replay_has_the_rows_that_its_layouts_name() -> None:
     """On 200 s there are windows of 30 s alone, and no two stretches of 300 s."""
     replay = replay_dive(simulate_dive("straight", seed=1, duration_s=200.0), Config())
     longer = {f"coasting_{length}s" for length in (60, 120, 300)} | {"60", "120", "300"}
+    assert replay.tables.jumps == []  # neither filter has a position that could
     for layout, rows in each_table(replay.tables):
+        if layout.name == "jumps":
+            continue
         of_others = longer | {
             name for name in layout.rows if layout.name in OF_MORE and OF_MORE[layout.name].match(name)
         }

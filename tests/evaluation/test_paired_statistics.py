@@ -13,6 +13,7 @@ from insdvl_replay.evaluation.paired_statistics import (
     NOTHING,
     RatioInterval,
     paired_ratio,
+    ratio_beside_starts,
     windows_ratio,
     word_of,
 )
@@ -282,3 +283,32 @@ def test_no_more_independent_values_than_the_interval_has_freedom() -> None:
     assert found.effective_samples > 100.0
     assert found.independent == pytest.approx(400.0 / 10.0)
     assert paired_ratio(before, before).independent == 400.0
+
+
+# --- One run beside runs from many starts.
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.3, 1.0])
+def test_one_run_among_those_of_drawn_starts_is_held_as_often_as_said(scatter: float) -> None:
+    """Seventeen runs, alike but for what each start makes of its errors: which of them is the one is an accident.
+
+    Its rms scatters log-normally over starts, as that of a heading error over dives does, about.
+    """
+    rng, trials, outside = np.random.default_rng(8), 400, 0
+    for _ in range(trials):
+        size = np.exp(scatter * rng.standard_normal((17, 1)))
+        squared = (size * autoregressive(rng, 0.3, 17, 200)) ** 2
+        interval = ratio_beside_starts(squared[:16], squared[16])
+        outside += not interval.low <= 1.0 <= interval.high
+    assert outside <= 0.08 * trials
+
+
+def test_one_run_is_compared_in_the_mean_of_logarithms() -> None:
+    rng = np.random.default_rng(9)
+    base = rng.standard_normal((1, 400)) ** 2
+    interval = ratio_beside_starts(np.vstack([base, 4.0 * base, 16.0 * base]), 36.0 * base[0])
+    assert interval.ratio == pytest.approx(3.0)
+    # ln 6, ln 3 and ln 1.5 have a standard deviation of ln 2; the one run's start adds to that of the mean.
+    width = np.log(2.0) * np.sqrt(1.0 + 1.0 / 3.0)
+    assert np.log(interval.high / interval.ratio) == pytest.approx(4.303 * width, rel=0.02)
+    assert ratio_beside_starts(np.vstack([base, base]), np.full(400, np.nan)) == NOTHING

@@ -24,6 +24,7 @@ from insdvl_replay.logs.columns.solutions import no_covariances
 from insdvl_replay.logs.writing.dive_log import write_dive
 from insdvl_replay.nav.drawn_starts import drawn_starts
 from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_one
 from insdvl_replay.preparation.solutions import read_solutions
 from insdvl_replay.replay import Replay, replay_dive
@@ -277,6 +278,18 @@ def test_the_projects_own_message_is_taken_as_it_is(dive: Dive, tmp_path: Path) 
     replay = replayed(tmp_path, dive, settings, write_nav_solution(tmp_path / "own.mcap", higher))
     assert rows(replay, "reference_error")["depth"].rmse == pytest.approx(2.5, abs=1e-6)
     assert rows(replay, "reference_error", "onboard1")["depth"].rmse < 1e-6
+
+
+def test_what_is_the_reference_by_another_name_is_not_judged(dive: Dive, tmp_path: Path) -> None:
+    """Evo's file of the reference, or its topic recorded twice."""
+    write_tum(tmp_path / "own.tum", truth_of(dive))
+    write_dive(tmp_path / "dive.mcap", dive)
+    settings = config(Solution(file=str(tmp_path / "own.tum")))
+    read = read_checked_dive(tmp_path / "dive.mcap", settings)
+    replay = replay_dive(read, settings)
+    assert "solution_onboard_is_reference" in codes(replay)
+    assert replay.verdicts["onboard"].improvement == "not judged"
+    assert "onboard is, or may know, the reference" in replay.verdicts["onboard"].verdict
 
 
 @pytest.mark.parametrize(("factor", "word"), [(1.0, "undecided"), (5.0, "worse"), (0.2, "better")])
