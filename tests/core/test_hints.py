@@ -21,7 +21,7 @@ LISTED = (
 
 
 def channel(topic: str, type_name: str, messages: int) -> LogChannel:
-    return LogChannel(1, topic, type_name, "cdr", "ros2msg", "", messages)
+    return LogChannel(1, topic, type_name, "cdr", "ros2msg", messages)
 
 
 def refusal(channels: list[LogChannel], config: Config | None = None) -> LogError:

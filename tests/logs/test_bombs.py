@@ -208,7 +208,7 @@ def test_protobuf_types_are_refused_likewise(links: Callable[[int], list[int]]) 
         kind = file.message_type.add(name=f"M{i}")
         for number, other in enumerate(links(i), 1):
             kind.field.add(name=f"f{other}", number=number, label=1, type=11, type_name=f".p.M{other}")
-    bomb = LogChannel(1, "/imu", "p.M0", "protobuf", "protobuf", "", 1, files.SerializeToString())
+    bomb = LogChannel(1, "/imu", "p.M0", "protobuf", "protobuf", 1, files.SerializeToString())
     with pytest.raises(LogError, match="the schema means more than 65536 fields"):
         channel_paths(bomb)
 

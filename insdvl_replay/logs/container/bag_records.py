@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
 from insdvl_replay.logs.container.blocks import gather
-from insdvl_replay.logs.container.chunks import decompressed, room_of
+from insdvl_replay.logs.container.chunks import decompressed, of_size, room_of
 from insdvl_replay.logs.container.records import DamageError
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
 """Kinds of records."""
 _LONGEST_HEADER: Final = 1 << 20
-_SHORTEST_HEADER: Final = 8
-"""A header tells at least of which kind its record is."""
 _LENGTH: Final = struct.Struct("<I")
 _WORD: Final = np.dtype("<u4")
 ENTRY: Final = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("place", "<u4")])
@@ -68,7 +66,7 @@ def _bounds(data: memoryview, place: int) -> tuple[int, int]:
     if left < 0:
         raise DamageError(place, f"{left + 8} bytes are left where a record needs at least 8")
     head = _LENGTH.unpack_from(data, place)[0]
-    if not _SHORTEST_HEADER <= head <= min(left, _LONGEST_HEADER):
+    if head > min(left, _LONGEST_HEADER):
         raise DamageError(place, f"a record says its header has {head} bytes; {left} are left")
     start = place + 8 + head
     size = _LENGTH.unpack_from(data, start - 4)[0]
@@ -93,19 +91,16 @@ def fields_of(header: memoryview, place: int) -> dict[bytes, bytes]:
 def opened(data: memoryview, chunk: Record) -> memoryview:
     """Decompress a chunk."""
     compressed, size, compression = data[chunk.start : chunk.end], chunk.number(b"size", 4), chunk.text(b"compression")
-    if compression not in ("bz2", "lz4", "none") or size > room_of(len(compressed)):
-        found = f"a chunk of {len(compressed)} bytes, compressed with '{compression}', says it opens to {size}"
-        raise DamageError(chunk.offset, found)
+    if compression != "bz2":
+        content = decompressed(compressed, compression.removeprefix("none"), size, chunk.offset)
+        return of_size(content, size, chunk.offset)
+    if size > room_of(len(compressed)):
+        raise DamageError(chunk.offset, f"a chunk of {len(compressed)} compressed bytes says it opens to {size}")
     try:
-        if compression == "bz2":
-            content = memoryview(bz2.BZ2Decompressor().decompress(compressed, size + 1))
-        else:
-            content = decompressed(compressed, compression.removeprefix("none"), size, chunk.offset)
+        content = memoryview(bz2.BZ2Decompressor().decompress(compressed, size + 1))
     except OSError as error:
         raise DamageError(chunk.offset, f"a bz2 chunk cannot be decompressed ({error})") from error
-    if len(content) != size:
-        raise DamageError(chunk.offset, f"a chunk opens to {len(content)} bytes where {size} were announced")
-    return content
+    return of_size(content, size, chunk.offset)
 
 
 def entries(data: memoryview, record: Record, dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -119,10 +119,16 @@ def open_chunk(data: memoryview, chunk: Chunk) -> memoryview:
         found = f"a chunk says it has {header.compressed_size} compressed bytes; there are {len(compressed)}"
         raise DamageError(chunk.offset, found)
     content = decompressed(compressed, header.compression, header.size, chunk.offset)
-    if len(content) != header.size:
-        raise DamageError(chunk.offset, f"a chunk opens to {len(content)} bytes where {header.size} were announced")
+    of_size(content, header.size, chunk.offset)
     if header.crc and zlib_ng.crc32(content) != header.crc:
         raise DamageError(chunk.offset, "the checksum of a chunk is not that of its bytes")
+    return content
+
+
+def of_size(content: memoryview, size: int, offset: int) -> memoryview:
+    """Return what a chunk that stands somewhere opens to, which must be as many bytes as announced."""
+    if len(content) != size:
+        raise DamageError(offset, f"a chunk opens to {len(content)} bytes where {size} were announced")
     return content
 
 

@@ -9,7 +9,7 @@ from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.mapped_file import Digest, MappedFile
-from insdvl_replay.logs.container.records import LogChannel, Span
+from insdvl_replay.logs.container.records import Damage, LogChannel, Span
 
 
 class LogFile(ABC):
@@ -30,6 +30,8 @@ class LogFile(ABC):
         How many chunks there are, if the format has any.
     compression : tuple of str
         The ways in which parts of it are compressed, ``none`` for those that are not.
+    damages : collection of Damage
+        The places found so far; of some formats no file with any is opened.
     """
 
     channels: tuple[LogChannel, ...] = ()
@@ -38,6 +40,7 @@ class LogFile(ABC):
     has_summary: bool
     chunk_count: int = 0
     compression: tuple[str, ...]
+    damages: Collection[Damage] = ()
 
     def __init__(self, file: MappedFile) -> None:
         self.path = file.path
@@ -78,9 +81,9 @@ class LogFile(ABC):
     def log_times(self) -> dict[int, TimeNs]:
         """Return the log times of all messages by channel, shape (k,), ns."""
 
-    @abstractmethod
     def faults(self) -> list[LogError]:
         """Return an error for each damaged place found so far."""
+        return [LogError(f"is damaged at byte {one.offset}: {one.found}", "", self.path) for one in self.damages]
 
     def saved_times(self) -> Iterator[TimeNs]:
         """Give the log times of all messages that can be read, some at a time; ns."""

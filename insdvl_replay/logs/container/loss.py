@@ -75,18 +75,18 @@ def damage_note(name: str, data: memoryview, mcap_index: McapIndex) -> Note:
         found = [replace(loss, span_ns=None) for loss in found]
         missing = None if missing is None else missing + duplicates
     loss = loss_text(found, missing, is_cut=mcap_index.is_cut)
-    text = f"{name} is damaged in {places_text(mcap_index.damages, loss)}"
-    return Note("log_damaged", text, len(mcap_index.damages), Severity.WARNING, COPY_AGAIN)
+    return places_note(name, mcap_index.damages, loss)
 
 
-def places_text(found: Iterable[Damage], loss: str) -> str:
+def places_note(name: str, found: Iterable[Damage], loss: str) -> Note:
     """State in how many places a log is damaged, what was lost, and what stands in the first of them."""
     # Checksums are checked beside the reading, and what is found first is a matter of chance.
     damages = sorted(found, key=lambda damage: damage.offset)
     shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
     more = f"; and {len(damages) - _SHOWN} more" if len(damages) > _SHOWN else ""
     places = "1 place" if len(damages) == 1 else f"{len(damages)} places"
-    return f"{places}, {loss} ({shown}{more})"
+    text = f"{name} is damaged in {places}, {loss} ({shown}{more})"
+    return Note("log_damaged", text, len(damages), Severity.WARNING, COPY_AGAIN)
 
 
 def loss_text(found: Sequence[Loss], missing: int | None, *, is_cut: bool) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from mcap import records
 
 from insdvl_replay.core.dive_columns import TimeNs
-from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.errors import Note
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container.blocks import Block, Content, content_of, index_entries
 from insdvl_replay.logs.container.chunks import Chunk, ChunkHeader, chunk_header, open_chunk, opened_size
@@ -117,6 +117,7 @@ class McapFile(LogFile):
         with self._file.watched():
             self._index = build_index(self._data, self._file.release)
         self._file.release(0, len(self._data))
+        self.damages = self._index.damages
         self._reader = _ChunkReader(self._file, self._index)
         self.channels = tuple(
             described(channel, self._index.schemas.get(channel.schema_id), self._index.counts[channel.id])
@@ -237,10 +238,6 @@ class McapFile(LogFile):
             for block in content.of(parts):
                 parts[block.channel_id].append(block.log_time)
         return {channel_id: np.concatenate(times) for channel_id, times in parts.items()}
-
-    def faults(self) -> list[LogError]:
-        """Return an error for each damaged place found so far."""
-        return [LogError(f"is damaged at byte {one.offset}: {one.found}", "", self.path) for one in self._index.damages]
 
     def saved_times(self) -> Iterator[TimeNs]:
         """Read all that can be read and give the log times, a block of messages at a time; ns."""

@@ -9,6 +9,7 @@ import struct
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from io import BytesIO
 from typing import Any, Final
 
@@ -201,12 +202,10 @@ class LogChannel:
         As the log names them.
     schema_encoding : str
         Language of the schema, ``ros2msg`` for ROS 2.
-    schema_text : str
-        The schema; may be empty.
     messages : int
         How many messages are found.
     schema_data : bytes
-        The schema as it stands in the log; protobuf's are no text.
+        The schema as it stands in the log; may be empty, and protobuf's are no text.
     metadata : mapping of str to str
         What the recorder wrote beside it.
     """
@@ -216,10 +215,14 @@ class LogChannel:
     type_name: str
     encoding: str
     schema_encoding: str
-    schema_text: str
     messages: int
     schema_data: bytes = b""
     metadata: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def schema_text(self) -> str:
+        """The schema as text."""
+        return self.schema_data.decode("utf-8", "replace")
 
 
 def described(channel: records.Channel, schema: records.Schema | None, messages: int) -> LogChannel:
@@ -230,7 +233,6 @@ def described(channel: records.Channel, schema: records.Schema | None, messages:
         type_name=schema.name if schema else "",
         encoding=channel.message_encoding,
         schema_encoding=schema.encoding if schema else "",
-        schema_text=schema.data.decode("utf-8", "replace") if schema else "",
         messages=messages,
         schema_data=schema.data if schema else b"",
         metadata=channel.metadata,

@@ -96,10 +96,6 @@ class SqliteFile(LogFile):
         """Return the log times of all messages by channel, shape (k,), ns."""
         return {channel.id: self._times[self._channel_ids == channel.id] for channel in self.channels}
 
-    def faults(self) -> list[LogError]:
-        """Return nothing: what is damaged is not opened."""
-        return []
-
     def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
         """Go through the messages of some channels, some megabytes at a time."""
         wanted = np.isin(self._channel_ids, list(channel_ids))
@@ -234,7 +230,6 @@ class SqliteFile(LogFile):
                 type_name=type_name,
                 encoding=encoding,
                 schema_encoding=schema_encoding,
-                schema_text=text,
                 messages=counts[number],
                 schema_data=text.encode("utf-8", "replace"),
             )
