@@ -172,7 +172,7 @@ def _first_ns(motion: ReferenceColumns, quantity: str, key: str, baseline: Histo
     if not len(known_ns) or known_ns[0] > end_ns or known_ns[-1] < start_ns:
         raise LogError(
             f"{key}: none of its {quantity} lies in the replay",
-            f'check {key}.stamp against imu.stamp, or widen --start and --end; {key}.align = "none" needs none',
+            f"are its times on the log's clock? {key}.latency_s moves them, --start and --end widen the replay",
         )
     return max(start_ns, int(known_ns[0]))
 
