@@ -73,8 +73,8 @@ def main() -> None:
     argparse.ArgumentParser(description=__doc__).parse_args()
     about = (
         f"{DIVES} simulated dives of {LENGTH_S:.0f} s a row. The vehicle flew the baseline, from a start as wrong as "
-        "the preset says, and what it found is judged beside it, with errors that are by a factor larger; at a factor of 1 "
-        f"every word but *undecided* and *equivalent* is wrong. {machine()}."
+        "the preset says, and what it found is judged beside it, with errors that are by a factor larger; at a "
+        f"factor of 1 every word but *undecided* and *equivalent* is wrong. {machine()}."
     )
     lines = [f"| {' | '.join(row)} |" for row in rows()]
     part = "\n".join(
