@@ -35,6 +35,8 @@ AXES: Final[tuple[Floats, ...]] = tuple(
     if np.linalg.det(turn) > 0.0
 )
 """The 24 ways in which right-handed axes can lie along others."""
+CLEARLY: Final = 0.8
+"""Share of what one mounting leaves of the innovations, below which another one is the likelier."""
 NOT_FAR_OFF: Final = 4.0
 """Times the least that a mounting leaves, beyond which no arm or delay makes it the best."""
 MOST_FITTED: Final = 6
@@ -119,10 +121,8 @@ def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
     what is configured, are tried with arm and delay fitted; these stand before all others.
     """
     configured = dives[0].config.dvl.mounting_rpy_deg
-    first = sorted(
-        (_tried(dives, turn) for turn in steps("trying mountings", possible_axes(dives[0].dive.dvl))),
-        key=lambda one: one.cost,
-    )
+    possible = steps("trying mountings", possible_axes(dives[0].dive.dvl))
+    first = sorted((_tried(dives, turn) for turn in possible), key=lambda one: one.cost)
     near = [one for one in first if one.cost < NOT_FAR_OFF * first[0].cost][:MOST_FITTED]
     near += [one for one in first if one.rpy_deg == configured and one not in near]
     fitted = [_fitted(dives, one) for one in steps("trying mountings with arm and delay", near)]
