@@ -17,7 +17,7 @@ from insdvl_replay.core.rows import (
 )
 from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.core.tables import Candidate, Tables
-from insdvl_replay.core.track_rows import CoastingRow, DriftRow, TrackFitRow
+from insdvl_replay.core.track_rows import CoastingRow, DriftRow, JumpRow, TrackFitRow
 from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.results.json_report import Report, build_report
 
@@ -78,6 +78,7 @@ def tables() -> Tables:
         [CoastingRow(*row) for row in coasting],
         [DriftRow("dive", *row) for row in drift],
         [TrackFitRow("dive", *row) for row in track_fit],
+        [JumpRow("dive", "aided", 2119, 2, 1.31, 207.4)],
     )
 
 
