@@ -142,7 +142,7 @@ class Initial(Section, frozen=True):
     ] = "reference"
     heading_deg: Annotated[
         float | Literal["fit", "sensor"] | None,
-        Comment('needed where no reference gives an attitude: a number, "fit" (by a track of positions) or "sensor"'),
+        Comment('needed where the reference has no attitude: a number, "fit" (by a track of positions) or "sensor"'),
     ] = None
     latitude_deg: Annotated[
         Annotated[float, Meta(ge=-89.9, le=89.9)] | None, Comment("needed where the reference has no position")
