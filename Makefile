@@ -49,6 +49,7 @@ bench: .venv/bench.stamp
 # How often the words on filters are right, in simulated worlds whose truth is known; takes some minutes.
 judge: .venv/test.stamp
 	$(BIN)/python benchmarks/judge.py
+	$(BIN)/python benchmarks/onboard.py
 
 # Damaged logs, bombs, hostile names, kills, swaps; takes some hour, and fails if there is a defect.
 attack: .venv/test.stamp

@@ -80,7 +80,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     LogError, ConfigError
         As of `reading.read_checked_dive`.
     """
-    dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
+    dive = read_checked_dive(path, config.without_solutions(), allow_damaged=allow_damaged)
     return ReadDive(with_reference_at_imu(dive, config), config, dive.reference)
 
 

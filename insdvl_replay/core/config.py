@@ -297,6 +297,10 @@ class Config(Section, frozen=True):
         """The filters that are run."""
         return {name: filter_ for name, filter_ in self.filters.items() if filter_.solution is None}
 
+    def without_solutions(self) -> "Config":
+        """Return what those need who look at logs and baseline alone: no solution has to be there."""
+        return msgspec.structs.replace(self, filters=self.computed)
+
     @property
     def solutions(self) -> dict[str, Solution]:
         """The filters whose solution is read, as their settings have it."""

@@ -34,7 +34,7 @@ STATES: Final = states_with(["position"])
 """Those of which a solution can say how sure it is are among these; the biases never are."""
 _TOLD: Final = np.r_[: BA.start, POSITION.start : POSITION.stop]
 """Rows of a solution's covariance among its states."""
-MAPPED: Final = ("positions", "velocities", "attitudes")
+QUANTITIES: Final = ("positions", "velocities", "attitudes")
 
 
 def read_solutions(
@@ -172,7 +172,7 @@ def _first_ns(motion: ReferenceColumns, quantity: str, key: str, baseline: Histo
     if not len(known_ns) or known_ns[0] > end_ns or known_ns[-1] < start_ns:
         raise LogError(
             f"{key}: none of its {quantity} lies in the replay",
-            f'check {key}.stamp against imu.stamp, or widen --start and --end; {key}.align = "none" needs none',
+            f"are its times on the log's clock? {key}.latency_s moves them, --start and --end widen the replay",
         )
     return max(start_ns, int(known_ns[0]))
 
@@ -265,11 +265,11 @@ def _cov_at(solution: SolutionColumns, at_ns: TimeNs) -> Floats:
 def _coverage_notes(name: str, motion: ReferenceColumns, baseline: History) -> Iterator[Note]:
     """State what a solution says nothing of, or not all the time."""
     start_ns, end_ns = int(baseline.time_ns[0]), int(baseline.time_ns[-1])
-    never = [quantity for quantity in MAPPED if not motion.known[quantity].any()]
+    never = [quantity for quantity in QUANTITIES if not motion.known[quantity].any()]
     if never:
         yield Note("solution_lacks", f"filters.{name}.solution says nothing of {' and '.join(never)}", len(never))
     alike: dict[str, list[str]] = {}
-    for quantity in (one for one in MAPPED if one not in never):
+    for quantity in (one for one in QUANTITIES if one not in never):
         share = covered_share(motion.time_ns, motion.known[quantity], start_ns, end_ns)
         if share < WELL_COVERED:
             alike.setdefault(f"{100.0 * share:.0f}", []).append(quantity)

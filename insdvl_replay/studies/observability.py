@@ -225,7 +225,7 @@ def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
     """Read the log, or make the scenario's exact dive, whose sensors have no scale and no biases to take out."""
     path = Path(dive_or_scenario)
     if path.exists():
-        return with_reference_at_imu(read_checked_dive(path, config), config), config
+        return with_reference_at_imu(read_checked_dive(path, config.without_solutions()), config), config
     if dive_or_scenario not in SCENARIOS:
         raise ConfigError(f"{dive_or_scenario}: is neither a log nor a scenario", f"scenarios: {', '.join(SCENARIOS)}")
     dvl = msgspec.structs.replace(config.dvl, scale=1.0)

@@ -140,7 +140,7 @@ def _studied(
 
     def study(path: Path) -> tuple[pd.DataFrame, float, tuple[Note, ...]] | LogError:
         try:
-            return dive_windows(read_checked_dive(path, config), config, longest)
+            return dive_windows(read_checked_dive(path, config.without_solutions()), config, longest)
         except LogError as error:
             return error
 

@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from vehicles_own import Told, off, truth_of, write_nav_solution, write_odometry, write_tum
 
-from insdvl_replay.core.config import Config, Evaluation, Filter
+from insdvl_replay.calibration.dives import read_dive as read_for_calibration
+from insdvl_replay.core.config import Config, Evaluation, Filter, Initial
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.config_navigation import Reference, Solution
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns, seconds
@@ -240,6 +241,33 @@ def test_without_attitude_a_lever_arm_is_refused(dive: Dive) -> None:
     lacking = replace(reference, mat_nb=np.full_like(reference.mat_nb, np.nan))
     with pytest.raises(ConfigError, match=r"filters.onboard.solution gives no attitude"):
         replay_dive(replace(dive, solutions={"onboard": SolutionColumns(lacking, None, *no_covariances())}), settings)
+
+
+def test_a_solution_of_another_time_is_refused(dive: Dive, tmp_path: Path) -> None:
+    told = truth_of(dive)
+    write_tum(tmp_path / "own.tum", replace(told, time_ns=told.time_ns + 10**12))
+    settings = config(Solution(file=str(tmp_path / "own.tum")))
+    with pytest.raises(LogError, match=r"filters.onboard.solution: none of its positions lies in the replay") as caught:
+        replayed(tmp_path, dive, settings)
+    assert "filters.onboard.solution.latency_s" in caught.value.hint
+
+
+def test_without_a_reference_its_jumps_are_left(dive: Dive, tmp_path: Path) -> None:
+    told = truth_of(dive)
+    jumped = off(told, way_n=np.where(np.arange(len(told.time_ns))[:, None] > 500, [0.0, 5.0, 0.0], 0.0))
+    level = Initial(source="level", heading_deg=0.0, latitude_deg=32.8)
+    alone = replace(dive, reference=None, truth=None)
+    part = write_odometry(tmp_path / "own.mcap", jumped)
+    replay = replayed(tmp_path, alone, config("/odometry", initial=level), part)
+    assert [row.jumps for row in replay.tables.jumps] == [1]
+    assert not [row for row in replay.tables.evidence if row.filter == "onboard"]
+    assert "there is nothing to measure it by" in replay.verdicts["onboard"].verdict
+
+
+def test_who_looks_at_the_baseline_alone_needs_no_solution(dive: Dive, tmp_path: Path) -> None:
+    """One file of settings serves calibration, too, whose logs lack the topic."""
+    write_dive(tmp_path / "dive.mcap", dive)
+    assert read_for_calibration(tmp_path / "dive.mcap", config("/odometry")).dive.solutions == {}
 
 
 @pytest.mark.parametrize(

@@ -285,27 +285,28 @@ SENSORS_IF_NAMED: Final[Mapping[str, Types]] = {
 }
 """Too common to be taken unasked for what one of their fields holds."""
 
+
+def _upper(path: str, size: int) -> str:
+    """Name the upper triangle of the first rows of a covariance of six: a third of what its messages repeat."""
+    return ", ".join(f"{path}[{6 * row + column}]" for row in range(size) for column in range(row, size))
+
+
+def _with(known: KnownType, **more: str) -> KnownType:
+    return KnownType({**known.fields, **more})
+
+
+_POSE, _TWIST = _upper("pose.covariance", 6), _upper("twist.covariance", 3)
+_ODOMETRY, _POSED = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped"
+
 SOLUTIONS: Final[Types] = {
     **NAV_SOLUTION,
     **ODOMETRY,
     **POSES,
     **FIX,
-    "nav_msgs/msg/Odometry": KnownType(
-        {
-            **ODOMETRY["nav_msgs/msg/Odometry"].fields,
-            "pose_cov": "pose.covariance",
-            "twist_cov": "twist.covariance",
-        }
-    ),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": KnownType(
-        {**POSES["geometry_msgs/msg/PoseWithCovarianceStamped"].fields, "pose_cov": "pose.covariance"}
-    ),
+    _ODOMETRY: _with(ODOMETRY[_ODOMETRY], pose_cov=_POSE, twist_cov=_TWIST),
+    _POSED: _with(POSES[_POSED], pose_cov=_POSE),
     "blueye.protocol.PositionEstimateTel": KnownType(
-        {
-            "latitude": "position_estimate.global_position.latitude",
-            "longitude": "position_estimate.global_position.longitude",
-        },
-        stamp=LOG_TIME,
+        {axis: f"position_estimate.global_position.{axis}" for axis in ("latitude", "longitude")}, stamp=LOG_TIME
     ),
 }
 """Of a solution of the vehicle's own, whose topic is always named: what it says of its errors is read, too. Of the

@@ -84,12 +84,12 @@ def _covariances(table: Table, settings: Solution, part: Part, rows: NDArray[np.
     cov, wrong = np.full((len(rows), SIZE, SIZE), np.nan), 0
     turn_n = np.eye(3) if settings.axes == "ned_frd" else MAT_ENU_NED
     if "pose_cov" in table:
-        pose, wrong = _told(part.cleaner.kept(table.values("pose_cov", 36))[rows].reshape(-1, 6, 6))
+        pose, wrong = _told(_whole(part.cleaner.kept(table.values("pose_cov", 21))[rows], 6))
         for one, of_one in ((DP, slice(0, 3)), (PHI, slice(3, 6))):
             for other, of_other in ((DP, slice(0, 3)), (PHI, slice(3, 6))):
                 cov[:, one, other] = turn_n @ pose[:, of_one, of_other] @ turn_n.T
     if "twist_cov" in table and part.velocity_n is not None:
-        twist, more = _told(part.cleaner.kept(table.values("twist_cov", 36))[rows].reshape(-1, 6, 6)[:, :3, :3])
+        twist, more = _told(_whole(part.cleaner.kept(table.values("twist_cov", 6))[rows], 3))
         wrong += more
         in_body = "velocity_b" in table and settings.velocity_n is None
         if in_body and part.mat_nb is not None:
@@ -105,12 +105,20 @@ def _covariances(table: Table, settings: Solution, part: Part, rows: NDArray[np.
     return cov, wrong
 
 
+def _whole(upper: Floats, size: int) -> Floats:
+    """Make matrices of their upper triangles, row by row."""
+    whole = np.empty((len(upper), size, size))
+    row, column = np.triu_indices(size)
+    whole[:, row, column] = whole[:, column, row] = upper
+    return whole
+
+
 def _told(cov: Floats) -> tuple[Floats, int]:
     """Return covariances, shape (c, n, n), with NaN in the blocks of three that are not told, and count what is none.
 
     A variance of 0 or less, such as the -1 in front of a matrix that stands for none, says nothing.
     """
-    told = 0.5 * (cov + cov.swapaxes(1, 2))
+    told = cov.copy()
     told[cov[:, 0, 0] == -1.0] = np.nan
     blocks = [slice(first, first + 3) for first in range(0, cov.shape[1], 3)]
     for block in blocks:

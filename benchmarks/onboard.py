@@ -1,0 +1,88 @@
+"""How often the words on a vehicle's own solution are right, where the truth is known.
+
+`make judge` runs this. The vehicle flies the baseline itself, from a start as wrong as the preset says, and what it
+found is judged beside the same baseline: as it is, with errors five times as large, and with a fifth of them.
+"""
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+from results import machine, table, write_part
+
+from insdvl_replay.core.config import Config, Filter
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.config_navigation import Solution
+from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, SolutionColumns
+from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
+from insdvl_replay.logs.columns.solutions import no_covariances
+from insdvl_replay.nav.drawn_starts import drawn_starts
+from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.running import prepared_timeline, run_one
+from insdvl_replay.replay import replay_dive
+from insdvl_replay.sim.dive import simulate_dive
+
+DIVES, LENGTH_S = 24, 400.0
+PRESETS = ("mems", "tactical")
+FACTORS = (1.0, 5.0, 0.2)
+WORDS = ("better", "worse", "mixed", "equivalent", "undecided", "not judged")
+
+
+def flown_dive(preset: str, config: Config, seed: int, factor: float) -> Dive:
+    """Make a dive with what its vehicle found from a start of its own, whose errors are by a factor larger."""
+    dive = simulate_dive(("lawnmower", "figure-eight")[seed % 2], seed=seed, duration_s=LENGTH_S, grade=preset)
+    prepared = prepare_dive(dive, config)
+    _, start = drawn_starts(prepared.alignment.start, 2, (seed, 77))
+    begun = replace(prepared, alignment=replace(prepared.alignment, start=start))
+    flown, reference = run_one(prepared.filters[0], begun, prepared_timeline(dive, prepared)).motion(), dive.reference
+    assert reference is not None
+    flown = flown.rows(np.isin(flown.time_ns, reference.time_ns))
+    true = reference.rows(np.isin(reference.time_ns, flown.time_ns))
+    solution = SolutionColumns(_with_errors(flown, true, factor), None, *no_covariances())
+    return replace(dive, solutions={"onboard": solution})
+
+
+def _with_errors(flown: ReferenceColumns, true: ReferenceColumns, factor: float) -> ReferenceColumns:
+    turn = vector_from_mat(flown.mat_nb @ np.swapaxes(true.mat_nb, 1, 2))
+    return replace(
+        flown,
+        position=true.position + factor * (flown.position - true.position),
+        velocity_n=true.velocity_n + factor * (flown.velocity_n - true.velocity_n),
+        mat_nb=mat_from_vector(factor * turn) @ true.mat_nb,
+    )
+
+
+def rows() -> Iterator[tuple[str, ...]]:
+    """Count the words of each preset, factor and way in which the start is laid."""
+    for preset in PRESETS:
+        for factor, align in [*((factor, "none") for factor in FACTORS), (1.0, "heading")]:
+            solution = Solution(topic="/odometry", align="heading" if align == "heading" else "none")
+            filters = {"baseline": Filter(aiding=("velocity",)), "onboard": Filter(solution=solution)}
+            config = msgspec.structs.replace(load_config(preset), filters=filters)
+            dives = (flown_dive(preset, config, seed, factor) for seed in range(DIVES))
+            words = Counter(str(replay_dive(dive, config).verdicts["onboard"].improvement) for dive in dives)
+            yield preset, f"{factor:g}", align, *(str(words[word]) for word in WORDS)
+
+
+def main() -> None:
+    """Measure, print and write the page."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    about = (
+        f"{DIVES} simulated dives of {LENGTH_S:.0f} s a row. The vehicle flew the baseline, from a start as wrong as "
+        "the preset says, and what it found is judged beside it, with errors that are by a factor larger; at a "
+        f"factor of 1 every word but *undecided* and *equivalent* is wrong. {machine()}."
+    )
+    lines = [f"| {' | '.join(row)} |" for row in rows()]
+    part = "\n".join(
+        ["# The vehicle's own solution", "", about, "", *table(("preset", "factor", "laid", *WORDS), lines)]
+    )
+    write_part(part)
+    sys.stdout.write(f"{part}\n")
+
+
+if __name__ == "__main__":
+    main()
