@@ -53,13 +53,14 @@ def _counted(outcomes: Iterable[tuple[str, str, str]]) -> tuple[list[str], bool]
 
 def mutate(arguments: argparse.Namespace, folder: Path) -> bool:
     """Damage logs by the thousand."""
-    from base_logs import all_logs, short_logs
+    from base_logs import all_logs, recorded_logs, short_logs
     from mutate import COLUMNS, campaign, rows
     from victim import BEYOND_MB, DEFECTS, LIMIT_S
 
     count = arguments.count or MUTANTS
     seeds = range(arguments.seed, arguments.seed + count)
-    bases = (short_logs if arguments.short else all_logs)(folder / "bases")
+    made_by = recorded_logs if arguments.recorded else short_logs if arguments.short else all_logs
+    bases = made_by(folder / "bases")
     bases = [base for base in bases if arguments.only in base.path.name]
     outcomes = campaign(bases, seeds, arguments.jobs, folder, arguments.keep)
     text = (
@@ -160,6 +161,7 @@ def main() -> None:
     parser.add_argument("--only", default="", metavar="TEXT", help="logs, bombs and names whose name has this in it")
     parser.add_argument("--jobs", type=int, default=2, help="of mutate")
     parser.add_argument("--short", action="store_true", help="damage only short logs")
+    parser.add_argument("--recorded", action="store_true", help="damage only the logs of ROS 1 in ../shared")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the mutants that show defects")
     parser.add_argument("--write", action="store_true", help="write the tables to benchmarks/RESULTS.md")
     arguments = parser.parse_args()

@@ -17,6 +17,7 @@ from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 ROOT = Path(__file__).resolve().parents[1]
+RECORDED = ROOT.parent / "shared" / "data" / "ros1"
 SHORT_S = 8.0
 ANSWERS = {"initial.heading_deg": "30.0", "initial.latitude_deg": "32.8", "imu.angular_rate_unit": '"rad/s"'}
 """What a person knows of the dives in types of nobody."""
@@ -77,6 +78,24 @@ def short_logs(folder: Path) -> list[Base]:
         found.append(Base(path, protected=name in PROTECTED, weight=6))
     writers = {"cdr": unknown_logs.nested_cdr, "json": unknown_logs.bare_json, "protobuf": unknown_logs.protobuf}
     return [*found, *(_unknown(folder, name, write) for name, write in writers.items())]
+
+
+def recorded_logs(folder: Path) -> list[Base]:
+    """Give a log that ROS 1 recorded, and what `mcap convert` made of it; none where ../shared is not there."""
+    folder.mkdir(exist_ok=True)
+    settings = folder / "recorded.toml"
+    settings.write_text(
+        '[imu]\naxes = "flu"\n[dvl]\naxes = "+z-y+x"\nlever_arm_m = [0.3, -0.5, 0.69]\n[reference]\n'
+        'topic = "/rexrov2/pose_gt"\nvelocity_n = "twist.twist.linear"\n[initial]\nlatitude_deg = 38.0\n'
+        "[evaluation]\nstarts = 1\n",
+        "utf-8",
+    )
+    found = {name: RECORDED / f"rexrov2_simulated.{name}" for name in ("mcap", "bag")}
+    return [
+        Base(path, protected=name == "mcap", settings=("-c", str(settings)))
+        for name, path in found.items()
+        if path.is_file()
+    ]
 
 
 def all_logs(folder: Path) -> list[Base]:

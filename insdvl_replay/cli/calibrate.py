@@ -91,7 +91,7 @@ def calibrate(
 
     \b
     Example:
-      insdvl-replay calibrate dives/*.mcap -c vehicle.toml -o found.toml
+      insdvl-replay calibrate dives/*.mcap -c vehicle.toml -o calibrated.toml
       insdvl-replay run dives/*.mcap -c vehicle.toml -c calibrated.toml
       insdvl-replay calibrate dives/*.mcap -c vehicle.toml --hold-out 0.3 --page found.html
       insdvl-replay calibrate dives/*.mcap -c vehicle.toml --reference -o found.toml

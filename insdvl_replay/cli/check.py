@@ -78,7 +78,7 @@ def check(
       insdvl-replay check gates.toml
       insdvl-replay check gates.toml --jobs 4 --format junit --output gates.xml
       insdvl-replay check gates.toml replay/dive
-      insdvl-replay check gates.toml --only "position*" --shard 1/1
+      insdvl-replay check gates.toml --only "position*" --shard 1/4
     """
     from insdvl_replay.batch.cluster import Cluster
     from insdvl_replay.cli.gated_dives import CheckOptions, GivenSettings, OutputOptions, check_dives

@@ -39,7 +39,7 @@ def brief_changes(changes: Sequence[Change], baseline: str) -> Iterator[DisplayT
     rows = [change for change in changes if _is_shown(change)]
     columns: list[Column[Change]] = [
         ("filter", "l", lambda change: _owner(change, baseline)),
-        ("evidence", "l", lambda change: NAMES.get(change.row, change.row)),
+        ("evidence", "l", lambda change: _name(change.row)),
         ("", "l", lambda change: change.unit),
         ("old", "r", lambda change: old_and_new(change)[0]),
         ("new", "r", lambda change: old_and_new(change)[1]),
@@ -61,7 +61,7 @@ def brief_aggregates(aggregates: Sequence[Aggregate], baseline: str) -> Iterator
     rows = list({(_owner(row, baseline), row.row): row for row in reversed(rows)}.values())[::-1]
     columns: list[Column[Aggregate]] = [
         ("filter", "l", lambda cell: _owner(cell, baseline)),
-        ("evidence", "l", lambda cell: NAMES.get(cell.row, cell.row)),
+        ("evidence", "l", lambda cell: _name(cell.row)),
         ("better", "r", lambda cell: str(cell.better)),
         ("worse", "r", lambda cell: str(cell.worse)),
         ("same", "r", lambda cell: str(cell.same)),
@@ -80,6 +80,13 @@ def _is_shown(cell: Change | Aggregate) -> bool:
     """
     wanted = (RATIO,) if cell.row in HONESTY_ROWS else SHOWN
     return cell.table == EVIDENCE and cell.column in wanted and (isinstance(cell, Aggregate) or _has_moved(cell))
+
+
+def _name(quantity: str) -> str:
+    """Name a piece of evidence; of honesty its ratio is shown, of the distances from 1."""
+    if quantity in HONESTY_ROWS:
+        return f"{quantity.upper()} off 1, times the baseline's"
+    return NAMES.get(quantity, quantity)
 
 
 def _has_moved(change: Change) -> bool:

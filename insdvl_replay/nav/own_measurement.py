@@ -4,8 +4,8 @@
         name, unit = "speed", "m/s"
 
         def readings(self, dive):
-            time_ns = dive.reference.time_ns
-            return OwnReadings(time_ns, np.linalg.norm(dive.reference.velocity_n, axis=1)[:, None], np.array([0.05]))
+            log = dive.topics["speed_log"]
+            return OwnReadings(log.time_ns, log.values, np.array([0.05]))
 
         @staticmethod
         def predict(ins, z, H):
@@ -13,7 +13,8 @@
             z[0] = np.sqrt(north**2 + east**2 + down**2)
             H[0, 0], H[0, 1], H[0, 2] = north / z[0], east / z[0], down / z[0]
 
-``aiding = ["velocity", "my_package.module:Speed"]`` then aids by it. Its rows stand in every table, by its name.
+``aiding = ["velocity", "my_package.module:Speed"]`` then aids by it, ``[topics.speed_log]`` names topic and field. Its
+rows stand in every table, by its name.
 """
 
 import importlib

@@ -94,12 +94,20 @@ def _of_candidate(report: Report, name: str) -> Iterator[Part]:
     if candidate.improvement == Judgement.NOT_JUDGED:
         yield Sentences((_word_on(report, name), candidate.verdict))
         return
-    trust = trust_sentence(report.tables, name, report.baseline)
     yield Sentences((_word_on(report, name), _believed(candidate)))
-    rows = _chosen([row for row in report.tables.evidence if row.filter == name], MOST_ROWS[len(report.filters)])
+    of_candidate = [row for row in report.tables.evidence if row.filter == name]
+    rows = _chosen([row for row in of_candidate if row.evidence != HONESTY], MOST_ROWS[len(report.filters)])
     if rows:
         yield _evidence(report.baseline, name, rows)
-    yield trust
+    yield f"{trust_sentence(report.tables, name, report.baseline)}{_sizes(report.baseline, of_candidate)}"
+
+
+def _sizes(baseline: str, rows: Sequence[EvidenceRow]) -> str:
+    """State how large the innovations are beside what is expected of them, behind the sentence on trust."""
+    nis = next((row for row in rows if row.quantity == "nis"), None)
+    if nis is None:
+        return ""
+    return f" {NAMES[nis.quantity]}: {baseline} {value_text(nis.baseline)}, {nis.filter} {value_text(nis.value)}."
 
 
 def _word_on(report: Report, name: str) -> Callout:
@@ -143,7 +151,7 @@ def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> DisplayT
         ("ratio", "r", lambda row: ratio_text(row.ratio)),
         ("95 %", "r", lambda row: interval_text(row.low, row.high)),
         ("n", "r", lambda row: decimal(row.effective_samples, 0)),
-        ("", "l", lambda row: "" if row.evidence == HONESTY else row.word),
+        ("", "l", lambda row: row.word),
     ]
     return table_of("", rows, columns, spare=(6, 2, 3, 1, 5))
 

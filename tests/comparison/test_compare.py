@@ -653,7 +653,7 @@ def test_in_brief_a_smaller_nis_is_not_called_better(tmp_path: Path) -> None:
     row = evidence_row(0.002) | {"evidence": "honesty", "quantity": "nis", "unit": "", "ratio": 1.0}
     old["tables"]["evidence"], new["tables"]["evidence"] = [row], [row | {"value": 0.001, "ratio": 1.1}]
     comparison = in_order(compared(tmp_path, old, new), "table", only_changed=True)
-    [line] = [line for line in as_markdown(brief_document(comparison)).split("\n") if "NIS / dof" in line]
+    [line] = [line for line in as_markdown(brief_document(comparison)).split("\n") if "NIS off 1" in line]
     assert line.endswith("| +10.0 % | worse |")
 
 
