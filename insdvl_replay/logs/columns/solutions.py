@@ -128,7 +128,7 @@ def _told(cov: Floats) -> tuple[Floats, int]:
     # What is not told stands for itself alone, so that it does not hide the rest.
     diagonal = np.arange(cov.shape[1])
     told[:, diagonal, diagonal] += ~of_rows
-    wrong: NDArray[np.bool_] = ~(np.abs(told) < LARGEST).all(axis=(1, 2))
+    wrong = np.asarray(~(np.abs(told) < LARGEST).all(axis=(1, 2)))
     possible = np.flatnonzero(~wrong)
     wrong[possible] = np.linalg.eigvalsh(told[possible])[:, 0] <= 0.0
     of_rows[wrong] = False
