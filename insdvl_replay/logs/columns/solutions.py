@@ -121,7 +121,8 @@ def _told(cov: Floats) -> tuple[Floats, int]:
     A variance of 0 or less, such as the -1 in front of a matrix that stands for none, says nothing.
     """
     variances = np.diagonal(cov, axis1=1, axis2=2)
-    of_blocks = ((variances > 0.0) & np.isfinite(variances)).reshape(len(cov), -1, 3).all(axis=2)
+    told_of = (variances > 0.0) & np.isfinite(variances)
+    of_blocks = np.asarray(told_of.reshape(len(cov), -1, 3).all(axis=2))
     of_blocks[cov[:, 0, 0] == -1.0] = False
     of_rows = np.repeat(of_blocks, 3, axis=1)
     told = np.where(of_rows[:, :, None] & of_rows[:, None, :], cov, 0.0)
