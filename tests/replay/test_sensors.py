@@ -175,6 +175,28 @@ def test_position_is_as_far_off_as_the_filter_says(surface_m: float | None) -> N
     assert 1.8 < runs.mean() < 4.4
 
 
+@pytest.mark.parametrize(("told_right", "least", "most"), [(True, 0.6, 0.9), (False, 1.1, 1.4)])
+def test_a_track_that_is_moved_with_the_velocity_drifts_less_where_the_noise_is_right(
+    told_right: bool, least: float, most: float
+) -> None:
+    """Velocities are the same; what the position is corrected by presupposes the noise that the filter was told."""
+    settings = Config(
+        noise=SENSORS.noise if told_right else MEMS.noise,
+        initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1) if told_right else MEMS.initial,
+        dvl=SENSORS.dvl if told_right else MEMS.dvl,
+        filters={name: Filter(aiding=("velocity",), states=states) for name, states in _WITH_AND_WITHOUT.items()},
+    )
+    errors = {"imu_errors": MATCHED_IMU, "dvl_errors": MATCHED_DVL} if told_right else {"grade": "mems"}
+    dives = [simulate_dive("lawnmower", seed=seed, duration_s=600.0, **errors) for seed in (1, 2)]  # type: ignore[arg-type]
+    for dive in dives:
+        found = {row.quantity: row.ratio or 0.0 for row in replay_dive(dive, settings).tables.evidence}
+        assert least < found["drift_30s"] < most
+        assert found["velocity_across"] == pytest.approx(1.0, abs=0.01)
+
+
+_WITH_AND_WITHOUT = {"baseline": (), "placed": ("position",)}
+
+
 # --- The DVL's scale and yaw as states.
 
 
