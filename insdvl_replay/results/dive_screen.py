@@ -11,6 +11,7 @@ from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement
+from insdvl_replay.evaluation.hints import LEAST, MOST
 from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
 from insdvl_replay.report.document import (
@@ -60,11 +61,12 @@ def facts(report: Report) -> str:
     """State in one line what was replayed."""
     pings = next((row for row in report.tables.consistency if row.measurement == "velocity"), None)
     starts = max((row.starts for row in report.tables.evidence), default=0)
+    compared = max((row.samples for row in report.tables.reference_error), default=0)
     said = [
         f"{report.log.duration_s:.0f} s",
         f"{pings.used + pings.rejected} velocities, {pings.rejected} rejected" if pings else "no velocities",
+        f"reference {compared / report.log.duration_s:.2g} Hz" if has_reference(report) else "no reference",
         *([counted(starts, "start")] if starts and has_reference(report) else []),
-        *([] if has_reference(report) else ["no reference"]),
     ]
     return f"{report.log.name}: {', '.join(said)}"
 
@@ -107,7 +109,8 @@ def _sizes(baseline: str, rows: Sequence[EvidenceRow]) -> str:
     nis = next((row for row in rows if row.quantity == "nis"), None)
     if nis is None:
         return ""
-    return f" {NAMES[nis.quantity]}: {baseline} {value_text(nis.baseline)}, {nis.filter} {value_text(nis.value)}."
+    sizes = f" {NAMES[nis.quantity]}: {baseline} {value_text(nis.baseline)}, {nis.filter} {value_text(nis.value)}"
+    return f"{sizes}{'.' if LEAST <= finite(nis.baseline) <= MOST else ': --control fits the noise.'}"
 
 
 def _word_on(report: Report, name: str) -> Callout:
@@ -121,7 +124,7 @@ def _believed(candidate: Candidate) -> str:
         return "it was read, not run: what it believes is told of some states, or of none"
     smaller, sooner = candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct
     word = candidate.belief or Belief.UNDECIDED
-    return f"it believes in {percent(smaller)} smaller errors, {percent(sooner)} sooner: {word}"
+    return f"it believes in {percent(smaller)} smaller errors, {percent(sooner)} faster convergence: {word}"
 
 
 def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
@@ -151,7 +154,7 @@ def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> DisplayT
         ("ratio", "r", lambda row: ratio_text(row.ratio)),
         ("95 %", "r", lambda row: interval_text(row.low, row.high)),
         ("n", "r", lambda row: decimal(row.effective_samples, 0)),
-        ("", "l", lambda row: row.word),
+        ("", "l", lambda row: row.word if row.quantity in DECIDING else f"({row.word})"),
     ]
     return table_of("", rows, columns, spare=(6, 2, 3, 1, 5))
 
