@@ -26,8 +26,10 @@ from insdvl_replay.evaluation.reference import ReferenceErrors
 
 ROOT_2: Final = float(np.sqrt(2.0))
 SEGMENTS_S: Final = (30.0, 60.0)
-HEADING_FREE: Final = ("velocity_along", "depth_60s", "level")
+HEADING_FREE: Final = ("velocity_along", "depth_60s")
 """Quantities in which a heading that is off shows in the second order alone."""
+OF_STARTS: Final = ("level", "heading")
+"""Quantities that are judged from drawn starts alone."""
 FEWEST_STARTS: Final = 8
 """With fewer, levels and headings are no evidence: each start is one sample of them."""
 
@@ -95,7 +97,8 @@ def losses_beside(
     -------
     tuple of dict of str to Losses
         Of both, with the same quantities, times and number of starts; the reference has to cover the filter's runs,
-        the one run may be as short as it is.
+        the one run may be as short as it is. Levels and headings are left out: those of the filter are what is left of
+        the errors that it was started with, and the one run has none of them.
     """
     before, after = (
         dict(_losses(of_one, reference, noise, bridged_gaps=bridged_gaps, covered=drawn))
@@ -104,7 +107,8 @@ def losses_beside(
     known = [
         quantity
         for quantity in before
-        if np.count_nonzero(np.isfinite(before[quantity].squared[0] + after[quantity].squared[0])) > 1
+        if quantity not in OF_STARTS
+        and np.count_nonzero(np.isfinite(before[quantity].squared[0] + after[quantity].squared[0])) > 1
     ]
     return {quantity: before[quantity] for quantity in known}, {quantity: after[quantity] for quantity in known}
 

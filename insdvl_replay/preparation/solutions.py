@@ -94,11 +94,12 @@ def laid_solution(
             f"{key} gives no attitude by which {key}.lever_arm_m could move it to the IMU",
             f"--set {key}.lever_arm_m=[0,0,0], and its errors hold the lever arm",
         )
+    mat_br = mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG)
     align = settings.align or ("none" if solution.way_n is None else "position")
     if align == "heading":
         at_ns = _first_ns(solution.motion, "attitudes", key, baseline)
-        turn = _heading_at(baseline.time_ns, baseline.mat_nb, at_ns)
-        turn = float(wrap_angle(np.array(turn - _heading_at(solution.motion.time_ns, solution.motion.mat_nb, at_ns))))
+        own = _heading_at(solution.motion.time_ns, solution.motion.mat_nb @ mat_br.T, at_ns)
+        turn = float(wrap_angle(np.array(_heading_at(baseline.time_ns, baseline.mat_nb, at_ns) - own)))
         solution = _turned(solution, mat_from_rpy(np.array([0.0, 0.0, turn])))
         text = f"{key}: turned by {turn / DEG:+.2f} deg to the heading of {baseline.filter} at its first attitude"
         notes.append(Note("solution_turned", text))
@@ -109,9 +110,8 @@ def laid_solution(
     near = motion.position.copy()
     near[:, 1] = baseline.position[0, 1] + wrap_angle(near[:, 1] - baseline.position[0, 1])
     motion = replace(motion, position=near)
-    mounting = mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG)
-    motion = reference_at_imu(motion, imu, np.array(settings.lever_arm_m), mounting)
-    if align != "none":
+    motion = reference_at_imu(motion, imu, np.array(settings.lever_arm_m), mat_br)
+    if align != "none" and motion.has_position:
         motion, way_m, late_s = _shifted(motion, key, baseline)
         from_own = " from an origin of its own" if solution.way_n is not None else ""
         moved = "" if from_own else f", {way_m:.3g} m from where it was"
@@ -186,7 +186,6 @@ def _heading_at(time_ns: TimeNs, mat_nb: Floats, at_ns: int) -> float:
 def _turned(solution: SolutionColumns, mat: Floats) -> SolutionColumns:
     """Turn a solution about down; geographic positions about the first of them."""
     motion, way_n = solution.motion, solution.way_n
-    whole = np.kron(np.eye(3), mat)
     position = motion.position
     if way_n is not None:
         way_n = way_n @ mat.T
@@ -194,7 +193,9 @@ def _turned(solution: SolutionColumns, mat: Floats) -> SolutionColumns:
         first = np.broadcast_to(position[int(np.argmax(motion.known["positions"]))], position.shape)
         position = moved_position(first, north_east_down_m(position, first) @ mat.T)
     turned = replace(motion, position=position, velocity_n=motion.velocity_n @ mat.T, mat_nb=mat @ motion.mat_nb)
-    return replace(solution, motion=turned, way_n=way_n, cov=whole @ solution.cov @ whole.T)
+    # Block by block: a block that is not told leaves the others as they are.
+    blocks = np.einsum("ik,cakbl,jl->caibj", mat, solution.cov.reshape(-1, 3, 3, 3, 3), mat)
+    return replace(solution, motion=turned, way_n=way_n, cov=blocks.reshape(solution.cov.shape))
 
 
 def _shifted(motion: ReferenceColumns, key: str, baseline: History) -> tuple[ReferenceColumns, float, float]:

@@ -107,7 +107,10 @@ def test_what_stands_for_no_covariance_tells_nothing(pose: Floats, twist: Floats
 def test_matrices_that_are_no_covariances_are_counted(tmp_path: Path) -> None:
     wrong = np.eye(6)
     wrong[0, 1] = wrong[1, 0] = 2.0
-    messages = [odometry(i, wrong if i < 7 else np.eye(6), np.eye(6)) for i in range(20)]
+    lost = np.eye(6)
+    lost[0, 4] = lost[4, 0] = np.nan
+    huge = 1e300 * np.eye(6)
+    messages = [odometry(i, (wrong, lost, huge)[i % 3] if i < 7 else np.eye(6), np.eye(6)) for i in range(20)]
     solution, dive = solution_of(tmp_path, "nav_msgs/msg/Odometry", messages)
     np.testing.assert_array_equal(np.isfinite(solution.cov).all(axis=(1, 2)), np.arange(20) >= 7)
     assert [note.count for note in dive.notes if note.code == "solution_covariance"] == [7]

@@ -218,6 +218,25 @@ def test_its_start_is_laid_on_the_baseline_and_only_if_asked_turned(dive: Dive, 
     assert "turned by -20.00 deg" in text
 
 
+def test_what_is_turned_keeps_its_covariance_and_its_mounting(dive: Dive, tmp_path: Path) -> None:
+    """Turned by 70 deg, in axes that lie across the IMU's, and without a covariance of the position: NEES stays."""
+    told, covs = correlated(truth_of(dive), seed=5)
+    covs["pose.covariance"][:, :3] = covs["pose.covariance"][:, :, :3] = 0.0
+    turn = Rotation.from_rotvec([0.0, 0.0, 70.0 * DEG])
+    mounting = Rotation.from_euler("Z", 90.0, degrees=True)
+    turned = Told(told.time_ns, turn.apply(told.way_n), turn.apply(told.velocity_n), turn * told.attitude)
+    part = write_odometry(tmp_path / "plain.mcap", turned, covs)
+    found = rows(replayed(tmp_path, dive, config(Solution(topic="/odometry", align="heading")), part), "credibility")
+    assert "position" not in found
+    assert found["velocity"].verdict == "consistent"
+    across = Told(turned.time_ns, turned.way_n, turned.velocity_n, turned.attitude * mounting)
+    settings = config(Solution(topic="/odometry", align="heading", mounting_rpy_deg=(0.0, 0.0, 90.0)))
+    replay = replayed(tmp_path, dive, settings, write_odometry(tmp_path / "across.mcap", across))
+    assert rows(replay, "reference_error")["heading"].rmse < 4.0  # what the first attitude was off by, and noise
+    (text,) = (note.text for note in replay.notes if note.code == "solution_turned")
+    assert "turned by -7" in text or "turned by -6" in text
+
+
 def test_a_lever_arm_and_a_mounting_are_taken_off(dive: Dive, tmp_path: Path) -> None:
     told = truth_of(dive)
     arm_b, mounting = np.array([1.5, -0.5, 0.3]), Rotation.from_euler("ZYX", [90.0, 3.0, -2.0], degrees=True)

@@ -27,6 +27,8 @@ SIZE: Final = 9
 DP: Final = slice(6, 9)
 MOST_COVARIANCES: Final = 20_000
 """So many are kept, 13 MB; of more, evenly some."""
+LARGEST: Final = 1e30
+"""Nobody is less sure than this; powers of what is larger are no numbers."""
 _ROLE: Final = ("filters.", ".solution")
 
 
@@ -118,16 +120,17 @@ def _told(cov: Floats) -> tuple[Floats, int]:
 
     A variance of 0 or less, such as the -1 in front of a matrix that stands for none, says nothing.
     """
-    told = cov.copy()
-    told[cov[:, 0, 0] == -1.0] = np.nan
-    blocks = [slice(first, first + 3) for first in range(0, cov.shape[1], 3)]
-    for block in blocks:
-        variances = np.diagonal(told[:, block, block], axis1=1, axis2=2)
-        unknown = ~((variances > 0.0) & np.isfinite(variances)).all(axis=1)
-        told[unknown, block], told[unknown, :, block] = np.nan, np.nan
-    known = np.isfinite(told)
+    variances = np.diagonal(cov, axis1=1, axis2=2)
+    told_of = (variances > 0.0) & np.isfinite(variances)
+    of_blocks = np.asarray(told_of.reshape(len(cov), -1, 3).all(axis=2))
+    of_blocks[cov[:, 0, 0] == -1.0] = False
+    of_rows = np.repeat(of_blocks, 3, axis=1)
+    told = np.where(of_rows[:, :, None] & of_rows[:, None, :], cov, 0.0)
     # What is not told stands for itself alone, so that it does not hide the rest.
-    filled = np.where(known, told, np.eye(cov.shape[1]))
-    wrong = np.linalg.eigvalsh(filled)[:, 0] <= 0.0
-    told[wrong] = np.nan
-    return told, int(np.count_nonzero(wrong & known.any(axis=(1, 2))))
+    diagonal = np.arange(cov.shape[1])
+    told[:, diagonal, diagonal] += ~of_rows
+    wrong = np.asarray(~(np.abs(told) < LARGEST).all(axis=(1, 2)))
+    possible = np.flatnonzero(~wrong)
+    wrong[possible] = np.linalg.eigvalsh(told[possible])[:, 0] <= 0.0
+    of_rows[wrong] = False
+    return np.where(of_rows[:, :, None] & of_rows[:, None, :], told, np.nan), int(np.count_nonzero(wrong))
