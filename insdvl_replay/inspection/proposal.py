@@ -170,7 +170,7 @@ def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, de
         (source,) = findings[0].sources
         found = list(_measured_imu(seen, seen.columns.imu, source))
         measured += found if "imu.angular_rate" in named else _worth_proposing(found, source.topic)
-    for source in findings[_REFERENCE].sources:
+    for source in findings[_REFERENCE].sources if deep else ():  # it takes all messages to tell
         measured += measured_reference(log, source, config)
     if "dvl.velocity" in named and len(seen.columns.dvl.time_ns):
         measured += measured_dvl(seen.columns.dvl, seen.columns.reference, config)
