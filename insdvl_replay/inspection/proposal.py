@@ -89,9 +89,12 @@ class Proposal:
 
 
 def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: Config) -> Proposal:
-    """Propose what a replay lacks, by what was seen of the roles."""
+    """Propose what a replay lacks, by what was seen of the roles; else what settles a contradiction."""
     if not seen.obstacles and not list(_start(findings, config.initial)):
-        return Proposal()
+        contradicted = any(note.code == "reference_contradiction" for note in seen.notes)
+        sources = findings[_REFERENCE].sources if contradicted else ()
+        settled = [setting for source in sources for setting in measured_reference(log, source, config)]
+        return Proposal(tuple(settled), settings_toml(settled))
     fields, notes = _fields(log, findings, config)
     settings = [*_choices(findings, seen), *not_yet_set(fields, config)]
     settings += _measured(log, with_settings(config, settings), settings, deep=seen.deep)
@@ -167,7 +170,7 @@ def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, de
         (source,) = findings[0].sources
         found = list(_measured_imu(seen, seen.columns.imu, source))
         measured += found if "imu.angular_rate" in named else _worth_proposing(found, source.topic)
-    for source in findings[_REFERENCE].sources:
+    for source in findings[_REFERENCE].sources if deep else ():  # it takes all messages to tell
         measured += measured_reference(log, source, config)
     if "dvl.velocity" in named and len(seen.columns.dvl.time_ns):
         measured += measured_dvl(seen.columns.dvl, seen.columns.reference, config)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rosbag_messages import Message, header, write_log, xyz
 
-from insdvl_replay.core.config import Config, Initial
+from insdvl_replay.core.config import Config, Imu, Initial
 from insdvl_replay.inspection.proposed_settings import Setting
 from insdvl_replay.inspection.survey import propose_settings
 
@@ -58,6 +58,15 @@ def test_velocity_in_the_world_is_told_by_the_positions(in_world: bool, tmp_path
     if in_world:
         assert settings["reference.velocity_n"].value == "twist.twist.linear"
         assert not settings["reference.velocity_n"].open
+
+
+@pytest.mark.parametrize("in_world", [False, True])
+def test_it_is_told_even_where_a_replay_lacks_nothing(in_world: bool, tmp_path: Path) -> None:
+    path = write_log(tmp_path / "dive.mcap", messages(in_world=in_world))
+    config = Config(imu=Imu(axes="flu"), initial=Initial(latitude_deg=30.0))
+    proposal = propose_settings(path, config)
+    assert [setting.key for setting in proposal.settings] == (["reference.velocity_n"] if in_world else [])
+    assert proposal.obstacles == ()
 
 
 def test_without_positions_nothing_tells_in_which_frame_a_velocity_is(tmp_path: Path) -> None:
