@@ -99,8 +99,8 @@ def check_start(
     if from_reference and not has_reference:
         raise LogError(
             "no reference solution was found to start from",
-            "name it with --set reference.topic=... and its fields, or start level: --set initial.source=level "
-            "--set initial.heading_deg=... --set initial.latitude_deg=...",
+            "name it with --set reference.topic=... and its fields (a solution that is a filter is none), or start "
+            "level: --set initial.source=level --set initial.heading_deg=... --set initial.latitude_deg=...",
         )
     if not has_position:
         configured_latitude_deg(initial)
