@@ -159,6 +159,7 @@ def _linearise_beam(
     measurements: Stack, m: int, row: int, ins: InsAtPing, layout: StateLayout, z: Floats, H: Floats
 ) -> None:
     """Write what one beam says: the part of the velocity along it. H has room for three rows, of which one stays."""
+    _clear_beyond_twelve(H)
     predicted_b, b = _predict_velocity(ins, ins.rate_eb_now_b, H), row_vector(measurements.direction_b, m)
     if layout.dvl_scale >= 0 or layout.dvl_yaw >= 0:
         predicted_b = _as_the_dvl_reads(predicted_b, ins, layout, H)
@@ -171,9 +172,7 @@ def _linearise_beam(
 def _linearise_dvl(
     measurements: Stack, m: int, row: int, ins: InsAtPing, layout: StateLayout, z: Floats, H: Floats
 ) -> None:
-    for i in range(3):
-        for j in range(TWELVE, H.shape[1]):
-            H[i, j] = 0.0
+    _clear_beyond_twelve(H)
     kind = measurements.kind[m]
     if kind == VELOCITY:
         predicted_b = _predict_velocity(ins, row_vector(ins.rate_eb_b, row), H)
@@ -185,6 +184,14 @@ def _linearise_dvl(
         predicted_b = _as_the_dvl_reads(predicted_b, ins, layout, H)
     for i in range(3):
         z[i] = predicted_b[i] - measurements.values[m, row, i]
+
+
+@inlined
+def _clear_beyond_twelve(H: Floats) -> None:
+    """Take out what the measurement before has left of the states beside the twelve, of which the DVL says nothing."""
+    for i in range(3):
+        for j in range(TWELVE, H.shape[1]):
+            H[i, j] = 0.0
 
 
 @inlined

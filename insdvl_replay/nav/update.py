@@ -46,10 +46,10 @@ class Matrices(NamedTuple):
 def new_matrices(start: Start, size: int) -> Matrices:
     """Make room for measurements of up to so many components, at least three, with P as at the start."""
     cov, n, constants = start.cov, len(start.cov), start.constants.copy()
-    P, (H, HP, KT, rest) = np.array(cov, order="C"), np.empty((4, size, n))
-    (R, S, L), (z, standardised) = np.empty((3, size, size)), np.empty((2, size))
+    P, (H, HP, KT, rest) = np.array(cov, order="C"), np.zeros((4, size, n))
+    (R, S, L), (z, standardised) = np.zeros((3, size, size)), np.zeros((2, size))
     return Matrices(
-        P, P.ravel(), H, HP, KT, rest, R, S, L, z, standardised, np.empty(n), np.diag(cov).copy(), constants
+        P, P.ravel(), H, HP, KT, rest, R, S, L, z, standardised, np.zeros(n), np.diag(cov).copy(), constants
     )
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.innovation import DEPTH, FIX, HEADING, InsAtPing, linearise
 from insdvl_replay.nav.local_earth import place_at
-from insdvl_replay.nav.measurements import VELOCITY, Measurement, sensor_measurement, stacked
+from insdvl_replay.nav.measurements import BEAM, VELOCITY, Measurement, sensor_measurement, stacked
 from insdvl_replay.nav.position_error import without_error
 from insdvl_replay.nav.state_layout import layout_of
 from insdvl_replay.nav.vector_algebra import matrix, vector
@@ -62,6 +62,19 @@ def linearised(kind: int, reading: Floats, dx: Floats) -> tuple[Floats, Floats]:
 def test_jacobian(kind: int, reading: Floats) -> None:
     _, H = linearised(kind, reading, np.zeros(STATES))
     assert_jacobian(H, lambda dx: linearised(kind, reading, dx)[0], np.zeros(STATES), atol=1e-6, step=1e-3)
+
+
+def test_jacobian_of_a_beam_whatever_the_measurement_before_has_left_in_it() -> None:
+    slanted_b = np.array([0.6, -0.3, 0.74])
+    beam = replace(of_kind(BEAM, np.array([0.5])), direction_b=slanted_b)
+
+    def innovation(dx: Floats) -> Floats:
+        linearise(stacked([beam]), 0, 0, ins_off_by(dx), LAYOUT, None, z, H)
+        return z.copy()
+
+    z, H = np.empty(1), np.full((3, STATES), np.nan)
+    innovation(np.zeros(STATES))
+    assert_jacobian(H[:1].copy(), innovation, np.zeros(STATES), atol=1e-6, step=1e-4)
 
 
 def test_jacobian_of_a_velocity_whose_scale_and_yaw_are_estimated() -> None:

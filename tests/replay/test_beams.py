@@ -16,6 +16,7 @@ from insdvl_replay.preparation.running import prepared_timeline, run_filters
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, LostBeam
+from insdvl_replay.sim.sensors import SensorErrors
 
 BEAM_SD_MPS = 0.01
 IMU = ImuErrors(5e-4, 4.4e-5, 0.01, 0.0, 2e-5, 8e-8)
@@ -61,6 +62,19 @@ def test_with_all_beams_the_posterior_is_that_of_the_velocity() -> None:
     np.testing.assert_allclose(by_beams.cov[-1] / np.outer(sd, sd), by_velocity.cov[-1] / np.outer(sd, sd), atol=1e-9)
     np.testing.assert_allclose(by_beams.velocity_n, by_velocity.velocity_n, rtol=0.0, atol=1e-10)
     np.testing.assert_allclose(by_beams.mat_nb, by_velocity.mat_nb, rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("states", [(), ("dvl_scale",)])
+def test_beside_fixes_and_a_depth_the_posterior_is_that_of_the_velocity_beside_them(states: tuple[str, ...]) -> None:
+    """What a fix has said of the position is not left in the Jacobian of the beams after it."""
+    others = ("depth", "position")
+    filters = {word: Filter(aiding=(word, *others), states=states) for word in ("velocity", "beams")}
+    dive = simulated(1, sensors={"position": SensorErrors(1.0, 2.0), "depth": SensorErrors(0.1, 4.0)})
+    by_velocity, by_beams = histories(dive, msgspec.structs.replace(settings(), filters=filters))
+    sd = by_velocity.sd[-1]
+    np.testing.assert_allclose(by_beams.cov[-1] / np.outer(sd, sd), by_velocity.cov[-1] / np.outer(sd, sd), atol=1e-8)
+    np.testing.assert_allclose(by_beams.velocity_n, by_velocity.velocity_n, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(by_beams.position, by_velocity.position, rtol=0.0, atol=1e-12)
 
 
 def test_one_update_by_three_or_four_beams_is_that_of_the_velocity_to_rounding() -> None:
