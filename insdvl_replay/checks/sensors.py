@@ -23,7 +23,7 @@ def sensor_notes(sensors: Mapping[str, SensorColumns], reference: ReferenceColum
 
 
 def _sensor_notes(sensors: Mapping[str, SensorColumns], reference: ReferenceColumns) -> Iterator[Note]:
-    for name, columns in sensors.items():
+    for name, columns in ((name, columns) for name, columns in sensors.items() if name in _SAME):
         _, ours, theirs = np.intersect1d(columns.time_ns, reference.time_ns, return_indices=True)
         with np.errstate(invalid="ignore"):
             same = _SAME[name](columns.values[ours], reference.rows(np.isin(np.arange(len(reference.time_ns)), theirs)))

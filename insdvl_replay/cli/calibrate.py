@@ -94,7 +94,7 @@ def calibrate(
       insdvl-replay calibrate dives/*.mcap -c vehicle.toml -o calibrated.toml
       insdvl-replay run dives/*.mcap -c vehicle.toml -c calibrated.toml
       insdvl-replay calibrate dives/*.mcap -c vehicle.toml --hold-out 0.3 --page found.html
-      insdvl-replay calibrate dives/*.mcap -c vehicle.toml --reference -o found.toml
+      insdvl-replay calibrate dives/*.mcap -c vehicle.toml --reference -o calibrated.toml
       insdvl-replay calibrate archive --only arm,delay --mounting unknown
     """
     from insdvl_replay.calibration.calibration import calibrate as calibrated

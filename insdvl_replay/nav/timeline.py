@@ -129,7 +129,7 @@ class Timeline(NamedTuple):
     gap : ndarray of int, shape (e,)
         Row of the long gap that lies after each event, -1 for none.
     gap_noise_density : ndarray, shape (g, 12)
-        What each long gap adds to the density of the process noise, see `gaps.Gaps`.
+        What each long gap adds to the density of the process noise, see `Gaps`.
     """
 
     sample_ns: TimeNs

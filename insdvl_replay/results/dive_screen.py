@@ -53,8 +53,12 @@ def dive_screen(report: Report, page: str) -> list[Part]:
         Title(facts(report)),
         *words,
         Sentences((*track_fit_line(report), *(() if has_reference(report) else (NO_REFERENCE,)))),
-        Code(f"all tables: -v   page: {page}", ""),
+        Code(f"all tables{_and_notes(report)}: -v   page: {page}", ""),
     ]
+
+
+def _and_notes(report: Report) -> str:
+    return f", {counted(len(report.notes), 'note')}" if report.notes else ""
 
 
 def facts(report: Report) -> str:
@@ -152,7 +156,7 @@ def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> DisplayT
         (baseline, "r", lambda row: value_text(row.baseline)),
         (name, "r", lambda row: value_text(row.value)),
         ("ratio", "r", lambda row: ratio_text(row.ratio)),
-        ("95 %", "r", lambda row: interval_text(row.low, row.high)),
+        ("95 %", "r", lambda row: MISSING if row.ratio is None else interval_text(row.low, row.high)),
         ("n", "r", lambda row: decimal(row.effective_samples, 0)),
         ("", "l", lambda row: row.word if row.quantity in DECIDING else f"({row.word})"),
     ]

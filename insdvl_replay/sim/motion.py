@@ -2,7 +2,7 @@
 
 Nothing is differentiated numerically. Velocity, acceleration and rates are formulae in time; only the position is
 integrated. All is computed by operations that every processor rounds alike, so that it is the same to the last bit:
-sums, products, quotients and roots, sines from `sim.sines`, and no matrix products, whose order of summation varies.
+sums, products, quotients and roots, sines from `trajectories`, and no matrix products, whose order of summation varies.
 """
 
 from dataclasses import dataclass
