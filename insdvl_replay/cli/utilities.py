@@ -42,7 +42,7 @@ def simulate(
         list[str],
         typer.Option(
             metavar="NAME=SD[@HZ]",
-            help="depth, heading or position to aid filters by, its noise in m or deg, and its rate, else 1 Hz. May be repeated.",
+            help="depth, heading or position, its noise in m or deg, and its rate, else 1 Hz. May be repeated.",
         ),
     ] = [],  # noqa: B006
     lever_arm: Annotated[
@@ -157,7 +157,7 @@ def schema(
         str | None,
         typer.Argument(
             metavar="NAME",
-            help="config, report, inspection, study, comparison, check, calibration, or a message type; left out: a list.",
+            help="config, report, inspection, study, comparison, check, calibration, or a message type; left out: all.",
         ),
     ] = None,
     verbose: Verbose = 0,

@@ -91,6 +91,8 @@ def test_example_runs_as_it_stands(
     arguments = [found for word in words for found in sorted(map(str, Path().glob(word))) or [word]]
     if "simulate" in arguments:
         (folder / "dive.mcap").unlink()
+    if "calibrate" in arguments:
+        (folder / "calibrated.toml").unlink()
     if "run" in arguments:
         shutil.rmtree(folder / "replay")
     arguments += next((options for begin, options in SHORTER.items() if example.startswith(begin)), [])
