@@ -5,7 +5,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated demo test extras quick processors check lint bench judge attack lock samples schemas pictures readme inputs reproduce docs clean
+.PHONY: calibrated calibration demo test extras quick processors check lint bench judge attack lock samples schemas pictures readme inputs reproduce docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
@@ -45,6 +45,10 @@ bench: .venv/bench.stamp
 	$(BIN)/python benchmarks/nees_intervals.py
 	$(BIN)/python benchmarks/batch.py
 	$(BIN)/python benchmarks/whole_run.py
+
+# What `calibrate` must be able to do, line by line; takes some ten minutes.
+calibration: .venv/test.stamp
+	PYTHONPATH=tests/calibration $(BIN)/python benchmarks/calibration.py
 
 # How often the words on filters are right, in simulated worlds whose truth is known; takes some minutes.
 judge: .venv/test.stamp

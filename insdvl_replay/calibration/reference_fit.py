@@ -19,6 +19,8 @@ from insdvl_replay.core.runtime import steps
 from insdvl_replay.evaluation.effective_samples import samples_in_mean
 
 ROUNDS: Final = 5
+FINEST_CLOCK_S: Final = 2e-4
+"""Between two samples of the IMU the attitude is interpolated, which shifts a clock by about as much on all dives."""
 CONSIDERED: Final = np.array(
     [parameter.name in ("delay", "mounting_x", "arm_x", "arm_y", "arm_z") for parameter in SHARED]
 )
@@ -43,6 +45,11 @@ class Near:
     def information(self) -> Floats:
         """Shape (17, 17)."""
         return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights, self.jacobian, self.jacobian))
+
+    @property
+    def curvature(self) -> Floats:
+        """How fast the scores' sum falls, shape (17, 17), see `fit.Linearised`."""
+        return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights**3, self.jacobian, self.jacobian))
 
     @property
     def scores(self) -> Floats:
@@ -81,15 +88,16 @@ class ReferenceFit:
     def certainty(self) -> Certainty:
         """Three standard deviations of each of `SHARED`, as those of a calibration without reference."""
         count = len(SHARED)
-        information = _information(self.prior_sd, self.dives)
-        cov, considered = _solved(information, self.prior_sd)
+        cov, considered = _solved(_total(self.prior_sd, [near.information for near in self.dives]), self.prior_sd)
+        moved, _ = _solved(_total(self.prior_sd, [near.curvature for near in self.dives]), self.prior_sd)
         # What the prior says is one measurement of its own.
-        correlated = considered + np.sum((cov / self.prior_sd) ** 2, axis=1)
+        correlated = considered + np.sum((moved / self.prior_sd) ** 2, axis=1)
         for i, near in enumerate(self.dives):
-            correlated += [_variance_of_sum(parts) for parts in (near.scores @ cov[rows_of(i)]).T]
+            correlated += [_variance_of_sum(parts) for parts in (near.scores @ moved[rows_of(i)]).T]
         # What all pings of a dive are off by is fitted away, and no residual shows it: their scatter says how much.
         told = self.information_of_pings > 0.0
         correlated[:count][told] += 1.0 / self.information_of_pings[told]
+        correlated[CLOCK] += FINEST_CLOCK_S**2
         formal, correlated = (np.sqrt(of)[:count] for of in (np.diag(cov) + considered, correlated))
         if len(self.dives) < 2:
             unknown = np.full(count, np.nan)
@@ -134,7 +142,7 @@ def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats)
         gradient = -values / prior_sd**2
         for i, of_dive in enumerate(near):
             gradient[rows_of(i)] += of_dive.scores.sum(axis=0)
-        cov, _ = _solved(_information(prior_sd, near), prior_sd)
+        cov, _ = _solved(_total(prior_sd, [of_dive.information for of_dive in near]), prior_sd)
         values = values + cov @ gradient
         values[CLOCK] = np.clip(values[CLOCK], -LATEST_CLOCK_S, LATEST_CLOCK_S)
         near = tuple(_near(dive, values[rows_of(i)], free) for i, dive in enumerate(dives))
@@ -142,12 +150,13 @@ def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats)
     return ReferenceFit(values, prior_sd, near, pings)
 
 
-def _information(prior_sd: Floats, dives: Sequence[Near]) -> Floats:
-    information = np.diag(prior_sd**-2.0)
-    for i, near in enumerate(dives):
+def _total(prior_sd: Floats, of_dives: Sequence[Floats]) -> Floats:
+    """Add what each dive says, shapes (17, 17), to what the prior says."""
+    total = np.diag(prior_sd**-2.0)
+    for i, of_dive in enumerate(of_dives):
         rows = rows_of(i)
-        information[np.ix_(rows, rows)] += near.information
-    return information
+        total[np.ix_(rows, rows)] += of_dive
+    return total
 
 
 def _solved(information: Floats, prior_sd: Floats) -> tuple[Floats, Floats]:

@@ -2,12 +2,11 @@
 
 from typing import Final
 
-import msgspec
 import numpy as np
 
 from insdvl_replay.calibration.dives import ReadDive
 from insdvl_replay.calibration.parameters import PARAMETERS
-from insdvl_replay.core.config import Config, Noise
+from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.states import DEG
@@ -16,18 +15,6 @@ from insdvl_replay.sim.dive import add_errors, exact_dive, late_and_long
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
 
 CONFIG: Final = load_config("fog")
-FOG: Final = GRADES["fog"]
-OF_SENSORS: Final = msgspec.structs.replace(
-    CONFIG,
-    noise=Noise(
-        10.0 * FOG.accel_white_mps_rts,
-        np.sqrt(10.0) * FOG.gyro_white_rad_rts,
-        FOG.accel_bias_walk_mps2_rts,
-        FOG.gyro_bias_walk_radps_rts,
-    ),
-)
-"""Noise some times that of the sensors, for what small errors of integration and quantisation do; the preset's is 50
-times as large, for what real installations do, and standard deviations are then up to twice too large."""
 WHITE: Final = DvlErrors(beam_bias_sd_mps=0.0, beam_scale_sd=0.0)
 DELAY_S, ARM_M, YAW_DEG, SCALE = 0.12, (0.3, -0.1, 0.2), 1.5, 1.02
 TRUTH: Final = np.array([DELAY_S, 0.0, 0.0, -YAW_DEG * DEG, *ARM_M, np.log(SCALE)])
@@ -41,10 +28,11 @@ def built_in_otherwise(
     yaw_deg: float = YAW_DEG,
     duration_s: float | None = None,
     config: Config = CONFIG,
+    grade: str = "fog",
 ) -> ReadDive:
     """Simulate a dive whose configuration knows nothing of arm, yaw, delay and scale."""
     exact = exact_dive(scenario, duration_s=duration_s, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, yaw_deg))
-    return as_read(late_and_long(add_errors(exact, GRADES["fog"], dvl_errors, seed), DELAY_S, SCALE), config)
+    return as_read(late_and_long(add_errors(exact, GRADES[grade], dvl_errors, seed), DELAY_S, SCALE), config)
 
 
 def as_read(dive: Dive, config: Config = CONFIG) -> ReadDive:
