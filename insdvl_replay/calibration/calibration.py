@@ -75,7 +75,7 @@ class Calibration:
     before, after : DvlGeometry
         What the configuration says, and what is proposed.
     change : ndarray, shape (8,)
-        What is proposed, of `geometry.PARAMETERS`; zero where nothing is.
+        What is proposed, of `parameters.PARAMETERS`; zero where nothing is.
     rows : tuple of ParameterRow
         In the order of the parameters.
     doubts : tuple of str

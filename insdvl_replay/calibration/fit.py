@@ -1,7 +1,7 @@
 """The geometry under which innovations are smallest: robust least squares over several dives, one vehicle.
 
 Each innovation is weighed by what the axis scatters by, far ones count less, and what the configuration says is a
-measurement, too, with the sds of `geometry.PARAMETERS`. Mounting, arm and scale are the vehicle's; the delay is each
+measurement, too, with the sds of `parameters.PARAMETERS`. Mounting, arm and scale are the vehicle's; the delay is each
 dive's, since clocks are set anew. Sources: Levenberg, 1944, and Marquardt, 1963, for the steps; Huber and Ronchetti,
 "Robust statistics", for weights from a scale that is estimated beside them.
 """

@@ -85,7 +85,7 @@ def moved_pings(velocities: DvlVelocities, change: Floats) -> DvlVelocities:
     change : ndarray, shape (8,)
         Of `PARAMETERS`, SI.
     """
-    turn_b, scale = mat_from_vector(-change[MOUNTING]), np.exp(change[SCALE])
+    turn_b, scale = mat_from_vector(change[MOUNTING]), np.exp(change[SCALE])
     return replace(
         velocities,
         time_ns=velocities.time_ns - nanoseconds(float(change[DELAY])),
@@ -99,7 +99,7 @@ def moved_mounting(mounting: DvlMounting, change: Floats) -> DvlMounting:
     """Return the mounting with which a log would have to be read for `moved_pings`."""
     return DvlMounting(
         mounting.lever_arm_b + change[ARM],
-        mat_from_vector(-change[MOUNTING]) @ mounting.mat_bd,
+        mat_from_vector(change[MOUNTING]) @ mounting.mat_bd,
         mounting.scale * float(np.exp(change[SCALE])),
     )
 
@@ -121,7 +121,7 @@ class DvlGeometry:
 
     def changed(self, change: Floats) -> "DvlGeometry":
         """Return the settings after a change; those of a group that does not change stay to the bit."""
-        mat_bd = mat_from_vector(-change[MOUNTING]) @ mat_from_rpy(np.array(self.mounting_rpy_deg) * DEG)
+        mat_bd = mat_from_vector(change[MOUNTING]) @ mat_from_rpy(np.array(self.mounting_rpy_deg) * DEG)
         roll, pitch, heading = (rpy_from_mat(mat_bd) / DEG).tolist()
         x, y, z = (np.array(self.lever_arm_m) + change[ARM]).tolist()
         return DvlGeometry(

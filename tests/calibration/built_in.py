@@ -17,7 +17,7 @@ from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
 CONFIG: Final = load_config("fog")
 WHITE: Final = DvlErrors(beam_bias_sd_mps=0.0, beam_scale_sd=0.0)
 DELAY_S, ARM_M, YAW_DEG, SCALE = 0.12, (0.3, -0.1, 0.2), 1.5, 1.02
-TRUTH: Final = np.array([DELAY_S, 0.0, 0.0, -YAW_DEG * DEG, *ARM_M, np.log(SCALE)])
+TRUTH: Final = np.array([DELAY_S, 0.0, 0.0, YAW_DEG * DEG, *ARM_M, np.log(SCALE)])
 """What a calibration has to find, of `PARAMETERS`."""
 
 
