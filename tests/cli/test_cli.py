@@ -166,7 +166,9 @@ def test_run_writes_the_folder_and_keeps_results_apart_from_talk(result: tuple[P
     for name in ("improvement.csv", "convergence.csv", "reference_error.csv", "consistency.csv", "report.json",
                  "replay.mcap", "config.toml", "run.log"):  # fmt: skip
         assert (folder / name).stat().st_size > 0, name
-    assert re.match(r"straight: [0-9]+ s, [0-9]+ velocities, 0 rejected, 16 starts\n\naided against baseline: ", out)
+    assert re.match(
+        r"straight: [0-9]+ s, [0-9]+ velocities, 0 rejected, reference 5 Hz, 16 starts\n\naided against baseline: ", out
+    )
     assert out.endswith(f"all tables: -v   page: {folder}/report.html\n")
     assert "…" not in out
     assert err.split("\n")[-2] == f"wrote {folder}"

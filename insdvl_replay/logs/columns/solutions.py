@@ -68,7 +68,8 @@ def decode_solution(tables: Sequence[Table], settings: Solution) -> tuple[Soluti
     cov, wrong = _covariances(table, completed, part, rows)
     if wrong:
         text = f"{table.source.role}: {wrong} covariances are none (not positive definite), and count as not told"
-        notes.append(Note("solution_covariance", text, wrong, Severity.WARNING))
+        hint = "whoever writes them can tell; without them the solution is not judged honest or not"
+        notes.append(Note("solution_covariance", text, wrong, Severity.WARNING, hint))
     return SolutionColumns(motion, way_n, part.time_ns[rows], cov), notes
 
 

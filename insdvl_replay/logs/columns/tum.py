@@ -82,7 +82,8 @@ def _order_notes(role: str, time_ns: TimeNs) -> list[Note]:
     steps_ns, notes = np.diff(time_ns), []
     if back := int(np.count_nonzero(steps_ns < 0)):
         text = f"{role}: {back} lines have a time before that of the line above; sorted"
-        notes.append(Note("solution_out_of_order", text, back, Severity.WARNING))
+        hint = "a file of one run has rising times; two of them in one file are two solutions"
+        notes.append(Note("solution_out_of_order", text, back, Severity.WARNING, hint))
     if repeats := len(time_ns) - len(np.unique(time_ns)):
         text = f"{role}: {repeats} lines repeat the time of another; of each time the first is taken"
         notes.append(Note("solution_repeats", text, repeats))
