@@ -169,7 +169,7 @@ def test_run_writes_the_folder_and_keeps_results_apart_from_talk(result: tuple[P
     assert re.match(
         r"straight: [0-9]+ s, [0-9]+ velocities, 0 rejected, reference 5 Hz, 16 starts\n\naided against baseline: ", out
     )
-    assert out.endswith(f"all tables: -v   page: {folder}/report.html\n")
+    assert out.endswith(f": -v   page: {folder}/report.html\n")
     assert "…" not in out
     assert err.split("\n")[-2] == f"wrote {folder}"
     assert sorted(path.name for path in folder.parent.iterdir()) == ["straight"]
