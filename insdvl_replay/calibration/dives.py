@@ -21,7 +21,7 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.coasting import coasting_table
 from insdvl_replay.evaluation.paired_statistics import windows_ratio
 from insdvl_replay.geometry.beams import look_down
-from insdvl_replay.geometry.rotation import rpy_from_mat
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.preparation.running import coasting_of, coasting_plan, prepared_timeline, run_filters
@@ -148,8 +148,18 @@ def _with_mounting(dives: Sequence[ReadDive], rpy_deg: tuple[float, float, float
 
 
 def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
-    """Return the best of the ways in which the DVL's axes can lie along the body's, as roll, pitch, heading."""
-    return tried_mountings(dives)[0].rpy_deg
+    """Return the best of the ways in which the DVL's axes can lie along the body's, as roll, pitch, heading.
+
+    Of several that leave about as much it is one with which the DVL's z looks down, as makers have it: a dive without
+    roll and pitch does not tell it from the other side up.
+    """
+    tried = tried_mountings(dives)
+    alike = [one for one in tried if one.cost * CLEARLY <= tried[0].cost]
+    return next((one for one in alike if _looks_down(one.rpy_deg)), tried[0]).rpy_deg
+
+
+def _looks_down(rpy_deg: tuple[float, float, float]) -> bool:
+    return bool(mat_from_rpy(np.array(rpy_deg) * DEG)[2, 2] > 0.5)
 
 
 def _rpy_deg(turn: Floats) -> tuple[float, float, float]:

@@ -227,6 +227,14 @@ def test_a_dvl_turned_by_a_right_angle_is_found_or_refused_and_never_believed() 
     assert found.after.lever_arm_m[:2] == pytest.approx(ARM_M[:2], abs=0.03)
 
 
+@pytest.mark.slow
+def test_a_dive_that_hardly_rolls_does_not_lay_the_dvl_on_its_back() -> None:
+    """Turned about its course by half a turn a DVL says the same of a vehicle that stays level, but for noise."""
+    for seed in range(6000, 6005):
+        turned = built_in_otherwise("figure-eight", seed, DvlErrors(), yaw_deg=90.0)
+        assert likeliest_mounting([turned]) == pytest.approx((0.0, 0.0, 90.0)), seed
+
+
 def test_axes_are_the_24_right_handed_ones() -> None:
     assert len({tuple(turn.ravel()) for turn in AXES}) == 24
     for turn in AXES:
