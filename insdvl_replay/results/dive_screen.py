@@ -105,16 +105,16 @@ def _of_candidate(report: Report, name: str) -> Iterator[Part]:
     rows = _chosen([row for row in of_candidate if row.evidence != HONESTY], MOST_ROWS[len(report.filters)])
     if rows:
         yield _evidence(report.baseline, name, rows)
-    yield Sentences((trust_sentence(report.tables, name, report.baseline), *_sizes(report.baseline, of_candidate)))
+    yield f"{trust_sentence(report.tables, name, report.baseline)}{_sizes(report.baseline, of_candidate)}"
 
 
-def _sizes(baseline: str, rows: Sequence[EvidenceRow]) -> Iterator[str]:
-    """State how large the innovations are beside what is expected of them."""
+def _sizes(baseline: str, rows: Sequence[EvidenceRow]) -> str:
+    """State how large the innovations are beside what is expected of them, behind the sentence on trust."""
     nis = next((row for row in rows if row.quantity == "nis"), None)
     if nis is None:
-        return
-    sizes = f"{NAMES[nis.quantity]}: {baseline} {value_text(nis.baseline)}, {nis.filter} {value_text(nis.value)}"
-    yield f"{sizes}{'.' if LEAST <= finite(nis.baseline) <= MOST else ': --control fits the noise.'}"
+        return ""
+    sizes = f" {NAMES[nis.quantity]}: {baseline} {value_text(nis.baseline)}, {nis.filter} {value_text(nis.value)}"
+    return f"{sizes}{'.' if LEAST <= finite(nis.baseline) <= MOST else ': --control fits the noise.'}"
 
 
 def _word_on(report: Report, name: str) -> Callout:
