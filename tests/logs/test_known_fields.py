@@ -35,8 +35,8 @@ TABLES: list[Types] = [
     known_types.EXTENDED_FIX,
     known_types.SOLUTIONS,
     known_types.TRUTH,
-    *(types for groups in known_types.SENSORS.values() for types in groups),
-    *known_types.SENSORS_IF_NAMED.values(),
+    *(types for groups in known_types.SENSOR_TYPES.values() for types in groups),
+    *known_types.SENSOR_TYPES_IF_NAMED.values(),
 ]
 NOT_SHIPPED = ("dvl1000_ros/msg/DVL", "tf/msg/tfMessage")
 """Of ROS 1 alone, whose logs all have definitions."""

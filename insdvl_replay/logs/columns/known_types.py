@@ -259,7 +259,7 @@ EXTENDED_FIX: Final[Types] = {
 BLUEYE_GNSS: Final = 4
 """``NAVIGATION_SENSOR_ID_BLUEYE_GNSS``."""
 
-SENSORS: Final[Mapping[str, Sequence[Types]]] = {
+SENSOR_TYPES: Final[Mapping[str, Sequence[Types]]] = {
     "depth": [
         {
             "sensor_msgs/msg/FluidPressure": KnownType({"pressure": "fluid_pressure"}),
@@ -277,7 +277,7 @@ SENSORS: Final[Mapping[str, Sequence[Types]]] = {
     "position": [FIX, EXTENDED_FIX],
 }
 """Of the sensors of `core.sensors`; of several groups of types, the first that a log has is taken."""
-SENSORS_IF_NAMED: Final[Mapping[str, Types]] = {
+SENSOR_TYPES_IF_NAMED: Final[Mapping[str, Types]] = {
     "depth": {
         "geometry_msgs/msg/PoseWithCovarianceStamped": KnownType({"height": "pose.pose.position.z"}),
         "nav_msgs/msg/Odometry": KnownType({"height": "pose.pose.position.z"}),

@@ -238,8 +238,8 @@ def sensor_requirement(name: str, config: Config) -> TopicRequirement:
         getattr(config, name),
         name,
         SENSORS[name].quantities,
-        by_type=known_types.SENSORS[name],
-        if_named=known_types.SENSORS_IF_NAMED.get(name, {}),
+        by_type=known_types.SENSOR_TYPES[name],
+        if_named=known_types.SENSOR_TYPES_IF_NAMED.get(name, {}),
         enough=SENSORS[name].enough,
         together=[SENSORS[name].together],
     )
