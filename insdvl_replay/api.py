@@ -100,6 +100,20 @@ def read_result(folder: Text) -> "Result":
     return Result(decode_report((Path(folder) / COMPLETE).read_bytes()), folder=Path(folder))
 
 
+class Tables(dict[str, "pd.DataFrame"]):
+    """Data frames by the names of their tables."""
+
+    def __missing__(self, name: str) -> "pd.DataFrame":
+        """Tell which tables there are.
+
+        Raises
+        ------
+        KeyError
+            Always.
+        """
+        raise KeyError(f"there is no table {name!r}; there are {', '.join(self)}")
+
+
 @dataclass(frozen=True)
 class Result:
     """One dive, replayed or read back. In a notebook it shows the word on each filter and the evidence for it.
@@ -127,17 +141,17 @@ class Result:
         return {name: str(candidate.improvement) for name, candidate in self.report.filters.items()}
 
     @property
-    def tables(self) -> dict[str, "pd.DataFrame"]:
+    def tables(self) -> Tables:
         """Each table as a data frame, by its name, such as evidence or coasting; NaN for what is missing."""
         import pandas as pd
         from msgspec.structs import asdict
 
         from insdvl_replay.core.tables import each_table
 
-        return {
-            layout.name: pd.DataFrame([asdict(row) for row in rows], columns=list(layout.columns))
+        return Tables(
+            (layout.name, pd.DataFrame([asdict(row) for row in rows], columns=list(layout.columns)))
             for layout, rows in each_table(self.report.tables)
-        }
+        )
 
     @property
     def trajectory(self) -> "pd.DataFrame":

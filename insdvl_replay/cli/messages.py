@@ -166,6 +166,7 @@ def _explained(error: Exception) -> tuple[int, str, str]:
 def _explained_usage(error: Exception) -> tuple[int, str, str]:
     """Bring the parser's errors into the form of all others."""
     sentence = str(error.format_message()).strip().replace("\n", " ")  # type: ignore[attr-defined]
+    sentence = sentence.replace("Value error, ", "")  # of the parser's own parser
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "insdvl-replay"
     return 2, sentence[:1].lower() + sentence[1:].rstrip("."), f"`{command} --help` shows what it takes"

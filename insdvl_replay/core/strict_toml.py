@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from insdvl_replay.core.errors import ConfigError, error_context, require_known
 from insdvl_replay.core.plain_text import read_text
-from insdvl_replay.core.value_wanted import value_wanted
+from insdvl_replay.core.value_wanted import list_wanted, value_wanted
 
 KeyPath = tuple[str | int, ...]
 """Names of tables and keys from the top, and places in arrays among them."""
@@ -78,6 +78,10 @@ class TomlSource:
         path = keys if self.label else (*self.at, *keys)
         return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
 
+    def _written(self, key: str, value: str) -> str:
+        """Say how a value is written here: in a shell no quotes are left of those that stand alone."""
+        return f"--set '{key}={value}'" if self.name.startswith("--set ") else f"write {key} = {value}"
+
     def converted(self, table: object, kind: type[Table]) -> Table:
         """Convert a table to its structure, which forbids unknown fields.
 
@@ -107,7 +111,9 @@ class TomlSource:
         if reason.startswith("Expected `object`") and name and not name.endswith("]"):
             raise ConfigError(f"{name} is a section, found {_shortened(value)}", f"write [{name}]")
         found = f", found {_shortened(value)}" if keys else ""
-        raise ConfigError(f"{f'{name}: ' if name else ''}{value_wanted(reason)}{found}", self.hint)
+        as_list = list_wanted(reason, value)
+        hint = self._written(name, as_list) if name and as_list else self.hint
+        raise ConfigError(f"{f'{name}: ' if name else ''}{value_wanted(reason)}{found}", hint)
 
 
 def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> TomlSource:

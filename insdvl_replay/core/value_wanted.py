@@ -1,5 +1,6 @@
 """What is wrong with a value in a user's file, in words that need no programming language."""
 
+import json
 import re
 from typing import Final
 
@@ -15,6 +16,7 @@ _BOUNDS: Final = {">=": "of at least", ">": "above", "<=": "of at most", "<": "b
 _EXPECTED: Final = re.compile(
     r"Expected `(?P<kinds>[\w |]+)`(?: (?P<sign>[<>]=?) (?P<bound>\S+?))?(?: of length (?P<length>.+?))?(?:, got .*)?"
 )
+_NUMBER: Final = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
 _LACKING: Final = re.compile(r"Object missing required field `(\w+)`")
 
 
@@ -37,3 +39,11 @@ def value_wanted(reason: str) -> str:
     bound = f" {_BOUNDS[found['sign']]} {float(found['bound']):g}" if found["sign"] else ""
     length = f" of {found['length']} values" if found["length"] else ""
     return f"needs {' or '.join(kinds)}{bound}{length}"
+
+
+def list_wanted(reason: str, value: object) -> str:
+    """Write a text as the list that is wanted in its place, in brackets; empty where no list is wanted, or no text."""
+    if not (reason.startswith("Expected `array`") and isinstance(value, str)):
+        return ""
+    parts = [part.strip() for part in value.strip("[]() ").split(",") if part.strip()]
+    return f"[{', '.join(part if _NUMBER.fullmatch(part) else json.dumps(part) for part in parts)}]"

@@ -208,7 +208,7 @@ KINDS: Final[Mapping[str, Callable[[Drawn], list[Panel]]]] = {
 def chosen_states(text: str) -> tuple[str, ...]:
     """Read names of states, or their beginnings such as ``ba``, with commas between them."""
     names = tuple(part.strip() for part in text.split(",") if part.strip())
-    beginnings = [known for state in STATES for known in (state.id, state.id.partition("_")[0])]
+    beginnings = dict.fromkeys(known for state in STATES for known in (state.id.partition("_")[0], state.id))
     for name in names:
         require_known("state", name, beginnings)
     return names

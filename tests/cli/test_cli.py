@@ -243,7 +243,7 @@ def test_strict_turns_warnings_into_exit_3_and_keeps_the_result(dive: Path, tmp_
         (["fly"], 2, "no such command 'fly'", "insdvl-replay --help"),
         (["run"], 2, "missing argument", "insdvl-replay run --help"),
         (["run", "--frce", "DIVE"], 2, "no such option: --frce", "insdvl-replay run --help"),
-        (["run", "DIVE", "--format", "xml"], 2, "'xml'", "insdvl-replay run --help"),
+        (["run", "DIVE", "--format", "xml"], 2, "'--format': 'xml' is not one of", "insdvl-replay run --help"),
         (["run", "DIVE", "--preset", "phog"], 2, "preset 'phog' is not known", "fog"),
         (["run", "DIVE", "--set", "dvl.scle=1"], 2, "key 'dvl.scle' is not known", "did you mean dvl.scale?"),
         (["run", "DIVE", "--set", "scale"], 2, "--set scale: is not of the form", "--set dvl.scale=1.01"),

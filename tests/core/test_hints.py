@@ -86,3 +86,40 @@ def test_an_error_knows_its_places_apart_from_its_sentence() -> None:
     assert (error.where, error.what, error.hint) == (("dive.mcap", "/imu"), "has no messages", "look again")
     assert str(error) == error.message == "dive.mcap: /imu: has no messages"
     assert error.inside("dive.mcap") == "/imu: has no messages"
+
+
+@pytest.mark.parametrize(
+    ("setting", "hint"),
+    [
+        ("evaluation.withheld=position", """--set 'evaluation.withheld=["position"]'"""),
+        ("evaluation.withheld=[position]", """--set 'evaluation.withheld=["position"]'"""),
+        ("filters.aided.aiding=velocity, depth", """--set 'filters.aided.aiding=["velocity", "depth"]'"""),
+        ("dvl.lever_arm_m=1,-2.5,3e-1", "--set 'dvl.lever_arm_m=[1, -2.5, 3e-1]'"),
+    ],
+)
+def test_a_list_that_lacks_its_brackets_or_quotes_is_written_as_it_should_be(setting: str, hint: str) -> None:
+    with pytest.raises(ConfigError, match="needs a list") as caught:
+        load_config(overrides=[setting])
+    assert caught.value.hint == hint
+    load_config(overrides=[hint.removeprefix("--set '").removesuffix("'")])
+
+
+def test_a_list_that_a_file_lacks_is_written_as_in_a_file(tmp_path: Path) -> None:
+    (tmp_path / "vehicle.toml").write_text('[evaluation]\nwithheld = "position"\n')
+    with pytest.raises(ConfigError, match="needs a list") as caught:
+        load_config(file=tmp_path / "vehicle.toml")
+    assert caught.value.hint == 'write evaluation.withheld = ["position"]'
+
+
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("dvl.velocity_noise", "did you mean dvl.velocity_unit or dvl.velocity or dvl.velocity_sd_mps?"),
+        ("dvl.velocity_sd_mp", "did you mean dvl.velocity_sd_mps?"),
+        ("dvl.scle", "did you mean dvl.scale?"),
+    ],
+)
+def test_a_key_that_is_no_slip_of_the_finger_may_be_any_that_begins_alike(key: str, meant: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(overrides=[f"{key}=1"])
+    assert caught.value.hint == meant

@@ -82,9 +82,13 @@ def test_width_and_states_are_those_asked_for(folder: Path, tmp_path: Path) -> N
     ("options", "code", "reason"),
     [
         (["error", "--width", "5"], 2, "is no width from 20 to 1000 mm"),
-        (["sigma", "--states", "bx"], 2, "state 'bx' is not known"),
+        (
+            ["sigma", "--states", "bx"],
+            2,
+            "state 'bx' is not known; hint: known: dv, dv_n, dv_e, dv_d, phi, phi_n, phi_e",
+        ),
         (["error", "-o", "error.svg"], 2, "does not end in .pdf"),
-        (["speed"], 2, "'speed'"),
+        (["speed"], 2, "invalid value for 'KIND': 'speed' is not one of"),
         (["error", "-o", "taken.pdf"], 2, "taken.pdf: exists"),
     ],
 )
@@ -209,6 +213,8 @@ def test_a_result_is_read_back(replayed: Result, folder: Path) -> None:
     assert again.words == replayed.words == {"aided": "undecided"}
     pd.testing.assert_frame_equal(again.trajectory, replayed.trajectory)
     pd.testing.assert_frame_equal(again.tables["drift"], replayed.tables["drift"])
+    with pytest.raises(KeyError, match=r"there is no table 'drft'; there are improvement, .*drift"):
+        _ = again.tables["drft"]
     with pytest.raises(ValueError, match="was read back"):
         _ = again.histories
     with pytest.raises(ValueError, match="lies already"):
