@@ -1,11 +1,11 @@
-"""Whether a sensor tells more than the reference does: a filter that is aided by the reference's own readings."""
+"""Whether a sensor tells anything: one that is stuck does not, nor does one whose readings the reference is made of."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, SensorColumns
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, SensorColumns
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.quantities import IS_REFERENCE
 from insdvl_replay.core.words import Severity
@@ -16,13 +16,27 @@ OWN_SHARE: Final = 0.5
 SAME_RAD, SAME_M = 1e-9, 1e-3
 """Readings that differ by less came from one message: 6 mm of latitude, a millimetre of depth."""
 
+FEWEST_ALIKE, ALIKE_S = 20, 30.0
+"""So many readings over so long are never the same down to the last digit where a sensor and a vehicle are at work."""
+
 
 def sensor_notes(sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None) -> tuple[Note, ...]:
-    """Note the sensors whose readings the reference is made of."""
-    return tuple(_sensor_notes(sensors, reference)) if reference is not None else ()
+    """Note the sensors that are stuck, and those whose readings the reference is made of."""
+    owned = () if reference is None else _of_reference(sensors, reference)
+    return (*_stuck(sensors), *owned)
 
 
-def _sensor_notes(sensors: Mapping[str, SensorColumns], reference: ReferenceColumns) -> Iterator[Note]:
+def _stuck(sensors: Mapping[str, SensorColumns]) -> Iterator[Note]:
+    for name, columns in sensors.items():
+        count, span_s = len(columns.time_ns), (int(columns.time_ns[-1]) - int(columns.time_ns[0])) / NS_PER_S
+        if count >= FEWEST_ALIKE and span_s >= ALIKE_S and np.all(columns.values == columns.values[0]):
+            text = (
+                f"all {count} readings of the {name} are the same, over {span_s:.0f} s: it is stuck, or not connected"
+            )
+            yield Note(f"{name}_stuck", text, count, Severity.WARNING, f"{name}.topic names another one")
+
+
+def _of_reference(sensors: Mapping[str, SensorColumns], reference: ReferenceColumns) -> Iterator[Note]:
     for name, columns in ((name, columns) for name, columns in sensors.items() if name in _SAME):
         _, ours, theirs = np.intersect1d(columns.time_ns, reference.time_ns, return_indices=True)
         with np.errstate(invalid="ignore"):

@@ -106,14 +106,20 @@ class Heading(Section, frozen=True):
     topic: Annotated[str | None, Comment("left out: found by type")] = None
     quaternion: Annotated[str | None, Comment("field path, x, y, z, w; left out: by type")] = None
     heading: Annotated[str | None, Comment("field path, from north over east; left out: by type")] = None
-    angle_unit: Annotated[Literal["deg", "rad"], Comment("deg | rad: of the heading")] = "deg"
+    roll: Annotated[str | None, Comment("field path, starboard side down, for the start; left out: by type")] = None
+    pitch: Annotated[str | None, Comment("field path, bow up, for the start; left out: by type")] = None
+    angle_unit: Annotated[Literal["deg", "rad"], Comment("deg | rad: of heading, roll and pitch")] = "deg"
     axes: Annotated[
         Literal["ned_frd", "enu_flu"] | None, Comment("ned_frd | enu_flu, of a quaternion; left out: enu_flu")
     ] = None
+    mounting_rpy_deg: Annotated[
+        Vector, Comment("axes of its attitude in those of the IMU: heading, then pitch, then roll")
+    ] = (0.0, 0.0, 0.0)
     declination_deg: Annotated[
         Annotated[float, Meta(ge=-180, le=180)], Comment("magnetic north from true north, clockwise, of a compass")
     ] = 0.0
     sd_deg: Annotated[Positive, Comment("noise of one reading")] = 2.0
+    level_sd_deg: Annotated[Positive, Comment("of its roll and pitch, each, where filters start from them")] = 0.5
     stamp: Annotated[str | None, Comment(STAMP)] = None
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
 
@@ -137,8 +143,10 @@ class Initial(Section, frozen=True):
     """State and uncertainty at the start. The uncertainties are the paper's, reconstructed."""
 
     source: Annotated[
-        Literal["reference", "level"],
-        Comment("reference | level (by gravity and DVL; of a reference the position alone)"),
+        Literal["reference", "level", "sensor"],
+        Comment(
+            "reference | level (by gravity and DVL) | sensor (of [heading]); both take a reference's position alone"
+        ),
     ] = "reference"
     heading_deg: Annotated[
         float | Literal["fit", "sensor"] | None,

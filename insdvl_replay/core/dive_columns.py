@@ -123,10 +123,17 @@ class SensorColumns:
         Times of validity, strictly increasing.
     values : ndarray, shape (k, s)
         Of a depth the metres below the water's surface.
+    mat_nb : ndarray, shape (k, 3, 3), or None
+        Of a heading the attitude that it is part of, where its messages hold one whole.
     """
 
     time_ns: TimeNs
     values: Floats
+    mat_nb: Floats | None = None
+
+    def rows(self, keep: NDArray[np.bool_]) -> "SensorColumns":
+        """Keep some of the rows, chosen by a mask of shape (k,)."""
+        return SensorColumns(self.time_ns[keep], self.values[keep], None if self.mat_nb is None else self.mat_nb[keep])
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ class Sensor:
         Keys of its section that hold field paths.
     enough : tuple of set of str
         The quantities of one of these sets make a reading.
+    together : set of str
+        Quantities that say nothing without each other.
     """
 
     unit: str
@@ -35,6 +37,7 @@ class Sensor:
     states: tuple[str, ...]
     quantities: tuple[str, ...]
     enough: tuple[frozenset[str], ...]
+    together: frozenset[str] = frozenset()
 
 
 AXES_N: Final = ("n", "e", "d")
@@ -51,8 +54,9 @@ SENSORS: Final[dict[str, Sensor]] = {
         unit="rad",
         components=(),
         states=(),
-        quantities=("quaternion", "heading"),
+        quantities=("quaternion", "heading", "roll", "pitch"),
         enough=(frozenset({"quaternion"}), frozenset({"heading"})),
+        together=frozenset({"roll", "pitch"}),
     ),
     "position": Sensor(
         unit="m",
@@ -70,13 +74,13 @@ AIDING: Final = (*DVL_AIDING, *SENSORS)
 
 
 BY_SENSOR: Final = "sensor"
-"""In place of the heading at the start."""
+"""In place of the heading at the start, and as what the start comes from."""
 
 
 def asked_sensors(config: "Config") -> tuple[str, ...]:
     """Name the sensors that a replay reads, in their order: by which filters are aided, or start, or are judged."""
     asked = {*config.evaluation.withheld, *(word for filter_ in config.filters.values() for word in filter_.aiding)}
-    asked |= {"heading"} if config.initial.heading_deg == BY_SENSOR else set()
+    asked |= {"heading"} if BY_SENSOR in (config.initial.source, config.initial.heading_deg) else set()
     return tuple(name for name in SENSORS if name in asked)
 
 

@@ -14,6 +14,7 @@ from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed
+from insdvl_replay.core.sensors import BY_SENSOR
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, measured_dvl
 from insdvl_replay.inspection.imu_proposal import corrected_rates, imu_settings, imu_topic, measured_imu, measured_scale
@@ -130,7 +131,7 @@ def _doubts(seen: DryRun) -> Callable[[str], tuple[bool, bool]]:
 def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> tuple[list[Setting], tuple[Note, ...]]:
     """Find topics of unknown types for the roles that no topic of a known type plays; note what was not looked at."""
     wanted = {finding.role for finding in findings if not finding.sources and not finding.candidates}
-    if config.initial.source == "level":
+    if config.initial.source != "reference":
         wanted -= {"reference"}
     if not wanted:
         return [], ()
@@ -214,8 +215,9 @@ def _start(findings: Sequence[Finding], initial: Initial) -> Iterator[Setting]:
     given = {quantity for source in reference.sources for quantity in source.fields}
     if not given and initial.source == "reference":
         yield Setting("initial.source", "level", "no reference to start from: roll and pitch come from gravity")
-    given = set() if initial.source == "level" else given
-    if initial.heading_deg is None and not given & {"quaternion", "roll"}:
-        yield Setting("initial.heading_deg", None, open="at the start, from north over east")
+    posed = initial.source == BY_SENSOR or (initial.source == "reference" and given & {"quaternion", "roll"})
+    if initial.heading_deg is None and not posed:
+        text = f'at the start, from north over east; "{BY_SENSOR}" where an AHRS or a compass tells it'
+        yield Setting("initial.heading_deg", None, open=text)
     if initial.latitude_deg is None and "latitude" not in given:
         yield Setting("initial.latitude_deg", None, open="for gravity and Earth rate; half a degree will do")

@@ -17,6 +17,7 @@ from insdvl_replay.core.config import Config, Dvl, Initial, Noise
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.sensors import BY_SENSOR
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.sensor_classes import SENSORS, readings_scatter, sensor_class
@@ -206,10 +207,11 @@ def _heading(dives: Sequence[Dive], tried: Config) -> Iterator[Setting]:
     """Let the heading at the start be fitted where a track tells it, with the DVL's scale that is seen beside it."""
     key = "initial.heading_deg"
     reference = dives[0].reference
-    if reference is not None and reference.has_attitude and tried.initial.source == "reference":
+    posed = tried.initial.source == "reference" and reference is not None and reference.has_attitude
+    if posed or tried.initial.source == BY_SENSOR:
         return
     if reference is None or not reference.has_position:
-        text = "nothing in the log tells it: all that is replayed is relative to the first heading"
+        text = f'no reference tells it: all that is replayed is relative to the first heading, or it is "{BY_SENSOR}"'
         yield Setting(key, 0.0, open=text)
         return
     fitted, failed = [], []

@@ -1,12 +1,11 @@
-"""Where and how a filter starts: from the reference, or level from gravity (configuration section ``[initial]``)."""
+"""Where and how a filter starts: from the reference, from an AHRS, or level from gravity (section ``[initial]``)."""
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
 from insdvl_replay.core.config import Initial
-from insdvl_replay.core.dive_columns import Floats, ImuColumns, ReferenceColumns, TimeNs, apart_s, at_time, seconds
+from insdvl_replay.core.dive_columns import Floats, ImuColumns, ReferenceColumns, apart_s, at_time, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
 from insdvl_replay.core.words import Severity
@@ -22,9 +21,13 @@ from insdvl_replay.nav.levelling import (
     find_level,
     levelling_samples,
 )
+from insdvl_replay.preparation.start_position import FAR_S, configured_latitude_deg, start_position
 
 HEADING_DOUBT = 10.0 * DEG
 """No compass of a vehicle errs by more, even where nobody has taken the declination off."""
+
+TILT_DOUBT = 5.0 * DEG
+"""No AHRS errs by more, nor do accelerometers."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +48,13 @@ def align(
     lever_arm_b: Floats,
     start_ns: int,
     end_ns: int,
+    sensed_mat_nb: Floats | None = None,
 ) -> Alignment:
     """Find the start: the reference's first attitude inside the span, or the first sample when levelling.
 
     What the reference lacks is taken from gravity (roll, pitch), from the DVL (velocity) and from the configuration
-    (heading, position), each with a note. Started level, the reference gives the position and height alone. The lever
-    arm, shape (3,), goes from IMU to DVL, m.
+    (heading, position), each with a note. Started level or by a sensor, the reference gives the position and height
+    alone. The lever arm, shape (3,), goes from IMU to DVL, m; a sensor's attitude, shape (3, 3), is that at the start.
     """
     notes: list[Note] = []
     check_start(
@@ -58,6 +62,7 @@ def align(
         has_reference=reference is not None,
         has_position=reference is not None and reference.has_position,
         has_attitude=reference is not None and reference.has_attitude,
+        has_heading=sensed_mat_nb is not None,
     )
     moving = reference if initial.source == "reference" else None
     posed = moving if moving is not None and moving.has_attitude else None
@@ -68,16 +73,18 @@ def align(
     if posed is not None:
         mat_nb = posed.mat_nb[np.searchsorted(posed.time_ns, start_ns)]
     else:
-        level, mat_nb = _levelled(imu, velocities, noise, initial, lever_arm_b, start_ns, float(position[0]))
+        heading = _heading(initial, sensed_mat_nb)
+        level = _level(imu, velocities, noise, initial, lever_arm_b, start_ns, heading, float(position[0]))
+        mat_nb = mat_from_rpy(np.array([*level.roll_pitch, heading])) if sensed_mat_nb is None else sensed_mat_nb
     velocity_n = _reference_velocity(moving, start_ns)
     by_dvl_n = None
     if velocity_n is None:
         velocity_b, note = _dvl_velocity(imu, velocities, level, initial, mat_nb, lever_arm_b, start_ns, position)
         velocity_n = by_dvl_n = mat_nb @ velocity_b
         notes.append(note)
-    cov = start_cov(initial_sd(initial), mat_nb, level, by_dvl_n)
+    cov = start_cov(initial_sd(initial), mat_nb, level if sensed_mat_nb is None else None, by_dvl_n)
     if level is not None:
-        notes += _level_notes(level, mat_nb, cov)
+        notes += _level_notes(level, mat_nb, cov) if sensed_mat_nb is None else _tilt_notes(level, mat_nb)
         notes += _heading_notes(reference, mat_nb, start_ns)
     start = Start(position, velocity_n, mat_nb, cov, _accel_bias_b(initial), _gyro_bias_b(initial))
     return Alignment(start_ns, start, tuple(notes))
@@ -112,10 +119,12 @@ def check_start(
         )
 
 
-def _configured_heading_deg(initial: Initial) -> float:
+def _heading(initial: Initial, sensed_mat_nb: Floats | None) -> float:
+    if sensed_mat_nb is not None:
+        return float(rpy_from_mat(sensed_mat_nb)[2])
     if not isinstance(initial.heading_deg, float | int):
         raise ValueError("the heading is still to be fitted: start_heading.prepare_with_heading does it")
-    return initial.heading_deg
+    return initial.heading_deg * DEG
 
 
 def initial_sd(initial: Initial) -> Floats:
@@ -147,17 +156,17 @@ def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) 
     return int(reference.time_ns[np.argmax(inside)])
 
 
-def _levelled(
+def _level(
     imu: ImuColumns,
     velocities: DvlVelocities,
     noise: SensorNoise,
     initial: Initial,
     lever_arm_b: Floats,
     start_ns: int,
+    heading: float,
     latitude: float,
-) -> tuple[Level, Floats]:
-    """Find the level, and the attitude with the configured heading."""
-    heading = _configured_heading_deg(initial) * DEG
+) -> Level:
+    """Find the level, by readings without the configured biases."""
     samples = levelling_samples(imu, start_ns)
     if len(samples.time_ns) < FEWEST_SAMPLES:
         raise LogError(
@@ -170,8 +179,7 @@ def _levelled(
         specific_force_b=samples.specific_force_b - _accel_bias_b(initial),
         angular_rate_b=samples.angular_rate_b - _gyro_bias_b(initial),
     )
-    level = find_level(unbiased, velocities, noise, lever_arm_b, start_ns, heading=heading, latitude=latitude)
-    return level, mat_from_rpy(np.array([*level.roll_pitch, heading]))
+    return find_level(unbiased, velocities, noise, lever_arm_b, start_ns, heading=heading, latitude=latitude)
 
 
 def _heading_notes(reference: ReferenceColumns | None, mat_nb: Floats, start_ns: int) -> list[Note]:
@@ -208,6 +216,21 @@ def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:
         hint = "--start where the DVL sees the bottom"
         notes.append(Note("start_level_unaided", text, severity=Severity.WARNING, hint=hint))
     return notes
+
+
+def _tilt_notes(level: Level, mat_nb: Floats) -> list[Note]:
+    """Hold the roll and pitch of a sensor against gravity, where the DVL took the vehicle's own acceleration off."""
+    felt, said = level.gravity_b / np.linalg.norm(level.gravity_b), mat_nb[2]
+    tilt = np.arctan2(np.linalg.norm(np.cross(felt, said)), felt @ said)
+    if not level.pings or tilt <= TILT_DOUBT:
+        return []
+    felt_deg, said_deg = np.array(level.roll_pitch) / DEG, rpy_from_mat(mat_nb)[:2] / DEG
+    text = (
+        f"the sensor's roll and pitch of {said_deg[0]:.1f} and {said_deg[1]:.1f} deg at the start contradict gravity, "
+        f"which says {felt_deg[0]:.1f} and {felt_deg[1]:.1f} deg"
+    )
+    hint = 'heading.axes, heading.mounting_rpy_deg, or initial.source = "level"'
+    return [Note("start_tilt_contradiction", text, 1, Severity.WARNING, hint)]
 
 
 def _reference_velocity(reference: ReferenceColumns | None, start_ns: int) -> Floats | None:
@@ -248,69 +271,3 @@ def _accel_bias_b(initial: Initial) -> Floats:
 
 def _gyro_bias_b(initial: Initial) -> Floats:
     return np.array(initial.gyro_bias_degph) * DEG_PER_HOUR
-
-
-FAR_S: Final = 1.0
-"""A reference row further than this from the start says little about it: a vehicle moves on."""
-CONTRADICTION_DEG: Final = 0.1
-"""A latitude that a user gives in round numbers is as near as this."""
-
-
-def start_position(reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
-    """Find the position at the start: the reference's where it has any, else the configured one.
-
-    Latitude rad, longitude rad and height m, shape (3,); notes say what was taken from elsewhere, or is far.
-    """
-    if reference is not None and reference.has_position:
-        return _reference_position(reference, initial, start_ns, notes)
-    latitude_deg = configured_latitude_deg(initial)
-    notes.append(Note("start_position_configured", f"started at the configured latitude {latitude_deg:g} deg"))
-    return np.array([latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
-
-
-def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
-    horizontal, height_m = reference.position[:, :2].copy(), reference.position[:, 2:]
-    first_longitude = horizontal[np.argmax(np.isfinite(horizontal).all(axis=1)), 1]
-    horizontal[:, 1] = wrap_angle(horizontal[:, 1] - first_longitude)  # so that 180 deg lies between no two rows
-    latitude, longitude = at_time(reference.time_ns, horizontal, start_ns)
-    far = _far_notes("position", reference.time_ns, horizontal, start_ns)
-    if np.isfinite(height_m).any():
-        start_height_m = at_time(reference.time_ns, height_m, start_ns)[0]
-        far = far or _far_notes("height", reference.time_ns, height_m, start_ns)
-    else:
-        start_height_m = initial.height_m
-        notes.append(Note("start_height_configured", f"started at the configured height {initial.height_m:g} m"))
-    notes += far + _latitude_notes(initial, float(latitude) / DEG)
-    return np.array([latitude, float(wrap_angle(longitude + first_longitude)), start_height_m])
-
-
-def _far_notes(quantity: str, time_ns: TimeNs, values: Floats, start_ns: int) -> list[Note]:
-    far_s = float(apart_s(time_ns, values, np.array([start_ns]))[0])
-    if far_s <= FAR_S:
-        return []
-    text = f"the {quantity} at the start is the reference's {far_s:.1f} s away from it, and is off by as much"
-    return [
-        Note(f"start_{quantity}_far", text, severity=Severity.WARNING, hint=f"--start near the reference's {quantity}s")
-    ]
-
-
-def _latitude_notes(initial: Initial, latitude_deg: float) -> list[Note]:
-    """State that a latitude is configured in vain, where it is another than the reference's."""
-    if initial.latitude_deg is None or abs(initial.latitude_deg - latitude_deg) <= CONTRADICTION_DEG:
-        return []
-    text = (
-        f"initial.latitude_deg is {initial.latitude_deg:g}, but the reference starts at {latitude_deg:.4g} deg, "
-        "which counts"
-    )
-    hint = "leave initial.latitude_deg out, or name another reference.topic or reference.fix"
-    return [Note("start_latitude_contradiction", text, severity=Severity.WARNING, hint=hint)]
-
-
-def configured_latitude_deg(initial: Initial) -> float:
-    """Return the configured latitude, deg."""
-    if initial.latitude_deg is None:
-        raise ConfigError(
-            "the latitude is needed for gravity and Earth rate, and no reference gives it",
-            "--set initial.latitude_deg=...",
-        )
-    return initial.latitude_deg

@@ -123,11 +123,20 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     gaps = find_gaps(dive.imu.time_ns, config.imu)
     with error_context(dive.name):
         start_ns, end_ns, gap_notes = apply_gap_policy(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
-        config, start_notes = started_by_sensors(config, dive.sensors, dive.reference, start_ns)
+        sensed = started_by_sensors(config, dive.sensors, dive.reference, start_ns, end_ns)
+        config = sensed.config
         filters = resolve_filters(config, from_beams=velocities.from_beams)
         noise = filters[0].sensor_noise(velocities)
         alignment = align(
-            dive.imu, velocities, noise, dive.reference, config.initial, mounting.lever_arm_b, start_ns, end_ns
+            dive.imu,
+            velocities,
+            noise,
+            dive.reference,
+            config.initial,
+            mounting.lever_arm_b,
+            sensed.start_ns,
+            end_ns,
+            sensed.mat_nb,
         )
         sensors, sensor_notes = prepare_sensors(dive.sensors, config, alignment.start, alignment.start_ns, end_ns)
         own, own_notes = prepare_own_measurements(dive, config, len(sensors), alignment.start_ns, end_ns)
@@ -136,7 +145,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     beams = dvl_beams(dive.dvl, mounting, alignment.start_ns, end_ns) if by_beams else None
     notes += (
         gap_notes
-        + start_notes
+        + sensed.notes
         + alignment.notes
         + _outside_notes(dive.name, velocities, inside)
         + sensor_notes

@@ -67,7 +67,7 @@ def prepare_sensors(
                 f"no reading of the {name} lies between the start of the replay and its end",
                 f"check {name}.stamp against imu.stamp, or widen --start and --end",
             )
-        columns = SensorColumns(columns.time_ns[inside], columns.values[inside])
+        columns = columns.rows(inside)
         sensor = _Sensor(name, columns, getattr(config, name), start, start_ns, notes)
         kind, values, sd = _MEASURED[name](sensor)
         of_sensor = SENSORS[name]

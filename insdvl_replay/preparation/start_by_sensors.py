@@ -1,53 +1,112 @@
-"""What the settings and the reference leave open of the start, by the sensors that tell it: heading and position."""
+"""What the start takes from other sensors: an attitude where it is asked for; heading and position that are open."""
 
 from collections.abc import Mapping
-from typing import Final
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
-from insdvl_replay.core.config import Config, Initial
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, SensorColumns, seconds
+from insdvl_replay.core.config import Config, Heading, Initial
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, SensorColumns, seconds
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.sensors import BY_SENSOR
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
+from insdvl_replay.preparation.start_position import FAR_S
 
-FAR_S: Final = 1.0
-"""A reading that is further from the start says little about it: a vehicle moves on."""
+
+@dataclass(frozen=True)
+class SensedStart:
+    """A start as far as sensors tell it.
+
+    Attributes
+    ----------
+    config : Config
+        With what it left open filled in; it is no surer than the sensors are.
+    start_ns : int
+        Of the span; of the sensor's first attitude in it, where this is the start.
+    mat_nb : ndarray, shape (3, 3), or None
+        Attitude there.
+    notes : tuple of Note
+    """
+
+    config: Config
+    start_ns: int
+    mat_nb: Floats | None
+    notes: tuple[Note, ...]
 
 
 def started_by_sensors(
-    config: Config, sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None, start_ns: int
-) -> tuple[Config, tuple[Note, ...]]:
-    """Fill in heading and position at the start by the readings nearest to it.
+    config: Config,
+    sensors: Mapping[str, SensorColumns],
+    reference: ReferenceColumns | None,
+    start_ns: int,
+    end_ns: int,
+) -> SensedStart:
+    """Find the attitude where a sensor is to tell it, and fill in heading and position by the readings nearest to it.
 
     Parameters
     ----------
     sensors : mapping of str to SensorColumns
         Of the dive.
-    start_ns : int
-        Of the span; where a reference gives the attitude, this counts and no sensor.
-
-    Returns
-    -------
-    Config
-        With the start filled in; it is no surer than the sensors are.
-    tuple of Note
+    start_ns, end_ns : int
+        Of the span; where filters start from a reference's attitude, this counts and no sensor.
 
     Raises
     ------
     LogError
-        The heading is to be a sensor's, which is silent at the start.
+        The attitude is to be a sensor's, which gives none in the span; or the heading, which is silent at the start.
     """
-    initial, notes = config.initial, list[Note]()
+    initial, notes, mat_nb = config.initial, list[Note](), None
     posed = initial.source == "reference" and reference is not None and reference.has_attitude
-    if not posed and "heading" in sensors and initial.heading_deg in (None, BY_SENSOR):
+    if initial.source == BY_SENSOR:
+        start_ns, mat_nb = _attitude(initial, sensors["heading"], start_ns, end_ns, notes)
+        initial = _no_surer(initial, config.heading)
+    elif not posed and "heading" in sensors and initial.heading_deg in (None, BY_SENSOR):
         initial = _with_heading(initial, sensors["heading"], config.heading.sd_deg, start_ns, notes)
     located = reference is not None and reference.has_position
     if not located and "position" in sensors and initial.latitude_deg is None:
         initial = _with_position(initial, sensors["position"], config.position.sd_m, start_ns, notes)
-    return msgspec.structs.replace(config, initial=initial), tuple(notes)
+    return SensedStart(msgspec.structs.replace(config, initial=initial), start_ns, mat_nb, tuple(notes))
+
+
+def _attitude(
+    initial: Initial, readings: SensorColumns, start_ns: int, end_ns: int, notes: list[Note]
+) -> tuple[int, Floats]:
+    """Return the first attitude in the span, with the heading of the configuration if it has one, and its time."""
+    if readings.mat_nb is None:
+        raise LogError(
+            'initial.source is "sensor", and the messages of the heading hold no roll and pitch',
+            "name heading.roll and heading.pitch, or start level: --set initial.source=level",
+        )
+    inside = (readings.time_ns >= start_ns) & (readings.time_ns < end_ns)
+    rows = np.flatnonzero(inside & np.isfinite(readings.mat_nb).all(axis=(1, 2)))
+    if not rows.size:
+        raise LogError(
+            "the sensor of the heading gives no attitude between the first and the last IMU sample of the span",
+            "check heading.stamp against imu.stamp, or widen --start and --end",
+        )
+    mat_nb, first_ns = readings.mat_nb[rows[0]], int(readings.time_ns[rows[0]])
+    roll, pitch, heading = rpy_from_mat(mat_nb)
+    if isinstance(initial.heading_deg, float | int):
+        heading = initial.heading_deg * DEG
+        mat_nb = mat_from_rpy(np.array([roll, pitch, heading]))
+    late_s = (first_ns - start_ns) / NS_PER_S
+    text = f"roll {roll / DEG:.2f} deg and pitch {pitch / DEG:.2f} deg of the sensor's first attitude"
+    text += f", {late_s:.2f} s into the span, at a heading of {heading / DEG % 360.0:.2f} deg"
+    notes.append(Note("start_attitude_sensor", text))
+    return first_ns, mat_nb
+
+
+def _no_surer(initial: Initial, sensor: Heading) -> Initial:
+    """Widen what is configured to what a sensor's attitude errs by; a heading from elsewhere is as sure as it was."""
+    north_deg, east_deg, down_deg = initial.misalignment_sd_deg
+    if not isinstance(initial.heading_deg, float | int):
+        down_deg = max(down_deg, sensor.sd_deg)
+    level_deg = sensor.level_sd_deg
+    sds_deg = (max(north_deg, level_deg), max(east_deg, level_deg), down_deg)
+    return msgspec.structs.replace(initial, misalignment_sd_deg=sds_deg)
 
 
 def _with_heading(

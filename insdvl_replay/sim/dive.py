@@ -279,7 +279,9 @@ def _dvl(
 
 
 def _sensor(trajectory: Trajectory, name: str, time_ns: TimeNs) -> SensorColumns:
-    return SensorColumns(time_ns, named("sensor", name, SIMULATED).reading(trajectory.at(seconds(time_ns, START_NS))))
+    motion = trajectory.at(seconds(time_ns, START_NS))
+    values = named("sensor", name, SIMULATED).reading(motion)
+    return SensorColumns(time_ns, values, motion.mat_nb if name == "heading" else None)
 
 
 def _reference(trajectory: Trajectory, time_ns: TimeNs) -> ReferenceColumns:

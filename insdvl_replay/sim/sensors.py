@@ -9,7 +9,7 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Floats, SensorColumns
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import moved_position
-from insdvl_replay.geometry.rotation import rpy_from_mat
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.sim.motion import Motion
 
 
@@ -58,8 +58,11 @@ SIMULATED: Final[Mapping[str, SimulatedSensor]] = {
 
 
 def add_sensor_errors(name: str, exact: SensorColumns, errors: SensorErrors, rng: np.random.Generator) -> SensorColumns:
-    """Add white noise to exact readings."""
-    noise = SIMULATED[name].si * errors.sd * rng.standard_normal(exact.values.shape)
-    return SensorColumns(
-        exact.time_ns, moved_position(exact.values, noise) if name == "position" else exact.values + noise
-    )
+    """Add white noise to exact readings; of an attitude to each of its angles."""
+    sd = SIMULATED[name].si * errors.sd
+    noise = sd * rng.standard_normal(exact.values.shape)
+    values = moved_position(exact.values, noise) if name == "position" else exact.values + noise
+    if exact.mat_nb is None:
+        return SensorColumns(exact.time_ns, values)
+    roll_pitch = rpy_from_mat(exact.mat_nb)[:, :2] + sd * rng.standard_normal((len(values), 2))
+    return SensorColumns(exact.time_ns, values, mat_from_rpy(np.concatenate([roll_pitch, values], axis=1)))

@@ -154,6 +154,7 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
         "preparation.solutions",
         "nav.measurements",
         "preparation.start_by_sensors",
+        "preparation.start_position",
         "nav.own_measurement",
         "nav.state_layout",
         "preparation.filters",

@@ -10,7 +10,9 @@ from mcap_ros2.decoder import DecoderFactory
 from insdvl_replay.core.config import Config, Depth, Dvl, Filter, Imu, Reference
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.rows import EvidenceRow
+from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.logs import read_dive
+from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.replay import Replay, replay_log
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -90,3 +92,34 @@ def test_a_depth_of_the_subjugator_holds_its_height(run: str) -> None:
     depth = next(one for one in deep.innovations if one.measurement == "depth")
     assert depth.used.all()
     assert np.sqrt(np.mean(depth.innovation**2)) < 0.05
+
+
+@pytest.mark.parametrize("run", ["run_1", "run_2"])
+def test_the_ahrs_of_the_subjugator_is_as_level_as_gravity_says(run: str) -> None:
+    """Its quaternion turns axes forward-starboard-down, unlike those of its type: a warning says so until it is set."""
+    log, source = DATA / "ufmil" / f"{run}.mcap", "initial.source=sensor"
+    replays = {
+        name: replay_log(log, load_config(file=EXAMPLES / "ufmil.toml", overrides=overrides))
+        for name, overrides in {
+            "level": [],
+            "as its type": [source],
+            "mounted": [source, "heading.mounting_rpy_deg=[180,0,0]"],
+        }.items()
+    }
+    contradicted = {
+        name: [note.code for note in replay.notes if note.code == "start_tilt_contradiction"]
+        for name, replay in replays.items()
+    }
+    assert contradicted == {"level": [], "as its type": ["start_tilt_contradiction"], "mounted": []}
+    starts_deg = {name: np.rad2deg(rpy_from_mat(replay.histories[0].mat_nb[0])) for name, replay in replays.items()}
+    np.testing.assert_allclose(starts_deg["mounted"], starts_deg["level"], atol=0.15)
+    ratios = [replays[name].tables.consistency[0].mean_nis for name in ("mounted", "level")]
+    assert ratios[0] == pytest.approx(ratios[1], rel=0.01)
+
+
+@pytest.mark.parametrize(("dive", "stuck"), [("x_1", 678), ("rotation_z_1", 936)])
+def test_a_depth_that_never_changes_is_stuck(dive: str, stuck: int) -> None:
+    by_recorder = [f"{role}.stamp=log_time" for role in ("imu", "dvl", "reference", "depth")]
+    overrides = ["depth.topic=/depth", "depth.height=data", 'filters.deep.aiding=["velocity","depth"]', *by_recorder]
+    notes = read_checked_dive(DATA / "stanford_auv" / f"{dive}.mcap", load_config("mems", overrides=overrides)).notes
+    assert [note.count for note in notes if note.code == "depth_stuck"] == [stuck]

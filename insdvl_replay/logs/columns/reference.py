@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Initial
+from insdvl_replay.core.config import Heading, Initial
 from insdvl_replay.core.config_navigation import Navigation, Reference
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, distinct
 from insdvl_replay.core.errors import LogError, Note
@@ -81,7 +81,7 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
         cleaner.keep(np.isfinite(position[:, 0]), "no_fix", "positions are without satellites")
         cleaner.drop_repeated_values(position)
     cleaner.drop_repeated_times()
-    mat_nb = _attitude(table, settings)
+    mat_nb = attitude(table, settings)
     velocity_n = _velocity_n(table, settings, mat_nb)
     _note_missing(cleaner, told, velocity_n, mat_nb)
     position, velocity_n, mat_nb = (
@@ -191,7 +191,8 @@ def of_receiver(table: Table, quantity: str) -> Floats:
     return np.asarray(chosen[np.arange(len(chosen)), satellites.argmax(axis=1)])
 
 
-def _attitude(table: Table, settings: Navigation) -> Floats | None:
+def attitude(table: Table, settings: Navigation | Heading) -> Floats | None:
+    """Return the attitude as it was written, shape (k, 3, 3), or None where the messages hold none whole."""
     if _by_quaternion(table, settings):
         mat = mat_from_quat(table.values("quaternion", 4))
         for frame, north in _NORTHS:
@@ -210,7 +211,7 @@ def _is_east_north_up(table: Table, settings: Navigation) -> bool:
     return settings.axes == "enu_flu" or (settings.axes is None and _by_quaternion(table, settings))
 
 
-def _by_quaternion(table: Table, settings: Navigation) -> bool:
+def _by_quaternion(table: Table, settings: Navigation | Heading) -> bool:
     return "quaternion" in table and ("roll" not in table or settings.quaternion is not None)
 
 

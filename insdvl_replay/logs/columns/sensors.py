@@ -7,16 +7,19 @@ import numpy as np
 
 from insdvl_replay.core.config import Config, Depth, Heading, Position
 from insdvl_replay.core.dive_columns import Floats, SensorColumns
-from insdvl_replay.core.errors import Note
+from insdvl_replay.core.errors import ConfigError, LogError, Note
+from insdvl_replay.core.sensors import BY_SENSOR
 from insdvl_replay.core.states import DEG, STANDARD_GRAVITY_MPS2
-from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
-from insdvl_replay.geometry.rotation import mat_from_quat, rpy_from_mat
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.logs.columns.cleaning import Cleaner
-from insdvl_replay.logs.columns.reference import ANGLE_UNITS, of_receiver
+from insdvl_replay.logs.columns.reference import ANGLE_UNITS, attitude, of_receiver
 from insdvl_replay.logs.columns.tables import Table
 
 PRESSURE_UNITS: Final = {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "dbar": 1e4, "bar": 1e5}
 """Pa of one unit."""
+
+_Readings = tuple[Floats, Floats | None]
+"""Values, shape (k, s), and the attitudes that they are part of, shape (k, 3, 3), if they are of any."""
 
 
 def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumns, list[Note]]:
@@ -28,13 +31,16 @@ def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumn
         No reading can be used.
     """
     settings = table.source.completed(getattr(config, name))
-    values, cleaner = _VALUES[name](table, settings), Cleaner(table)
+    (values, mat_nb), cleaner = _READINGS[name](table, settings), Cleaner(table)
     cleaner.keep_finite(values)
     if "sensor_id" in table:
         cleaner.drop_repeated_values(values)
     cleaner.drop_repeated_times(values)
     cleaner.require_rows()
-    return SensorColumns(cleaner.times, cleaner.kept(values)), cleaner.notes
+    # Of a dive of hours the attitudes take more memory than the IMU's readings.
+    wanted_mat_nb = mat_nb if config.initial.source == BY_SENSOR else None
+    kept_mat_nb = None if wanted_mat_nb is None else cleaner.kept(wanted_mat_nb)
+    return SensorColumns(cleaner.times, cleaner.kept(values), kept_mat_nb), cleaner.notes
 
 
 def decode_own_topic(table: Table) -> tuple[SensorColumns, list[Note]]:
@@ -52,7 +58,7 @@ def decode_own_topic(table: Table) -> tuple[SensorColumns, list[Note]]:
     return SensorColumns(cleaner.times, cleaner.kept(values)), cleaner.notes
 
 
-def _depth_m(table: Table, settings: Depth) -> Floats:
+def _depth(table: Table, settings: Depth) -> _Readings:
     """Return the metres below where the gauge reads nothing, shape (k, 1); the filters find where that is."""
     if "depth" in table:
         depth_m = table.column("depth")
@@ -61,23 +67,45 @@ def _depth_m(table: Table, settings: Depth) -> Floats:
     else:
         pressure_pa = table.column("pressure") * PRESSURE_UNITS[settings.pressure_unit or "Pa"]
         depth_m = pressure_pa / (settings.density_kgpm3 * STANDARD_GRAVITY_MPS2)
-    return np.asarray(depth_m[:, None], np.float64)
+    return np.asarray(depth_m[:, None], np.float64), None
 
 
-def _heading_rad(table: Table, settings: Heading) -> Floats:
-    """Return the true heading, shape (k, 1): NaN where its message says that there is none."""
-    if "quaternion" in table:
-        mat = mat_from_quat(table.values("quaternion", 4))
-        mat_nb = mat if settings.axes == "ned_frd" else MAT_ENU_NED @ mat @ MAT_FRD_FLU
-        heading = rpy_from_mat(mat_nb)[:, 2]
-        if "quaternion_var" in table:
-            heading = np.where(table.column("quaternion_var") < 0.0, np.nan, heading)
-    else:
+def _heading(table: Table, settings: Heading) -> _Readings:
+    """Return the true heading, shape (k, 1), and the attitude that it is part of, if it is of any.
+
+    NaN where a message says that there is none.
+    """
+    declination = settings.declination_deg * DEG
+    mat_mb = _magnetic_attitude(table, settings)
+    if mat_mb is None:
+        if any(settings.mounting_rpy_deg):
+            raise ConfigError(
+                "heading.mounting_rpy_deg turns an attitude, and the messages hold a heading alone",
+                "heading.declination_deg takes what it is off by",
+            )
         heading = table.column("heading") * ANGLE_UNITS[settings.angle_unit]
-    return np.asarray((heading + settings.declination_deg * DEG)[:, None])
+        return np.asarray((heading + declination)[:, None]), None
+    if "quaternion_var" in table:
+        without = table.column("quaternion_var") < 0.0
+        if without.all():
+            raise LogError(
+                "all messages say that they hold no orientation", "heading.topic names another", *table.where
+            )
+        mat_mb[without] = np.nan
+    heading = rpy_from_mat(mat_mb)[:, 2] + declination
+    return np.asarray(heading[:, None]), mat_from_rpy(np.array([0.0, 0.0, declination])) @ mat_mb
 
 
-def _position(table: Table, settings: Position) -> Floats:
+def _magnetic_attitude(table: Table, settings: Heading) -> Floats | None:
+    """Return the attitude of the IMU, from magnetic or true north, whichever the sensor knows."""
+    heading_alone = settings.heading is not None and settings.quaternion is None and settings.roll is None
+    mat = None if heading_alone else attitude(table, settings)
+    if mat is None or not any(settings.mounting_rpy_deg):
+        return mat
+    return np.asarray(mat @ mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG).T)
+
+
+def _position(table: Table, settings: Position) -> _Readings:
     """Return latitude rad, longitude rad, height m, shape (k, 3): NaN where there was no fix."""
     unit = ANGLE_UNITS[settings.angle_unit]
     latitude, longitude = (of_receiver(table, name) * unit for name in ("latitude", "longitude"))
@@ -87,11 +115,11 @@ def _position(table: Table, settings: Position) -> Floats:
     if "fix_status" in table:
         lost |= table.column("fix_status") < 0.0
     position[lost] = np.nan
-    return position
+    return position, None
 
 
-_VALUES: Final[dict[str, Callable[[Table, Any], Floats]]] = {
-    "depth": _depth_m,
-    "heading": _heading_rad,
+_READINGS: Final[dict[str, Callable[[Table, Any], _Readings]]] = {
+    "depth": _depth,
+    "heading": _heading,
     "position": _position,
 }

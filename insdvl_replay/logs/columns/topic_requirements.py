@@ -117,7 +117,7 @@ class TopicRequirement:
     if_named: Types = field(default_factory=dict)
     paths: Mapping[str, str | None] = field(default_factory=dict)
     enough: Sequence[AbstractSet[str]] = ()
-    together: Sequence[set[str]] = ()
+    together: Sequence[AbstractSet[str]] = ()
     stamp: str | None = None
     latency_s: float = 0.0
     frames: tuple[str, str] | None = None
@@ -241,6 +241,7 @@ def sensor_requirement(name: str, config: Config) -> TopicRequirement:
         by_type=known_types.SENSORS[name],
         if_named=known_types.SENSORS_IF_NAMED.get(name, {}),
         enough=SENSORS[name].enough,
+        together=[SENSORS[name].together],
     )
 
 

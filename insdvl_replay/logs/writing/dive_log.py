@@ -25,7 +25,8 @@ from insdvl_replay.core.dive_columns import (
     TruthColumns,
 )
 from insdvl_replay.core.states import STANDARD_GRAVITY_MPS2
-from insdvl_replay.geometry.rotation import rpy_from_mat, turned
+from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
+from insdvl_replay.geometry.rotation import mat_from_rpy, quat_from_mat, rpy_from_mat, turned
 from insdvl_replay.logs.writing.writer import (
     BASE_LINK,
     DVL,
@@ -47,6 +48,7 @@ VELOCITY_DIGITS: Final = 6
 """Decimals of what the instrument makes of its beams, m/s and rad: far below the noise of a beam."""
 ANGLE_DIGITS: Final = 9
 """Decimals of the reference's angles, rad."""
+QUATERNION_DIGITS: Final = 12
 
 FIX_DIGITS: Final = 10
 """Decimals of the degrees of a fix: 11 um."""
@@ -172,10 +174,14 @@ def _depth(depth: SensorColumns) -> Batch:
 
 
 def _heading(heading: SensorColumns) -> Batch:
-    """Write a level attitude with the heading, east-north-up and forward-port-up, as its type has it."""
-    half = 0.5 * (0.5 * np.pi - heading.values[:, 0])
-    quat: dict[str, Column] = {"x": 0.0, "y": 0.0, "z": np.round(np.sin(half), 12), "w": np.round(np.cos(half), 12)}
-    columns: dict[str, Column] = {f"quaternion.{axis}": component for axis, component in quat.items()}
+    """Write the attitude, level where it is not known, east-north-up and forward-port-up, as its type has it."""
+    if (mat_nb := heading.mat_nb) is None:
+        level = np.zeros((len(heading.time_ns), 2))
+        mat_nb = mat_from_rpy(np.concatenate([level, heading.values], axis=1))
+    quat = np.round(quat_from_mat(MAT_ENU_NED.T @ mat_nb @ MAT_FRD_FLU.T), QUATERNION_DIGITS)
+    columns: dict[str, Column] = {
+        f"quaternion.{axis}": component for axis, component in zip("xyzw", quat.T, strict=True)
+    }
     return stamped("/ahrs", "geometry_msgs/msg/QuaternionStamped", heading.time_ns, BASE_LINK, columns)
 
 
