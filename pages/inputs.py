@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from written import PROJECT, markdown_table, renewed
 
-from insdvl_replay.logs.columns import known_dvls, known_types
+from insdvl_replay.logs.columns import known_dvls, known_sensors, known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, KnownType, Types
 from insdvl_replay.logs.container.other_formats import OTHER_FORMATS
 from insdvl_replay.logs.encoding.fields import ENCODINGS
@@ -27,7 +27,7 @@ def _stamp(entry: KnownType) -> str:
     return f"`{entry.stamp}`" if entry.stamp else "header"
 
 
-def _rows(known: Types) -> Iterable[tuple[str, ...]]:
+def _rows(known: Types) -> Iterable[tuple[str, str, str, str]]:
     for first, names in _names(known).items():
         entry = known[first]
         yield "<br>".join(f"`{name}`" for name in names), _gives(entry), _stamp(entry), entry.about
@@ -57,6 +57,17 @@ def _types(*groups: Types) -> str:
     )
 
 
+def _sensors() -> str:
+    """The types of each sensor beside IMU and DVL, those last that have to be named."""
+    rows = [
+        (types, f"{name}, attitude" if gives == "attitude" else name, stamp, about)
+        for name, groups in known_sensors.TYPES.items()
+        for known in (*groups, known_sensors.TYPES_IF_NAMED.get(name, {}))
+        for types, gives, stamp, about in _rows(known)
+    ]
+    return markdown_table(("type", "gives", "stamp", "what is to be known"), rows)
+
+
 def _other(endings: tuple[str, ...]) -> str:
     return ", ".join(f"`{ending}`" for ending in endings)
 
@@ -79,6 +90,7 @@ PARTS = {
         known_types.POSES,
         known_types.TRUTH,
     ),
+    "sensors": _sensors,
     "others": lambda: markdown_table(
         ("file", "endings", "the step that helps"),
         [(known.name, _other(known.endings), known.step) for known in OTHER_FORMATS],

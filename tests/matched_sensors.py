@@ -2,7 +2,7 @@
 
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Initial, Noise
 
-SENSORS = Config(
+MATCHED = Config(
     noise=Noise(
         accel_white_mps_rts=5e-3,
         gyro_white_rad_rts=4.4e-5,

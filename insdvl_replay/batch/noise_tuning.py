@@ -19,7 +19,7 @@ from insdvl_replay.core.runtime import begin
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.consistency import log_likelihood
 from insdvl_replay.evaluation.hints import NOISE_FAR_OFF
-from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.evaluation.sensor_classes import CLASSES, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
@@ -85,7 +85,7 @@ def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note,
 def _fitted_note(values: Mapping[str, float], edges: Sequence[str]) -> Note:
     pasted = ", ".join(f"{key} = {value:.4g}" for key, value in values.items())
     text = f"noise of the control, fitted to the baseline's innovations: [filters.{NAME}] {pasted}"
-    classes = {SENSORS[key].name: sensor_class(key, values[key]) for key in INERTIAL if key not in edges}
+    classes = {CLASSES[key].name: sensor_class(key, values[key]) for key in INERTIAL if key not in edges}
     if named := [f"{sensors} of class {best}" for sensors, best in classes.items() if best]:
         text += f" ({', '.join(named)})"
     if edges:

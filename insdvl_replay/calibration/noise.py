@@ -21,7 +21,7 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import Innovations
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.evaluation.sensor_classes import CLASSES, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import DvlNoise, ResolvedFilter
 
 INERTIAL: Final = ("accel_white_mps_rts", "gyro_white_rad_rts")
@@ -220,5 +220,5 @@ def noise_doubts(rows: Sequence[NoiseRow]) -> Iterator[str]:
         if row.status == Estimated.ESTIMATED and row.why:
             yield (
                 f"{row.parameter} = {row.after:g} is {row.why}: vibration, stamps that jitter, or what is left of "
-                f"geometry and time stands in it for the {SENSORS[row.parameter].name}' own"
+                f"geometry and time stands in it for the {CLASSES[row.parameter].name}' own"
             )

@@ -27,7 +27,7 @@ class Sensors:
     worst: Mapping[str, float]
 
 
-SENSORS: Final[Mapping[str, Sensors]] = MappingProxyType(
+CLASSES: Final[Mapping[str, Sensors]] = MappingProxyType(
     {
         # Servo accelerometers have some 10 ug/sqrt(Hz), good micromechanical ones 100; cheap ones reach 1000.
         "accel_white_mps_rts": Sensors("accelerometers", {"fog": 5e-4, "tactical": 1.8e-3, "mems": 1e-2}),
@@ -81,9 +81,9 @@ def sensor_class(key: str, noise: float) -> str:
     Parameters
     ----------
     key : str
-        Of `SENSORS`.
+        Of `CLASSES`.
     """
-    return next((name for name, worst in SENSORS[key].worst.items() if noise <= worst), "")
+    return next((name for name, worst in CLASSES[key].worst.items() if noise <= worst), "")
 
 
 def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
@@ -92,7 +92,7 @@ def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
     Parameters
     ----------
     key : str
-        Of `SENSORS`.
+        Of `CLASSES`.
     scatter : float
         From `readings_scatter`; 0 where the readings show nothing of the noise alone, as those of a DVL.
 
@@ -101,7 +101,7 @@ def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
     str
         Empty where it may be.
     """
-    sensors = SENSORS[key]
+    sensors = CLASSES[key]
     best, worst = min(sensors.worst.values()), max(sensors.worst.values())
     reasons = []
     if scatter and noise > best and noise > FILTERED * scatter:

@@ -20,7 +20,7 @@ from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.sensors import BY_SENSOR
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.sensor_classes import SENSORS, readings_scatter, sensor_class
+from insdvl_replay.evaluation.sensor_classes import CLASSES, readings_scatter, sensor_class
 from insdvl_replay.evaluation.track_fit import UNKNOWN, TrackFit, filter_track_fit
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.imu_proposal import axes_word
@@ -34,7 +34,7 @@ from insdvl_replay.replay import replay_dive
 UNKNOWN_LATITUDE_DEG: Final = 45.0
 CERTAIN_SDS: Final = 5.0
 """A scale that a track shows less surely is not worth a line."""
-_CLASSES: Final = ("fog", "tactical", "mems")
+_GRADES: Final = ("fog", "tactical", "mems")
 """Presets from the quietest IMU to the noisiest."""
 _NOISES: Final = {"accel_white_mps_rts": "m/s/sqrt(s)", "gyro_white_rad_rts": "rad/sqrt(s)"}
 _ARM_OPEN: Final = "IMU to DVL, forward, starboard, down, as built; `insdvl-replay calibrate` estimates it"
@@ -124,14 +124,14 @@ def imu_class(imu: ImuColumns, initial: Initial) -> tuple[str, list[Setting]]:
     readings = (imu.specific_force_b, imu.angular_rate_b)
     scatter = {key: readings_scatter(of_one, imu.usual_step_s) for key, of_one in zip(_NOISES, readings, strict=True)}
     classes = [sensor_class(key, value) if value > 0.0 else "" for key, value in scatter.items()]
-    preset = max((name or _CLASSES[-1] for name in classes), key=_CLASSES.index)
+    preset = max((name or _GRADES[-1] for name in classes), key=_GRADES.index)
     said = ", ".join(
-        f"{SENSORS[key].name} scatter by {value:.2g} {_NOISES[key]} from sample to sample ({name or 'of no class'})"
+        f"{CLASSES[key].name} scatter by {value:.2g} {_NOISES[key]} from sample to sample ({name or 'of no class'})"
         for (key, value), name in zip(scatter.items(), classes, strict=True)
     )
     of_class, default = load_config(preset), Initial()
     noise = [Setting(f"noise.{key}", getattr(of_class.noise, key)) for key in Noise.__struct_fields__]
-    open_ = "an IMU that smooths its readings is noisier than they show" if preset != _CLASSES[-1] else ""
+    open_ = "an IMU that smooths its readings is noisier than they show" if preset != _GRADES[-1] else ""
     noise[0] = Setting(noise[0].key, noise[0].value, f"preset {preset}: in the usual half second, {said}", open_)
     biases = [
         Setting(f"initial.{key}", getattr(of_class.initial, key), f"preset {preset}")

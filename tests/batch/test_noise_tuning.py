@@ -16,7 +16,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.history import Innovations
 from insdvl_replay.evaluation.consistency import log_likelihood
-from insdvl_replay.evaluation.sensor_classes import SENSORS
+from insdvl_replay.evaluation.sensor_classes import CLASSES
 from insdvl_replay.logs import read_dive
 from insdvl_replay.preparation.prepared import reference_at_imu
 from insdvl_replay.replay import replay_dive, replay_log
@@ -124,7 +124,7 @@ def test_simulated_imus_are_fitted_within_their_class(grade: str, preset: str) -
     assert not warnings(notes)
     tuned = config.filters["tuned"]
     for key in ("accel_white_mps_rts", "gyro_white_rad_rts"):
-        assert getattr(tuned, key) < SENSORS[key].worst[grade]
+        assert getattr(tuned, key) < CLASSES[key].worst[grade]
     assert f"gyros of class {grade}" in notes[0].text
 
 

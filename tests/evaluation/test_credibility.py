@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 from frames import frame
-from matched_sensors import SENSORS
+from matched_sensors import MATCHED
 from scipy import signal, stats
 
 from insdvl_replay.core.config import Config
@@ -301,7 +301,7 @@ def rows(replay: Replay) -> Any:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(exact: Dive, seed: int) -> None:
-    replay = replay_dive(add_errors(exact, *matched_errors(SENSORS), seed), SENSORS)
+    replay = replay_dive(add_errors(exact, *matched_errors(MATCHED), seed), MATCHED)
     table = rows(replay)
     baseline = table.loc[("baseline", "all")]
     assert baseline["verdict"] == "consistent"
@@ -317,7 +317,7 @@ def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(
 
 def test_straight_line_gives_no_false_words_on_what_its_heading_hides() -> None:
     """The heading starts exact and is never seen, so that the velocity across the track errs by less than P allows."""
-    alone = msgspec.structs.replace(SENSORS, filters={"baseline": SENSORS.filters["baseline"]})
+    alone = msgspec.structs.replace(MATCHED, filters={"baseline": MATCHED.filters["baseline"]})
     straight = exact_dive("straight", imu_rate_hz=50.0)
     for seed in (1, 2, 5):
         table = rows(replay_dive(add_errors(straight, *matched_errors(alone), seed), alone)).loc["baseline"]
@@ -332,8 +332,8 @@ def test_settings_of_the_paper_are_over_cautious_for_a_fibre_optic_imu() -> None
 
 
 def test_biases_are_judged_where_the_truth_is_known(exact: Dive) -> None:
-    dive = add_errors(exact, *matched_errors(SENSORS), 1)
-    with_truth, without_truth = (rows(replay_dive(d, SENSORS)) for d in (dive, replace(dive, truth=None)))
+    dive = add_errors(exact, *matched_errors(MATCHED), 1)
+    with_truth, without_truth = (rows(replay_dive(d, MATCHED)) for d in (dive, replace(dive, truth=None)))
     biases = [state.id for state in STATES[BA.start :]]
     assert [quantity for name, quantity in with_truth.index if name == "baseline"] == [
         *CREDIBILITY_QUANTITIES, *CREDIBILITY_GROUPS, "all",

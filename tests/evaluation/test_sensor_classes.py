@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from insdvl_replay.core.config import Filter
 from insdvl_replay.core.config_file import PRESETS, load_config
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.evaluation.sensor_classes import SENSORS, beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.evaluation.sensor_classes import CLASSES, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import GRADES
 
@@ -60,7 +60,7 @@ def test_gyros_of_the_presets_are_of_their_class() -> None:
 
 
 def test_classes_stand_best_first_and_bear_the_keys_of_a_filter() -> None:
-    for key, sensors in SENSORS.items():
+    for key, sensors in CLASSES.items():
         assert key in Filter.__struct_fields__
         assert list(sensors.worst.values()) == sorted(sensors.worst.values())
         assert sensor_class(key, 1.0) == ""

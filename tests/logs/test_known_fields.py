@@ -16,7 +16,7 @@ from mcap.writer import Writer
 from rosbag_messages import START_NS, store_with
 from rosbags.typesys.store import Typestore
 
-from insdvl_replay.logs.columns import known_dvls, known_types
+from insdvl_replay.logs.columns import known_dvls, known_sensors, known_types
 from insdvl_replay.logs.columns.known_types import KnownType, Types
 from insdvl_replay.logs.container.recording import open_recording
 from insdvl_replay.logs.encoding.fields import channel_paths, find_path, open_reader, split_paths
@@ -35,8 +35,8 @@ TABLES: list[Types] = [
     known_types.EXTENDED_FIX,
     known_types.SOLUTIONS,
     known_types.TRUTH,
-    *(types for groups in known_types.SENSORS.values() for types in groups),
-    *known_types.SENSORS_IF_NAMED.values(),
+    *(types for groups in known_sensors.TYPES.values() for types in groups),
+    *known_sensors.TYPES_IF_NAMED.values(),
 ]
 NOT_SHIPPED = ("dvl1000_ros/msg/DVL", "tf/msg/tfMessage")
 """Of ROS 1 alone, whose logs all have definitions."""

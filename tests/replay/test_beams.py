@@ -5,7 +5,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from matched_sensors import SENSORS
+from matched_sensors import MATCHED
 
 from insdvl_replay.core.config import Config, Dvl, Evaluation, Filter, Initial
 from insdvl_replay.core.dive_columns import Dive
@@ -35,7 +35,7 @@ def simulated(seed: int, **changes: object) -> Dive:
 
 def settings(gate_probability: float = 1.0) -> Config:
     return Config(
-        noise=msgspec.structs.replace(SENSORS.noise, accel_white_mps_rts=5e-4),
+        noise=msgspec.structs.replace(MATCHED.noise, accel_white_mps_rts=5e-4),
         initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1),
         dvl=Dvl(beam_sd_mps=BEAM_SD_MPS, lever_arm_m=ARM_M, mounting_rpy_deg=(2.0, -3.0, 40.0)),
         evaluation=Evaluation(starts=1),

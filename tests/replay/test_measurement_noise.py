@@ -5,7 +5,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from matched_sensors import SENSORS
+from matched_sensors import MATCHED
 
 from insdvl_replay.core.config import Config, Evaluation, Filter, Initial
 from insdvl_replay.core.dive_columns import Dive
@@ -17,9 +17,9 @@ from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 
 SD_MPS, WHITE = 0.02, 1e-3
 CONFIG = Config(
-    noise=msgspec.structs.replace(SENSORS.noise, accel_white_mps_rts=WHITE),
+    noise=msgspec.structs.replace(MATCHED.noise, accel_white_mps_rts=WHITE),
     initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1),
-    dvl=msgspec.structs.replace(SENSORS.dvl, velocity_sd_mps=SD_MPS),
+    dvl=msgspec.structs.replace(MATCHED.dvl, velocity_sd_mps=SD_MPS),
     evaluation=Evaluation(starts=1),
     filters={
         "baseline": Filter(aiding=("velocity",)),

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from matched_sensors import SENSORS
+from matched_sensors import MATCHED
 from scipy.stats import chi2
 
 from insdvl_replay.core.config import Acceleration, Config, Filter
@@ -29,7 +29,7 @@ STARTS = 121
 
 
 def config_with(**filters: Filter) -> Config:
-    return msgspec.structs.replace(SENSORS, filters={"baseline": SENSORS.filters["baseline"], **filters})
+    return msgspec.structs.replace(MATCHED, filters={"baseline": MATCHED.filters["baseline"], **filters})
 
 
 WINDOWED = Filter(aiding=("velocity", "acceleration"), acceleration=Acceleration(model="windowed"))
@@ -75,7 +75,7 @@ def test_first_run_is_that_of_the_replay(exact: Dive) -> None:
 
 
 def test_filters_meet_the_same_errors_and_other_dives_others(exact: Dive) -> None:
-    twice = config_with(again=SENSORS.filters["baseline"])
+    twice = config_with(again=MATCHED.filters["baseline"])
     dive, start = prepared_world(exact, twice, 1)
     one, other = run_from_drawn_starts(dive, start, 3)
     np.testing.assert_array_equal(one.error, other.error)

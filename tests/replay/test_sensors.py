@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from matched_sensors import SENSORS
+from matched_sensors import MATCHED
 
 from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Heading, Initial, Position
 from insdvl_replay.core.config_file import load_config
@@ -147,9 +147,9 @@ def position_nees(seed: int, surface_m: float | None, *aiding: str, **sensors: S
         "lawnmower", seed=seed, duration_s=400.0, imu_errors=MATCHED_IMU, dvl_errors=MATCHED_DVL, sensors=sensors
     )
     settings = Config(
-        noise=SENSORS.noise,
+        noise=MATCHED.noise,
         initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, position_sd_m=POSITION_SD_M),
-        dvl=SENSORS.dvl,
+        dvl=MATCHED.dvl,
         depth=Depth(sd_m=0.05, surface_height_m=surface_m),
         filters={"aided": Filter(aiding=("velocity", *aiding), states=("position",))},
     )
@@ -181,9 +181,9 @@ def test_a_track_that_is_moved_with_the_velocity_drifts_less_where_the_noise_is_
 ) -> None:
     """Velocities are the same; what the position is corrected by presupposes the noise that the filter was told."""
     settings = Config(
-        noise=SENSORS.noise if told_right else MEMS.noise,
+        noise=MATCHED.noise if told_right else MEMS.noise,
         initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1) if told_right else MEMS.initial,
-        dvl=SENSORS.dvl if told_right else MEMS.dvl,
+        dvl=MATCHED.dvl if told_right else MEMS.dvl,
         filters={name: Filter(aiding=("velocity",), states=states) for name, states in _WITH_AND_WITHOUT.items()},
     )
     errors = {"imu_errors": MATCHED_IMU, "dvl_errors": MATCHED_DVL} if told_right else {"grade": "mems"}
@@ -219,9 +219,9 @@ def with_wrong_dvl(scenario: str, seed: int, scale: float, yaw_deg: float) -> Hi
     dive = replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=dive.dvl.beam_velocity_mps * (1.0 + scale)))
     aided = Filter(aiding=("velocity", "position", "heading"), states=("dvl_scale", "dvl_yaw"))
     settings = Config(
-        noise=msgspec.structs.replace(SENSORS.noise, accel_white_mps_rts=WHITE),
+        noise=msgspec.structs.replace(MATCHED.noise, accel_white_mps_rts=WHITE),
         initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, dvl_scale_sd_pct=1.0, dvl_yaw_sd_deg=2.0),
-        dvl=SENSORS.dvl,
+        dvl=MATCHED.dvl,
         position=Position(sd_m=1.0),
         heading=Heading(sd_deg=0.5),
         filters={"aided": aided},

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from matched_sensors import SENSORS
+from matched_sensors import MATCHED
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, multivariate_normal
 
@@ -174,7 +174,7 @@ def test_matched_velocity_noise_is_alike_on_all_axes() -> None:
 
 def test_matched_errors_are_those_of_the_first_filters_q_and_r() -> None:
     first = Filter(aiding=("velocity",), gyro_white_rad_rts=1e-3, beam_sd_mps=0.003)
-    imu_errors, dvl_errors = matched_errors(replace_filters(SENSORS, {"first": first, **SENSORS.filters}))
+    imu_errors, dvl_errors = matched_errors(replace_filters(MATCHED, {"first": first, **MATCHED.filters}))
     assert imu_errors.gyro_white_rad_rts == pytest.approx(1e-3)
     assert imu_errors.accel_white_mps_rts == pytest.approx(5e-3)
     assert imu_errors.accel_bias_sd_mps2 == pytest.approx(3.0 * MG)
@@ -187,7 +187,7 @@ def replace_filters(config: Config, filters: dict[str, Filter]) -> Config:
 
 
 def test_start_is_off_by_what_the_configuration_says() -> None:
-    world = make_setup("static", SENSORS, "matched", 2.0)
+    world = make_setup("static", MATCHED, "matched", 2.0)
     starts = [drawn_start(world, seed) for seed in range(400)]
     assert world.exact.reference is not None
     turned = np.array([start.mat_nb for start in starts]) @ world.exact.reference.mat_nb[0].T
@@ -200,7 +200,7 @@ def test_start_is_off_by_what_the_configuration_says() -> None:
 @pytest.fixture(scope="module")
 def verdicts() -> pd.DataFrame:
     """Judge two filters on a world that is as they believe, and the same two where the IMU is far better."""
-    told = study_montecarlo("figure-eight", SENSORS, runs=RUNS, duration_s=DURATION_S)[0]
+    told = study_montecarlo("figure-eight", MATCHED, runs=RUNS, duration_s=DURATION_S)[0]
     better = study_montecarlo("figure-eight", load_config(), runs=20, duration_s=DURATION_S, imu="fog")[0]
     tables = [told.tables["verdicts"].assign(world="told"), better.tables["verdicts"].assign(world="better")]
     return pd.concat(tables).set_index(["world", "filter"])
@@ -229,14 +229,14 @@ def test_any_number_of_jobs_gives_the_same_bytes(tmp_path: Path) -> None:
     for jobs in (1, 2):
         folder = tmp_path / str(jobs)
         folder.mkdir()
-        report, ensembles = study_montecarlo("straight", SENSORS, runs=3, duration_s=10.0, jobs=jobs)
+        report, ensembles = study_montecarlo("straight", MATCHED, runs=3, duration_s=10.0, jobs=jobs)
         save_montecarlo(report, ensembles, folder, png=True)
         contents.append({path.name: path.read_bytes() for path in folder.iterdir()})
     assert contents[0] == contents[1]
     assert set(contents[0]) == {
         "montecarlo.csv", "verdicts.csv", "nees.csv", "ensemble.csv", "runs.csv", "config.toml",
         "report.json", "report.html", "nees.svg", "nees.png",
-        *(f"{name}_{states}.{format_}" for name in SENSORS.filters for states in ("navigation", "biases")
+        *(f"{name}_{states}.{format_}" for name in MATCHED.filters for states in ("navigation", "biases")
           for format_ in ("svg", "png")),
     }  # fmt: skip
 
@@ -253,8 +253,8 @@ def test_nees_is_followed_through_outages() -> None:
 
 
 def test_study_has_outages_where_they_are_asked_for() -> None:
-    report, _ = study_montecarlo("straight", SENSORS, runs=2, duration_s=20.0, outages=[(5.0, 10.0)])
-    assert report.tables["outages"]["filter"].tolist() == list(SENSORS.filters)
+    report, _ = study_montecarlo("straight", MATCHED, runs=2, duration_s=20.0, outages=[(5.0, 10.0)])
+    assert report.tables["outages"]["filter"].tolist() == list(MATCHED.filters)
     assert report.arguments["outages"] == [[5.0, 10.0]]
     assert "no bottom from 5 to 10 s" in report.title
     sd = report.series["ensemble"].query("filter == 'baseline' and state == 'dv_n'").set_index("time_s")["sd"]
@@ -265,9 +265,9 @@ def test_study_has_outages_where_they_are_asked_for() -> None:
 
 
 def test_any_run_can_be_repeated_alone() -> None:
-    report, _ = study_montecarlo("straight", SENSORS, runs=3, duration_s=10.0)
+    report, _ = study_montecarlo("straight", MATCHED, runs=3, duration_s=10.0)
     listed = report.series["runs"]
-    alone = repeat_run("straight", SENSORS, 2, duration_s=10.0)
+    alone = repeat_run("straight", MATCHED, 2, duration_s=10.0)
     row = listed[(listed["run"] == 2) & (listed["filter"] == "published")].iloc[0]
     again = alone.tables["run"][alone.tables["run"]["filter"] == "published"].iloc[0]
     assert (alone.arguments["run_seed"], again["mean_nees"]) == (row["seed"], row["mean_nees"])
@@ -276,7 +276,7 @@ def test_any_run_can_be_repeated_alone() -> None:
 
 def test_runs_differ_and_a_seed_gives_them_again() -> None:
     assert len({run_seed(seed, run) for seed in range(20) for run in range(1, 21)}) == 400
-    world = make_setup("straight", SENSORS, "matched", 5.0)
+    world = make_setup("straight", MATCHED, "matched", 5.0)
     first, again, other = (simulated_run(world, seed)[0].error for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert (first[-1] != other[-1]).all()
@@ -284,17 +284,17 @@ def test_runs_differ_and_a_seed_gives_them_again() -> None:
 
 def test_ping_without_velocity_leaves_no_hole_in_the_ensemble() -> None:
     """A ping that one run drops is a time of that run all the same."""
-    picky = Config(noise=SENSORS.noise, initial=SENSORS.initial, dvl=Dvl(max_beam_residual_mps=0.005))
+    picky = Config(noise=MATCHED.noise, initial=MATCHED.initial, dvl=Dvl(max_beam_residual_mps=0.005))
     runs = [simulated_run(make_setup("straight", picky, "fog", 20.0), seed)[0] for seed in (1, 2)]
     assert [len(run.time_s) for run in runs] == [21, 21]
 
 
 def test_unknown_names_are_told_with_the_nearest() -> None:
     with pytest.raises(ConfigError, match="IMU grade 'matchd' is not known") as caught:
-        make_setup("straight", SENSORS, "matchd")
+        make_setup("straight", MATCHED, "matchd")
     assert caught.value.hint == "did you mean matched?"
     with pytest.raises(ConfigError, match="scenario 'strait' is not known"):
-        make_setup("strait", SENSORS, "matched")
+        make_setup("strait", MATCHED, "matched")
 
 
 def test_work_is_given_back_in_order_and_ends_at_the_first_error() -> None:

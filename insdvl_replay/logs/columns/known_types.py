@@ -4,7 +4,7 @@ Every other type is read by the field paths of the configuration. Those of a DVL
 definitions in the public repositories of the packages, and the Blueye protocol's descriptors.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -258,32 +258,6 @@ EXTENDED_FIX: Final[Types] = {
 
 BLUEYE_GNSS: Final = 4
 """``NAVIGATION_SENSOR_ID_BLUEYE_GNSS``."""
-
-SENSORS: Final[Mapping[str, Sequence[Types]]] = {
-    "depth": [
-        {
-            "sensor_msgs/msg/FluidPressure": KnownType({"pressure": "fluid_pressure"}),
-            "blueye.protocol.DepthTel": KnownType({"depth": "depth.value"}, stamp=LOG_TIME),
-        }
-    ],
-    "heading": [
-        {"geometry_msgs/msg/QuaternionStamped": KnownType({"quaternion": "quaternion"})},
-        {
-            "sensor_msgs/msg/Imu": KnownType(
-                {"quaternion": "orientation", "quaternion_var": "orientation_covariance[0]"}
-            ),
-        },
-    ],
-    "position": [FIX, EXTENDED_FIX],
-}
-"""Of the sensors of `core.sensors`; of several groups of types, the first that a log has is taken."""
-SENSORS_IF_NAMED: Final[Mapping[str, Types]] = {
-    "depth": {
-        "geometry_msgs/msg/PoseWithCovarianceStamped": KnownType({"height": "pose.pose.position.z"}),
-        "nav_msgs/msg/Odometry": KnownType({"height": "pose.pose.position.z"}),
-    },
-}
-"""Too common to be taken unasked for what one of their fields holds."""
 
 
 def _upper(path: str, size: int) -> str:

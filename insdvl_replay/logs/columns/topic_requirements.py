@@ -12,7 +12,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_navigation import TOPIC_KEYS, Navigation, Solution
 from insdvl_replay.core.errors import LogError, error_context
 from insdvl_replay.core.sensors import SENSORS
-from insdvl_replay.logs.columns import known_dvls, known_types
+from insdvl_replay.logs.columns import known_dvls, known_sensors, known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
 from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.fields import Element, Kinds, channel_paths, check_encoding, find_path, split_paths
@@ -238,8 +238,8 @@ def sensor_requirement(name: str, config: Config) -> TopicRequirement:
         getattr(config, name),
         name,
         SENSORS[name].quantities,
-        by_type=known_types.SENSORS[name],
-        if_named=known_types.SENSORS_IF_NAMED.get(name, {}),
+        by_type=known_sensors.TYPES[name],
+        if_named=known_sensors.TYPES_IF_NAMED.get(name, {}),
         enough=SENSORS[name].enough,
         together=[SENSORS[name].together],
     )
