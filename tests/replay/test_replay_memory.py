@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from scipy.spatial.transform import Rotation
 from vehicles_own import Told, write_odometry
 
