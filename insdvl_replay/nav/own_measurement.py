@@ -24,6 +24,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from insdvl_replay.core.compiled import plain
 from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
 from insdvl_replay.core.quantities import MEASUREMENTS, WITHHELD
 
@@ -127,7 +128,7 @@ def compiled_prediction(predict: Predict) -> Predict | None:
     if getattr(config, "DISABLE_JIT", False):
         return None
     try:
-        made: Any = numba.njit(_signature(), error_model="numpy")(predict)
+        made: Any = numba.njit(_signature(), error_model="numpy")(plain(predict))
     except errors.NumbaError:
         return None
     found: Predict = made

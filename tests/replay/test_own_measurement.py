@@ -49,6 +49,12 @@ def test_what_cannot_be_compiled_gives_the_same_and_says_so() -> None:
     assert "PlainSpeed cannot be compiled" in note.text
 
 
+def test_what_its_author_has_compiled_is_compiled_with_the_filter() -> None:
+    jitted, given = replayed("own_sensors:JittedSpeed", 20.0), replayed("own_sensors:Speed", 20.0)
+    np.testing.assert_array_equal(jitted.histories[1].velocity_n, given.histories[1].velocity_n)
+    assert not [note for note in jitted.notes if note.code == "own_measurement_plain"]
+
+
 @pytest.mark.parametrize(
     ("word", "reason"),
     [
