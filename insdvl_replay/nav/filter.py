@@ -18,7 +18,7 @@ from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import DEPTH, InsAtPing
 from insdvl_replay.nav.local_earth import GravityHeight, Place, followed, gravity_at, place_about, place_at
 from insdvl_replay.nav.measurements import BEAM, VELOCITY, Measurement, Stack, stacked
-from insdvl_replay.nav.own_measurement import JoinedPredict
+from insdvl_replay.nav.own_measurement import Predicts
 from insdvl_replay.nav.position_error import position_growth, propagate_position_cov
 from insdvl_replay.nav.state_layout import StateLayout, layout_of
 from insdvl_replay.nav.state_log import (
@@ -114,7 +114,7 @@ def _run(
     noise_density: tuple[float, ...],
     layout: StateLayout,
     measurements: Stack,
-    own: JoinedPredict | None,
+    own: Predicts | None,
     lever_arm_b: Vector,
     memory: _Memory,
     records: Records,
@@ -169,7 +169,7 @@ def _meet_readings(
     carried: tuple[Vector, Vector, float, Vector],
     layout: StateLayout,
     measurements: Stack,
-    own: JoinedPredict | None,
+    own: Predicts | None,
     memory: _Memory,
     matrices: Matrices,
     updates: Updates,

@@ -27,7 +27,7 @@ from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.local_earth import Place
 from insdvl_replay.nav.measurements import BEAM, PUBLISHED, VELOCITY, WINDOWED, Stack
-from insdvl_replay.nav.own_measurement import INS_SIZE, JoinedPredict
+from insdvl_replay.nav.own_measurement import INS_SIZE, Predicts
 from insdvl_replay.nav.position_error import offset_n
 from insdvl_replay.nav.state_layout import TWELVE, StateLayout
 from insdvl_replay.nav.vector_algebra import (
@@ -51,8 +51,7 @@ DEPTH: Final = 4
 HEADING: Final = 5
 FIX: Final = 6
 OWN: Final = 7
-"""How the measurements of the sensors beside the DVL are predicted: kinds above those of `measurements`; from `OWN` on
-those of the user's own, one by one."""
+"""Kinds of measurement beside the DVL's, above those of `measurements`; from `OWN` on each of the user's own."""
 
 IDENTITY: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -111,7 +110,7 @@ def linearise(
     row: int,
     ins: InsAtPing,
     layout: StateLayout,
-    own: JoinedPredict | None,
+    own: Predicts | None,
     z: Floats,
     H: Floats,
 ) -> None:
@@ -139,9 +138,7 @@ def linearise(
 
 
 @inlined
-def _linearise_own(
-    measurements: Stack, m: int, row: int, ins: InsAtPing, own: JoinedPredict, z: Floats, H: Floats
-) -> None:
+def _linearise_own(measurements: Stack, m: int, row: int, ins: InsAtPing, own: Predicts, z: Floats, H: Floats) -> None:
     """Let the user's prediction write z and H, and take the reading off."""
     size, known = len(z), np.empty(INS_SIZE)
     for i in range(3):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.nav.measurement_noise import FIXED
-from insdvl_replay.nav.own_measurement import JoinedPredict
+from insdvl_replay.nav.own_measurement import Predicts
 from insdvl_replay.nav.timeline import PINGS
 
 VELOCITY: Final = 0
@@ -85,7 +85,7 @@ class Measurement:
     direction_b: Floats = field(default_factory=lambda: np.zeros(3))
     noise: int = FIXED
     goes_on: bool = False
-    predict: JoinedPredict | None = None
+    predict: Predicts | None = None
     axes: tuple[str, ...] = ()
 
     @property

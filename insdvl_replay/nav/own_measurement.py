@@ -29,7 +29,7 @@ from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
 from insdvl_replay.core.quantities import MEASUREMENTS, WITHHELD
 
 Predict = Callable[[Floats, Floats, Floats], None]
-JoinedPredict = Callable[[int, Floats, Floats, Floats], None]
+Predicts = Callable[[int, Floats, Floats, Floats], None]
 """Several predictions, of which the number in front chooses one."""
 
 INS_SIZE: Final = 21
@@ -135,7 +135,7 @@ def compiled_prediction(predict: Predict) -> Predict | None:
     return found
 
 
-def joined(predictions: Sequence[Predict], *, compiled: bool) -> JoinedPredict:
+def joined(predictions: Sequence[Predict], *, compiled: bool) -> Predicts:
     """Make one function of all predictions, so that the filter is the same code for any number of them.
 
     Parameters
@@ -153,7 +153,7 @@ def joined(predictions: Sequence[Predict], *, compiled: bool) -> JoinedPredict:
         chosen = _first_of(predict, numba.njit(error_model="numpy")(chosen) if compiled else chosen)
     if not compiled:
         return chosen
-    found: JoinedPredict = numba.cfunc(types.void(types.int64, *_signature().args), error_model="numpy")(chosen)
+    found: Predicts = numba.cfunc(types.void(types.int64, *_signature().args), error_model="numpy")(chosen)
     return found
 
 
@@ -164,14 +164,14 @@ def _signature() -> Any:
     return types.void(vector, vector, matrix)
 
 
-def _last(predict: Predict) -> JoinedPredict:
+def _last(predict: Predict) -> Predicts:
     def chosen(which: int, ins: Floats, z: Floats, H: Floats) -> None:
         predict(ins, z, H)
 
     return chosen
 
 
-def _first_of(predict: Predict, others: JoinedPredict) -> JoinedPredict:
+def _first_of(predict: Predict, others: Predicts) -> Predicts:
     def chosen(which: int, ins: Floats, z: Floats, H: Floats) -> None:
         if which == 0:
             predict(ins, z, H)

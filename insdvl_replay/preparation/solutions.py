@@ -115,11 +115,11 @@ def laid_solution(
         notes.append(Note("solution_turned", text))
     motion = solution.motion
     origin, has_own_origin = baseline.position[0], solution.way_n is not None
-    position = np.empty(motion.position.shape)
-    if solution.way_n is None:
-        in_blocks(lambda rows: _with_longitudes_near(rows, origin), motion.position, position)
-    else:
-        in_blocks(lambda rows: _with_longitudes_near(_beside(origin, rows), origin), solution.way_n, position)
+    position = in_blocks(
+        lambda rows: _laid_near(origin, rows, are_ways=has_own_origin),
+        motion.position if solution.way_n is None else solution.way_n,
+        np.empty(motion.position.shape),
+    )
     motion = replace(motion, position=position)
     solution = replace(solution, motion=motion, way_n=None)
     motion = reference_at_imu(motion, imu, np.array(settings.lever_arm_m), mat_br)
@@ -176,12 +176,9 @@ def history_of(
     )
 
 
-def _beside(origin: Floats, way_n: Floats) -> Floats:
-    return moved_position(np.broadcast_to(origin, way_n.shape), way_n)
-
-
-def _with_longitudes_near(position: Floats, origin: Floats) -> Floats:
-    near = position.copy()
+def _laid_near(origin: Floats, told: Floats, *, are_ways: bool) -> Floats:
+    """Make positions of positions or of ways from an origin, with longitudes on its side of the 180th meridian."""
+    near = moved_position(np.broadcast_to(origin, told.shape), told) if are_ways else told.copy()
     near[:, 1] = origin[1] + wrap_angle(near[:, 1] - origin[1])
     return near
 
@@ -230,8 +227,7 @@ def _shift(motion: ReferenceColumns, key: str, baseline: History) -> tuple[float
     if not has_height:
         own[2] = wanted[2]
     way_n = north_east_down_m(wanted, own)
-    position = motion.position
-    in_blocks(lambda rows: moved_position(rows, np.broadcast_to(way_n, rows.shape)), position, position)
+    in_blocks(lambda rows: moved_position(rows, np.broadcast_to(way_n, rows.shape)), motion.position, motion.position)
     return float(np.linalg.norm(way_n)), (at_ns - int(baseline.time_ns[0])) / NS_PER_S
 
 
