@@ -12,10 +12,9 @@ fix           z = p - p_fix + C l                            H = [ 0 | -[C l x] 
 heading       z = atan2(c_e, c_n) - psi                      H = [ 0 | -tan c_n, -tan c_e, 1 | 0 | 0 ], c = C e_x, tan =
                                                                  c_d / (c_n^2 + c_e^2)
 
-The slope of a body-frame velocity is ``f + C' g - w x v_b``; ``published`` is the paper's model, which leaves out w x
-v_b. ``windowed`` predicts the same weighted sum of velocities that the DVL's slope is, from what the mechanisation
-alone has added to the body velocity between pings. Equations (36) to (46) of Levy and Klein, with signs that agree with
-F; see equations/updates.md.
+The slope of a body-frame velocity is ``f + C' g - w x v_b``; ``published`` is the paper's model, without w x v_b.
+``windowed`` predicts the same weighted sum of velocities that the DVL's slope is, from what the mechanisation alone has
+added to the body velocity between pings. Equations (36) to (46) of Levy and Klein, signs as of F: equations/updates.md.
 """
 
 import math
