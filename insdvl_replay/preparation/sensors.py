@@ -1,7 +1,7 @@
 """From the readings of a sensor and its section of the configuration to a measurement that filters can be aided by."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +23,7 @@ Measured = tuple[int, Floats, Floats]
 
 @dataclass(frozen=True)
 class _Sensor:
-    """A sensor's readings inside the span, what a filter starts from there, and rows that have told something else."""
+    """A sensor's readings inside the span, and what a filter starts from there."""
 
     name: str
     columns: SensorColumns
@@ -31,7 +31,6 @@ class _Sensor:
     start: Start
     start_ns: int
     notes: list[Note]
-    unused: list[int] = field(default_factory=list)
 
 
 def prepare_sensors(
@@ -74,7 +73,6 @@ def prepare_sensors(
         measurement = sensor_measurement(
             name, of_sensor.unit, kind, columns.time_ns, values, sd, axes=of_sensor.components[: values.shape[1]]
         )
-        measurement.available[sensor.unused] = False
         arm_b = np.array(getattr(sensor.settings, "lever_arm_m", (0.0, 0.0, 0.0)))
         found[name] = replace(measurement, sensor=row, lever_arm_b=arm_b)
     return found, tuple(notes)
@@ -90,9 +88,8 @@ def _depth(sensor: _Sensor) -> Measured:
         late_s = (int(sensor.columns.time_ns[0]) - sensor.start_ns) / NS_PER_S
         text = (
             f"depth: 0 is taken to be {surface_m:.3f} m above the ellipsoid, by the first reading, {late_s:.2f} s "
-            "after the start, and the height there"
+            "after the start, and the height at the start; filters that are aided by it find out"
         )
-        sensor.unused.append(0)
         sensor.notes.append(Note("depth_zero", text, hint="depth.surface_height_m says it otherwise"))
     return DEPTH, depth_m - surface_m, np.array([settings.sd_m])
 

@@ -13,12 +13,12 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
-from insdvl_replay.geometry.frames import north_east_m
+from insdvl_replay.geometry.frames import moved_position, north_east_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.writing.dive_log import write_dive
-from insdvl_replay.preparation.prepared import Prepared, prepare_dive
+from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_one
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
@@ -62,7 +62,7 @@ def test_a_log_with_a_pressure_gauge_is_read_as_it_was_simulated(tmp_path: Path)
 
 def test_depth_holds_the_height() -> None:
     replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), config("depth", depth=Depth(sd_m=0.05)))
-    assert used(replay.histories[1], "depth") == 1599
+    assert used(replay.histories[1], "depth") == 1600
     assert rms(replay, "candidate", 2) < 0.1
     assert rms(replay, "baseline", 2) > 0.2
     assert [note.code for note in replay.notes if note.code.startswith("depth")] == ["depth_zero"]
@@ -73,11 +73,11 @@ def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
     replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), settings)
     for history in replay.histories:
         met = next(one for one in history.innovations if one.measurement == "withheld_depth")
-        assert len(met.nis) == 1599
+        assert len(met.nis) == 1600
         assert not met.used.any()
     np.testing.assert_array_equal(replay.histories[0].velocity_n, replay.histories[1].velocity_n)
     rows = [row for row in replay.tables.consistency if row.measurement == "withheld_depth"]
-    assert [(row.used, row.rejected) for row in rows] == [(0, 1599)] * 2
+    assert [(row.used, row.rejected) for row in rows] == [(0, 1600)] * 2
     assert min(row.mean_nis or 0.0 for row in rows) > 0.0
     assert not [note for note in replay.notes if note.code == "gate_rejects_many"]
 
@@ -131,18 +131,18 @@ def test_fixes_hold_the_position_and_are_read_as_they_were_simulated(tmp_path: P
 # --- Position as a state.
 
 
-def started_off(prepared: Prepared, seed: int) -> Prepared:
-    """Let a filter start from a position that errs as it is told that it may."""
-    start = prepared.alignment.start
+def started_off(dive: Dive, seed: int) -> Dive:
+    """Let a filter start from a position that errs as it is told that it may: a reference that is moved as a whole."""
+    assert dive.reference is not None
     off_m = np.array(POSITION_SD_M) * np.random.default_rng(seed).standard_normal(3)
-    per_m = np.array([1.0 / 6.37e6, 1.0 / (6.38e6 * np.cos(start.position[0])), -1.0])
-    return replace(
-        prepared, alignment=replace(prepared.alignment, start=replace(start, position=start.position + off_m * per_m))
-    )
+    off = moved_position(dive.reference.position, np.tile(off_m, (len(dive.reference.time_ns), 1)))
+    return replace(dive, reference=replace(dive.reference, position=off))
 
 
-def position_nees(seed: int, surface_m: float | None, *aiding: str, **sensors: SensorErrors) -> Floats:
-    """NEES of the position over a dive of which the filter is told the truth, shape (k,)."""
+def position_nees(
+    seed: int, gauge: Depth, *, late_s: float = 0.0, height_sd_m: float | None = None, **sensors: SensorErrors
+) -> Floats:
+    """NEES of the position over a dive of which the filter is told the truth, shape (k,); sensors may begin late."""
     dive = simulate_dive(
         "lawnmower", seed=seed, duration_s=400.0, imu_errors=MATCHED_IMU, dvl_errors=MATCHED_DVL, sensors=sensors
     )
@@ -150,11 +150,14 @@ def position_nees(seed: int, surface_m: float | None, *aiding: str, **sensors: S
         noise=MATCHED.noise,
         initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, position_sd_m=POSITION_SD_M),
         dvl=MATCHED.dvl,
-        depth=Depth(sd_m=0.05, surface_height_m=surface_m),
-        filters={"aided": Filter(aiding=("velocity", *aiding), states=("position",))},
+        depth=gauge,
+        position=Position(sd_m=1.0, height_sd_m=height_sd_m),
+        filters={"aided": Filter(aiding=("velocity", *sensors), states=("position",))},
     )
-    prepared = started_off(prepare_dive(dive, settings), seed)
     assert dive.reference is not None
+    begun_ns = dive.reference.time_ns[0] + int(late_s * 1e9)
+    late = {name: columns.rows(columns.time_ns >= begun_ns) for name, columns in dive.sensors.items()}
+    prepared = prepare_dive(started_off(replace(dive, sensors=late), seed), settings)
     history = run_one(
         prepared.filters[0], prepared, prepared_timeline(dive, prepared), cov_ns=dive.reference.time_ns[1:]
     )
@@ -166,11 +169,21 @@ def position_nees(seed: int, surface_m: float | None, *aiding: str, **sensors: S
     return np.einsum("ki,kij,kj->k", error_m, np.linalg.inv(cov), error_m)
 
 
-@pytest.mark.parametrize("surface_m", [0.0, None], ids=["zero is known", "zero by the first reading"])
-def test_position_is_as_far_off_as_the_filter_says(surface_m: float | None) -> None:
+@pytest.mark.parametrize(
+    ("surface_m", "late_s", "height_sd_m"),
+    [(0.0, 0.0, None), (None, 0.0, None), (None, 100.0, None), (None, 0.0, 1.0)],
+    ids=["zero is known", "zero by the first reading", "by one that comes late", "and by fixes"],
+)
+def test_position_is_as_far_off_as_the_filter_says(
+    surface_m: float | None, late_s: float, height_sd_m: float | None
+) -> None:
     """The mean NEES of 3 over independent runs; each run is one sample, since a position error stays."""
-    depth = SensorErrors(0.05, 1.0)
-    runs = np.array([position_nees(seed, surface_m, "depth", depth=depth).mean() for seed in range(24)])
+    sensors = {"depth": SensorErrors(0.05, 1.0)} | ({"position": SensorErrors(1.0, 1.0)} if height_sd_m else {})
+    gauge = Depth(sd_m=0.05, surface_height_m=surface_m)
+    runs = np.array([
+        position_nees(seed, gauge, late_s=late_s, height_sd_m=height_sd_m, **sensors).mean()
+        for seed in range(24)
+    ])  # fmt: skip
     assert 3.0 - 2.5 * runs.std() / np.sqrt(24) < runs.mean() < 3.0 + 2.5 * runs.std() / np.sqrt(24)
     assert 1.8 < runs.mean() < 4.4
 
