@@ -26,7 +26,7 @@ import numpy as np
 
 from insdvl_replay.core.compiled import plain
 from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
-from insdvl_replay.core.quantities import MEASUREMENTS, WITHHELD
+from insdvl_replay.core.quantities import MEASUREMENTS, WITHHELD, is_whole
 
 Predict = Callable[[Floats, Floats, Floats], None]
 Predicts = Callable[[int, Floats, Floats, Floats], None]
@@ -113,7 +113,7 @@ def load_own_measurement(word: str) -> OwnMeasurement:
     if not (isinstance(found, type) and issubclass(found, OwnMeasurement)):
         raise ValueError("is no class derived from OwnMeasurement")
     own = found()
-    if not own.name.isidentifier() or own.name.endswith(("_x", "_y", "_z", "_n", "_e", "_d")):
+    if not own.name.isidentifier() or not is_whole(own.name):
         raise ValueError(f"has the name '{own.name}', which is no word for a row of a table")
     if own.name in MEASUREMENTS or own.name.startswith(WITHHELD):
         raise ValueError(f"has the name '{own.name}', which the tables have for a measurement of the tool's own")

@@ -6,7 +6,7 @@ from dataclasses import replace
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, Note
-from insdvl_replay.core.quantities import axis_of
+from insdvl_replay.core.quantities import COMPONENTS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.nav.innovation import OWN
 from insdvl_replay.nav.measurements import Measurement, sensor_measurement
@@ -85,13 +85,13 @@ def _require_different_rows(name: str, of_filter: Mapping[str, Measurement]) -> 
     """Refuse measurements of one filter that share a row of its tables."""
     words = dict[str, str]()
     for word, measurement in of_filter.items():
-        for row in (measurement.name, *(axis_of(measurement.name, axis) for axis in measurement.axes)):
-            if row in words:
-                raise ConfigError(
-                    f"filters.{name} is aided by {words[row]} and {word}, which both have a row '{row}' in the tables",
-                    "give one of the two classes another name",
-                )
-            words[row] = word
+        row = measurement.name
+        if row in words:
+            raise ConfigError(
+                f"filters.{name} is aided by {words[row]} and {word}, which both have a row '{row}' in the tables",
+                "give one of the two classes another name",
+            )
+        words[row] = word
 
 
 def _read(word: str, dive: Dive, start_ns: int, end_ns: int) -> tuple[Measurement, Predict]:
@@ -108,6 +108,6 @@ def _read(word: str, dive: Dive, start_ns: int, end_ns: int) -> tuple[Measuremen
         raise ConfigError(f"{word} has no reading between the start of the replay and its end", "times are int64 ns")
     made = sensor_measurement(
         own.name, own.unit, OWN, readings.time_ns[inside], readings.values[inside], readings.sd[inside],
-        axes=tuple(str(i + 1) for i in range(readings.values.shape[1])) if readings.values.shape[1] > 1 else (),
+        axes=COMPONENTS[:width] if (width := readings.values.shape[1]) > 1 else (),
     )  # fmt: skip
     return made, own.predict

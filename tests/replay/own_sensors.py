@@ -119,9 +119,9 @@ class PlainBow(Bow):
 
 
 class DeepTwice(Deep):
-    """Two components, of which the first has a row of the name of `Speed1`."""
+    """Two components."""
 
-    name, unit = "speed", "m"
+    name, unit = "deep_twice", "m"
 
     def readings(self, dive: Dive) -> OwnReadings:
         """Say the depth twice."""
@@ -135,10 +135,10 @@ class DeepTwice(Deep):
             z[i], H[i, 14] = -ins[2], 1.0
 
 
-class Speed1(Speed):
-    """Another row of the name that a first component has."""
+class FirstOfSpeed(Speed):
+    """A row of the name that a first component has."""
 
-    name = "speed_1"
+    name = "speed_c1"
 
 
 class OtherSpeed(Speed):

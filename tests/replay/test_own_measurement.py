@@ -14,6 +14,7 @@ from insdvl_replay.core.config_file import load_config, render_toml
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.history import History
+from insdvl_replay.core.quantities import is_used
 from insdvl_replay.core.words import Consistency, Whiteness
 from insdvl_replay.logs.writing.dive_log import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive
@@ -150,14 +151,22 @@ def test_a_filter_beside_one_that_cannot_be_compiled_is(gauged: Dive, monkeypatc
             ("own_sensors:Speed", "own_sensors:OtherSpeed"),
             "filters.mine is aided by own_sensors:Speed and own_sensors:OtherSpeed, which both have a row 'speed'",
         ),
-        (("own_sensors:Speed1", "own_sensors:DeepTwice"), "which both have a row 'speed_1' in the tables"),
+        (("own_sensors:FirstOfSpeed",), "FirstOfSpeed has the name 'speed_c1', which is no word for a row of a table"),
         ((DEEP, "own_sensors:BuiltIn"), "BuiltIn has the name 'depth', which the tables have for a measurement of the"),
     ],
 )
-def test_two_of_one_name_in_one_filter_are_refused(gauged: Dive, aiding: tuple[str, ...], reason: str) -> None:
+def test_names_of_rows_that_are_taken_are_refused(gauged: Dive, aiding: tuple[str, ...], reason: str) -> None:
     config = aided(20.0, baseline=("velocity",), mine=("velocity", *aiding), other=("velocity", aiding[0]))
     with pytest.raises(ConfigError, match=reason):
         replay_dive(gauged, config)
+
+
+def test_components_have_rows_and_no_vote(gauged: Dive) -> None:
+    replay = replay_dive(gauged, aided(20.0, baseline=("velocity",), mine=("velocity", "own_sensors:DeepTwice")))
+    rows = [row.measurement for row in replay.tables.consistency if row.filter == "mine"]
+    of_mine = [row for row in rows if row.startswith("deep_twice")]
+    assert of_mine == ["deep_twice", "deep_twice_c1", "deep_twice_c2"]
+    assert [row for row in of_mine if is_used(row)] == ["deep_twice"]
 
 
 def test_two_of_one_name_stand_in_two_filters(gauged: Dive) -> None:
