@@ -1,5 +1,6 @@
 """Sensors beside IMU and DVL, from the log to the tables, in worlds whose truth is known."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -283,6 +284,41 @@ def test_a_filter_that_is_told_the_reference_is_not_judged_by_it(
     assert (replay.verdicts["candidate"].improvement == "not judged") == told
     withheld = config("position", position=Position(sd_m=0.5), evaluation=Evaluation(withheld=("position",)))
     assert replay_log(tmp_path / "dive.mcap", withheld).verdicts["candidate"].improvement != "not judged"
+
+
+FOOT_M = 0.3048
+
+
+def _held(fixes: Floats) -> Floats:
+    return np.concatenate([fixes[:50], np.repeat(fixes[50:51], 100, axis=0), fixes[150:]])
+
+
+@pytest.mark.parametrize(
+    ("sensor", "misread", "told"),
+    [
+        ("depth", lambda depth_m: depth_m / FOOT_M, ["depth_contradiction", "depth_disagrees"]),
+        ("depth", lambda depth_m: -depth_m, ["depth_contradiction", "depth_disagrees"]),
+        ("heading", np.deg2rad, ["heading_contradiction", "heading_disagrees"]),
+        ("heading", lambda heading: 0.5 * np.pi - heading, ["heading_contradiction", "heading_disagrees"]),
+        ("heading", lambda heading: heading + np.deg2rad(10.0), ["heading_contradiction"]),
+        ("position", lambda fixes: fixes[:, [1, 0, 2]], ["position_contradiction", "position_disagrees"]),
+        ("position", lambda fixes: fixes + np.array([0.1, 1.0, 0.0]), ["position_contradiction", "position_disagrees"]),
+        ("position", _held, ["position_disagrees"]),
+        *[(sensor, lambda values: values, []) for sensor in ("depth", "heading", "position")],
+    ],
+    ids=["feet", "upwards", "rad for deg", "from east over north", "declination", "longitude first",
+         "another continent", "fixes that stand still", "depth", "heading", "position"],
+)  # fmt: skip
+def test_a_sensor_that_is_misread_is_told(sensor: str, misread: Callable[[Floats], Floats], told: list[str]) -> None:
+    """Else the tables would have the filter err that trusts it."""
+    noise = {"depth": SensorErrors(0.05, 4.0), "heading": SensorErrors(0.5, 2.0), "position": SensorErrors(1.0, 1.0)}
+    dive = simulate_dive("calibration", duration_s=250.0, grade="tactical", sensors={sensor: noise[sensor]})
+    right = dive.sensors[sensor]
+    dive = replace(dive, sensors={sensor: replace(right, values=misread(right.values))})
+    settings = load_config("tactical", None, ["evaluation.starts=1", "heading.sd_deg=0.5", "position.sd_m=1"])
+    settings = msgspec.structs.replace(settings, filters=config(sensor).filters)
+    replay = replay_dive(dive, settings)
+    assert sorted({note.code for note in replay.notes if note.severity == "warning"}) == told
 
 
 def test_what_a_filter_estimates_of_its_sensors_is_noted() -> None:
