@@ -13,6 +13,8 @@ from insdvl_replay.core.words import Severity
 
 ALIKE: Final = 0.6
 """Share of letters that a misspelled name has in common with what was meant; of others it is no use to speak."""
+LISTED: Final = 8
+"""Names that a hint lists."""
 
 
 class UserError(Exception):
@@ -116,7 +118,7 @@ def most_like(name: str, known: Iterable[str], most: int, least: float = 0.0) ->
     return [starts[start] for start in difflib.get_close_matches(name[:_LONGEST], compared, n=most, cutoff=least)]
 
 
-def listed(names: Iterable[str], most: int = 8) -> str:
+def listed(names: Iterable[str], most: int = LISTED) -> str:
     """List names for a hint, and count those that would make it too long."""
     first = list(names)
     more = f" and {len(first) - most} more" if len(first) > most else ""

@@ -1,7 +1,10 @@
 """What is wrong with a value in a user's file, in words that need no programming language."""
 
 import re
-from typing import Final
+from contextlib import suppress
+from typing import Any, Final
+
+import msgspec
 
 _KINDS: Final = {
     "float": "a number",
@@ -37,3 +40,23 @@ def value_wanted(reason: str) -> str:
     bound = f" {_BOUNDS[found['sign']]} {float(found['bound']):g}" if found["sign"] else ""
     length = f" of {found['length']} values" if found["length"] else ""
     return f"needs {' or '.join(kinds)}{bound}{length}"
+
+
+def list_meant(value: object, kind: Any) -> str:
+    """Write as TOML the list that was meant by what is none, such as a single word; empty if nobody can know.
+
+    Parameters
+    ----------
+    value : object
+        Such as ``"position"``, or ``"[depth, position]"`` where a shell took the quotes away.
+    kind : type
+        Which the list has to be of.
+    """
+    parts = [part.strip() for part in value.strip(" []").split(",")] if isinstance(value, str) else [value]
+    with suppress(ValueError):
+        parts = [float(part) if isinstance(part, str) else part for part in parts]
+    for entries in (parts, [0.0, 0.0, 0.0]):
+        with suppress(msgspec.ValidationError):
+            msgspec.convert(entries, kind)
+            return ", ".join(msgspec.json.encode(entry).decode() for entry in entries).join("[]")
+    return ""
