@@ -208,7 +208,8 @@ KINDS: Final[Mapping[str, Callable[[Drawn], list[Panel]]]] = {
 def chosen_states(text: str) -> tuple[str, ...]:
     """Read names of states, or their beginnings such as ``ba``, with commas between them."""
     names = tuple(part.strip() for part in text.split(",") if part.strip())
-    beginnings = [known for state in STATES for known in (state.id, state.id.partition("_")[0])]
+    beginnings = list(dict.fromkeys(state.id.partition("_")[0] for state in STATES))
     for name in names:
-        require_known("state", name, beginnings)
+        if not any(state.id.startswith(name) for state in STATES):
+            require_known("state", name, [*beginnings, *(state.id for state in STATES)])
     return names
