@@ -37,6 +37,8 @@ class UserError(Exception):
         self.hint = hint
         self.where = tuple(map(str, where))
         super().__init__(self.message)
+        if hint:
+            self.add_note(f"hint: {hint}")  # for those who see it raised in Python
 
     @property
     def message(self) -> str:
@@ -131,9 +133,13 @@ def require_known(kind: str, name: str, known: Collection[str], *, within: str =
     What stands before all of these names, such as ``dvl.``, is told with them.
     """
     if name not in known:
-        meant = nearest(name, known)
-        hint = f"did you mean {within}{meant}?" if meant else f"known: {listed(known)}"
-        raise ConfigError(f"{kind} '{within}{name}' is not known", hint)
+        raise ConfigError(f"{kind} '{within}{name}' is not known", hint_for(name, known, within=within))
+
+
+def hint_for(name: str, known: Collection[str], *, within: str = "", most: int = LISTED) -> str:
+    """Return the hint for a name that is not known: the nearest one, else those there are."""
+    meant = nearest(name, known)
+    return f"did you mean {within}{meant}?" if meant else f"known: {listed(known, most)}"
 
 
 @dataclass(frozen=True)
