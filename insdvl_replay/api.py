@@ -9,12 +9,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
+from insdvl_replay.core.config_file import toml_value
+from insdvl_replay.core.errors import ConfigError, ResultError, hint_for
 from insdvl_replay.nav.own_measurement import OwnMeasurement, OwnReadings
 from insdvl_replay.results.dive_screen import dive_screen
 from insdvl_replay.results.folder import COMPLETE, PAGE, TRAJECTORY_FILE, result_folder
 from insdvl_replay.results.json_report import Report, build_report, decode_report, this_tool
+from insdvl_replay.results.stored_results import of_other_version, read_one_result
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,15 +41,23 @@ def load_config(*files: Text, preset: str | None = None, settings: Mapping[str, 
     preset : str, optional
         ``levy-klein`` (the default), ``fog``, ``tactical`` or ``mems``.
     settings : mapping or sequence of str
-        Single settings by their dotted keys: ``{"dvl.scale": 1.01}``, or ``["dvl.scale=1.01"]``.
+        Single settings by their dotted keys: ``{"dvl.scale": 1.01}``, or ``["dvl.scale=1.01"]``. Lists may be tuples or
+        arrays, and numbers NumPy's.
 
     Raises
     ------
     ConfigError
         A key is not known or its value cannot be.
     """
-    pairs = [f"{key}={value!r}" for key, value in settings.items()] if isinstance(settings, Mapping) else list(settings)
+    pairs = [_pair(*item) for item in settings.items()] if isinstance(settings, Mapping) else list(settings)
     return _load_config(preset, [Path(file) for file in files], pairs)
+
+
+def _pair(key: str, value: object) -> str:
+    if value is None:
+        raise ConfigError(f"{key}: None is no value", "leave the key out, and its default holds")
+    plain = value.tolist() if hasattr(value, "tolist") else value  # of NumPy, which writes its own name into a number's
+    return f"{key}={toml_value(plain)}"
 
 
 def replay_log(
@@ -92,26 +105,40 @@ def read_result(folder: Text) -> "Result":
 
     Raises
     ------
-    OSError
-        There is none.
-    msgspec.ValidationError
-        It is of a version that this one cannot read.
+    ConfigError
+        There is none, or several.
+    ResultError
+        It cannot be read, or is of a version that this one cannot read.
     """
-    return Result(decode_report((Path(folder) / COMPLETE).read_bytes()), folder=Path(folder))
+    file = read_one_result(Path(folder)).folder / COMPLETE
+    data = file.read_bytes()
+    try:
+        return Result(decode_report(data), folder=file.parent)
+    except msgspec.ValidationError as error:
+        raise of_other_version(file, data, error) from error
 
 
-class Tables(dict[str, "pd.DataFrame"]):
-    """Data frames by the names of their tables."""
+class UnknownNameError(ConfigError, KeyError):
+    """A result has nothing of a name; the hint is the nearest name, or those there are."""
+
+    __str__ = Exception.__str__  # a KeyError's is in quotes
+
+
+class Named(dict[str, "pd.DataFrame"]):
+    """Data frames by name.
+
+    Raises
+    ------
+    UnknownNameError
+        What is asked for is not among them.
+    """
+
+    def __init__(self, kind: str, frames: "Mapping[str, pd.DataFrame]") -> None:
+        super().__init__(frames)
+        self._kind = kind
 
     def __missing__(self, name: str) -> "pd.DataFrame":
-        """Tell which tables there are.
-
-        Raises
-        ------
-        KeyError
-            Always.
-        """
-        raise KeyError(f"there is no table {name!r}; there are {', '.join(self)}")
+        raise UnknownNameError(f"{self._kind} '{name}' is not known", hint_for(name, self, most=len(self)))
 
 
 @dataclass(frozen=True)
@@ -141,17 +168,18 @@ class Result:
         return {name: str(candidate.improvement) for name, candidate in self.report.filters.items()}
 
     @property
-    def tables(self) -> Tables:
+    def tables(self) -> dict[str, "pd.DataFrame"]:
         """Each table as a data frame, by its name, such as evidence or coasting; NaN for what is missing."""
         import pandas as pd
         from msgspec.structs import asdict
 
         from insdvl_replay.core.tables import each_table
 
-        return Tables(
-            (layout.name, pd.DataFrame([asdict(row) for row in rows], columns=list(layout.columns)))
+        frames = {
+            layout.name: pd.DataFrame([asdict(row) for row in rows], columns=list(layout.columns))
             for layout, rows in each_table(self.report.tables)
-        )
+        }
+        return Named("table", frames)
 
     @property
     def trajectory(self) -> "pd.DataFrame":
@@ -166,7 +194,7 @@ class Result:
         else:
             read = read_trajectory((self.folder or Path()) / TRAJECTORY_FILE)
             if read is None:
-                raise FileNotFoundError(f"{self.folder}: has no {TRAJECTORY_FILE} that can be read")
+                raise ResultError(f"{self.folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again")
             found = read
         frames = [
             pd.DataFrame(values, columns=list(COLUMNS)).assign(filter=name, time_s=found.time_s)
@@ -181,7 +209,8 @@ class Result:
 
         if self._replay is None:
             raise ValueError(f"{self.name}: was read back, which has the trajectory alone; replay its log")
-        return {history.filter: history_frame(history) for history in self._replay.histories}
+        frames = {history.filter: history_frame(history) for history in self._replay.histories}
+        return Named("filter", frames)
 
     def save(self, folder: Text, *, force: bool = False) -> Path:
         """Write the result folder, as `run` does, and return its path.

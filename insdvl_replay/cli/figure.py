@@ -57,13 +57,11 @@ def figure(
     from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.results.folder import TRAJECTORY_FILE, result_file
     from insdvl_replay.results.paper_figures import Drawn, chosen_states, draw_figure
-    from insdvl_replay.results.stored_results import read_results
+    from insdvl_replay.results.stored_results import read_one_result
     from insdvl_replay.results.trajectory import read_trajectory
 
     chosen, width_mm = chosen_states(states), _width_mm(width)
-    (stored, *others), _ = read_results(result)
-    if others:
-        raise ConfigError(f"{result}: holds {len(others) + 1} results", f"name one of them, such as {stored.folder}")
+    stored = read_one_result(result)
     trajectory = read_trajectory(stored.folder / TRAJECTORY_FILE)
     if trajectory is None:
         raise ConfigError(f"{stored.folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again")

@@ -41,17 +41,23 @@ def check_finite(value: object, source: TomlSource, path: KeyPath) -> None:
         check_finite(entry, source, (*path, key))
 
 
-def check_filters(config: Config, source: TomlSource) -> None:
+def check_filters(config: Config, layers: Sequence[TomlSource]) -> None:
     """Require known words, names that can be part of topics, and filters that make sense.
+
+    Parameters
+    ----------
+    layers : sequence of TomlSource
+        Of which the settings are made, the first one lowest: a message names the last that says what is wrong.
 
     Raises
     ------
     ConfigError
     """
-    _check_words(config.evaluation.withheld, SENSORS, source, "evaluation", "withheld")
+    _check_words(config.evaluation.withheld, SENSORS, layers, "evaluation", "withheld")
     if not config.filters:
         raise ConfigError(
-            f"{source.where()}: no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
+            f"{_said_last(layers, 'filters').where()}: no filter is configured",
+            'add [filters.baseline] with aiding = ["velocity"]',
         )
     for name in config.topics:
         if not (name.isascii() and name.isidentifier()):
@@ -60,24 +66,29 @@ def check_filters(config: Config, source: TomlSource) -> None:
                 '[topics.range] topic = "/range", values = "range"',
             )
     for name, filter_ in config.filters.items():
-        stands_there = "filters" in source.content and name in source.content["filters"]
-        where = source.where("filters", name) if stands_there else "the configuration"
+        where = _said_last(layers, "filters", name).where("filters", name)
         if not (name.isascii() and name.isidentifier()):
             raise ConfigError(
                 f"{where}: filter name '{name}' is not a letter followed by letters, digits and _",
                 "the name becomes part of topics and rows",
             )
         own = [word for word in filter_.aiding if ":" in word]
-        _check_words(filter_.aiding, (*AIDING, *own), source, "filters", name, "aiding")
-        _check_words(filter_.states, MORE_STATES, source, "filters", name, "states")
+        _check_words(filter_.aiding, (*AIDING, *own), layers, "filters", name, "aiding")
+        _check_words(filter_.states, MORE_STATES, layers, "filters", name, "states")
         if filter_.solution is None:
             _check_filter(filter_, f"filters.{name}", where)
         else:
             _check_solution(filter_, f"filters.{name}", where, is_baseline=name == config.baseline)
 
 
-def _check_words(words: Sequence[str], known: Collection[str], source: TomlSource, *path: str) -> None:
+def _said_last(layers: Sequence[TomlSource], *path: str) -> TomlSource:
+    """Find whose word counts; what none of them says is a default, and goes by no name of a file."""
+    return next((layer for layer in reversed(layers) if layer.says(*path)), TomlSource("the configuration", ""))
+
+
+def _check_words(words: Sequence[str], known: Collection[str], layers: Sequence[TomlSource], *path: str) -> None:
     """Require that a list names what is known, and nothing twice."""
+    source = _said_last(layers, *path)
     for place, word in enumerate(words):
         with error_context(source.where(*path, place)):
             require_known(source.key(*path, place), word, known)

@@ -46,8 +46,8 @@ def load_config(
     ConfigError
         Unknown preset, unreadable file, unknown key (with the nearest known one), value of the wrong kind or range.
     """
-    source = _read_preset(preset or PRESETS[0])
-    settings = _overlaid(msgspec.to_builtins(Config()), source)
+    layers = [_read_preset(preset or PRESETS[0])]
+    settings = _overlaid(msgspec.to_builtins(Config()), layers[0])
     for path in [file] if isinstance(file, Path) else file or ():
         laid = read_toml(
             path,
@@ -57,9 +57,10 @@ def load_config(
         )
         laid = replace(laid, content=_with_whole_paths(laid.content, path.parent))
         settings = _overlaid(settings, laid)
-        source = laid if "filters" in laid.content else source
-    config = _with_overrides(settings, [_parse_override(text) for text in overrides])
-    check_filters(config, source)
+        layers.append(laid)
+    set_alone = [_parse_override(text) for text in overrides]
+    config = _with_overrides(settings, set_alone)
+    check_filters(config, [*layers, *set_alone])
     return _with_digests(config)
 
 
@@ -148,7 +149,7 @@ def _parse_override(text: str) -> TomlSource:
         parsed = value.strip()
     for key in reversed(keys):
         parsed = {key: parsed}
-    return TomlSource(f"--set {text}", _HINT, parsed)
+    return TomlSource(f"--set {text}", _HINT, parsed, assigned="--set '{}={}'")
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

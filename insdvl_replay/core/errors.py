@@ -13,9 +13,8 @@ from insdvl_replay.core.words import Severity
 
 ALIKE: Final = 0.6
 """Share of letters that a misspelled name has in common with what was meant; of others it is no use to speak."""
-SURE: Final = 0.85
-"""With such a share it is a slip of the finger, and nothing else is meant."""
-MOST_MEANT: Final = 3
+LISTED: Final = 8
+"""Names that a hint lists."""
 
 
 class UserError(Exception):
@@ -38,6 +37,8 @@ class UserError(Exception):
         self.hint = hint
         self.where = tuple(map(str, where))
         super().__init__(self.message)
+        if hint:
+            self.add_note(f"hint: {hint}")  # for those who see it raised in Python
 
     @property
     def message(self) -> str:
@@ -105,18 +106,6 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
     return next(iter(most_like(name, known, most=1, least=ALIKE)), None)
 
 
-def _meant(name: str, known: Collection[str]) -> list[str]:
-    """Return what may be meant: the nearest, and where it is not very near, those that begin with the same word."""
-    found = nearest(name, known)
-    if found is None:
-        return []
-    first, *others = name.split("_")
-    if not others or difflib.SequenceMatcher(None, name, found).ratio() >= SURE:
-        return [found]
-    akin = [other for other in known if other != found and other.partition("_")[0] == first]
-    return [found, *akin][:MOST_MEANT]
-
-
 def most_like(name: str, known: Iterable[str], most: int, least: float = 0.0) -> list[str]:
     """Return the known names that are most like another, the most like first.
 
@@ -131,7 +120,7 @@ def most_like(name: str, known: Iterable[str], most: int, least: float = 0.0) ->
     return [starts[start] for start in difflib.get_close_matches(name[:_LONGEST], compared, n=most, cutoff=least)]
 
 
-def listed(names: Iterable[str], most: int = 8) -> str:
+def listed(names: Iterable[str], most: int = LISTED) -> str:
     """List names for a hint, and count those that would make it too long."""
     first = list(names)
     more = f" and {len(first) - most} more" if len(first) > most else ""
@@ -144,9 +133,13 @@ def require_known(kind: str, name: str, known: Collection[str], *, within: str =
     What stands before all of these names, such as ``dvl.``, is told with them.
     """
     if name not in known:
-        meant = [f"{within}{other}" for other in _meant(name, known)]
-        hint = f"did you mean {' or '.join(meant)}?" if meant else f"known: {listed(known)}"
-        raise ConfigError(f"{kind} '{within}{name}' is not known", hint)
+        raise ConfigError(f"{kind} '{within}{name}' is not known", hint_for(name, known, within=within))
+
+
+def hint_for(name: str, known: Collection[str], *, within: str = "", most: int = LISTED) -> str:
+    """Return the hint for a name that is not known: the nearest one, else those there are."""
+    meant = nearest(name, known)
+    return f"did you mean {within}{meant}?" if meant else f"known: {listed(known, most)}"
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import EnumMeta
 from functools import lru_cache
@@ -12,9 +12,10 @@ from typing import Any, Final, Literal, NoReturn, TypeVar, get_args, get_origin,
 import msgspec
 from msgspec import Struct
 
-from insdvl_replay.core.errors import ConfigError, error_context, require_known
+from insdvl_replay.core.errors import LISTED, ConfigError, error_context, listed, require_known
+from insdvl_replay.core.likely_names import likely_elsewhere, likely_names
 from insdvl_replay.core.plain_text import read_text
-from insdvl_replay.core.value_wanted import list_wanted, value_wanted
+from insdvl_replay.core.value_wanted import list_meant, value_wanted
 
 KeyPath = tuple[str | int, ...]
 """Names of tables and keys from the top, and places in arrays among them."""
@@ -44,6 +45,8 @@ class TomlSource:
         Where the table stands; empty for the whole.
     label : str
         What messages call the table, in place of its path.
+    assigned : str
+        How a key gets its value there, with ``{}`` for both.
     """
 
     name: str
@@ -52,6 +55,16 @@ class TomlSource:
     text: str = ""
     at: KeyPath = ()
     label: str = ""
+    assigned: str = "{} = {}"
+
+    def says(self, *keys: str | int) -> bool:
+        """Return whether a key, from the top, stands there."""
+        inner: Any = self.content
+        for key in keys:
+            if not isinstance(inner, Mapping) or key not in inner:
+                return False
+            inner = inner[key]
+        return True
 
     def inside(self, *at: str | int, label: str = "") -> "TomlSource":
         """Return the same for one of its tables."""
@@ -78,10 +91,6 @@ class TomlSource:
         path = keys if self.label else (*self.at, *keys)
         return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
 
-    def _written(self, key: str, value: str) -> str:
-        """Say how a value is written here: in a shell no quotes are left of those that stand alone."""
-        return f"--set '{key}={value}'" if self.name.startswith("--set ") else f"write {key} = {value}"
-
     def converted(self, table: object, kind: type[Table]) -> Table:
         """Convert a table to its structure, which forbids unknown fields.
 
@@ -101,8 +110,18 @@ class TomlSource:
 
     def _require_known_keys(self, table: object, kind: type[Struct]) -> None:
         for *above, key, known in _unknown_keys(table, kind):
+            within = f"{self.key(*above)}.".removeprefix(".")
             with error_context(self.where(*above, key)):
-                require_known("key", key, known, within=f"{self.key(*above)}.".removeprefix("."))
+                raise ConfigError(f"key '{within}{key}' is not known", self._hint_for_key(key, within, known, kind))
+
+    def _hint_for_key(self, key: str, within: str, known: Collection[str], kind: type[Struct]) -> str:
+        meant = [within + name for name in likely_names(key, known)]
+        if not meant:
+            outside = f"{self.key()}.".removeprefix(".")
+            meant = [outside + path for path in likely_elsewhere(key, list(_known_paths(kind)))]
+        if meant:
+            return f"did you mean {', '.join(meant[:-1])}{' or ' if meant[1:] else ''}{meant[-1]}?"
+        return f"known: {listed(known)}{f'; {self.hint}' if len(known) > LISTED else ''}"
 
     def _raise_for_value(self, reason: str, keys: KeyPath, value: object, hint: object) -> NoReturn:
         name = self.key(*keys)
@@ -111,9 +130,9 @@ class TomlSource:
         if reason.startswith("Expected `object`") and name and not name.endswith("]"):
             raise ConfigError(f"{name} is a section, found {_shortened(value)}", f"write [{name}]")
         found = f", found {_shortened(value)}" if keys else ""
-        as_list = list_wanted(reason, value)
-        hint = self._written(name, as_list) if name and as_list else self.hint
-        raise ConfigError(f"{f'{name}: ' if name else ''}{value_wanted(reason)}{found}", hint)
+        example = list_meant(value, hint) if reason.startswith("Expected `array`") else ""
+        example_hint = f"a list is written so: {self.assigned.format(name, example)}" if example else self.hint
+        raise ConfigError(f"{f'{name}: ' if name else ''}{value_wanted(reason)}{found}", example_hint)
 
 
 def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> TomlSource:
@@ -206,6 +225,15 @@ def _unknown_keys(table: object, kind: type[Struct]) -> Iterator[tuple[Any, ...]
         elif (inner := _structure(hints[key])) is not None:
             for found in _unknown_keys(value, inner):
                 yield key, *found
+
+
+def _known_paths(kind: type[Struct], above: str = "") -> Iterator[str]:
+    """Yield the dotted path of every key of a structure and of those inside it."""
+    for name, hint in get_type_hints(kind).items():
+        if (inner := _structure(hint)) is not None:
+            yield from _known_paths(inner, f"{above}{name}.")
+        elif name in kind.__struct_fields__:
+            yield above + name
 
 
 def _structure(hint: object) -> type[Struct] | None:

@@ -1,8 +1,10 @@
 """What is wrong with a value in a user's file, in words that need no programming language."""
 
-import json
 import re
-from typing import Final
+from contextlib import suppress
+from typing import Any, Final
+
+import msgspec
 
 _KINDS: Final = {
     "float": "a number",
@@ -16,7 +18,6 @@ _BOUNDS: Final = {">=": "of at least", ">": "above", "<=": "of at most", "<": "b
 _EXPECTED: Final = re.compile(
     r"Expected `(?P<kinds>[\w |]+)`(?: (?P<sign>[<>]=?) (?P<bound>\S+?))?(?: of length (?P<length>.+?))?(?:, got .*)?"
 )
-_NUMBER: Final = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
 _LACKING: Final = re.compile(r"Object missing required field `(\w+)`")
 
 
@@ -41,9 +42,21 @@ def value_wanted(reason: str) -> str:
     return f"needs {' or '.join(kinds)}{bound}{length}"
 
 
-def list_wanted(reason: str, value: object) -> str:
-    """Write a text as the list that is wanted in its place, in brackets; empty where no list is wanted, or no text."""
-    if not (reason.startswith("Expected `array`") and isinstance(value, str)):
-        return ""
-    parts = [part.strip() for part in value.strip("[]() ").split(",") if part.strip()]
-    return f"[{', '.join(part if _NUMBER.fullmatch(part) else json.dumps(part) for part in parts)}]"
+def list_meant(value: object, kind: Any) -> str:
+    """Write as TOML the list that was meant by what is none, such as a single word; empty if nobody can know.
+
+    Parameters
+    ----------
+    value : object
+        Such as ``"position"``, or ``"[depth, position]"`` where a shell took the quotes away.
+    kind : type
+        Which the list has to be of.
+    """
+    parts = [part.strip() for part in value.strip(" []").split(",")] if isinstance(value, str) else [value]
+    with suppress(ValueError):
+        parts = [float(part) if isinstance(part, str) else part for part in parts]
+    for entries in (parts, [0.0, 0.0, 0.0]):
+        with suppress(msgspec.ValidationError):
+            msgspec.convert(entries, kind)
+            return ", ".join(msgspec.json.encode(entry).decode() for entry in entries).join("[]")
+    return ""

@@ -208,7 +208,8 @@ KINDS: Final[Mapping[str, Callable[[Drawn], list[Panel]]]] = {
 def chosen_states(text: str) -> tuple[str, ...]:
     """Read names of states, or their beginnings such as ``ba``, with commas between them."""
     names = tuple(part.strip() for part in text.split(",") if part.strip())
-    beginnings = dict.fromkeys(known for state in STATES for known in (state.id.partition("_")[0], state.id))
+    beginnings = list(dict.fromkeys(state.id.partition("_")[0] for state in STATES))
     for name in names:
-        require_known("state", name, beginnings)
+        if not any(state.id.startswith(name) for state in STATES):
+            require_known("state", name, [*beginnings, *(state.id for state in STATES)])
     return names

@@ -56,6 +56,22 @@ def read_results(root: Path) -> tuple[list[StoredResult], list[Note]]:
     return results, [Note("studies_left_out", text, studies)] if studies else []
 
 
+def read_one_result(root: Path) -> StoredResult:
+    """Read the one result in a place.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or more than one.
+    ResultError
+        It cannot be read.
+    """
+    (stored, *others), _ = read_results(root)
+    if others:
+        raise ConfigError(f"{root}: holds {len(others) + 1} results", f"name one of them, such as {stored.folder}")
+    return stored
+
+
 def _below(folder: Path, root: Path) -> str:
     return folder.relative_to(root).as_posix() if root.is_dir() else "."
 
@@ -92,17 +108,22 @@ def _read_report(file: Path) -> StoredReport | None:
     except OSError as error:
         _refuse(error)
     except msgspec.ValidationError as error:
-        reason = str(error)
-        raise ResultError(
-            f"{file}: is not a report that version {__version__} can read{_made_by(data)}: "
-            f"{reason[:1].lower()}{reason[1:]}",
-            "replay the log again with this version, or compare with the version that wrote it",
-        ) from error
+        raise of_other_version(file, data, error) from error
     except NOT_JSON as error:
         hint = "name a result folder or its report.json; a broken one is replaced by replaying its log with --force"
         raise ResultError(f"{file}: is not JSON: {error}", hint) from error
     _require_named_rows(file, report)
     return report
+
+
+def of_other_version(file: Path, data: bytes, error: msgspec.ValidationError) -> ResultError:
+    """Return the error of a report whose layout is another one."""
+    found = str(error)
+    reason = f"{found[:1].lower()}{found[1:]}"
+    return ResultError(
+        f"{file}: is not a report that version {__version__} can read{_made_by(data)}: {reason}",
+        "replay the log again with this version, or compare with the version that wrote it",
+    )
 
 
 def _require_named_rows(file: Path, report: StoredReport) -> None:

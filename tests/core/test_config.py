@@ -195,6 +195,58 @@ def test_a_mistyped_word_is_told_the_nearest_one(tmp_path: Path) -> None:
     assert caught.value.hint == "did you mean beams?"
 
 
+@pytest.mark.parametrize(
+    ("override", "meant"),
+    [
+        ("dvl.velocity_noise=0.01", "dvl.velocity_sd_mps"),  # by letters dvl.velocity_unit
+        ("dvl.noise=0.01", "dvl.beam_sd_mps or dvl.velocity_sd_mps"),
+        ("dvl.velocity_unti='m/s'", "dvl.velocity_unit"),
+        ("dvl.delay_s=0.1", "dvl.latency_s"),
+        ("imu.gyro_noise=1e-3", "noise.gyro_white_rad_rts"),
+        ("dvl.starts=4", "evaluation.starts"),
+        ("filters.aided.window=4", "filters.aided.acceleration.window"),
+        ("gps.topic='/fix'", "position"),
+    ],
+)
+def test_a_key_that_is_not_known_is_told_the_one_that_was_meant(override: str, meant: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(overrides=[override])
+    assert caught.value.hint == f"did you mean {meant}?"
+
+
+@pytest.mark.parametrize(
+    ("override", "taken"),
+    [
+        ("evaluation.withheld=position", 'evaluation.withheld=["position"]'),
+        ("evaluation.withheld=[position,depth]", 'evaluation.withheld=["position", "depth"]'),  # what a shell leaves
+        ("dvl.lever_arm_m=1,2,0.5", "dvl.lever_arm_m=[1.0, 2.0, 0.5]"),
+        ("dvl.lever_arm_m=1", "dvl.lever_arm_m=[0.0, 0.0, 0.0]"),
+        ("dvl.lever_arm_m=[1, 2]", "dvl.lever_arm_m=[0.0, 0.0, 0.0]"),
+    ],
+)
+def test_what_is_no_list_is_told_how_one_is_written(override: str, taken: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(overrides=[override])
+    assert caught.value.hint == f"a list is written so: --set '{taken}'"
+    load_config(overrides=[taken])
+
+
+def test_a_list_in_a_file_is_written_as_toml(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(file=written(tmp_path, '[evaluation]\nwithheld = "depth"'))
+    assert caught.value.hint == 'a list is written so: evaluation.withheld = ["depth"]'
+
+
+def test_a_word_that_is_not_known_is_told_where_it_was_said(tmp_path: Path) -> None:
+    file = written(tmp_path, f"[evaluation]\nwithheld = ['gps']\n{RUN}aiding = ['speed']")
+    with pytest.raises(ConfigError, match=r"vehicle.toml:2: evaluation.withheld\[0\] 'gps' is not known"):
+        load_config(file=file)
+    with pytest.raises(ConfigError, match=r"vehicle.toml:6: filters.b.aiding\[0\] 'speed' is not known"):
+        load_config(file=file, overrides=["evaluation.withheld=[]"])
+    with pytest.raises(ConfigError, match=r"^--set .*: filters.b.aiding\[0\] 'beam' is not known"):
+        load_config(file=file, overrides=["evaluation.withheld=[]", 'filters.b.aiding=["beam"]'])
+
+
 def test_overrides_that_only_fit_together_are_taken_together() -> None:
     config = load_config(overrides=["filters.aided.acceleration.order=3", "filters.aided.acceleration.window=5"])
     acceleration = config.filters["aided"].acceleration

@@ -17,6 +17,7 @@ from made_reports import report
 import insdvl_replay
 from insdvl_replay import Result, load_config, read_result, replay_log
 from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.states import STATES
 from insdvl_replay.report.latex import as_latex
 from insdvl_replay.results.dive_document import dive_document
@@ -82,9 +83,10 @@ def test_width_and_states_are_those_asked_for(folder: Path, tmp_path: Path) -> N
     ("options", "code", "reason"),
     [
         (["error", "--width", "5"], 2, "is no width from 20 to 1000 mm"),
-        (["sigma", "--states", "xyz"], 2, "state 'xyz' is not known; hint: known: dv, dv_n, dv_e, dv_d, phi, phi_n"),
+        (["sigma", "--states", "bx"], 2, "state 'bx' is not known"),
+        (["sigma", "--states", "foo"], 2, "hint: known: dv, phi, ba, bg, dv_n, dv_e"),
         (["error", "-o", "error.svg"], 2, "does not end in .pdf"),
-        (["speed"], 2, "invalid value for 'KIND': 'speed' is not one of"),
+        (["speed"], 2, "'speed'"),
         (["error", "-o", "taken.pdf"], 2, "taken.pdf: exists"),
     ],
 )
@@ -209,12 +211,40 @@ def test_a_result_is_read_back(replayed: Result, folder: Path) -> None:
     assert again.words == replayed.words == {"aided": "undecided"}
     pd.testing.assert_frame_equal(again.trajectory, replayed.trajectory)
     pd.testing.assert_frame_equal(again.tables["drift"], replayed.tables["drift"])
-    with pytest.raises(KeyError, match=r"there is no table 'drft'; there are improvement, .*drift"):
-        _ = again.tables["drft"]
     with pytest.raises(ValueError, match="was read back"):
         _ = again.histories
     with pytest.raises(ValueError, match="lies already"):
         again.save(folder)
+
+
+def test_a_name_that_is_not_there_is_told_those_that_are(replayed: Result) -> None:
+    with pytest.raises(UserError) as caught:
+        _ = replayed.tables["x"]
+    assert str(caught.value) == "table 'x' is not known"
+    assert caught.value.hint == f"known: {', '.join(replayed.tables)}"
+    assert caught.value.__notes__ == [f"hint: {caught.value.hint}"], "a traceback shows it"
+    with pytest.raises(KeyError) as nearest:
+        _ = replayed.tables["evidense"]
+    assert nearest.value.__notes__ == ["hint: did you mean evidence?"]
+    with pytest.raises(UserError, match="filter 'x' is not known"):
+        _ = replayed.histories["x"]
+    assert replayed.tables.get("x") is None
+
+
+def test_a_folder_without_the_result_is_told(folder: Path, tmp_path: Path) -> None:
+    assert read_result(folder.parent).name == "figure_eight", "the one there is"
+    with pytest.raises(UserError, match="nowhere: does not exist"):
+        read_result(tmp_path / "nowhere")
+    with pytest.raises(UserError, match="holds no result"):
+        read_result(tmp_path)
+    for name in ("a", "b"):
+        shutil.copytree(folder, tmp_path / name)
+    with pytest.raises(UserError, match="holds 2 results"):
+        read_result(tmp_path)
+    stored = json.loads((folder / "report.json").read_text("utf-8"))
+    (tmp_path / "a" / "report.json").write_text(json.dumps({**stored, "log": 3}))
+    with pytest.raises(UserError, match=r"a/report.json: is not a report that version .* can read"):
+        read_result(tmp_path / "a")
 
 
 def test_a_notebook_shows_the_screen(replayed: Result) -> None:
@@ -228,6 +258,14 @@ def test_a_notebook_shows_the_screen(replayed: Result) -> None:
 def test_settings_are_taken_as_a_mapping_or_as_on_the_command_line() -> None:
     assert load_config(settings={"dvl.scale": 1.5}) == load_config(settings=["dvl.scale=1.5"])
     assert load_config(preset="fog") != load_config()
+    arm = np.array([0.5, 0.0, -0.25])
+    config = load_config(settings={"dvl.lever_arm_m": arm, "dvl.scale": arm[0], "evaluation.withheld": ("depth",)})
+    assert config == load_config(
+        settings=["dvl.lever_arm_m=[0.5, 0, -0.25]", "dvl.scale=0.5", 'evaluation.withheld=["depth"]']
+    )
+    assert load_config(settings={"dvl.topic": "a\"'="}).dvl.topic == "a\"'="
+    with pytest.raises(UserError, match=r"dvl\.topic: None is no value"):
+        load_config(settings={"dvl.topic": None})
 
 
 def test_the_public_names_are_typed(tmp_path: Path) -> None:
