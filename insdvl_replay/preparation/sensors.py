@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -38,8 +39,16 @@ class _Sensor:
     notes: list[Note]
 
 
+NOTHING_TOLD: Final[Mapping[str, int]] = MappingProxyType({})
+
+
 def prepare_sensors(
-    sensors: Mapping[str, SensorColumns], config: Config, start: Start, start_ns: int, end_ns: int
+    sensors: Mapping[str, SensorColumns],
+    config: Config,
+    start: Start,
+    start_ns: int,
+    end_ns: int,
+    told_ns: Mapping[str, int] = NOTHING_TOLD,
 ) -> tuple[dict[str, Measurement], tuple[Note, ...]]:
     """Prepare the sensors that were read.
 
@@ -51,6 +60,8 @@ def prepare_sensors(
         Where the filters start.
     start_ns, end_ns : int
         Span of the replay.
+    told_ns : mapping of str to int
+        Times of the readings that the start is made of, by sensor: they tell nothing more.
 
     Returns
     -------
@@ -78,6 +89,7 @@ def prepare_sensors(
         measurement = sensor_measurement(
             name, of_sensor.unit, kind, columns.time_ns, values, sd, axes=of_sensor.components[: values.shape[1]]
         )
+        measurement.available[columns.time_ns == told_ns.get(name)] = False
         arm_b = np.array(getattr(sensor.settings, "lever_arm_m", (0.0, 0.0, 0.0)))
         found[name] = replace(measurement, sensor=row, lever_arm_b=arm_b)
     return found, tuple(notes)
