@@ -14,7 +14,6 @@ from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.core.states import DEG, FASTEST_MPS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import north_east_m
-from insdvl_replay.geometry.rotation import wrap_angle
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import DEPTH, FIX, HEADING
 from insdvl_replay.nav.measurements import Measurement, sensor_measurement
@@ -117,10 +116,9 @@ def _heading(sensor: _Sensor) -> Measured:
 
 
 def _position(sensor: _Sensor) -> Measured:
-    """Return the fixes with longitudes near that of the start, and without heights that are not to be used."""
+    """Return the fixes without heights that are not to be used."""
     settings: Position = sensor.settings
-    fixes, start_longitude = sensor.columns.values.copy(), float(sensor.start.position[1])
-    fixes[:, 1] = start_longitude + wrap_angle(fixes[:, 1] - start_longitude)
+    fixes = sensor.columns.values
     sd_m = np.array([settings.sd_m, settings.sd_m, settings.height_sd_m or np.nan])
     used = slice(2 if settings.height_sd_m is None else 3)
     sensor.notes.extend(_far_notes(sensor, fixes[0]))

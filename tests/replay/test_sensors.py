@@ -129,6 +129,29 @@ def test_fixes_hold_the_position_and_are_read_as_they_were_simulated(tmp_path: P
     assert np.hypot(rms(replay, "candidate", 0), rms(replay, "candidate", 1)) < 1.5
 
 
+def test_a_dive_over_180_deg_of_longitude_is_as_any_other() -> None:
+    """Through coasting, too, which takes the positions up that were written down."""
+    dive = simulated(duration_s=300.0, position=SensorErrors(1.0, 1.0))
+    assert dive.reference is not None
+    east = np.pi - 1e-7 - dive.reference.position[0, 1]  # 0.5 m from there
+
+    def moved(position: Floats) -> Floats:
+        return np.column_stack([position[:, :1], wrap_angle(position[:, 1:2] + east), position[:, 2:]])
+
+    fixes = dive.sensors["position"]
+    there = replace(
+        dive,
+        reference=replace(dive.reference, position=moved(dive.reference.position)),
+        sensors={"position": replace(fixes, values=moved(fixes.values))},
+    )
+    assert np.ptp(there.sensors["position"].values[:, 1]) > 6.0
+    settings = config("position", position=Position(sd_m=1.0), noise=MEMS.noise, initial=MEMS.initial)
+    here, there_too = (replay_dive(one, settings).tables for one in (dive, there))
+    for ours, theirs in zip(here.evidence, there_too.evidence, strict=True):
+        assert (ours.quantity, ours.word) == (theirs.quantity, theirs.word)
+        assert theirs.value == pytest.approx(ours.value, rel=1e-3, nan_ok=True)
+
+
 # --- Position as a state.
 
 
