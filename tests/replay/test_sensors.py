@@ -129,6 +129,17 @@ def test_fixes_hold_the_position_and_are_read_as_they_were_simulated(tmp_path: P
     assert np.hypot(rms(replay, "candidate", 0), rms(replay, "candidate", 1)) < 1.5
 
 
+def test_a_fix_without_height_is_none_where_heights_are_used(tmp_path: Path) -> None:
+    dive = simulated(duration_s=30.0, position=SensorErrors(2.0, 1.0))
+    fixes = dive.sensors["position"]
+    values = fixes.values.copy()
+    values[10:, 2] = np.nan
+    write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": replace(fixes, values=values)}))
+    for height_sd_m, count in ((None, 31), (3.0, 10)):
+        read = read_dive(tmp_path / "dive.mcap", config("position", position=Position(height_sd_m=height_sd_m)))
+        assert len(read.sensors["position"].time_ns) == count
+
+
 def test_a_dive_over_180_deg_of_longitude_is_as_any_other() -> None:
     """Through coasting, too, which takes the positions up that were written down."""
     dive = simulated(duration_s=300.0, position=SensorErrors(1.0, 1.0))
