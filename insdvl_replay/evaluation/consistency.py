@@ -115,6 +115,7 @@ def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     for history in histories:
         for innovations in history.innovations:
             notes += _judged_updates(history.filter, innovations)
+        notes += _reopening_notes(history)
     return tuple(notes)
 
 
@@ -133,12 +134,11 @@ def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
         )
         hint = 'check the units and sizes of [noise] and [initial]; after long IMU gaps, imu.long_gaps = "split"'
         return [Note("filter_not_finite", text, lost, Severity.WARNING, hint)]
-    hint = f"check lever arm and mounting, raise [noise], or --set filters.{name}.gate_probability=1.0"
-    return [
-        *_rejection_notes(name, innovations, hint),
-        *_reopening_notes(name, innovations, hint),
-        *_contradiction_notes(name, innovations),
-    ]
+    return [*_rejection_notes(name, innovations), *_contradiction_notes(name, innovations)]
+
+
+def _gate_hint(name: str) -> str:
+    return f"check lever arm and mounting, raise [noise], or --set filters.{name}.gate_probability=1.0"
 
 
 def _contradiction_notes(name: str, innovations: Innovations) -> list[Note]:
@@ -154,24 +154,24 @@ def _contradiction_notes(name: str, innovations: Innovations) -> list[Note]:
     return [Note(f"{sensor}_disagrees", text, total, Severity.WARNING, hint)]
 
 
-def _rejection_notes(name: str, innovations: Innovations, hint: str) -> list[Note]:
+def _rejection_notes(name: str, innovations: Innovations) -> list[Note]:
     rejected, total = rejections(innovations), len(innovations.used)
     if rejected <= MANY_REJECTED * total:
         return []
     text = f"filter {name} rejected {rejected} of {total} {innovations.measurement} innovations"
-    return [Note("gate_rejects_many", text, rejected, Severity.WARNING, hint)]
+    return [Note("gate_rejects_many", text, rejected, Severity.WARNING, _gate_hint(name))]
 
 
-def _reopening_notes(name: str, innovations: Innovations, hint: str) -> list[Note]:
-    reopened = np.flatnonzero(innovations.reopened)
-    if not len(reopened):
+def _reopening_notes(history: History) -> list[Note]:
+    name, count = history.filter, len(history.reopened_ns)
+    if not count:
         return []
-    first_s = (innovations.time_ns[reopened[0]] - innovations.time_ns[0]) / NS_PER_S
+    first_s = (int(history.reopened_ns[0]) - min(int(one.time_ns[0]) for one in history.innovations)) / NS_PER_S
     text = (
-        f"filter {name} was set to the DVL again after runs of rejected velocities ({len(reopened)} in all, the first "
-        f"{first_s:.1f} s after the first ping)"
+        f"filter {name} was set to the DVL again after runs of rejected velocities ({count} in all, the first "
+        f"{first_s:.1f} s after the first reading)"
     )
-    return [Note("gate_reopened", text, len(reopened), Severity.WARNING, hint)]
+    return [Note("gate_reopened", text, count, Severity.WARNING, _gate_hint(name))]
 
 
 def rejections(innovations: Innovations) -> int:
