@@ -124,15 +124,16 @@ def _dives(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
         columns += [
             (f"{' or '.join(sorted(baselines))} [{unit}]", "r", _text_of(name, lambda row: value_text(row.baseline))),
             (f"{name} [{unit}]", "r", _text_of(name, lambda row: value_text(row.value))),
-            ("95 %", "r", _text_of(name, lambda row: interval_text(row.low, row.high))),
         ]
     for name in names:
         heading = "ratio" if len(names) == 1 else name
         columns.append((heading, "r", _text_of(name, lambda row: ratio_text(row.ratio))))
+        if len(names) == 1:
+            columns.append(("95 %", "r", _text_of(name, lambda row: interval_text(row.low, row.high))))
         columns.append(("", "l", partial(_word, name=name)))
     left_out = len(dives) - len(shown)
     footnote = f"failed, and the {WORST} with the largest ratio; {left_out} more: see the page" if left_out else ""
-    yield table_of("", shown, columns, footnote, spare=(3, 1, 2) if len(names) == 1 else ())
+    yield table_of("", shown, columns, footnote, spare=(4, 1, 2) if len(names) == 1 else ())
 
 
 def _text_of(name: str, write: Callable[[EvidenceRow], str]) -> Callable[[_Dive], str]:
