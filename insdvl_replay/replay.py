@@ -23,6 +23,7 @@ from insdvl_replay.evaluation.judging import (
     tables_of_filters,
     with_solutions,
 )
+from insdvl_replay.evaluation.jumps import jump_table
 from insdvl_replay.evaluation.losses import ReferenceNoise
 from insdvl_replay.evaluation.reference import ReferenceErrors
 from insdvl_replay.nav.dvl import DvlVelocities
@@ -47,7 +48,8 @@ class Replay:
     Attributes
     ----------
     dive : Dive
-        The columns that were replayed; of the IMU the times alone, since its readings have done their work.
+        The columns that were replayed; of the IMU the times alone, since its readings have done their work, and without
+        solutions, which the histories tell.
     config : Config
         Resolved settings.
     start_ns, end_ns : int
@@ -126,25 +128,27 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     ConfigError
         The settings do not fit the dive.
     """
-    dive = with_reference_at_imu(dive, config)
+    dive, solutions = with_reference_at_imu(replace(dive, solutions={}), config), dict(dive.solutions)
     prepared = prepare_with_heading(dive, config)
     span = prepared.alignment.start_ns, prepared.end_ns
     judged_ns = judged_times(dive.reference, *span, filters=len(config.filters))
     plan, timeline = coasting_plan(prepared), prepared_timeline(dive, prepared)
     histories = run_filters(prepared, timeline, cov_ns=np.union1d(judged_ns, plan.start_ns))
+    read, motions, read_notes = read_solutions(solutions, config.solutions, dive.imu, histories[0], judged_ns)
     coasts = coasting_of(prepared, timeline, histories, plan)
     draws = config.evaluation
     drawn = run_from_drawn_starts(dive, prepared, draws.starts, draws.seed) if dive.reference is not None else ()
     del timeline
-    dive, read, read_notes = read_solutions(dive, config.solutions, histories[0], judged_ns)
     histories += read
     drawn = with_solutions(drawn, histories, dive)
     dive = replace(dive, imu=dive.imu.times_only())
     return_freed_memory()
     begin("judging the filters")
+    jumps = jump_table(dive.name, histories, motions)
+    del motions
     bridged_gaps, independent = len(prepared.gaps.start_ns) > 0, config.reference.independent
     errors, tables = tables_of_filters(
-        dive, histories, drawn, coasts, _noise_of(config.reference), prepared.sensor_sd,
+        dive, histories, drawn, coasts, _noise_of(config.reference), prepared.sensor_sd, jumps,
         start_ns=span[0], bridged_gaps=bridged_gaps,
     )  # fmt: skip
     curves = curves_of(drawn, coasts)

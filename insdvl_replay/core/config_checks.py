@@ -72,10 +72,8 @@ def check_filters(config: Config, layers: Sequence[TomlSource]) -> None:
                 f"{where}: filter name '{name}' is not a letter followed by letters, digits and _",
                 "the name becomes part of topics and rows",
             )
-        known = [word for word in filter_.aiding if ":" not in word]
-        _check_words(known, AIDING, layers, "filters", name, "aiding")
-        if len(filter_.aiding) - len(known) > 1:
-            raise ConfigError(f"{where}: filters.{name} has more than one measurement of your own", "one a filter")
+        own = [word for word in filter_.aiding if ":" in word]
+        _check_words(filter_.aiding, (*AIDING, *own), layers, "filters", name, "aiding")
         _check_words(filter_.states, MORE_STATES, layers, "filters", name, "states")
         if filter_.solution is None:
             _check_filter(filter_, f"filters.{name}", where)

@@ -3,11 +3,11 @@
 The logs room makes them from files, the sim room from nothing; the filters cannot tell which.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,28 @@ def find_runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.in
 Floats = NDArray[np.float64]
 TimeNs = NDArray[np.int64]
 NS_PER_S: Final = 1_000_000_000
+_AT_A_TIME: Final = 1 << 14
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+def nothing(shape: tuple[int, ...]) -> Floats:
+    """Return numbers of which none is told: one NaN stands for all, and cannot be written to."""
+    return np.broadcast_to(np.nan, shape)
+
+
+def in_blocks(change: Callable[[NDArray[Scalar]], Floats], rows: NDArray[Scalar], into: Floats) -> Floats:
+    """Write changed rows, some at a time: what numpy needs on the way can be several times as large.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (k, ...)
+    into : ndarray, shape (k, ...)
+        Written, and returned; it may be the rows.
+    """
+    for first in range(0, len(rows), _AT_A_TIME):
+        block = slice(first, first + _AT_A_TIME)
+        into[block] = change(rows[block])
+    return into
 
 
 def seconds(time_ns: TimeNs, origin_ns: int | TimeNs) -> Floats:
@@ -187,6 +209,15 @@ class ReferenceColumns:
         """Keep some of the rows, chosen by a mask of shape (r,)."""
         return ReferenceColumns(self.time_ns[keep], self.position[keep], self.velocity_n[keep], self.mat_nb[keep])
 
+    def without_attitude(self) -> "ReferenceColumns":
+        """Return positions and velocities alone."""
+        return ReferenceColumns(self.time_ns, self.position, self.velocity_n, nothing(self.mat_nb.shape))
+
+    def within(self, start_ns: int, end_ns: int) -> "ReferenceColumns":
+        """Keep the rows from the start to the end, without copying them."""
+        rows = slice(np.searchsorted(self.time_ns, start_ns), np.searchsorted(self.time_ns, end_ns, side="right"))
+        return ReferenceColumns(self.time_ns[rows], self.position[rows], self.velocity_n[rows], self.mat_nb[rows])
+
 
 @dataclass(frozen=True)
 class SolutionColumns:
@@ -282,6 +313,8 @@ def apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
 
 def at_time(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:
     """Interpolate the finite rows of values, shape (r, n), at a time; outside them the nearest row stands."""
-    finite = np.isfinite(values).all(axis=1)
-    offset_s = seconds(time_ns[finite], at_ns)
-    return np.array([np.interp(0.0, offset_s, column) for column in values[finite].T])
+    finite = np.flatnonzero(np.isfinite(values).all(axis=1))
+    after = int(np.searchsorted(time_ns[finite], at_ns))
+    near = finite[max(0, after - 1) : after + 1]
+    offset_s = seconds(time_ns[near], at_ns)
+    return np.array([np.interp(0.0, offset_s, column) for column in values[near].T])

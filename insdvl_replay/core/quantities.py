@@ -39,6 +39,8 @@ JOINT: Final = "all"
 """The row of all compared states together, in which small errors of some may hide large ones of others."""
 AXES: Final = ("x", "y", "z")
 """Axes of a measurement in b."""
+COMPONENTS: Final = ("c1", "c2", "c3", "c4")
+"""Of a measurement of the user's own, which may be along no axes."""
 
 
 def axis_of(measurement: str, axis: str) -> str:
@@ -48,7 +50,7 @@ def axis_of(measurement: str, axis: str) -> str:
 
 def is_whole(measurement: str) -> bool:
     """Distinguish a whole measurement, which stands for a filter's verdict, from one of its axes, which say where."""
-    return not measurement.endswith(tuple(axis_of("", axis) for axis in (*AXES, *AXES_N)))
+    return not measurement.endswith(tuple(axis_of("", axis) for axis in (*AXES, *AXES_N, *COMPONENTS)))
 
 
 PARITY: Final = "parity"

@@ -11,7 +11,7 @@ from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.tables import Candidate, Tables
-from insdvl_replay.core.track_rows import DriftRow, TrackFitRow
+from insdvl_replay.core.track_rows import DriftRow, JumpRow, TrackFitRow
 from insdvl_replay.evaluation.believed import improvement_table
 from insdvl_replay.evaluation.coasting import Coasts, coasting_table, window_drifts
 from insdvl_replay.evaluation.consistency import consistency_table
@@ -21,7 +21,6 @@ from insdvl_replay.evaluation.credibility import credibility_table
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors, errors_of_one_run
 from insdvl_replay.evaluation.drift_table import drift_table, track_fit_table
 from insdvl_replay.evaluation.evidence import Measured, evidence_table, without_words
-from insdvl_replay.evaluation.jumps import jump_table
 from insdvl_replay.evaluation.losses import Losses, ReferenceNoise, losses_beside, losses_of, without_heading
 from insdvl_replay.evaluation.measured_convergence import measured_convergences
 from insdvl_replay.evaluation.paired_statistics import windows_ratio
@@ -60,6 +59,7 @@ def tables_of_filters(
     coasts: Coasts,
     noise: ReferenceNoise,
     sensor_sd: Mapping[str, float],
+    jumps: list[JumpRow],
     *,
     start_ns: int,
     bridged_gaps: bool,
@@ -74,6 +74,8 @@ def tables_of_filters(
         How far the reference itself may be off.
     sensor_sd : mapping of str to float
         Noise of one reading of the sensors that may be withheld, see `withheld.withheld_losses`.
+    jumps : list of JumpRow
+        From `jumps.jump_table`.
 
     Returns
     -------
@@ -110,7 +112,7 @@ def tables_of_filters(
         evidence_table(dive.name, names[0], names[1:], measured, consistency, credibility),
         coasting_table(dive.name, coasts, windows_ratio),
         *_drift(dive, errors, start_ns, bridged_gaps=bridged_gaps),
-        jump_table(dive.name, histories, dive.solutions),
+        jumps,
     )
 
 

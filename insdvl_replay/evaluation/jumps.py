@@ -4,11 +4,12 @@ A reference is looked at in the same way, see `geometry.steps`.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.dive_columns import ReferenceColumns, SolutionColumns
+from insdvl_replay.core.dive_columns import ReferenceColumns
 from insdvl_replay.core.history import History
 from insdvl_replay.core.track_rows import JumpRow
 from insdvl_replay.geometry.steps import find_jumps, steps_of, unexplained_m
@@ -17,15 +18,15 @@ SMALLEST_M: Final = 0.5
 """Less is no jump: in turns velocities and positions of a few hertz differ by some centimetres."""
 
 
-def jump_table(log: str, histories: Iterable[History], solutions: Mapping[str, SolutionColumns]) -> list[JumpRow]:
+def jump_table(log: str, histories: Iterable[History], motions: Mapping[str, ReferenceColumns]) -> list[JumpRow]:
     """Count the jumps of each filter whose position can jump.
 
     Parameters
     ----------
     log : str
         Name of the dive.
-    solutions : mapping of str to SolutionColumns
-        Those that were read, as they were laid, by filter: they are looked at from sample to sample.
+    motions : mapping of str to ReferenceColumns
+        Those of solutions that were read, by filter: they are looked at from sample to sample.
 
     Returns
     -------
@@ -33,16 +34,12 @@ def jump_table(log: str, histories: Iterable[History], solutions: Mapping[str, S
         None of a filter that goes by its velocity alone, and of a solution without positions inside the replay.
     """
     able = [history for history in histories if history.is_read or history.estimates_position]
-    return [row for history in able for row in _row(log, history, solutions.get(history.filter))]
+    return [row for history in able for row in _row(log, history, motions.get(history.filter))]
 
 
-def _row(log: str, history: History, solution: SolutionColumns | None) -> Iterator[JumpRow]:
+def _row(log: str, history: History, motion: ReferenceColumns | None) -> Iterator[JumpRow]:
     start_ns, end_ns = int(history.time_ns[0]), int(history.time_ns[-1])
-    if solution is None:
-        motion = history.motion()
-    else:
-        time_ns = solution.motion.time_ns
-        motion = solution.motion.rows((time_ns >= start_ns) & (time_ns <= end_ns))
+    motion = history.motion() if motion is None else motion.within(start_ns, end_ns)
     motion = _without_repeats(motion)
     unlike_m = unexplained_m(steps_of(motion))
     known = np.flatnonzero(np.isfinite(unlike_m))
@@ -58,6 +55,8 @@ def _without_repeats(motion: ReferenceColumns) -> ReferenceColumns:
     """Take positions once that are told again and again until there is a new one; the velocities all stay."""
     placed = np.flatnonzero(motion.known["positions"])
     again = placed[1:][(np.diff(motion.position[placed, :2], axis=0) == 0.0).all(axis=1)]
+    if not len(again):
+        return motion
     position = motion.position.copy()
     position[again] = np.nan
-    return ReferenceColumns(motion.time_ns, position, motion.velocity_n, motion.mat_nb)
+    return replace(motion, position=position)

@@ -72,13 +72,15 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         *loss_notes(tables),
         *stamp_notes(tables),
     ]
+    name, channels = dive_name(log.path), _channels(log.channels, sources)
+    del log  # its file was mapped, and decoding needs the room
     columns = RoleColumns(place, config)
     notes += columns.clock_notes([table.clock() for table in tables])
     for finding in filter(lambda finding: finding.sources, findings):
         notes += columns.decode(finding.role, [tables.pop(0) for _ in finding.sources])
     notes += columns.read_files()
     return Dive(
-        name=dive_name(log.path),
+        name=name,
         imu=cast(ImuColumns, columns.imu),  # else there was an error
         dvl=columns.dvl,
         reference=columns.reference,
@@ -87,7 +89,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         solutions=columns.solutions,
         topics=columns.topics,
         sha256=sha256,
-        channels=_channels(log.channels, sources),
+        channels=channels,
         notes=tuple(notes),
     )
 

@@ -18,7 +18,7 @@ from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import DEPTH, InsAtPing
 from insdvl_replay.nav.local_earth import GravityHeight, Place, followed, gravity_at, place_about, place_at
 from insdvl_replay.nav.measurements import BEAM, VELOCITY, Measurement, Stack, stacked
-from insdvl_replay.nav.own_measurement import Predict
+from insdvl_replay.nav.own_measurement import Predicts
 from insdvl_replay.nav.position_error import position_growth, propagate_position_cov
 from insdvl_replay.nav.state_layout import StateLayout, layout_of
 from insdvl_replay.nav.state_log import (
@@ -90,7 +90,7 @@ def run_filter(
     memory = _Memory(*np.zeros((3, int(timeline.ping.max()) + 1, 3)))
     density = (*noise_density.tolist(), *[0.0] * (len(states) - len(noise_density)))
     layout, arm_b = layout_of(more_states), vector(lever_arm_b)
-    own = next((one.predict for one in measurements if one.predict is not None), None)
+    own = min((one.predict for one in measurements if one.predict is not None), key=is_compiled, default=None)
     run = _run if own is None or is_compiled(own) else plain(_run)
     run(timeline, state, matrices, density, layout, stack, own, arm_b, memory, records, updates)
     return history_of(name, timeline, states, measurements, records, updates)
@@ -114,7 +114,7 @@ def _run(
     noise_density: tuple[float, ...],
     layout: StateLayout,
     measurements: Stack,
-    own: Predict | None,
+    own: Predicts | None,
     lever_arm_b: Vector,
     memory: _Memory,
     records: Records,
@@ -169,7 +169,7 @@ def _meet_readings(
     carried: tuple[Vector, Vector, float, Vector],
     layout: StateLayout,
     measurements: Stack,
-    own: Predict | None,
+    own: Predicts | None,
     memory: _Memory,
     matrices: Matrices,
     updates: Updates,

@@ -12,10 +12,9 @@ fix           z = p - p_fix + C l                            H = [ 0 | -[C l x] 
 heading       z = atan2(c_e, c_n) - psi                      H = [ 0 | -tan c_n, -tan c_e, 1 | 0 | 0 ], c = C e_x, tan =
                                                                  c_d / (c_n^2 + c_e^2)
 
-The slope of a body-frame velocity is ``f + C' g - w x v_b``; ``published`` is the paper's model, which leaves out w x
-v_b. ``windowed`` predicts the same weighted sum of velocities that the DVL's slope is, from what the mechanisation
-alone has added to the body velocity between pings. Equations (36) to (46) of Levy and Klein, with signs that agree with
-F; see equations/updates.md.
+The slope of a body-frame velocity is ``f + C' g - w x v_b``; ``published`` is the paper's model, without w x v_b.
+``windowed`` predicts the same weighted sum of velocities that the DVL's slope is, from what the mechanisation alone has
+added to the body velocity between pings. Equations (36) to (46) of Levy and Klein, signs as of F: equations/updates.md.
 """
 
 import math
@@ -27,7 +26,7 @@ from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.local_earth import Place
 from insdvl_replay.nav.measurements import BEAM, PUBLISHED, VELOCITY, WINDOWED, Stack
-from insdvl_replay.nav.own_measurement import INS_SIZE, Predict
+from insdvl_replay.nav.own_measurement import INS_SIZE, Predicts
 from insdvl_replay.nav.position_error import offset_n
 from insdvl_replay.nav.state_layout import TWELVE, StateLayout
 from insdvl_replay.nav.vector_algebra import (
@@ -51,7 +50,7 @@ DEPTH: Final = 4
 HEADING: Final = 5
 FIX: Final = 6
 OWN: Final = 7
-"""How the measurements of the sensors beside the DVL are predicted: kinds above those of `measurements`."""
+"""Kinds of measurement beside the DVL's, above those of `measurements`; from `OWN` on each of the user's own."""
 
 IDENTITY: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -110,7 +109,7 @@ def linearise(
     row: int,
     ins: InsAtPing,
     layout: StateLayout,
-    own: Predict | None,
+    own: Predicts | None,
     z: Floats,
     H: Floats,
 ) -> None:
@@ -121,7 +120,7 @@ def linearise(
     m, row : int
         The measurement, and the row of its reading.
     own : callable or None
-        The prediction of a measurement of the user's own.
+        The predictions of the user's own measurements.
     z : ndarray, shape (s,)
         Written; s components.
     H : ndarray, shape (s, n)
@@ -138,7 +137,7 @@ def linearise(
 
 
 @inlined
-def _linearise_own(measurements: Stack, m: int, row: int, ins: InsAtPing, own: Predict, z: Floats, H: Floats) -> None:
+def _linearise_own(measurements: Stack, m: int, row: int, ins: InsAtPing, own: Predicts, z: Floats, H: Floats) -> None:
     """Let the user's prediction write z and H, and take the reading off."""
     size, known = len(z), np.empty(INS_SIZE)
     for i in range(3):
@@ -147,7 +146,7 @@ def _linearise_own(measurements: Stack, m: int, row: int, ins: InsAtPing, own: P
         for j in range(3):
             known[6 + 3 * i + j] = ins.mat_nb[i][j]
     predicted, jacobian = np.zeros(size), np.zeros((size, H.shape[1]))
-    own(known, predicted, jacobian)
+    own(measurements.kind[m] - OWN, known, predicted, jacobian)
     for i in range(size):
         z[i] = predicted[i] - measurements.values[m, row, i]
         for j in range(H.shape[1]):

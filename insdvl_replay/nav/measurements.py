@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.nav.measurement_noise import FIXED
-from insdvl_replay.nav.own_measurement import Predict
+from insdvl_replay.nav.own_measurement import Predicts
 from insdvl_replay.nav.timeline import PINGS
 
 VELOCITY: Final = 0
@@ -62,7 +62,7 @@ class Measurement:
     noise : int
         How R is taken, see `measurement_noise`.
     predict : callable or None
-        Of a measurement of the user's own, see `own_measurement`.
+        Of measurements of the user's own, of which this one is number ``kind - innovation.OWN``; see `own_measurement`.
     goes_on : bool
         The next measurement is of the same reading: the state is corrected by both together.
     axes : tuple of str
@@ -85,7 +85,7 @@ class Measurement:
     direction_b: Floats = field(default_factory=lambda: np.zeros(3))
     noise: int = FIXED
     goes_on: bool = False
-    predict: Predict | None = None
+    predict: Predicts | None = None
     axes: tuple[str, ...] = ()
 
     @property

@@ -18,15 +18,19 @@ rows stand in every table, by its name.
 """
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
+from insdvl_replay.core.compiled import plain
 from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
+from insdvl_replay.core.quantities import MEASUREMENTS, WITHHELD, is_whole
 
 Predict = Callable[[Floats, Floats, Floats], None]
+Predicts = Callable[[int, Floats, Floats, Floats], None]
+"""Several predictions, of which the number in front chooses one."""
 
 INS_SIZE: Final = 21
 """Numbers of ``ins``: position (rad, rad, m), velocity_n, mat_nb row by row, specific_force_b, rate_eb_b."""
@@ -109,26 +113,72 @@ def load_own_measurement(word: str) -> OwnMeasurement:
     if not (isinstance(found, type) and issubclass(found, OwnMeasurement)):
         raise ValueError("is no class derived from OwnMeasurement")
     own = found()
-    if not own.name.isidentifier() or own.name.endswith(("_x", "_y", "_z", "_n", "_e", "_d")):
+    if not own.name.isidentifier() or not is_whole(own.name):
         raise ValueError(f"has the name '{own.name}', which is no word for a row of a table")
+    if own.name in MEASUREMENTS or own.name.startswith(WITHHELD):
+        raise ValueError(f"has the name '{own.name}', which the tables have for a measurement of the tool's own")
     return own
 
 
 def compiled_prediction(predict: Predict) -> Predict | None:
-    """Compile a prediction so that the filter can call it; None where it cannot be, or where nothing is compiled."""
+    """Compile a prediction so that `joined` can call it; None where it cannot be, or where nothing is compiled."""
     import numba
-    from numba import types
     from numba.core import config, errors
 
     if getattr(config, "DISABLE_JIT", False):
         return None
-    vector, matrix = types.Array(types.float64, 1, "C"), types.Array(types.float64, 2, "C")
     try:
-        made: Any = numba.cfunc(types.void(vector, vector, matrix), error_model="numpy")(predict)
+        made: Any = numba.njit(_signature(), error_model="numpy")(plain(predict))
     except errors.NumbaError:
         return None
     found: Predict = made
     return found
+
+
+def joined(predictions: Sequence[Predict], *, compiled: bool) -> Predicts:
+    """Make one function of all predictions, so that the filter is the same code for any number of them.
+
+    Parameters
+    ----------
+    predictions : sequence of callable
+        At least one.
+    compiled : bool
+        All are from `compiled_prediction`, and so is what is made of them; else it runs as it is.
+    """
+    import numba
+    from numba import types
+
+    chosen = _last(predictions[-1])
+    for predict in reversed(predictions[:-1]):
+        chosen = _first_of(predict, numba.njit(error_model="numpy")(chosen) if compiled else chosen)
+    if not compiled:
+        return chosen
+    found: Predicts = numba.cfunc(types.void(types.int64, *_signature().args), error_model="numpy")(chosen)
+    return found
+
+
+def _signature() -> Any:
+    from numba import types
+
+    vector, matrix = types.Array(types.float64, 1, "C"), types.Array(types.float64, 2, "C")
+    return types.void(vector, vector, matrix)
+
+
+def _last(predict: Predict) -> Predicts:
+    def chosen(which: int, ins: Floats, z: Floats, H: Floats) -> None:
+        predict(ins, z, H)
+
+    return chosen
+
+
+def _first_of(predict: Predict, others: Predicts) -> Predicts:
+    def chosen(which: int, ins: Floats, z: Floats, H: Floats) -> None:
+        if which == 0:
+            predict(ins, z, H)
+        else:
+            others(which - 1, ins, z, H)
+
+    return chosen
 
 
 def checked_readings(readings: OwnReadings) -> OwnReadings:

@@ -15,7 +15,7 @@ from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square, transposed_gain, update_cov
 from insdvl_replay.nav.measurement_noise import FIXED, STUDENT_T, adapted_factor, outlier_factor
 from insdvl_replay.nav.measurements import BEAM, Stack
-from insdvl_replay.nav.own_measurement import Predict
+from insdvl_replay.nav.own_measurement import Predicts
 from insdvl_replay.nav.state_layout import StateLayout
 from insdvl_replay.nav.state_log import Updates, write_update
 
@@ -61,7 +61,7 @@ def update(
     time_s: float,
     ins: InsAtPing,
     layout: StateLayout,
-    own: Predict | None,
+    own: Predicts | None,
     goes_on: bool,
     matrices: Matrices,
     updates: Updates,

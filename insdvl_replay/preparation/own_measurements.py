@@ -1,14 +1,22 @@
 """Measurements of the user's own: imported, asked for their readings of a dive, and prepared like those of a sensor."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, Note
+from insdvl_replay.core.quantities import COMPONENTS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.nav.innovation import OWN
 from insdvl_replay.nav.measurements import Measurement, sensor_measurement
-from insdvl_replay.nav.own_measurement import checked_readings, compiled_prediction, load_own_measurement
+from insdvl_replay.nav.own_measurement import (
+    Predict,
+    checked_readings,
+    compiled_prediction,
+    joined,
+    load_own_measurement,
+)
 from insdvl_replay.nav.timeline import FIRST_OTHER
 
 
@@ -36,19 +44,58 @@ def prepare_own_measurements(
     ConfigError
         One cannot be imported, has no reading in the span, or its readings are none.
     """
-    found, notes = dict[str, Measurement](), list[Note]()
     words = dict.fromkeys(word for filter_ in config.filters.values() for word in filter_.aiding if ":" in word)
+    found, predictions = dict[str, Measurement](), dict[str, Predict]()
     for row, word in enumerate(words, start=FIRST_OTHER + sensors):
-        measurement, is_compiled = _prepared(word, dive, start_ns, end_ns)
+        measurement, predictions[word] = _read(word, dive, start_ns, end_ns)
         found[word] = replace(measurement, sensor=row)
-        if not is_compiled:
-            text = f"the prediction of {word} cannot be compiled, and runs as it is: the filter takes long"
-            hint = "numbers, loops and numpy's functions of numbers can be compiled"
-            notes.append(Note("own_measurement_plain", text, severity=Severity.WARNING, hint=hint))
-    return found, tuple(notes)
+    for name, filter_ in config.filters.items():
+        _require_different_rows(name, {word: found[word] for word in filter_.aiding if word in found})
+    compiled = {word: made for word in words if (made := compiled_prediction(predictions[word])) is not None}
+    plain = {word: predict for word, predict in predictions.items() if word not in compiled}
+    return found | _predicted(found, predictions, compiled), tuple(map(_plain_note, plain))
 
 
-def _prepared(word: str, dive: Dive, start_ns: int, end_ns: int) -> tuple[Measurement, bool]:
+def _predicted(
+    found: Mapping[str, Measurement], predictions: Mapping[str, Predict], compiled: Mapping[str, Predict]
+) -> dict[str, Measurement]:
+    """Give each measurement its prediction, by a number and what all have in common.
+
+    What is compiled has the first numbers, so that they are the same in what is compiled of these alone and in what
+    runs all as they are, for a filter that has another one, too.
+    """
+    order = sorted(predictions, key=lambda word: word not in compiled)
+    if compiled:
+        by_compiled = joined([compiled[word] for word in order if word in compiled], compiled=True)
+    if len(compiled) < len(order):
+        by_all = joined([predictions[word] for word in order], compiled=False)
+    return {
+        word: replace(found[word], kind=OWN + which, predict=by_compiled if word in compiled else by_all)
+        for which, word in enumerate(order)
+    }
+
+
+def _plain_note(word: str) -> Note:
+    text = f"the prediction of {word} cannot be compiled, and runs as it is: the filter takes long"
+    hint = "numbers, loops and numpy's functions of numbers can be compiled"
+    return Note("own_measurement_plain", text, severity=Severity.WARNING, hint=hint)
+
+
+def _require_different_rows(name: str, of_filter: Mapping[str, Measurement]) -> None:
+    """Refuse measurements of one filter that share a row of its tables."""
+    words = dict[str, str]()
+    for word, measurement in of_filter.items():
+        row = measurement.name
+        if row in words:
+            raise ConfigError(
+                f"filters.{name} is aided by {words[row]} and {word}, which both have a row '{row}' in the tables",
+                "give one of the two classes another name",
+            )
+        words[row] = word
+
+
+def _read(word: str, dive: Dive, start_ns: int, end_ns: int) -> tuple[Measurement, Predict]:
+    """Return a measurement that is not predicted yet, and how it will be."""
     try:
         own = load_own_measurement(word)
         readings = checked_readings(own.readings(dive))
@@ -61,7 +108,6 @@ def _prepared(word: str, dive: Dive, start_ns: int, end_ns: int) -> tuple[Measur
         raise ConfigError(f"{word} has no reading between the start of the replay and its end", "times are int64 ns")
     made = sensor_measurement(
         own.name, own.unit, OWN, readings.time_ns[inside], readings.values[inside], readings.sd[inside],
-        axes=tuple(str(i + 1) for i in range(readings.values.shape[1])) if readings.values.shape[1] > 1 else (),
+        axes=COMPONENTS[:width] if (width := readings.values.shape[1]) > 1 else (),
     )  # fmt: skip
-    predict = compiled_prediction(own.predict)
-    return replace(made, predict=predict or own.predict), predict is not None
+    return made, own.predict

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from insdvl_replay.core.config_navigation import Solution
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
-    Dive,
     Floats,
     ImuColumns,
     ReferenceColumns,
     SolutionColumns,
     TimeNs,
     at_time,
+    in_blocks,
+    nothing,
     seconds,
 )
 from insdvl_replay.core.errors import ConfigError, LogError, Note
@@ -34,16 +35,23 @@ STATES: Final = states_with(["position"])
 """Those of which a solution can say how sure it is are among these; the biases never are."""
 _TOLD: Final = np.r_[: BA.start, POSITION.start : POSITION.stop]
 """Rows of a solution's covariance among its states."""
+Scalar = TypeVar("Scalar", bound=np.generic)
 QUANTITIES: Final = ("positions", "velocities", "attitudes")
 
 
 def read_solutions(
-    dive: Dive, settings: Mapping[str, Solution], baseline: History, judged_ns: TimeNs
-) -> tuple[Dive, tuple[History, ...], tuple[Note, ...]]:
+    solutions: dict[str, SolutionColumns],
+    settings: Mapping[str, Solution],
+    imu: ImuColumns,
+    baseline: History,
+    judged_ns: TimeNs,
+) -> tuple[tuple[History, ...], dict[str, ReferenceColumns], tuple[Note, ...]]:
     """Tell what each solution of a dive says at the times of the baseline.
 
     Parameters
     ----------
+    solutions : dict of str to SolutionColumns
+        Those of the dive. They are taken out one by one: of a long log they are larger than the IMU's readings.
     settings : mapping of str to Solution
         By the name of the filter that each is.
     judged_ns : ndarray, shape (c,)
@@ -51,11 +59,11 @@ def read_solutions(
 
     Returns
     -------
-    Dive
-        With the solutions as they were laid.
     tuple of History
         In the order of the settings; between two samples on a line, with the turn between two attitudes at a steady
         rate.
+    dict of str to ReferenceColumns
+        Positions and velocities of each sample, as they were laid.
     tuple of Note
         Where each was laid, what of the replay it covers, and of what it says nothing.
 
@@ -66,12 +74,14 @@ def read_solutions(
     ConfigError
         A solution is of another point than the IMU, and gives no attitude to say where that is.
     """
-    laid, histories, notes = dict[str, SolutionColumns](), list[History](), list[Note]()
+    histories, motions, notes = list[History](), dict[str, ReferenceColumns](), list[Note]()
     for name, setting in settings.items():
-        laid[name], found, turned = laid_solution(name, dive.solutions[name], setting, dive.imu, baseline)
-        histories.append(history_of(name, laid[name], baseline, judged_ns, is_turned=turned))
-        notes += [*found, *_coverage_notes(name, laid[name].motion, baseline), *_belief_notes(name, histories[-1])]
-    return replace(dive, solutions=laid), tuple(histories), tuple(notes)
+        laid, found, turned = laid_solution(name, solutions.pop(name), setting, imu, baseline)
+        notes += [*found, *_coverage_notes(name, laid.motion, baseline)]
+        histories.append(history_of(name, laid, baseline, judged_ns, is_turned=turned))
+        notes += _belief_notes(name, histories[-1])
+        motions[name] = laid.motion.without_attitude()
+    return tuple(histories), motions, tuple(notes)
 
 
 def laid_solution(
@@ -104,23 +114,25 @@ def laid_solution(
         text = f"{key}: turned by {turn / DEG:+.2f} deg to the heading of {baseline.filter} at its first attitude"
         notes.append(Note("solution_turned", text))
     motion = solution.motion
-    if solution.way_n is not None:
-        origin = np.broadcast_to(baseline.position[0], solution.way_n.shape)
-        motion = replace(motion, position=moved_position(origin, solution.way_n))
-    near = motion.position.copy()
-    near[:, 1] = baseline.position[0, 1] + wrap_angle(near[:, 1] - baseline.position[0, 1])
-    motion = replace(motion, position=near)
+    origin, has_own_origin = baseline.position[0], solution.way_n is not None
+    position = in_blocks(
+        lambda rows: _laid_near(origin, rows, are_ways=has_own_origin),
+        motion.position if solution.way_n is None else solution.way_n,
+        np.empty(motion.position.shape),
+    )
+    motion = replace(motion, position=position)
+    solution = replace(solution, motion=motion, way_n=None)
     motion = reference_at_imu(motion, imu, np.array(settings.lever_arm_m), mat_br)
     if align != "none" and motion.has_position:
-        motion, way_m, late_s = _shifted(motion, key, baseline)
-        from_own = " from an origin of its own" if solution.way_n is not None else ""
+        way_m, late_s = _shift(motion, key, baseline)
+        from_own = " from an origin of its own" if has_own_origin else ""
         moved = "" if from_own else f", {way_m:.3g} m from where it was"
         text = (
             f"{key}: its positions{from_own} are laid on {baseline.filter} at the first of them, "
             f"{late_s:.2f} s after the start{moved}"
         )
         notes.append(Note("solution_laid", text))
-    return replace(solution, motion=motion, way_n=None), notes, align == "heading"
+    return replace(solution, motion=motion), notes, align == "heading"
 
 
 def history_of(
@@ -139,13 +151,12 @@ def history_of(
     velocity_n = _interpolated(motion.time_ns, motion.velocity_n, time_ns)
     mat_nb = _interpolated_attitude(motion.time_ns, motion.mat_nb, time_ns)
     said = np.isfinite(np.column_stack([position[:, 0], velocity_n[:, 0], mat_nb[:, 0, 0]])).any(axis=1)
-    cov = _cov_at(solution, time_ns[said])
     sd = np.full((len(time_ns), len(STATES)), np.nan)
-    sd[np.ix_(said, _TOLD)] = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    sd[np.ix_(said, _TOLD)] = np.sqrt(_told_at(solution, time_ns[said], np.diagonal(solution.cov, axis1=1, axis2=2)))
     cov_ns = judged_ns[np.isin(judged_ns, time_ns[said])]
     whole = np.full((len(cov_ns), len(STATES), len(STATES)), np.nan)
-    whole[np.ix_(np.arange(len(cov_ns)), _TOLD, _TOLD)] = _cov_at(solution, cov_ns)
-    nothing = np.full((len(time_ns), 3), np.nan)
+    whole[np.ix_(np.arange(len(cov_ns)), _TOLD, _TOLD)] = _told_at(solution, cov_ns, solution.cov)
+    untold = np.full((len(time_ns), 3), np.nan)
     return History(
         filter=name,
         time_ns=time_ns,
@@ -153,8 +164,8 @@ def history_of(
         position=position,
         velocity_n=velocity_n,
         mat_nb=mat_nb,
-        accel_bias_b=nothing,
-        gyro_bias_b=nothing,
+        accel_bias_b=untold,
+        gyro_bias_b=untold,
         sd=sd,
         cov_ns=cov_ns,
         cov=whole,
@@ -163,6 +174,13 @@ def history_of(
         is_read=True,
         is_turned=is_turned,
     )
+
+
+def _laid_near(origin: Floats, told: Floats, *, are_ways: bool) -> Floats:
+    """Make positions of positions or of ways from an origin, with longitudes on its side of the 180th meridian."""
+    near = moved_position(np.broadcast_to(origin, told.shape), told) if are_ways else told.copy()
+    near[:, 1] = origin[1] + wrap_angle(near[:, 1] - origin[1])
+    return near
 
 
 def _first_ns(motion: ReferenceColumns, quantity: str, key: str, baseline: History) -> int:
@@ -198,8 +216,8 @@ def _turned(solution: SolutionColumns, mat: Floats) -> SolutionColumns:
     return replace(solution, motion=turned, way_n=way_n, cov=blocks.reshape(solution.cov.shape))
 
 
-def _shifted(motion: ReferenceColumns, key: str, baseline: History) -> tuple[ReferenceColumns, float, float]:
-    """Lay the first position on the baseline; also return by how many metres it moves, and when that is, s."""
+def _shift(motion: ReferenceColumns, key: str, baseline: History) -> tuple[float, float]:
+    """Lay the first position on the baseline, in place; return by how many metres it moves, and when that is, s."""
     at_ns = _first_ns(motion, "positions", key, baseline)
     has_height = bool(motion.known["heights"].any())
     told = motion.position if has_height else np.column_stack([motion.position[:, :2], np.zeros(len(motion.time_ns))])
@@ -209,8 +227,8 @@ def _shifted(motion: ReferenceColumns, key: str, baseline: History) -> tuple[Ref
     if not has_height:
         own[2] = wanted[2]
     way_n = north_east_down_m(wanted, own)
-    moved = moved_position(motion.position, np.broadcast_to(way_n, motion.position.shape))
-    return replace(motion, position=moved), float(np.linalg.norm(way_n)), (at_ns - int(baseline.time_ns[0])) / NS_PER_S
+    in_blocks(lambda rows: moved_position(rows, np.broadcast_to(way_n, rows.shape)), motion.position, motion.position)
+    return float(np.linalg.norm(way_n)), (at_ns - int(baseline.time_ns[0])) / NS_PER_S
 
 
 def _between(time_ns: TimeNs, known: NDArray[np.bool_], at_ns: TimeNs) -> tuple[NDArray[np.int64], Floats]:
@@ -223,15 +241,20 @@ def _between(time_ns: TimeNs, known: NDArray[np.bool_], at_ns: TimeNs) -> tuple[
     share : ndarray, shape (k,)
         Of the step to the next; NaN outside, and where the step is longer than `LONGEST_STEP`.
     """
-    known_ns = time_ns[known]
+    known_ns = _of(known, time_ns)
     if len(known_ns) < 2:
         return np.zeros(len(at_ns), np.int64), np.full(len(at_ns), np.nan)
     before = np.clip(np.searchsorted(known_ns, at_ns, side="right") - 1, 0, len(known_ns) - 2)
     step_s = seconds(known_ns[before + 1], known_ns[before])
     share = seconds(at_ns, known_ns[before]) / step_s
-    usual_s = float(np.median(seconds(known_ns[1:], known_ns[:-1])))
+    usual_s = float(np.median(np.diff(known_ns), overwrite_input=True)) * 1e-9
     said = (share >= 0.0) & (share <= 1.0) & ((step_s <= LONGEST_STEP * usual_s) | (share == 0.0) | (share == 1.0))
     return before, np.where(said, share, np.nan)
+
+
+def _of(known: NDArray[np.bool_], values: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Return the known rows; mostly it is all of them, which spares a copy."""
+    return values if known.all() else values[known]
 
 
 def _interpolated(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
@@ -240,7 +263,7 @@ def _interpolated(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
     for column in values.T:
         known: NDArray[np.bool_] = np.isfinite(column)
         before, share = _between(time_ns, known, at_ns)
-        given = column[known] if known.sum() > 1 else np.full(2, np.nan)
+        given = _of(known, column) if known.sum() > 1 else np.full(2, np.nan)
         columns.append(given[before] + share * (given[before + 1] - given[before]))
     return np.stack(columns, axis=1)
 
@@ -248,19 +271,26 @@ def _interpolated(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
 def _interpolated_attitude(time_ns: TimeNs, mat_nb: Floats, at_ns: TimeNs) -> Floats:
     known = np.asarray(np.isfinite(mat_nb).all(axis=(1, 2)))
     before, share = _between(time_ns, known, at_ns)
-    found, said = np.full((len(at_ns), 3, 3), np.nan), np.isfinite(share)
-    first, second = (mat_nb[known][before[said] + after] for after in (0, 1)) if said.any() else (found[:0],) * 2
-    turn = vector_from_mat(np.swapaxes(first, 1, 2) @ second)
-    found[said] = first @ mat_from_vector(share[said, None] * turn)
+    found, said = np.full((len(at_ns), 3, 3), np.nan), np.flatnonzero(np.isfinite(share))
+    rows = before + np.array([[0], [1]])
+    if not known.all():
+        rows[:, said] = np.flatnonzero(known)[rows[:, said]]
+
+    def partway(told: NDArray[np.int64]) -> Floats:
+        first, second = mat_nb[rows[:, told]]
+        turn = vector_from_mat(np.swapaxes(first, 1, 2) @ second)
+        return np.asarray(first @ mat_from_vector(share[told, None] * turn))
+
+    found[said] = in_blocks(partway, said, np.empty((len(said), 3, 3)))
     return found
 
 
-def _cov_at(solution: SolutionColumns, at_ns: TimeNs) -> Floats:
-    """Return the last covariance told before, or at, each time; the first before that; NaN without any."""
-    if not len(solution.cov_ns):
-        return np.full((len(at_ns), len(_TOLD), len(_TOLD)), np.nan)
+def _told_at(solution: SolutionColumns, at_ns: TimeNs, told: Floats) -> Floats:
+    """Return of covariances, shape (c, ...), the last one before, or at, each time; the first before that."""
+    if not len(told):
+        return nothing((len(at_ns), *told.shape[1:]))
     rows = np.searchsorted(solution.cov_ns, at_ns, side="right") - 1
-    return solution.cov[np.clip(rows, 0, None)]
+    return told[np.clip(rows, 0, None)]
 
 
 def _coverage_notes(name: str, motion: ReferenceColumns, baseline: History) -> Iterator[Note]:

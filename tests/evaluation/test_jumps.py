@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from test_consistency import history
 
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, SolutionColumns
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.track_rows import JumpRow
 from insdvl_replay.evaluation.jumps import jump_table
 from insdvl_replay.geometry.frames import moved_position
-from insdvl_replay.logs.columns.solutions import no_covariances
 
 RATE_HZ = 5
 TIME_S = np.arange(600) / RATE_HZ
@@ -25,7 +24,7 @@ def found(way_n: Floats, velocity_n: Floats = VELOCITY_N) -> JumpRow:
     origin = np.broadcast_to([0.57, 0.61, -5.0], way_n.shape)
     motion = ReferenceColumns(time_ns, moved_position(origin, way_n), velocity_n, np.full((len(way_n), 3, 3), np.nan))
     beside = replace(history("onboard", np.full(2, 3.0)), time_ns=time_ns[[0, -1]], is_read=True)
-    (row,) = jump_table("dive", [beside], {"onboard": SolutionColumns(motion, None, *no_covariances())})
+    (row,) = jump_table("dive", [beside], {"onboard": motion})
     return row
 
 

@@ -18,15 +18,16 @@ def columns(log_times: list[int], values: list[float]) -> dict[str, np.ndarray]:
 
 def test_one_channel_is_given_back_as_it_is() -> None:
     given = columns([3, 1, 2], [1.0, 2.0, 3.0])
-    merged, channel_ids, duplicates = merge_channels(given, [(7, 2), (7, 1)])
+    merged, channel_ids, rows = merge_channels(given, [(7, 2), (7, 1)])
     assert merged is given
-    assert (channel_ids.size, duplicates) == (0, 0)
+    assert (channel_ids.size, rows) == (0, None)
 
 
 def test_channels_are_laid_together_by_log_time() -> None:
-    merged, channel_ids, duplicates = merge_channels(columns([1, 3, 2, 4], [1.0, 3.0, 2.0, 4.0]), [(1, 2), (2, 2)])
+    merged, channel_ids, rows = merge_channels(columns([1, 3, 2, 4], [1.0, 3.0, 2.0, 4.0]), [(1, 2), (2, 2)])
     assert merged["x"].ravel().tolist() == [1.0, 2.0, 3.0, 4.0]
-    assert (channel_ids.tolist(), duplicates) == ([1, 2, 1, 2], 0)
+    assert rows is not None
+    assert (channel_ids.tolist(), rows.tolist()) == ([1, 2, 1, 2], [0, 2, 1, 3])
 
 
 def test_a_channel_stays_in_its_own_order() -> None:
@@ -35,9 +36,10 @@ def test_a_channel_stays_in_its_own_order() -> None:
 
 
 def test_what_another_channel_holds_too_is_left_out_once() -> None:
-    merged, channel_ids, duplicates = merge_channels(columns([1, 2, 1, 2], [1.0, NAN, 1.0, NAN]), [(1, 2), (2, 2)])
+    merged, channel_ids, rows = merge_channels(columns([1, 2, 1, 2], [1.0, NAN, 1.0, NAN]), [(1, 2), (2, 2)])
     assert merged["log_time"].ravel().tolist() == [1, 2]
-    assert (channel_ids.tolist(), duplicates) == ([1, 1], 2)
+    assert rows is not None
+    assert (channel_ids.tolist(), rows.tolist()) == ([1, 1], [0, 1])
 
 
 @pytest.mark.parametrize(

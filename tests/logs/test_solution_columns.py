@@ -13,6 +13,7 @@ from insdvl_replay.core.config_navigation import Solution
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.columns.tables import Sampled
 from insdvl_replay.logs.columns.tum import read_tum
 
 TIMES = 0.1 * np.arange(20)
@@ -102,6 +103,36 @@ def test_what_stands_for_no_covariance_tells_nothing(pose: Floats, twist: Floats
     blocks = {"v": slice(0, 3), "a": slice(3, 6), "p": slice(6, 9)}
     assert "".join(name for name, block in blocks.items() if known[block, block].all()) == told
     assert not [note for note in dive.notes if note.code == "solution_covariance"]
+
+
+def growing(order: list[int]) -> list[dict[str, Any]]:
+    """Give messages in some order, each with a covariance of its own."""
+    poses = [(1 + i) * 1e-4 * full(1, 6) for i in range(len(TIMES))]
+    return [odometry(i, poses[i], 1e-2 * full(2, 6)) for i in order]
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_of_many_messages_every_third_covariance_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, swapped: bool
+) -> None:
+    """Of the messages in the file: where one came late, it stands among the others by its stamp."""
+    order = list(range(20))
+    if swapped:
+        order[9], order[10] = 10, 9
+    whole, _ = solution_of(tmp_path, "nav_msgs/msg/Odometry", growing(order))
+    monkeypatch.setattr("insdvl_replay.logs.columns.table_reading.MOST_SAMPLED", 7)
+    some, _ = solution_of(tmp_path, "nav_msgs/msg/Odometry", growing(order))
+    rows = [0, 3, 6, 10 if swapped else 9, 12, 15, 18]
+    np.testing.assert_array_equal(whole.cov_ns, whole.motion.time_ns)
+    np.testing.assert_array_equal(some.cov_ns, whole.cov_ns[rows])
+    np.testing.assert_array_equal(some.cov, whole.cov[rows])
+    np.testing.assert_array_equal(some.motion.mat_nb, whole.motion.mat_nb)
+
+
+def test_what_is_sampled_follows_the_rows_that_stay() -> None:
+    sampled = Sampled({"x": np.array([[0.0], [3.0], [6.0]])}, np.array([0, 3, 6]))
+    moved = sampled.among(np.array([6, 2, 0, 1]), 8)
+    assert (moved.columns["x"].ravel().tolist(), moved.rows.tolist()) == ([6.0, 0.0], [0, 2])
 
 
 def test_matrices_that_are_no_covariances_are_counted(tmp_path: Path) -> None:

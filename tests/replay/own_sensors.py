@@ -2,6 +2,7 @@
 
 import math
 
+import numba
 import numpy as np
 
 from insdvl_replay.core.dive_columns import Dive, Floats
@@ -30,6 +31,12 @@ class Speed(OwnMeasurement):
         z[0] = math.sqrt(ins[3] ** 2 + ins[4] ** 2 + ins[5] ** 2)
         for i in range(3):
             H[0, i] = ins[3 + i] / z[0]
+
+
+class JittedSpeed(Speed):
+    """The same, compiled by its author."""
+
+    predict = staticmethod(numba.njit(Speed.predict))
 
 
 BEACON = (math.radians(32.801), math.radians(34.903), -60.0)
@@ -65,6 +72,83 @@ class PlainSpeed(Speed):
         velocity = {"n": ins[3], "e": ins[4], "d": ins[5]}
         z[0] = math.sqrt(sum(component**2 for component in velocity.values()))
         H[0, :3] = np.array(list(velocity.values())) / z[0]
+
+
+class Deep(OwnMeasurement):
+    """What the tool has as ``depth``, with a zero that is known."""
+
+    name, unit = "deep", "m"
+    sd = 0.05
+
+    def readings(self, dive: Dive) -> OwnReadings:
+        """Take those of the pressure gauge."""
+        return OwnReadings(dive.sensors["depth"].time_ns, dive.sensors["depth"].values, np.array([self.sd]))
+
+    @staticmethod
+    def predict(ins: Floats, z: Floats, H: Floats) -> None:
+        """Write -h, which has the downward error of the position."""
+        z[0], H[0, 14] = -ins[2], 1.0
+
+
+class Bow(OwnMeasurement):
+    """What the tool has as ``heading``, of a vehicle that does not point south."""
+
+    name, unit = "bow", "rad"
+    sd = math.radians(1.0)
+
+    def readings(self, dive: Dive) -> OwnReadings:
+        """Take those of the compass."""
+        return OwnReadings(dive.sensors["heading"].time_ns, dive.sensors["heading"].values, np.array([self.sd]))
+
+    @staticmethod
+    def predict(ins: Floats, z: Floats, H: Floats) -> None:
+        """Write the direction of the first column of C."""
+        north, east, down = ins[6], ins[9], ins[12]
+        steep = down / (north**2 + east**2)
+        z[0] = math.atan2(east, north)
+        H[0, 3], H[0, 4], H[0, 5] = -steep * north, -steep * east, 1.0
+
+
+class PlainBow(Bow):
+    """The same by what no compiler knows."""
+
+    @staticmethod
+    def predict(ins: Floats, z: Floats, H: Floats) -> None:
+        """Write the direction of the first column of C."""
+        Bow.predict(*{"ins": ins, "z": z, "H": H}.values())
+
+
+class DeepTwice(Deep):
+    """Two components."""
+
+    name, unit = "deep_twice", "m"
+
+    def readings(self, dive: Dive) -> OwnReadings:
+        """Say the depth twice."""
+        found = super().readings(dive)
+        return OwnReadings(found.time_ns, np.repeat(found.values, 2, axis=1), found.sd)
+
+    @staticmethod
+    def predict(ins: Floats, z: Floats, H: Floats) -> None:
+        """Write -h twice."""
+        for i in range(2):
+            z[i], H[i, 14] = -ins[2], 1.0
+
+
+class FirstOfSpeed(Speed):
+    """A row of the name that a first component has."""
+
+    name = "speed_c1"
+
+
+class OtherSpeed(Speed):
+    """Another class of the same name."""
+
+
+class BuiltIn(Speed):
+    """The name of a sensor that the tool has."""
+
+    name = "depth"
 
 
 class Three(OwnMeasurement):

@@ -1,5 +1,6 @@
 """A measurement of a user's own aids a filter, compiled or as it is, and stands in the tables."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,13 +8,20 @@ import pytest
 from mcap_ros2.writer import Writer
 from own_sensors import BEACON, RANGE_SD_M
 
-from insdvl_replay.core.config import Config, Evaluation, Filter, Position, Topic
+from insdvl_replay.core.compiled import plain
+from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Heading, Position, Span, Topic
 from insdvl_replay.core.config_file import load_config, render_toml
-from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.history import History
+from insdvl_replay.core.quantities import is_used
+from insdvl_replay.core.words import Consistency, Whiteness
 from insdvl_replay.logs.writing.dive_log import write_dive
+from insdvl_replay.preparation.prepared import prepare_dive
+from insdvl_replay.preparation.running import prepared_timeline, run_one
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.sim.sensors import SensorErrors
 
 
 def replayed(word: str, duration_s: float = 200.0) -> Replay:
@@ -42,6 +50,12 @@ def test_what_cannot_be_compiled_gives_the_same_and_says_so() -> None:
     assert "PlainSpeed cannot be compiled" in note.text
 
 
+def test_what_its_author_has_compiled_is_compiled_with_the_filter() -> None:
+    jitted, given = replayed("own_sensors:JittedSpeed", 20.0), replayed("own_sensors:Speed", 20.0)
+    np.testing.assert_array_equal(jitted.histories[1].velocity_n, given.histories[1].velocity_n)
+    assert not [note for note in jitted.notes if note.code == "own_measurement_plain"]
+
+
 @pytest.mark.parametrize(
     ("word", "reason"),
     [
@@ -56,6 +70,117 @@ def test_what_cannot_be_compiled_gives_the_same_and_says_so() -> None:
 def test_what_is_none_is_told_in_a_sentence(word: str, reason: str) -> None:
     with pytest.raises(ConfigError, match=reason):
         replayed(word, 20.0)
+
+
+# --- Several in one filter.
+
+DEEP, BOW, PLAIN_BOW = "own_sensors:Deep", "own_sensors:Bow", "own_sensors:PlainBow"
+
+
+@pytest.fixture(scope="module")
+def gauged() -> Dive:
+    """A dive whose depth and heading were measured, each at times of its own."""
+    sensors = {"depth": SensorErrors(0.05, 4.0), "heading": SensorErrors(1.0, 1.0)}
+    return simulate_dive("lawnmower", seed=4, duration_s=200.0, grade="mems", imu_rate_hz=50.0, sensors=sensors)
+
+
+def aided(end_s: float | None = None, **filters: tuple[str, ...]) -> Config:
+    mems = load_config("mems")
+    settings = {name: Filter(aiding=aiding, states=("position",)) for name, aiding in filters.items()}
+    return Config(
+        noise=mems.noise, initial=mems.initial, filters=settings, evaluation=Evaluation(starts=1),
+        depth=Depth(sd_m=0.05, surface_height_m=0.0), heading=Heading(sd_deg=1.0), span=Span(end_s=end_s),
+    )  # fmt: skip
+
+
+def assert_same(history: History, expected: History) -> None:
+    np.testing.assert_allclose(history.velocity_n, expected.velocity_n, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(history.mat_nb, expected.mat_nb, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(history.position[:, 2], expected.position[:, 2], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(history.sd, expected.sd, rtol=1e-9)
+    for own, built_in in zip(history.innovations, expected.innovations, strict=True):
+        np.testing.assert_array_equal(own.time_ns, built_in.time_ns)
+        np.testing.assert_allclose(own.nis, built_in.nis, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("words", "own", "end_s"),
+    [
+        (("velocity", "depth", "heading"), ("velocity", DEEP, BOW), 200.0),
+        (("heading", "velocity", "depth"), (BOW, "velocity", DEEP), 200.0),
+        (("velocity", "heading", "depth"), ("velocity", PLAIN_BOW, DEEP), 40.0),
+    ],
+)
+def test_two_give_what_the_sensors_give_that_the_tool_has(
+    gauged: Dive, words: tuple[str, ...], own: tuple[str, ...], end_s: float
+) -> None:
+    """The tool's own depth estimates its zero; without this state it predicts what the class does."""
+    config = aided(end_s, built_in=words, mine=own)
+    prepared = prepare_dive(gauged, config)
+    built_in, mine = prepared.filters
+    built_in = replace(built_in, states=mine.states, more_sd=mine.more_sd)
+    timeline = prepared_timeline(gauged, prepared)
+    assert_same(run_one(mine, prepared, timeline), run_one(built_in, prepared, timeline))
+
+
+def test_several_are_judged_each_by_its_name(gauged: Dive) -> None:
+    replay = replay_dive(gauged, aided(baseline=("velocity",), both=("velocity", DEEP, BOW), one=(BOW, "velocity")))
+    for name, readings in (("deep", 800), ("bow", 200)):
+        row = next(row for row in replay.tables.consistency if (row.filter, row.measurement) == ("both", name))
+        assert (row.used, row.verdict, row.whiteness) == (readings, Consistency.CONSISTENT, Whiteness.WHITE)
+    measured = {history.filter: [met.measurement for met in history.innovations] for history in replay.histories}
+    assert measured == {"baseline": ["velocity"], "both": ["velocity", "deep", "bow"], "one": ["bow", "velocity"]}
+    assert not [note for note in replay.notes if note.code == "own_measurement_plain"]
+
+
+def test_a_filter_beside_one_that_cannot_be_compiled_is(gauged: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran_plain = []
+    monkeypatch.setattr("insdvl_replay.nav.filter.plain", lambda run: ran_plain.append(run) or plain(run))
+    config = aided(40.0, slow=("velocity", PLAIN_BOW, DEEP), fast=("velocity", BOW, DEEP))
+    prepared = prepare_dive(gauged, config)
+    timeline = prepared_timeline(gauged, prepared)
+    slow, fast = (run_one(filter_, prepared, timeline) for filter_ in prepared.filters)
+    assert len(ran_plain) == 1
+    assert_same(slow, fast)
+
+
+@pytest.mark.parametrize(
+    ("aiding", "reason"),
+    [
+        (
+            ("own_sensors:Speed", "own_sensors:OtherSpeed"),
+            "filters.mine is aided by own_sensors:Speed and own_sensors:OtherSpeed, which both have a row 'speed'",
+        ),
+        (("own_sensors:FirstOfSpeed",), "FirstOfSpeed has the name 'speed_c1', which is no word for a row of a table"),
+        ((DEEP, "own_sensors:BuiltIn"), "BuiltIn has the name 'depth', which the tables have for a measurement of the"),
+    ],
+)
+def test_names_of_rows_that_are_taken_are_refused(gauged: Dive, aiding: tuple[str, ...], reason: str) -> None:
+    config = aided(20.0, baseline=("velocity",), mine=("velocity", *aiding), other=("velocity", aiding[0]))
+    with pytest.raises(ConfigError, match=reason):
+        replay_dive(gauged, config)
+
+
+def test_components_have_rows_and_no_vote(gauged: Dive) -> None:
+    replay = replay_dive(gauged, aided(20.0, baseline=("velocity",), mine=("velocity", "own_sensors:DeepTwice")))
+    rows = [row.measurement for row in replay.tables.consistency if row.filter == "mine"]
+    of_mine = [row for row in rows if row.startswith("deep_twice")]
+    assert of_mine == ["deep_twice", "deep_twice_c1", "deep_twice_c2"]
+    assert [row for row in of_mine if is_used(row)] == ["deep_twice"]
+
+
+def test_two_of_one_name_stand_in_two_filters(gauged: Dive) -> None:
+    words = {"baseline": ("velocity",), "mine": ("own_sensors:Speed",), "other": ("own_sensors:OtherSpeed",)}
+    replay = replay_dive(gauged, aided(20.0, **words))
+    assert_same(replay.histories[1], replay.histories[2])
+
+
+def test_a_word_that_stands_twice_or_is_not_known_is_told_with_its_place() -> None:
+    own = '"own_sensors:Speed"'
+    with pytest.raises(ConfigError, match=r"filters\.mine\.aiding\[1\] 'own_sensors:Speed' stands there already"):
+        load_config(overrides=[f"filters.mine.aiding=[{own},{own}]"])
+    with pytest.raises(ConfigError, match=r"filters\.mine\.aiding\[1\] 'velocty' is not known"):
+        load_config(overrides=[f'filters.mine.aiding=[{own},"velocty"]'])
 
 
 # --- A topic of the log.

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from vehicles_own import Told, write_odometry
 
 from insdvl_replay import replay
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config import Config, Evaluation, Filter
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.preparation.reading import read_checked_dive
@@ -63,3 +65,75 @@ def test_a_replay_lets_the_readings_go_and_keeps_the_times(quantity: str) -> Non
     dive = dive_of(SHORT_S)
     kept, given = getattr(replay_dive(dive, Config()).dive.imu, quantity), getattr(dive.imu, quantity)
     np.testing.assert_array_equal(kept, given if quantity == "time_ns" else given[:0])
+
+
+# --- A solution of the vehicle's own, as often as the IMU reads.
+
+
+def with_odometry(folder: Path, duration_s: float = LONG_S) -> tuple[list[Path], int]:
+    """Write a dive, and beside it an odometry of which each message has covariances of its own; count these."""
+    dive = dive_of(duration_s)
+    write_dive(folder / "dive.mcap", dive)
+    time_ns = dive.imu.time_ns
+    count, way_n = len(time_ns), (time_ns - time_ns[0])[:, None] * np.array([1e-9, 2e-9, 0.0])
+    told = Told(
+        time_ns, way_n, np.tile([1.0, 2.0, 0.0], (count, 1)), Rotation.from_euler("z", 1e-5 * np.arange(count)[:, None])
+    )
+    growing = np.linspace(1.0, 2.0, count)[:, None, None] * (np.eye(6) + 0.1)
+    covariances = {"pose.covariance": growing, "twist.covariance": 0.01 * growing}
+    return [folder / "dive.mcap", write_odometry(folder / "odometry.mcap", told, covariances)], count
+
+
+def settings(**filters: Filter) -> Config:
+    return Config(filters={"baseline": Filter(aiding=("velocity",)), **filters}, evaluation=Evaluation(starts=1))
+
+
+def peak_of(work: Callable[[], Any]) -> int:
+    work()
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_solution_takes_little_memory_beyond_its_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time, way, velocity and attitude of each message are kept, 128 bytes; of covariances, 216 more, some alone.
+
+    While it is read, its fields are in memory, too: two times, way, quaternion and velocity, 96 bytes. There is no room
+    for anything else that grows with their number.
+    """
+    monkeypatch.setattr("insdvl_replay.logs.columns.table_reading.MOST_SAMPLED", 1000)
+    paths, count = with_odometry(tmp_path)
+    beside = settings(onboard=Filter(solution="/odometry"))
+    solution = read_dive(paths, beside).solutions["onboard"]
+    told = (solution.motion.time_ns, solution.way_n, solution.motion.velocity_n, solution.motion.mat_nb)
+    assert len(solution.motion.time_ns) == count
+    assert sum(column.nbytes for column in told if column is not None) == 128 * count
+    assert solution.motion.position.strides[0] == 0  # none is told
+    assert len(solution.cov) <= 1000
+    alone_peak, beside_peak = (peak_of(lambda c=config: read_dive(paths, c)) for config in (settings(), beside))
+    assert beside_peak - alone_peak < (128 + 96) * count
+
+
+def test_a_solution_is_let_go_once_it_is_told_at_the_filters_times(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths, _ = with_odometry(tmp_path, SHORT_S)
+    columns, run = list[Callable[[], Any]](), replay.run_from_drawn_starts
+
+    def watched(*arguments: Any, **options: Any) -> Dive:
+        dive = read_checked_dive(*arguments, **options)
+        (solution,) = dive.solutions.values()
+        columns.extend(weakref.ref(column) for column in (solution.way_n, solution.cov, solution.motion.mat_nb))
+        return dive
+
+    def run_from(*arguments: Any, **options: Any) -> Any:
+        assert [alive() for alive in columns] == [None, None, None]
+        return run(*arguments, **options)
+
+    monkeypatch.setattr(replay, "read_checked_dive", watched)
+    monkeypatch.setattr(replay, "run_from_drawn_starts", run_from)
+    found = replay.replay_log(paths, settings(onboard=Filter(solution="/odometry")))
+    assert found.tables.jumps[0].steps > 0

@@ -166,7 +166,7 @@ def word_on_groups(dive: Dive, settings: Config, first: Replay) -> str:
     """Judge a solution by its errors, beside the baseline of another replay of the same dive."""
     assert dive.reference is not None
     judged_ns = dive.reference.time_ns[dive.reference.time_ns <= first.end_ns]
-    _, (history,), _ = read_solutions(dive, settings.solutions, first.histories[0], judged_ns)
+    (history,), _, _ = read_solutions(dict(dive.solutions), settings.solutions, dive.imu, first.histories[0], judged_ns)
     errors = state_errors(history, dive.reference, None).after(first.start_ns)
     return credibility_of(credibility_table("dive", ["onboard"], {"onboard": errors}), "onboard")
 

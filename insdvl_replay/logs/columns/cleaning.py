@@ -159,7 +159,7 @@ class Cleaner:
 
     def note_missing(self, quantity: str, values: Floats) -> None:
         """Count the rows that stay without a quantity, named in the plural, which others of them give."""
-        missing = ~np.isfinite(values[self.rows]).all(axis=1)
+        missing = ~np.isfinite(self.kept(values)).all(axis=1)
         count = int(np.count_nonzero(missing))
         if 0 < count < missing.size:
             text = f"{quantity} of {missing.size} are not finite, and count as missing"

@@ -140,7 +140,7 @@ def _rising(values: TimeNs) -> Mask:
     return rising
 
 
-def merge_channels(columns: Columns, runs: Sequence[tuple[int, int]]) -> tuple[Columns, NDArray[np.int64], int]:
+def merge_channels(columns: Columns, runs: Sequence[tuple[int, int]]) -> tuple[Columns, NDArray[np.int64], Rows | None]:
     """Merge the messages of several channels, each of which stays in its own order, and leave out repetitions.
 
     Parameters
@@ -155,22 +155,23 @@ def merge_channels(columns: Columns, runs: Sequence[tuple[int, int]]) -> tuple[C
     columns : dict of str to ndarray, shape (kept, n)
     channel_ids : ndarray, shape (kept,)
         Of each message; empty where all are of one.
-    duplicates : int
-        Messages that another channel holds too, with the same log time and the same values.
+    rows : ndarray, shape (kept,), or None
+        Which messages these are; None where all are of one channel. Left out are those that another channel holds too,
+        with the same log time and the same values.
     """
     if len({channel_id for channel_id, _ in runs}) < 2:
-        return columns, np.empty(0, np.int64), 0
+        return columns, np.empty(0, np.int64), None
     channel_ids = np.repeat(*np.transpose(runs))
-    reached = _reached(columns["log_time"][:, 0], channel_ids)
+    reached, order = _reached(columns["log_time"][:, 0], channel_ids), np.arange(channel_ids.size)
     if np.any(reached[1:] < reached[:-1]):
         order = np.argsort(reached, kind="stable")
         columns = {path: values[order] for path, values in columns.items()}
         channel_ids = channel_ids[order]
     repeated = repeated_rows(columns, channel_ids)
     if not repeated.any():
-        return columns, channel_ids, 0
+        return columns, channel_ids, order
     kept = {path: values[~repeated] for path, values in columns.items()}
-    return kept, channel_ids[~repeated], int(np.count_nonzero(repeated))
+    return kept, channel_ids[~repeated], order[~repeated]
 
 
 def _reached(log_time: TimeNs, channel_ids: NDArray[np.int64]) -> TimeNs:

@@ -8,7 +8,7 @@ import numpy as np
 
 from insdvl_replay.core.config import Heading, Initial
 from insdvl_replay.core.config_navigation import Navigation, Reference
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, distinct
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, distinct, in_blocks, nothing
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
@@ -194,16 +194,21 @@ def of_receiver(table: Table, quantity: str) -> Floats:
 def attitude(table: Table, settings: Navigation | Heading) -> Floats | None:
     """Return the attitude as it was written, shape (k, 3, 3), or None where the messages hold none whole."""
     if _by_quaternion(table, settings):
-        mat = mat_from_quat(table.values("quaternion", 4))
+        to_north = mat_from_quat if settings.axes == "ned_frd" else _mat_from_enu_flu
+        mat = in_blocks(to_north, table.values("quaternion", 4), np.empty((len(table), 3, 3)))
         for frame, north in _NORTHS:
             if frame in table:
                 mat[table.column(frame) != north] = np.nan
-        return mat if settings.axes == "ned_frd" else np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
+        return mat
     if "roll" in table:
         pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
         rpy = np.stack([table.column("roll"), pitch, table.column("heading")], axis=1)
         return mat_from_rpy(rpy * ANGLE_UNITS[settings.angle_unit])
     return None
+
+
+def _mat_from_enu_flu(quat: Floats) -> Floats:
+    return np.asarray(MAT_ENU_NED @ mat_from_quat(quat) @ MAT_FRD_FLU)
 
 
 def _is_east_north_up(table: Table, settings: Navigation) -> bool:
@@ -241,7 +246,9 @@ def _velocity_by_frame(table: Table, mat_nb: Floats | None) -> Floats:
 
 
 def union(parts: Sequence[Part]) -> ReferenceColumns:
-    """Lay what several topics tell on the union of their times."""
+    """Lay what several topics tell on the union of their times; what one tells alone is not copied."""
+    if len(parts) == 1:
+        return _alone(parts[0])
     time_ns = distinct(np.concatenate([part.time_ns for part in parts]))
     position, velocity_n = np.full((time_ns.size, 3), np.nan), np.full((time_ns.size, 3), np.nan)
     mat_nb = np.full((time_ns.size, 3, 3), np.nan)
@@ -251,3 +258,15 @@ def union(parts: Sequence[Part]) -> ReferenceColumns:
             if values is not None:
                 column[rows] = values
     return ReferenceColumns(time_ns, position, velocity_n, mat_nb)
+
+
+def _alone(part: Part) -> ReferenceColumns:
+    """Take over what a topic tells; of what it does not, one row stands for all."""
+    columns = {"position": part.position, "velocity_n": part.velocity_n, "mat_nb": part.mat_nb}
+    shapes = {"position": (3,), "velocity_n": (3,), "mat_nb": (3, 3)}
+    count = len(part.time_ns)
+    told = {
+        name: nothing((count, *shapes[name])) if values is None else np.ascontiguousarray(values)
+        for name, values in columns.items()
+    }
+    return ReferenceColumns(part.time_ns, **told)

@@ -4,12 +4,11 @@ Sources: the definitions of nav_msgs/Odometry (the pose in its own frame, the tw
 geometry_msgs/PoseWithCovariance (x, y, z, then rotations about these fixed axes, row by row).
 """
 
-import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl_replay.core.config import Initial
 from insdvl_replay.core.config_navigation import Solution
@@ -25,8 +24,6 @@ from insdvl_replay.logs.columns.tables import Table
 SIZE: Final = 9
 """Velocity error, misalignment and position error."""
 DP: Final = slice(6, 9)
-MOST_COVARIANCES: Final = 20_000
-"""So many are kept, 13 MB; of more, evenly some."""
 LARGEST: Final = 1e30
 """Nobody is less sure than this; powers of what is larger are no numbers."""
 _ROLE: Final = ("filters.", ".solution")
@@ -64,13 +61,13 @@ def decode_solution(tables: Sequence[Table], settings: Solution) -> tuple[Soluti
     way_n = None
     if "local_position" in table and not motion.has_position:
         way_n = part.cleaner.kept(local_way_n(table, completed))
-    rows = np.arange(0, len(part.time_ns), max(1, math.ceil(len(part.time_ns) / MOST_COVARIANCES)))
-    cov, wrong = _covariances(table, completed, part, rows)
+    table = replace(table, sampled=table.sampled.among(part.cleaner.rows, len(table)))
+    cov, wrong = _covariances(table, completed, part)
     if wrong:
         text = f"{table.source.role}: {wrong} covariances are none (not positive definite), and count as not told"
         hint = "whoever writes them can tell; without them the solution is not judged honest or not"
         notes.append(Note("solution_covariance", text, wrong, Severity.WARNING, hint))
-    return SolutionColumns(motion, way_n, part.time_ns[rows], cov), notes
+    return SolutionColumns(motion, way_n, part.time_ns[table.sampled.rows], cov), notes
 
 
 def no_covariances() -> tuple[TimeNs, Floats]:
@@ -78,21 +75,22 @@ def no_covariances() -> tuple[TimeNs, Floats]:
     return np.empty(0, np.int64), np.empty((0, SIZE, SIZE))
 
 
-def _covariances(table: Table, settings: Solution, part: Part, rows: NDArray[np.int64]) -> tuple[Floats, int]:
-    """Return the covariance of some rows in n, shape (c, 9, 9), and count matrices that are none.
+def _covariances(table: Table, settings: Solution, part: Part) -> tuple[Floats, int]:
+    """Return the covariance of the sampled rows in n, shape (c, 9, 9), and count matrices that are none.
 
     A velocity in the body errs by what its own covariance says, and in n by a misalignment, too: with
     ``v_n = C v_b`` the error is ``dv = C dv_b - v x phi``.
     """
+    rows = table.sampled.rows
     cov, wrong = np.full((len(rows), SIZE, SIZE), np.nan), 0
     turn_n = np.eye(3) if settings.axes == "ned_frd" else MAT_ENU_NED
     if "pose_cov" in table:
-        pose, wrong = _told(_whole(part.cleaner.kept(table.values("pose_cov", 21))[rows], 6))
+        pose, wrong = _told(_whole(table.values("pose_cov", 21), 6))
         for one, of_one in ((DP, slice(0, 3)), (PHI, slice(3, 6))):
             for other, of_other in ((DP, slice(0, 3)), (PHI, slice(3, 6))):
                 cov[:, one, other] = turn_n @ pose[:, of_one, of_other] @ turn_n.T
     if "twist_cov" in table and part.velocity_n is not None:
-        twist, more = _told(_whole(part.cleaner.kept(table.values("twist_cov", 6))[rows], 3))
+        twist, more = _told(_whole(table.values("twist_cov", 6), 3))
         wrong += more
         in_body = "velocity_b" in table and settings.velocity_n is None
         if in_body and part.mat_nb is not None:

@@ -3,6 +3,7 @@
 A block of which some messages do not fit their schema is read in halves, down to those that do.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -14,7 +15,7 @@ from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S
 from insdvl_replay.core.errors import LogError, error_context, listed
 from insdvl_replay.logs.columns.order import merge_channels
-from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table, stamp_path
+from insdvl_replay.logs.columns.tables import MOST_SAMPLED, RECORDER_STAMPS, SAMPLED, Sampled, Table, stamp_path
 from insdvl_replay.logs.columns.topic_requirements import Source
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.recording import CHANNELS_OF_A_PART, Recording
@@ -148,6 +149,8 @@ class _Builder:
     source: Source
     readers: dict[int, FieldReader] = field(init=False)
     buffers: dict[str, ColumnBuffer] = field(init=False)
+    sampled: dict[str, ColumnBuffer] = field(init=False)
+    every: int = field(init=False)
     runs: list[tuple[int, int]] = field(default_factory=list)
     decoder: PartialDecoder = field(init=False)
     has_whole_times: bool = False
@@ -156,15 +159,20 @@ class _Builder:
     def __post_init__(self) -> None:
         self.where = (str(self.log.path), self.source.topic)
         self.decoder = PartialDecoder(self.where)
-        fields = (path for paths in self.source.fields.values() for path in split_paths(paths))
-        paths = dict.fromkeys([stamp_path(self.source.stamp), "log_time", *fields])
         announced = sum(channel.messages for channel in self.source.channels)
-        self.buffers = {path: ColumnBuffer(announced) for path in paths}
+        self.every = max(1, math.ceil(announced / MOST_SAMPLED))
+        every_message = [stamp_path(self.source.stamp), "log_time", *self._paths(sampled=False)]
+        self.buffers = {path: ColumnBuffer(announced) for path in every_message}
+        self.sampled = {path: ColumnBuffer(announced // self.every + 1) for path in self._paths(sampled=True)}
         self.readers = {channel.id: self._reader(channel) for channel in self.source.channels}
+
+    def _paths(self, *, sampled: bool) -> list[str]:
+        of_quantities = self.source.fields.items()
+        return [path for name, paths in of_quantities if (name in SAMPLED) == sampled for path in split_paths(paths)]
 
     def _reader(self, channel: LogChannel) -> FieldReader:
         with error_context(*self.where):
-            paths = [path for path in self.buffers if path not in RECORDER_STAMPS]
+            paths = [path for path in (self.buffers | self.sampled) if path not in RECORDER_STAMPS]
             return open_reader(channel, paths, self.source.element)
 
     def add(self, block: Block) -> None:
@@ -177,11 +185,19 @@ class _Builder:
             self.others += len(whole) - len(part)
             if not len(part):
                 continue
+            self._add_sampled(fields)
             for path, column in self.buffers.items():
                 is_recorders = path in RECORDER_STAMPS
                 values = getattr(part, path)[:, None] if is_recorders else self._narrowed(path, fields[path])
                 column.add(values)
             self.runs.append((part.channel_id, len(part)))
+
+    def _add_sampled(self, fields: Columns) -> None:
+        """Keep of some columns the rows whose numbers are multiples of ``every``."""
+        chosen = slice(-len(self.buffers["log_time"]) % self.every, None, self.every)
+        for path, column in self.sampled.items():
+            if len(values := fields[path][chosen]):
+                column.add(values)
 
     def _narrowed(self, path: str, values: NDArray[Any]) -> NDArray[Any]:
         """Make one number of a stamp's seconds and nanoseconds."""
@@ -200,7 +216,8 @@ class _Builder:
                 or LogError("has no messages", "the counts in the log's summary are wrong", *self.where)
             )
         read = {path: column.rows() for path, column in self.buffers.items()}
-        columns, channel_ids, duplicates = merge_channels(read, self.runs)
+        columns, channel_ids, rows = merge_channels(read, self.runs)
+        count = len(self.buffers["log_time"])
         known, files = next(iter(self.readers.values())).known, _files_of(channel_ids)
         table = Table(
             self.where,
@@ -208,15 +225,21 @@ class _Builder:
             columns,
             unreadable,
             error,
-            duplicates,
+            0 if rows is None else count - len(rows),
             known,
             files,
             self.has_whole_times,
             self.others,
+            self._sampled_of(rows, count),
         )
         if unreadable and not self.log.allow_damaged:
             raise table.damage_error()
         return table
+
+    def _sampled_of(self, rows: NDArray[np.int64] | None, count: int) -> Sampled:
+        columns = {path: column.rows() for path, column in self.sampled.items()}
+        sampled = Sampled(columns, np.arange(0, count if columns else 0, self.every))
+        return sampled if rows is None else sampled.among(rows, count)
 
     def _lacks_element(self) -> LogError | None:
         """State which elements there are where none is what was asked for."""

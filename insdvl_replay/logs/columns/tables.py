@@ -133,6 +133,36 @@ RECORDER_STAMPS: Final = ("log_time", "publish_time")
 """Stamps that stand in no message."""
 
 
+SAMPLED: Final = ("pose_cov", "twist_cov")
+"""Quantities that change slowly, and are large: what a solution says of its errors."""
+MOST_SAMPLED: Final = 20_000
+"""So many of their rows are kept, in all 7 MB of an odometry; of more messages, evenly some."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """What is kept of the quantities in `SAMPLED`.
+
+    Attributes
+    ----------
+    columns : dict of str to ndarray, shape (s, n)
+        By field path.
+    rows : ndarray of int64, shape (s,)
+        Rows of the table from which they are, in the order of the columns.
+    """
+
+    columns: Columns
+    rows: NDArray[np.int64]
+
+    def among(self, rows: NDArray[np.int64], count: int) -> "Sampled":
+        """Keep what is among some rows of a table that had so many, numbered by their places in these."""
+        place = np.full(count, -1, np.int64)
+        place[rows] = np.arange(len(rows))
+        order = np.argsort(place[self.rows], kind="stable")
+        order = order[place[self.rows[order]] >= 0]
+        return Sampled({path: values[order] for path, values in self.columns.items()}, place[self.rows[order]])
+
+
 @dataclass(frozen=True)
 class Table:
     """The messages of one topic, as the log has them: not sorted, not checked, in the log's units and axes.
@@ -157,6 +187,8 @@ class Table:
         Messages without a row, less the rows that some messages have beyond one.
     has_whole_times : bool
         Whether the stamps were seconds and nanoseconds. Their column is nanoseconds, which takes half the memory.
+    sampled : Sampled
+        The quantities that stand in evenly chosen messages alone.
     """
 
     where: tuple[str, str]
@@ -169,6 +201,7 @@ class Table:
     files: NDArray[np.int64] | None = None
     has_whole_times: bool = False
     others: int = 0
+    sampled: Sampled = field(default_factory=lambda: Sampled({}, np.empty(0, np.int64)))
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -179,9 +212,12 @@ class Table:
         return quantity in self.source.fields
 
     def values(self, quantity: str, width: int | None = None) -> Floats:
-        """Return a quantity as numbers, shape (k, n); a LogError where each message must hold more or fewer."""
-        path = self.source.fields[quantity]
-        parts = [self.columns[part].astype(np.float64, copy=False) for part in split_paths(path)]
+        """Return a quantity as numbers, shape (k, n); a LogError where each message must hold more or fewer.
+
+        One of `SAMPLED` has the shape (s, n).
+        """
+        path, columns = self.source.fields[quantity], self.sampled.columns if quantity in SAMPLED else self.columns
+        parts = [columns[part].astype(np.float64, copy=False) for part in split_paths(path)]
         values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
         if width is not None and values.shape[1] != width:
             raise LogError(
