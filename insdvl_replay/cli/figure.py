@@ -60,6 +60,10 @@ def figure(
     from insdvl_replay.results.stored_results import read_one_result
     from insdvl_replay.results.trajectory import read_trajectory
 
+    if states and kind is not Kind.SIGMA:
+        raise ConfigError(
+            f"--states {states}: chooses what sigma draws, and {kind.value} draws no states", "leave it out"
+        )
     chosen, width_mm = chosen_states(states), _width_mm(width)
     stored = read_one_result(result)
     trajectory = read_trajectory(stored.folder / TRAJECTORY_FILE)
@@ -67,9 +71,10 @@ def figure(
         raise ConfigError(f"{stored.folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again")
     target = output or Path(f"{kind.value}.{format_.value}")
     if target.suffix != f".{format_.value}":
-        raise ConfigError(
-            f"{target}: does not end in .{format_.value}", f"--format {target.suffix.lstrip('.') or 'pdf'}"
-        )
+        ending = target.suffix.lstrip(".")
+        known = list(PictureFormat)
+        hint = f"--format {ending}" if ending in known else f"-o {target.with_suffix(f'.{format_.value}')}"
+        raise ConfigError(f"{target}: does not end in .{format_.value}", hint)
     with result_file(target, force=force) as path:
         drawn = Drawn(trajectory, stored.report.tables.get("coasting", []), chosen)
         draw_figure(kind.value, drawn, path, width_mm=width_mm)

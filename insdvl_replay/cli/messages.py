@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import typer
 
+from insdvl_replay.cli.usage import usage_explained
 from insdvl_replay.core.errors import LogError, Note, UserError
 from insdvl_replay.core.plain_text import visible, visible_lines, without_commands
 from insdvl_replay.core.runtime import Interruption, is_nearly_used_up
@@ -165,8 +166,11 @@ def _explained(error: Exception) -> tuple[int, str, str]:
 
 def _explained_usage(error: Exception) -> tuple[int, str, str]:
     """Bring the parser's errors into the form of all others."""
-    sentence = str(error.format_message()).strip().replace("\n", " ")  # type: ignore[attr-defined]
-    sentence = sentence.replace("Value error, ", "")  # of the parser's own parser
     context = getattr(error, "ctx", None)
-    command = context.command_path if context is not None else "insdvl-replay"
-    return 2, sentence[:1].lower() + sentence[1:].rstrip("."), f"`{command} --help` shows what it takes"
+    sentence, hint = usage_explained(
+        str(error.format_message()),  # type: ignore[attr-defined]
+        context.command_path if context is not None else "insdvl-replay",
+        getattr(error, "option_name", ""),
+        getattr(error, "possibilities", None) or (),
+    )
+    return 2, sentence, hint

@@ -14,7 +14,7 @@ from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import EvidenceWord, Judgement
 from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.over_dives import Pooled, pooled_ratio
-from insdvl_replay.evaluation.paired_statistics import word_of
+from insdvl_replay.evaluation.paired_statistics import FEWEST_EFFECTIVE, word_of
 from insdvl_replay.evaluation.verdicts import (
     AGAINST,
     changed,
@@ -97,9 +97,14 @@ def _in_words(row: PooledRow) -> str:
     interval = interval_in_words(row.ratio, row.low, row.high)
     won = "sooner" if row.evidence == "convergence" else "smaller"
     return (
-        f"{changed(row.quantity, finite(row.ratio))} (95 %: {interval}; {won} in "
+        f"{changed(row.quantity, finite(row.ratio))} ({interval_name(row)}: {interval}; {won} in "
         f"{row.dives_won} of {row.dives} dives, p = {finite(row.p):.2g})"
     )
+
+
+def interval_name(row: PooledRow) -> str:
+    """Say what low and high are: of fewer than six dives not even the range holds the ratio with 95 %."""
+    return "95 %" if row.dives >= FEWEST_EFFECTIVE else "range"
 
 
 def pooled_judgement(rows: Sequence[PooledRow], dives: int, judged: int) -> Judgement:

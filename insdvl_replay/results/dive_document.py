@@ -199,7 +199,7 @@ def _bars(report: Report) -> Iterator[str]:
         yield (
             '<section><h3>smaller errors, <b>believed</b> (blue) and <b>measured</b></h3><table class="bars"><thead>'
             '<tr><th>quantity</th><th class="r">believed</th><th class="r">measured</th><th class="axis">'
-            "<span>&minus;100 %</span><span>0</span><span>100 %</span></th></tr></thead>"
+            "<span>&minus;100&nbsp;%</span><span>0</span><span>100&nbsp;%</span></th></tr></thead>"
             f"<tbody>{rows}</tbody></table></section>"
         )
 

@@ -25,6 +25,7 @@ from rich.console import Console
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.words import Belief, EvidenceWord, GateStatus, Judgement
+from insdvl_replay.evaluation.pooled_evidence import pooled_candidate, pooled_sentence
 from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.dive_screen import dive_screen
 from insdvl_replay.results.dives_screen import dives_screen
@@ -168,6 +169,17 @@ def test_thirteen_dives_have_a_row_each_below_what_they_say_together() -> None:
     rows = [line.split("  ")[0] for line in lines]
     assert rows.index("dive 2") < rows.index("dive 9"), "numbers stand in their order"
     assert "13 dives, 1 failed" in text
+
+
+@pytest.mark.parametrize(("dives", "name"), [(5, "range"), (6, "95 %")])
+def test_an_interval_of_95_percent_is_told_of_six_dives_and_more(dives: int, name: str) -> None:
+    # Of five values the smallest and the largest hold the median with 1 - 2 / 2^5, which is 94 %.
+    reports = [judged(f"dive {number}", Judgement.UNDECIDED) for number in range(dives)]
+    heading, _, pooled, *_ = screen_lines(rendered(list(dives_screen(reports, "index.html"))))
+    assert re.search(rf"ratio +{name} +won", heading)
+    assert f"{dives}/{dives}" in pooled
+    candidate = pooled_candidate("aided", "baseline", [report.tables.evidence for report in reports], dives)
+    assert f"({name}: -20.0 to -20.0 %; smaller in {dives} of {dives} dives" in pooled_sentence(candidate)
 
 
 def test_above_twenty_dives_only_the_failed_and_the_worst_have_rows() -> None:
