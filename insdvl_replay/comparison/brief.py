@@ -47,7 +47,7 @@ def brief_changes(changes: Sequence[Change], baseline: str) -> Iterator[DisplayT
         ("", "l", lambda change: change.word),
     ]
     if rows:
-        yield table_of("Evidence that moved", _once(rows, baseline), columns, spare=(2, 3, 5))
+        yield table_of("Evidence that moved", _once(rows, baseline), columns, spare=(2, 3, 4))
 
 
 def _once(rows: Sequence[Change], baseline: str) -> list[Change]:
