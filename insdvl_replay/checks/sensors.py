@@ -1,13 +1,17 @@
-"""Whether a sensor tells anything: one that is stuck does not, nor does one whose readings the reference is made of."""
+"""Whether a sensor tells anything: one that is stuck does not, nor does one whose readings the reference is made of.
+
+One in another unit or other axes than its settings say tells what is not so.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, SensorColumns
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, SensorColumns, nanoseconds
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.quantities import IS_REFERENCE
+from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
 
@@ -18,6 +22,14 @@ SAME_RAD, SAME_M = 1e-9, 1e-3
 
 FEWEST_ALIKE, ALIKE_S = 20, 30.0
 """So many readings over so long are never the same down to the last digit where a sensor and a vehicle are at work."""
+
+NEAR_S: Final = 0.5
+"""A reading is held against what the reference says no further from it."""
+HEADING_OFF, HEADING_SPREAD = 5.0 * DEG, 20.0 * DEG
+"""No AHRS errs by more in the mean, and no compass that is turned to true north scatters so."""
+DEPTH_RANGE_M, DEPTH_FOLLOWS, DEPTH_SCALE = 1.0, 0.9, 1.25
+"""How far a vehicle has to dive for its depths to be compared, how well they have to follow, and a factor that no
+density makes: feet are 3.3 times metres."""
 
 
 def sensor_notes(sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None) -> tuple[Note, ...]:
@@ -65,4 +77,85 @@ _SAME: Final[dict[str, Callable[[Floats, ReferenceColumns], Floats]]] = {
     "depth": _same_depth,
     "heading": _same_heading,
     "position": _same_position,
+}
+
+
+def contradiction_notes(sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None) -> tuple[Note, ...]:
+    """Note the sensors that say something else than the reference does: in other units, or other axes.
+
+    Parameters
+    ----------
+    reference : ReferenceColumns or None
+        At the IMU, in its axes.
+    """
+    if reference is None or not len(reference.time_ns):
+        return ()
+    return tuple(
+        note
+        for name, columns in sensors.items()
+        if name in _COMPARED
+        for note in _COMPARED[name](*_side_by_side(columns, reference))
+    )
+
+
+def _side_by_side(columns: SensorColumns, reference: ReferenceColumns) -> tuple[Floats, ReferenceColumns]:
+    """Pair the readings, shape (k, s), with the rows of the reference that are nearest to them, if any is near."""
+    last = len(reference.time_ns) - 1
+    after = np.searchsorted(reference.time_ns, columns.time_ns).clip(max=last)
+    before = (after - 1).clip(min=0)
+    is_before = columns.time_ns - reference.time_ns[before] < np.abs(reference.time_ns[after] - columns.time_ns)
+    row = np.where(is_before, before, after)
+    near = np.abs(reference.time_ns[row] - columns.time_ns) <= nanoseconds(NEAR_S)
+    row = row[near]
+    paired = ReferenceColumns(
+        reference.time_ns[row], reference.position[row], reference.velocity_n[row], reference.mat_nb[row]
+    )
+    return columns.values[near], paired
+
+
+def _heading_compared(values: Floats, reference: ReferenceColumns) -> list[Note]:
+    off = wrap_angle(values[:, 0] - rpy_from_mat(reference.mat_nb)[:, 2])
+    off = off[np.isfinite(off)]
+    if len(off) < FEWEST_ALIKE:
+        return []
+    mean = float(np.angle(np.mean(np.exp(1j * off))))
+    spread = float(np.median(np.abs(wrap_angle(off - mean))))
+    if spread > HEADING_SPREAD:
+        text = (
+            f"the heading does not follow the reference's: half of its {len(off)} readings are more than "
+            f"{spread / DEG:.0f} deg off, whatever is taken off all of them"
+        )
+        return [_contradiction("heading", text, len(off), "heading.angle_unit, heading.axes or heading.stamp")]
+    if abs(mean) > HEADING_OFF:
+        text = f"the heading is {mean / DEG:+.1f} deg off the reference's, in the mean of {len(off)} readings"
+        hint = "heading.declination_deg, heading.mounting_rpy_deg or heading.axes; or the reference is turned"
+        return [_contradiction("heading", text, len(off), hint)]
+    return []
+
+
+def _depth_compared(values: Floats, reference: ReferenceColumns) -> list[Note]:
+    down_m = -reference.position[:, 2]
+    known = np.isfinite(down_m) & np.isfinite(values[:, 0])
+    ours_m, theirs_m = values[known, 0], down_m[known]
+    if len(ours_m) < FEWEST_ALIKE or np.ptp(np.percentile(theirs_m, [5.0, 95.0])) < DEPTH_RANGE_M:
+        return []
+    ours_m, theirs_m = ours_m - ours_m.mean(), theirs_m - theirs_m.mean()
+    product, power = float(ours_m @ theirs_m), float(theirs_m @ theirs_m)
+    scale = product / power
+    if abs(product) < DEPTH_FOLLOWS * np.sqrt(power * float(ours_m @ ours_m)):
+        return []
+    if 1.0 / DEPTH_SCALE < scale < DEPTH_SCALE:
+        return []
+    text = f"the depth changes by {scale:.3g} m for each metre that the reference goes down"
+    hint = "depth.pressure_unit or depth.density_kgpm3; depth.depth for what is positive downwards, else depth.height"
+    return [_contradiction("depth", text, len(ours_m), hint)]
+
+
+def _contradiction(name: str, text: str, count: int, hint: str) -> Note:
+    return Note(f"{name}_contradiction", text, count, Severity.WARNING, hint)
+
+
+_COMPARED: Final[dict[str, Callable[[Floats, ReferenceColumns], list[Note]]]] = {
+    "depth": _depth_compared,
+    "heading": _heading_compared,
 }

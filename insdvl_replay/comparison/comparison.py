@@ -175,7 +175,8 @@ def _table_notes(pairs: _Pairs, layouts: Sequence[TableLayout]) -> Iterator[Note
         have = [(bool(named_rows(old, layout)), bool(named_rows(new, layout))) for old, new in pairs]
         for side, word, missing in (("old", "new", (False, True)), ("new", "gone", (True, False))):
             if count := have.count(missing):
-                text = f"table {layout.name}: the {side} results of {count} dives have no rows; all its rows are {word}"
+                dives = "1 dive" if count == 1 else f"{count} dives"
+                text = f"table {layout.name}: the {side} results of {dives} have no rows; all its rows are {word}"
                 yield Note("table_on_one_side", text, count, Severity.WARNING)
     known = {layout.name for layout in LAYOUTS}
     unknown = [table for pair in pairs for result in pair for table in result.report.tables if table not in known]

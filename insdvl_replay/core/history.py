@@ -158,6 +158,12 @@ class History:
         """Whether the position is among its states."""
         return len(self.states) >= POSITION.stop and self.states[POSITION.start].id == "dp_n"
 
+    @property
+    def reopened_ns(self) -> TimeNs:
+        """Times at which it was set to the DVL again, by a velocity or by beams, shape (r,)."""
+        times = [one.time_ns[one.reopened] for one in self.innovations]
+        return np.unique(np.concatenate([np.empty(0, np.int64), *times]))
+
     def motion(self) -> ReferenceColumns:
         """Return where it is and how it moves, in the rows that say anything of that."""
         motion = ReferenceColumns(self.time_ns, self.position, self.velocity_n, self.mat_nb)

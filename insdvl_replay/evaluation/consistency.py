@@ -15,6 +15,7 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import axis_of
 from insdvl_replay.core.rows import ConsistencyRow
+from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.core.words import Consistency, Severity, Whiteness
 from insdvl_replay.evaluation.chi_square import consistency_word, mean_interval, reason
 
@@ -22,6 +23,8 @@ FEWEST_UPDATES = 10
 """With fewer updates the verdict is ``too few``."""
 MANY_REJECTED = 0.1
 """A gate that rejects a larger share does not keep outliers out but the DVL."""
+CONTRADICTED: Final = 9.0
+"""Mean NIS over degrees of freedom at which a sensor errs by three times what its settings say, or is misread."""
 FEWEST_PAIRS: Final = 10
 """With fewer neighbours the word is ``too few``."""
 SMALL_AUTOCORRELATION: Final = 0.1
@@ -112,6 +115,7 @@ def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     for history in histories:
         for innovations in history.innovations:
             notes += _judged_updates(history.filter, innovations)
+        notes += _reopening_notes(history)
     return tuple(notes)
 
 
@@ -130,28 +134,44 @@ def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
         )
         hint = 'check the units and sizes of [noise] and [initial]; after long IMU gaps, imu.long_gaps = "split"'
         return [Note("filter_not_finite", text, lost, Severity.WARNING, hint)]
-    hint = f"check lever arm and mounting, raise [noise], or --set filters.{name}.gate_probability=1.0"
-    return [*_rejection_notes(name, innovations, hint), *_reopening_notes(name, innovations, hint)]
+    return [*_rejection_notes(name, innovations), *_contradiction_notes(name, innovations)]
 
 
-def _rejection_notes(name: str, innovations: Innovations, hint: str) -> list[Note]:
+def _gate_hint(name: str) -> str:
+    return f"check lever arm and mounting, raise [noise], or --set filters.{name}.gate_probability=1.0"
+
+
+def _contradiction_notes(name: str, innovations: Innovations) -> list[Note]:
+    """Warn of a sensor beside the DVL that says something else than all others: the filter is none the worse for it."""
+    sensor, total = innovations.measurement, len(innovations.used)
+    size = float(np.mean(innovations.nis * innovations.weight)) / innovations.dof
+    if sensor not in SENSORS or total < FEWEST_UPDATES or size <= CONTRADICTED:
+        return []
+    text = (
+        f"filter {name} and its {sensor} contradict each other: mean NIS / dof of {sensor} is {size:.3g}, 1 is expected"
+    )
+    hint = f"units, axes, stamp and delay in [{sensor}], or a larger sd there; evaluation.withheld judges without it"
+    return [Note(f"{sensor}_disagrees", text, total, Severity.WARNING, hint)]
+
+
+def _rejection_notes(name: str, innovations: Innovations) -> list[Note]:
     rejected, total = rejections(innovations), len(innovations.used)
     if rejected <= MANY_REJECTED * total:
         return []
     text = f"filter {name} rejected {rejected} of {total} {innovations.measurement} innovations"
-    return [Note("gate_rejects_many", text, rejected, Severity.WARNING, hint)]
+    return [Note("gate_rejects_many", text, rejected, Severity.WARNING, _gate_hint(name))]
 
 
-def _reopening_notes(name: str, innovations: Innovations, hint: str) -> list[Note]:
-    reopened = np.flatnonzero(innovations.reopened)
-    if not len(reopened):
+def _reopening_notes(history: History) -> list[Note]:
+    name, count = history.filter, len(history.reopened_ns)
+    if not count:
         return []
-    first_s = (innovations.time_ns[reopened[0]] - innovations.time_ns[0]) / NS_PER_S
+    first_s = (int(history.reopened_ns[0]) - min(int(one.time_ns[0]) for one in history.innovations)) / NS_PER_S
     text = (
-        f"filter {name} was set to the DVL again after runs of rejected velocities ({len(reopened)} in all, the first "
-        f"{first_s:.1f} s after the first ping)"
+        f"filter {name} was set to the DVL again after runs of rejected velocities ({count} in all, the first "
+        f"{first_s:.1f} s after the first reading)"
     )
-    return [Note("gate_reopened", text, len(reopened), Severity.WARNING, hint)]
+    return [Note("gate_reopened", text, count, Severity.WARNING, _gate_hint(name))]
 
 
 def rejections(innovations: Innovations) -> int:

@@ -173,7 +173,7 @@ def _of_losses(
     afters: Mapping[str, Losses],
     compare: Callable[[Losses, Losses], tuple[float, float, RatioInterval]],
 ) -> Iterator[EvidenceRow]:
-    for quantity, before in befores.items():
+    for quantity, before in ((quantity, losses) for quantity, losses in befores.items() if quantity in afters):
         starts, windows = before.squared.shape
         of_baseline, value, interval = compare(before, afters[quantity])
         largest = max(of_baseline, value)

@@ -166,7 +166,7 @@ def _set_again(history: History) -> str:
     innovations = _leading(history)
     if innovations is None:
         return ""
-    reopened, total = int(innovations.reopened.sum()), len(innovations.used)
+    reopened, total = len(history.reopened_ns), len(innovations.used)
     if reopened <= max(1.0, (MANY_REOPENED + _by_chance(innovations) ** innovations.reopen_after) * total):
         return ""
     return f"{history.filter} lost its way {reopened} times in {total} velocity innovations"

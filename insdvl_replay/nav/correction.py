@@ -56,12 +56,21 @@ def locks_out(updates: Updates, m: int, nis: float, time_s: float, reopen_after:
 
 
 @inlined
-def open_state(P: Floats, square: float, start_var: Floats, updates: Updates, m: int, time_s: float) -> None:
+def note_used(updates: Updates, m: int, time_s: float) -> None:
+    """End a run of rejections."""
+    updates.refused_in_a_row[m], updates.used_s[m] = 0, time_s
+
+
+@inlined
+def open_state(
+    P: Floats, square: float, start_var: Floats, position: int, updates: Updates, m: int, time_s: float
+) -> None:
     """Let the velocity be as uncertain on each axis as the innovation is large: the next gain sets it to the DVL's.
 
-    Other states keep their uncertainty and their correlations with the velocity, and hardly move. A filter that is lost
-    again within `SOON_S` was not put right by that: levels, heading and biases become as uncertain as at the start, on
-    top of what they are.
+    The position becomes as uncertain as so wrong a velocity lets it since the last reading that was used. Other states
+    keep their uncertainty and their correlations with the velocity, and hardly move. A filter that is lost again within
+    `SOON_S` was not put right by that: levels, heading and biases become as uncertain as at the start, on top of what
+    they are.
 
     Parameters
     ----------
@@ -71,8 +80,10 @@ def open_state(P: Floats, square: float, start_var: Floats, updates: Updates, m:
         Of the innovation, m^2/s^2.
     start_var : ndarray, shape (n,)
         Variances at the start.
+    position : int
+        Row of the position's first state, negative where there is none.
     updates : Updates
-        Its time of this kind of measurement is changed.
+        Its times of this kind of measurement are changed.
     m : int
         The kind of measurement.
     time_s : float
@@ -81,9 +92,13 @@ def open_state(P: Floats, square: float, start_var: Floats, updates: Updates, m:
     if time_s - updates.reopened_s[m] <= SOON_S:
         for i in range(3, TWELVE):
             P[i, i] += start_var[i]
+    lost_s = time_s - updates.used_s[m]
     for i in range(3):
         P[i, i] += square
-    updates.reopened_s[m], updates.refused_in_a_row[m] = time_s, 0
+        if position >= 0:
+            P[position + i, position + i] += square * lost_s * lost_s
+    updates.reopened_s[m] = time_s
+    note_used(updates, m, time_s)
 
 
 @inlined

@@ -12,7 +12,7 @@ from insdvl_replay.core.compiled import compiled, inlined, is_compiled, plain
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import states_with
-from insdvl_replay.nav.correction import correct
+from insdvl_replay.nav.correction import correct, note_used
 from insdvl_replay.nav.error_model import add_noise, propagate_cov
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import DEPTH, InsAtPing
@@ -174,24 +174,35 @@ def _meet_readings(
     matrices: Matrices,
     updates: Updates,
 ) -> tuple[NavState, GravityHeight]:
-    """Update by all that is measured at an event, in the order of the measurements."""
-    estimated, refused_square, time_s = False, 0.0, now.time_s
-    for m in range(len(measurements.kind)):
+    """Update by all that is measured at an event, in the order of the measurements.
+
+    A ping of beams by which the velocity was opened is met again.
+    """
+    estimated, is_again, refused_square, time_s, first, m = False, False, 0.0, now.time_s, 0, 0
+    while m < len(measurements.kind):
         row = timeline.rows[measurements.sensor[m], now.event]
         if row >= 0 and measurements.available[m, row]:
             ping = timeline.rows[PINGS, now.event]
             ins = _ins_now(state, motion, memory, ping, carried, place, matrices.constants)
-            used, square = update(measurements, m, row, time_s, ins, layout, own, estimated, matrices, updates)
+            used, square = update(
+                measurements, m, row, time_s, ins, layout, own, estimated, is_again, matrices, updates
+            )
             refused_square += square
             estimated = estimated or used
-        if measurements.goes_on[m]:
+        m += 1
+        if measurements.goes_on[m - 1]:
             continue
+        last, is_lost = m - 1, refused_square > 0.0 and not estimated and not is_again
+        if is_lost and measurements.kind[last] == BEAM:
+            is_again = count_lost_ping(refused_square, measurements, last, time_s, layout, matrices, updates)
+            if is_again:
+                m, refused_square = first, 0.0
+                continue
         if estimated:
+            note_used(updates, last, time_s)
             state = correct(state, matrices.constants, matrices.P, matrices.dx, layout, place)
-            gravity = _aided(gravity, measurements.kind[m], state.position[2], time_s)
-        elif measurements.kind[m] == BEAM and refused_square > 0.0:
-            count_lost_ping(refused_square, measurements, m, time_s, matrices, updates)
-        estimated, refused_square = False, 0.0
+            gravity = _aided(gravity, measurements.kind[last], state.position[2], time_s)
+        estimated, is_again, refused_square, first = False, False, 0.0, m
     return state, gravity
 
 

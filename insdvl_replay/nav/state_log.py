@@ -34,8 +34,9 @@ class Records(NamedTuple):
 class Updates(NamedTuple):
     """Innovations, first axis measurement, second axis reading; and how far each kind is in a run of rejections.
 
-    ``refused_in_a_row`` counts the rejections up to now, ``refused_s`` is the time of the last, and ``reopened_s`` that
-    of the last reading that was used in spite of the gate. ``noise_factor`` is how much larger R is found to be.
+    ``refused_in_a_row`` counts the rejections up to now, ``refused_s`` is the time of the last, ``used_s`` that of the
+    last reading that was used, and ``reopened_s`` that of the last that was used in spite of the gate. ``noise_factor``
+    is how much larger R is found to be.
     """
 
     innovation: Floats
@@ -46,6 +47,7 @@ class Updates(NamedTuple):
     log_det: Floats
     refused_in_a_row: NDArray[np.int64]
     refused_s: Floats
+    used_s: Floats
     reopened_s: Floats
     noise_factor: Floats
 
@@ -77,6 +79,7 @@ def new_updates(measurements: int, readings: int, size: int) -> Updates:
         log_det=np.full((measurements, readings), np.nan),
         refused_in_a_row=np.zeros(measurements, dtype=np.int64),
         refused_s=np.full(measurements, -np.inf),
+        used_s=np.zeros(measurements),
         reopened_s=np.full(measurements, -np.inf),
         noise_factor=np.ones(measurements),
     )
@@ -104,10 +107,25 @@ def write_record(state: NavState, constants: Floats, P: Floats, records: Records
 
 @inlined
 def write_update(
-    updates: Updates, m: int, row: int, z: Floats, S: Floats, L: Floats, nis: float, used: bool, reopened: bool
+    updates: Updates,
+    m: int,
+    row: int,
+    z: Floats,
+    S: Floats,
+    L: Floats,
+    nis: float,
+    used: bool,
+    reopened: bool,
+    is_again: bool,
 ) -> None:
-    """Write down an innovation and what was thought of it; L is the Cholesky factor of its covariance S."""
-    updates.nis[m, row], updates.used[m, row], updates.reopened[m, row] = nis, used, reopened
+    """Write down an innovation and what was thought of it; L is the Cholesky factor of its covariance S.
+
+    Of one that is met again stays what it was at first.
+    """
+    updates.used[m, row], updates.reopened[m, row] = used, reopened or (is_again and used)
+    if is_again:
+        return
+    updates.nis[m, row] = nis
     log_det = 0.0
     for i in range(len(z)):
         log_det += math.log(L[i, i])

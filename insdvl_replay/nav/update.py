@@ -9,7 +9,7 @@ import numpy as np
 
 from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.nav.correction import locks_out, open_state
+from insdvl_replay.nav.correction import locks_out, note_used, open_state
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square, transposed_gain, update_cov
@@ -63,13 +63,15 @@ def update(
     layout: StateLayout,
     own: Predicts | None,
     goes_on: bool,
+    is_again: bool,
     matrices: Matrices,
     updates: Updates,
 ) -> tuple[bool, float]:
     """Judge an innovation by its gate, use it if it passes, and write down both.
 
     What is used changes P and the estimated errors ``dx``, to which those of the measurements before it are added if it
-    goes on with their reading. The state is corrected by all of them.
+    goes on with their reading. The state is corrected by all of them. A beam that is met again, since its ping has
+    opened the velocity, keeps the innovation that it had before.
 
     Returns
     -------
@@ -98,13 +100,13 @@ def update(
     used = nis <= measurements.gate[m]
     alone = measurements.kind[m] != BEAM
     reopened = not used and alone and locks_out(updates, m, nis, time_s, measurements.reopen_after[m])
-    write_update(updates, m, row, z, S, L, nis, used or reopened, reopened)
+    write_update(updates, m, row, z, S, L, nis, used or reopened, reopened, is_again)
     if reopened:
-        open_state(P, _square(z), matrices.start_var, updates, m, time_s)
+        open_state(P, _square(z), matrices.start_var, layout.position, updates, m, time_s)
         innovation_cov(P, H, R, HP, S)
         cholesky(S, L)
     elif used:
-        updates.refused_in_a_row[m] = 0
+        note_used(updates, m, time_s)
     else:
         return False, _square(z)
     transposed_gain(HP, L, KT)
@@ -153,8 +155,16 @@ def _square(z: Floats) -> float:
 
 @inlined
 def count_lost_ping(
-    square: float, measurements: Stack, m: int, time_s: float, matrices: Matrices, updates: Updates
-) -> None:
-    """Count a ping of which no beam passed; after so many in a row the next one sets the INS to the DVL."""
-    if locks_out(updates, m, square, time_s, measurements.reopen_after[m]):
-        open_state(matrices.P, BEAMS_TO_AXES * square, matrices.start_var, updates, m, time_s)
+    square: float,
+    measurements: Stack,
+    m: int,
+    time_s: float,
+    layout: StateLayout,
+    matrices: Matrices,
+    updates: Updates,
+) -> bool:
+    """Count a ping of which no beam passed, and tell whether after so many in a row the velocity was opened for it."""
+    lost = locks_out(updates, m, square, time_s, measurements.reopen_after[m])
+    if lost:
+        open_state(matrices.P, BEAMS_TO_AXES * square, matrices.start_var, layout.position, updates, m, time_s)
+    return lost

@@ -203,14 +203,15 @@ def _states(filter_: Filter, withheld: Collection[str]) -> tuple[str, ...]:
     return tuple(block for block in MORE_STATES if block in needed)
 
 
-KNOWN_M: Final = 1e-3
-"""Of a zero that the settings say."""
+KNOWN_M, UNKNOWN_M = 1e-3, 1e3
+"""Of a zero that the settings say, and of one that the first reading has to tell, by the height that a filter has then:
+the gauge then knows nothing of how far off this is."""
 MEASUREMENT_NOISE: Final = {"fixed": FIXED, "adaptive": ADAPTIVE, "student-t": STUDENT_T}
 MORE_SD: Final[dict[str, Callable[[Config], Floats]]] = {
     "position": lambda config: np.array(config.initial.position_sd_m),
     "dvl_scale": lambda config: np.array([0.01 * config.initial.dvl_scale_sd_pct]),
     "dvl_yaw": lambda config: np.array([DEG * config.initial.dvl_yaw_sd_deg]),
-    "depth_zero": lambda config: np.array([config.depth.sd_m if config.depth.surface_height_m is None else KNOWN_M]),
+    "depth_zero": lambda config: np.array([UNKNOWN_M if config.depth.surface_height_m is None else KNOWN_M]),
 }
 """Standard deviations of the blocks of `states.MORE_STATES` at the start, SI units."""
 

@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 
+from insdvl_replay.checks.sensors import contradiction_notes
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
@@ -149,6 +150,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         + alignment.notes
         + _outside_notes(dive.name, velocities, inside)
         + sensor_notes
+        + contradiction_notes(dive.sensors, dive.reference)
         + own_notes
     )
     gaps = gaps.within(alignment.start_ns, end_ns)

@@ -1,7 +1,7 @@
 """From the readings of a sensor and its section of the configuration to a measurement that filters can be aided by."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -10,12 +10,17 @@ from insdvl_replay.core.config import Config, Depth, Heading, Position
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.sensors import SENSORS
-from insdvl_replay.core.states import DEG
+from insdvl_replay.core.states import DEG, FASTEST_MPS
+from insdvl_replay.core.words import Severity
+from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import wrap_angle
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import DEPTH, FIX, HEADING
 from insdvl_replay.nav.measurements import Measurement, sensor_measurement
 from insdvl_replay.nav.timeline import FIRST_OTHER
+
+FAR_M: Final = 1000.0
+"""What a track that was reckoned until the start is not off by, nor a position that somebody configured from a map."""
 
 Measured = tuple[int, Floats, Floats]
 """Kind of the prediction; values, shape (k, s); and their standard deviations, of a shape that fits the values."""
@@ -23,7 +28,7 @@ Measured = tuple[int, Floats, Floats]
 
 @dataclass(frozen=True)
 class _Sensor:
-    """A sensor's readings inside the span, what a filter starts from there, and rows that have told something else."""
+    """A sensor's readings inside the span, and what a filter starts from there."""
 
     name: str
     columns: SensorColumns
@@ -31,7 +36,6 @@ class _Sensor:
     start: Start
     start_ns: int
     notes: list[Note]
-    unused: list[int] = field(default_factory=list)
 
 
 def prepare_sensors(
@@ -74,7 +78,6 @@ def prepare_sensors(
         measurement = sensor_measurement(
             name, of_sensor.unit, kind, columns.time_ns, values, sd, axes=of_sensor.components[: values.shape[1]]
         )
-        measurement.available[sensor.unused] = False
         arm_b = np.array(getattr(sensor.settings, "lever_arm_m", (0.0, 0.0, 0.0)))
         found[name] = replace(measurement, sensor=row, lever_arm_b=arm_b)
     return found, tuple(notes)
@@ -90,9 +93,8 @@ def _depth(sensor: _Sensor) -> Measured:
         late_s = (int(sensor.columns.time_ns[0]) - sensor.start_ns) / NS_PER_S
         text = (
             f"depth: 0 is taken to be {surface_m:.3f} m above the ellipsoid, by the first reading, {late_s:.2f} s "
-            "after the start, and the height there"
+            "after the start, and the height at the start; filters that are aided by it find out"
         )
-        sensor.unused.append(0)
         sensor.notes.append(Note("depth_zero", text, hint="depth.surface_height_m says it otherwise"))
     return DEPTH, depth_m - surface_m, np.array([settings.sd_m])
 
@@ -109,7 +111,23 @@ def _position(sensor: _Sensor) -> Measured:
     fixes[:, 1] = start_longitude + wrap_angle(fixes[:, 1] - start_longitude)
     sd_m = np.array([settings.sd_m, settings.sd_m, settings.height_sd_m or np.nan])
     used = slice(2 if settings.height_sd_m is None else 3)
+    sensor.notes.extend(_far_notes(sensor, fixes[0]))
     return FIX, fixes[:, used], sd_m[used]
+
+
+def _far_notes(sensor: _Sensor, fix: Floats) -> list[Note]:
+    """Warn of a first fix at which no vehicle can be that was at the start."""
+    late_s = (int(sensor.columns.time_ns[0]) - sensor.start_ns) / NS_PER_S
+    away_m = float(np.hypot(*north_east_m(fix, sensor.start.position, sensor.start.position)))
+    if away_m <= FAR_M + FASTEST_MPS * late_s:
+        return []
+    latitude_deg, longitude_deg = fix[:2] / DEG
+    text = (
+        f"the first fix, {late_s:.2f} s after the start, is {away_m / 1000.0:.3g} km from it: at latitude "
+        f"{latitude_deg:.4f} deg, longitude {longitude_deg:.4f} deg"
+    )
+    hint = "position.latitude, position.longitude and position.angle_unit; or initial.latitude_deg and longitude_deg"
+    return [Note("position_contradiction", text, 1, Severity.WARNING, hint)]
 
 
 _MEASURED: Final[dict[str, Callable[[_Sensor], Measured]]] = {

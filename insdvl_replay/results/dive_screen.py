@@ -28,7 +28,7 @@ from insdvl_replay.report.document import (
     percent,
     table_of,
 )
-from insdvl_replay.results.dive_tables import TENFOLD, TONES
+from insdvl_replay.results.dive_tables import TENFOLD, TONES, word_in_table
 from insdvl_replay.results.json_report import Report
 from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference, track_fit_line
 
@@ -158,7 +158,7 @@ def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> DisplayT
         ("ratio", "r", lambda row: ratio_text(row.ratio)),
         ("95 %", "r", lambda row: MISSING if row.ratio is None else interval_text(row.low, row.high)),
         ("n", "r", lambda row: decimal(row.effective_samples, 0)),
-        ("", "l", lambda row: row.word if row.quantity in DECIDING else f"({row.word})"),
+        ("", "l", word_in_table),
     ]
     return table_of("", rows, columns, spare=(6, 2, 3, 1, 5))
 

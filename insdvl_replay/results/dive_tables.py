@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, Protocol, TypeVar
 
 from insdvl_replay.core.pooled_row import PooledRow
-from insdvl_replay.core.quantities import NAMES, is_whole
+from insdvl_replay.core.quantities import DECIDING, NAMES, is_whole
 from insdvl_replay.core.rows import (
     ConvergenceRow,
     EvidenceRow,
@@ -120,7 +120,7 @@ def _evidence(report: Report, name: str, rows: Sequence[EvidenceRow]) -> Iterato
     if rows:
         columns: list[Column[EvidenceRow]] = [
             ("quantity", "l", lambda row: NAMES[row.quantity]),
-            ("word", "l", lambda row: row.word),
+            ("word", "l", word_in_table),
             ("unit", "l", lambda row: row.unit),
             (baseline, "r", lambda row: number(row.baseline)),
             (name, "r", lambda row: number(row.value)),
@@ -131,6 +131,11 @@ def _evidence(report: Report, name: str, rows: Sequence[EvidenceRow]) -> Iterato
         ]
         title = f"{EVIDENCE}, {name} against {baseline}"
         yield table_of(title, rows, columns, _how_measured(rows, is_read=is_read(report, name)))
+
+
+def word_in_table(row: EvidenceRow) -> str:
+    """Return the word on a piece of evidence, in brackets where it has no vote."""
+    return row.word if row.quantity in DECIDING else f"({row.word})"
 
 
 def is_read(report: Report, name: str) -> bool:
@@ -181,8 +186,9 @@ def _how_measured(rows: Sequence[EvidenceRow], *, is_read: bool) -> str:
         else "from one start, without error: what aiding gains from errors of the start is not seen (--starts 16)"
     )
     return (
-        f"{drawn}; low to high: where the ratio lies with 95 %, and words allow for the number of rows; n: independent "
-        "values that the interval rests on; the ratio of NIS and of NEES is of how far they are from 1"
+        f"{drawn}; low to high: where the ratio lies with 95 %, and words allow for the number of rows, those in "
+        "brackets have no vote; n: independent values that the interval rests on; the ratio of NIS and of NEES is of "
+        "how far they are from 1"
     )
 
 

@@ -146,3 +146,12 @@ def test_honest_is_who_is_nearer_and_not_over_confident_instead(before: Any, aft
     row = evidence(nis=(nis("baseline", *before), nis("aided", *after)))["nis"]
     assert (row.evidence, row.word) == ("honesty", word)
     assert (row.baseline, row.value) == pytest.approx((before[0], after[0]))
+
+
+def test_what_a_filter_broke_down_too_early_for_is_no_evidence() -> None:
+    """It has no drift over 30 s, as one has that fixes of another continent throw off in the first."""
+    lost = {"velocity_along": Losses("m/s", np.ones((1, 50)), 1, 0.0)}
+    whole = lost | {"drift_30s": Losses("m", np.ones((1, 50)), 1, 0.0)}
+    measured = Measured({"baseline": whole, "aided": lost}, {}, {}, {})
+    rows = evidence_table("dive", "baseline", ["aided"], measured, (), ())
+    assert [row.quantity for row in rows] == ["velocity_along"]

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from matched_sensors import MATCHED
 
-from insdvl_replay.core.config import Config, Dvl, Evaluation, Filter, Initial
+from insdvl_replay.core.config import Config, Depth, Dvl, Evaluation, Filter, Initial, Position
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.evaluation.consistency import update_notes
+from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_filters
 from insdvl_replay.replay import Replay, replay_dive
@@ -158,6 +160,39 @@ def test_a_filter_that_is_lost_is_set_to_its_beams_again() -> None:
     prepared = replace(prepared, alignment=replace(prepared.alignment, start=off))
     by_velocity, by_beams = run_filters(prepared, prepared_timeline(dive, prepared))
     np.testing.assert_allclose(by_beams.velocity_n[-1], by_velocity.velocity_n[-1], rtol=0.0, atol=0.05)
+
+
+@pytest.mark.parametrize("word", ["velocity", "beams"])
+def test_a_filter_that_is_thrown_off_comes_back_to_its_other_sensors(word: str) -> None:
+    """Ten readings of the IMU that are false move it by 2 m/s, and by some 10 m until it is set to the DVL again."""
+    dive = simulated(3, sensors={"depth": SensorErrors(0.05, 4.0), "position": SensorErrors(1.0, 1.0)})
+    force_b = dive.imu.specific_force_b.copy()
+    force_b[10_000:10_010] += 20.0
+    thrown = replace(dive, imu=replace(dive.imu, specific_force_b=force_b))
+    aided = {"aided": Filter(aiding=(word, "depth", "position"), gate_probability=0.999)}
+    told = {"depth": Depth(sd_m=0.05), "position": Position(sd_m=1.0), "filters": aided}
+    (history,) = histories(thrown, msgspec.structs.replace(settings(), **told))
+    assert len(history.reopened_ns) == 1
+    (note,) = (note for note in update_notes((history,)) if note.code == "gate_reopened")
+    assert note.count == 1
+    for sensor in ("depth", "position"):
+        assert met(history, sensor).used.mean() > 0.97
+    assert dive.reference is not None
+    (apart_n,) = north_east_down_m(history.position[-1:], dive.reference.position[-1:])
+    assert np.abs(apart_n[:2]).max() < 1.5
+
+
+def test_pings_that_are_lost_are_in_a_row_though_one_beam_is_dead() -> None:
+    """Four of five, then one that is heard, time and again: nothing is opened."""
+    dive = simulated(4)
+    assert dive.dvl.beam_velocity_mps is not None
+    beams = dive.dvl.beam_velocity_mps.copy()
+    beams[:, 3] = np.nan
+    for first in range(200, 300, 5):
+        beams[first : first + 4] += np.array([3.0, -3.0, 3.0, 0.0])
+    _, by_beams = histories(replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=beams)), settings(0.999))
+    assert not met(by_beams, "beam_1").used[200:204].any()
+    assert not len(by_beams.reopened_ns)
 
 
 def test_velocities_alone_have_no_beams() -> None:

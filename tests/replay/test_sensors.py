@@ -1,5 +1,6 @@
 """Sensors beside IMU and DVL, from the log to the tables, in worlds whose truth is known."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +14,12 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
-from insdvl_replay.geometry.frames import north_east_m
+from insdvl_replay.geometry.frames import moved_position, north_east_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.writing.dive_log import write_dive
-from insdvl_replay.preparation.prepared import Prepared, prepare_dive
+from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_one
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
@@ -62,7 +63,7 @@ def test_a_log_with_a_pressure_gauge_is_read_as_it_was_simulated(tmp_path: Path)
 
 def test_depth_holds_the_height() -> None:
     replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), config("depth", depth=Depth(sd_m=0.05)))
-    assert used(replay.histories[1], "depth") == 1599
+    assert used(replay.histories[1], "depth") == 1600
     assert rms(replay, "candidate", 2) < 0.1
     assert rms(replay, "baseline", 2) > 0.2
     assert [note.code for note in replay.notes if note.code.startswith("depth")] == ["depth_zero"]
@@ -73,11 +74,11 @@ def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
     replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), settings)
     for history in replay.histories:
         met = next(one for one in history.innovations if one.measurement == "withheld_depth")
-        assert len(met.nis) == 1599
+        assert len(met.nis) == 1600
         assert not met.used.any()
     np.testing.assert_array_equal(replay.histories[0].velocity_n, replay.histories[1].velocity_n)
     rows = [row for row in replay.tables.consistency if row.measurement == "withheld_depth"]
-    assert [(row.used, row.rejected) for row in rows] == [(0, 1599)] * 2
+    assert [(row.used, row.rejected) for row in rows] == [(0, 1600)] * 2
     assert min(row.mean_nis or 0.0 for row in rows) > 0.0
     assert not [note for note in replay.notes if note.code == "gate_rejects_many"]
 
@@ -131,18 +132,18 @@ def test_fixes_hold_the_position_and_are_read_as_they_were_simulated(tmp_path: P
 # --- Position as a state.
 
 
-def started_off(prepared: Prepared, seed: int) -> Prepared:
-    """Let a filter start from a position that errs as it is told that it may."""
-    start = prepared.alignment.start
+def started_off(dive: Dive, seed: int) -> Dive:
+    """Let a filter start from a position that errs as it is told that it may: a reference that is moved as a whole."""
+    assert dive.reference is not None
     off_m = np.array(POSITION_SD_M) * np.random.default_rng(seed).standard_normal(3)
-    per_m = np.array([1.0 / 6.37e6, 1.0 / (6.38e6 * np.cos(start.position[0])), -1.0])
-    return replace(
-        prepared, alignment=replace(prepared.alignment, start=replace(start, position=start.position + off_m * per_m))
-    )
+    off = moved_position(dive.reference.position, np.tile(off_m, (len(dive.reference.time_ns), 1)))
+    return replace(dive, reference=replace(dive.reference, position=off))
 
 
-def position_nees(seed: int, surface_m: float | None, *aiding: str, **sensors: SensorErrors) -> Floats:
-    """NEES of the position over a dive of which the filter is told the truth, shape (k,)."""
+def position_nees(
+    seed: int, gauge: Depth, *, late_s: float = 0.0, height_sd_m: float | None = None, **sensors: SensorErrors
+) -> Floats:
+    """NEES of the position over a dive of which the filter is told the truth, shape (k,); sensors may begin late."""
     dive = simulate_dive(
         "lawnmower", seed=seed, duration_s=400.0, imu_errors=MATCHED_IMU, dvl_errors=MATCHED_DVL, sensors=sensors
     )
@@ -150,11 +151,14 @@ def position_nees(seed: int, surface_m: float | None, *aiding: str, **sensors: S
         noise=MATCHED.noise,
         initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, position_sd_m=POSITION_SD_M),
         dvl=MATCHED.dvl,
-        depth=Depth(sd_m=0.05, surface_height_m=surface_m),
-        filters={"aided": Filter(aiding=("velocity", *aiding), states=("position",))},
+        depth=gauge,
+        position=Position(sd_m=1.0, height_sd_m=height_sd_m),
+        filters={"aided": Filter(aiding=("velocity", *sensors), states=("position",))},
     )
-    prepared = started_off(prepare_dive(dive, settings), seed)
     assert dive.reference is not None
+    begun_ns = dive.reference.time_ns[0] + int(late_s * 1e9)
+    late = {name: columns.rows(columns.time_ns >= begun_ns) for name, columns in dive.sensors.items()}
+    prepared = prepare_dive(started_off(replace(dive, sensors=late), seed), settings)
     history = run_one(
         prepared.filters[0], prepared, prepared_timeline(dive, prepared), cov_ns=dive.reference.time_ns[1:]
     )
@@ -166,11 +170,21 @@ def position_nees(seed: int, surface_m: float | None, *aiding: str, **sensors: S
     return np.einsum("ki,kij,kj->k", error_m, np.linalg.inv(cov), error_m)
 
 
-@pytest.mark.parametrize("surface_m", [0.0, None], ids=["zero is known", "zero by the first reading"])
-def test_position_is_as_far_off_as_the_filter_says(surface_m: float | None) -> None:
+@pytest.mark.parametrize(
+    ("surface_m", "late_s", "height_sd_m"),
+    [(0.0, 0.0, None), (None, 0.0, None), (None, 100.0, None), (None, 0.0, 1.0)],
+    ids=["zero is known", "zero by the first reading", "by one that comes late", "and by fixes"],
+)
+def test_position_is_as_far_off_as_the_filter_says(
+    surface_m: float | None, late_s: float, height_sd_m: float | None
+) -> None:
     """The mean NEES of 3 over independent runs; each run is one sample, since a position error stays."""
-    depth = SensorErrors(0.05, 1.0)
-    runs = np.array([position_nees(seed, surface_m, "depth", depth=depth).mean() for seed in range(24)])
+    sensors = {"depth": SensorErrors(0.05, 1.0)} | ({"position": SensorErrors(1.0, 1.0)} if height_sd_m else {})
+    gauge = Depth(sd_m=0.05, surface_height_m=surface_m)
+    runs = np.array([
+        position_nees(seed, gauge, late_s=late_s, height_sd_m=height_sd_m, **sensors).mean()
+        for seed in range(24)
+    ])  # fmt: skip
     assert 3.0 - 2.5 * runs.std() / np.sqrt(24) < runs.mean() < 3.0 + 2.5 * runs.std() / np.sqrt(24)
     assert 1.8 < runs.mean() < 4.4
 
@@ -270,6 +284,41 @@ def test_a_filter_that_is_told_the_reference_is_not_judged_by_it(
     assert (replay.verdicts["candidate"].improvement == "not judged") == told
     withheld = config("position", position=Position(sd_m=0.5), evaluation=Evaluation(withheld=("position",)))
     assert replay_log(tmp_path / "dive.mcap", withheld).verdicts["candidate"].improvement != "not judged"
+
+
+FOOT_M = 0.3048
+
+
+def _held(fixes: Floats) -> Floats:
+    return np.concatenate([fixes[:50], np.repeat(fixes[50:51], 100, axis=0), fixes[150:]])
+
+
+@pytest.mark.parametrize(
+    ("sensor", "misread", "told"),
+    [
+        ("depth", lambda depth_m: depth_m / FOOT_M, ["depth_contradiction", "depth_disagrees"]),
+        ("depth", lambda depth_m: -depth_m, ["depth_contradiction", "depth_disagrees"]),
+        ("heading", np.deg2rad, ["heading_contradiction", "heading_disagrees"]),
+        ("heading", lambda heading: 0.5 * np.pi - heading, ["heading_contradiction", "heading_disagrees"]),
+        ("heading", lambda heading: heading + np.deg2rad(10.0), ["heading_contradiction"]),
+        ("position", lambda fixes: fixes[:, [1, 0, 2]], ["position_contradiction", "position_disagrees"]),
+        ("position", lambda fixes: fixes + np.array([0.1, 1.0, 0.0]), ["position_contradiction", "position_disagrees"]),
+        ("position", _held, ["position_disagrees"]),
+        *[(sensor, lambda values: values, []) for sensor in ("depth", "heading", "position")],
+    ],
+    ids=["feet", "upwards", "rad for deg", "from east over north", "declination", "longitude first",
+         "another continent", "fixes that stand still", "depth", "heading", "position"],
+)  # fmt: skip
+def test_a_sensor_that_is_misread_is_told(sensor: str, misread: Callable[[Floats], Floats], told: list[str]) -> None:
+    """Else the tables would have the filter err that trusts it."""
+    noise = {"depth": SensorErrors(0.05, 4.0), "heading": SensorErrors(0.5, 2.0), "position": SensorErrors(1.0, 1.0)}
+    dive = simulate_dive("calibration", duration_s=250.0, grade="tactical", sensors={sensor: noise[sensor]})
+    right = dive.sensors[sensor]
+    dive = replace(dive, sensors={sensor: replace(right, values=misread(right.values))})
+    settings = load_config("tactical", None, ["evaluation.starts=1", "heading.sd_deg=0.5", "position.sd_m=1"])
+    settings = msgspec.structs.replace(settings, filters=config(sensor).filters)
+    replay = replay_dive(dive, settings)
+    assert sorted({note.code for note in replay.notes if note.severity == "warning"}) == told
 
 
 def test_what_a_filter_estimates_of_its_sensors_is_noted() -> None:

@@ -27,7 +27,7 @@ from insdvl_replay.report.page import page
 from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.chosen_tables import csv_of
 from insdvl_replay.results.dive_document import closing_lines, dive_document, heading
-from insdvl_replay.results.dive_tables import glance_table
+from insdvl_replay.results.dive_tables import glance_table, word_in_table
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.json_report import Tool, decode_report, encode_report
 from insdvl_replay.results.overviews import Failure, summary_csv
@@ -209,6 +209,13 @@ def test_what_a_dive_without_a_reference_cannot_say_is_said_once_and_nothing_is_
     [closing] = closing_lines(alone)
     assert "see coasting and consistency" in closing
     assert NO_REFERENCE not in as_markdown(dive_document(report()))
+
+
+@pytest.mark.parametrize(("quantity", "shown"), [("drift_60s", "undecided"), ("depth_60s", "(undecided)")])
+def test_a_word_without_a_vote_stands_in_brackets(quantity: str, shown: str) -> None:
+    row = replace(tables().evidence[0], quantity=quantity, word="undecided")
+    assert word_in_table(row) == shown
+    assert f"| {shown} |" in as_markdown(dive_document(replace(report(), tables=replace(tables(), evidence=[row]))))
 
 
 def test_markdown_tables_have_one_cell_per_column() -> None:
