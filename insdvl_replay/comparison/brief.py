@@ -6,6 +6,7 @@ from typing import Final
 
 from insdvl_replay.comparison.display_tables import growth, old_and_new, percent_text
 from insdvl_replay.core.changes import Aggregate, Change, Comparison, Difference
+from insdvl_replay.core.errors import listed
 from insdvl_replay.core.plain_text import natural_key, visible
 from insdvl_replay.core.quantities import NAMES
 from insdvl_replay.core.table_layout import RATIO
@@ -23,11 +24,22 @@ _STYLES: Final = {ChangeWord.BETTER: "filter2", ChangeWord.WORSE: "filter0"}
 
 
 def brief_differences(differences: Sequence[Difference]) -> Iterator[Sentences]:
-    """State in a line each what differs beside the tables, settings first."""
-    in_order = sorted(differences, key=lambda difference: difference.block != "config")
+    """State in a line each what differs beside the tables: first that logs do, then settings."""
+    other = [one for one in differences if (one.block, one.key) == ("log", "sha256") and one.old and one.new]
+    in_order = sorted(
+        (one for one in differences if one not in other), key=lambda difference: difference.block != "config"
+    )
     lines = [f"{one.block} {one.key}: {_short(one.old)}, now {_short(one.new)}" for one in in_order[:_MOST_DIFFERENCES]]
-    left = len(differences) - len(lines)
-    yield Sentences((*lines, *([f"{left} more differ: --all"] if left else [])))
+    left = len(in_order) - len(lines)
+    yield Sentences((*_other_logs(other), *lines, *([f"{left} more differ: --all"] if left else [])))
+
+
+def _other_logs(differences: Sequence[Difference]) -> Iterator[str]:
+    """State of which dives the logs are not the same file: what moved there need not be the settings' doing."""
+    names = sorted({name for one in differences for name in one.logs}, key=natural_key)
+    if names:
+        whose = "the log is" if len(names) == 1 else f"the logs of {listed(names)} are"
+        yield f"{whose} another one (SHA-256): what moved may be the log's"
 
 
 def _short(value: str | None) -> str:
@@ -47,7 +59,7 @@ def brief_changes(changes: Sequence[Change], baseline: str) -> Iterator[DisplayT
         ("", "l", lambda change: change.word),
     ]
     if rows:
-        yield table_of("Evidence that moved", _once(rows, baseline), columns, spare=(2, 3, 5))
+        yield table_of("Evidence that moved", _once(rows, baseline), columns, spare=(2, 3, 4))
 
 
 def _once(rows: Sequence[Change], baseline: str) -> list[Change]:

@@ -141,7 +141,7 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
 
 def _chosen_layouts(names: Sequence[str]) -> list[TableLayout]:
     for name in names:
-        require_known("table", name, [layout.name for layout in LAYOUTS])
+        require_known("table", name, [layout.name for layout in LAYOUTS], most=len(LAYOUTS))
     return [layout for layout in LAYOUTS if not names or layout.name in names]
 
 

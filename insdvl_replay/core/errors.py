@@ -127,13 +127,13 @@ def listed(names: Iterable[str], most: int = LISTED) -> str:
     return ", ".join(first[:most]) + more
 
 
-def require_known(kind: str, name: str, known: Collection[str], *, within: str = "") -> None:
+def require_known(kind: str, name: str, known: Collection[str], *, within: str = "", most: int = LISTED) -> None:
     """Raise a ConfigError, with the nearest name that is known, if a name is not known.
 
     What stands before all of these names, such as ``dvl.``, is told with them.
     """
     if name not in known:
-        raise ConfigError(f"{kind} '{within}{name}' is not known", hint_for(name, known, within=within))
+        raise ConfigError(f"{kind} '{within}{name}' is not known", hint_for(name, known, within=within, most=most))
 
 
 def hint_for(name: str, known: Collection[str], *, within: str = "", most: int = LISTED) -> str:

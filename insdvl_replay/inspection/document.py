@@ -25,6 +25,8 @@ from insdvl_replay.report.document import (
 )
 
 _PREFIXES: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
+_FOLDED: Final = 16
+"""Letters of a type's name that a narrow terminal folds before it leaves out a column."""
 _MOST_TOPICS: Final = 100
 """More are folded: recorders that write each field of each message as a topic make thousands."""
 _LEAST_FOLDED: Final = 4
@@ -106,6 +108,8 @@ def _topics(inventory: Inventory) -> DisplayTable:
         "llrrrrr",
         tuple(_folded([topic for topic in inventory.topics if topic.messages])),
         f"without messages: {listed([topic.topic for topic in empty], _MOST_EMPTY)}" if empty else "",
+        spare=(5, 6, 4, 3, 1),
+        folds=_FOLDED,
     )
 
 
@@ -171,6 +175,8 @@ def _clocks(inventory: Inventory) -> DisplayTable:
             )
             for clock in inventory.clocks
         ),
+        spare=(2, 6, 5, 7, 4),
+        folds=4,
     )
 
 

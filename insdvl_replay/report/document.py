@@ -56,6 +56,8 @@ class DisplayTable:
         On a terminal the title has a line of its own, and is not folded to the width of a narrow table.
     spare : tuple of int
         Columns that a terminal leaves out where it is too narrow for all, the first of them first.
+    folds : int
+        Letters by which other columns may be folded before one is left out, for long names in a first column.
     """
 
     title: str
@@ -65,6 +67,7 @@ class DisplayTable:
     footnote: str = ""
     title_apart: bool = False
     spare: tuple[int, ...] = ()
+    folds: int = 0
 
 
 Row = TypeVar("Row")

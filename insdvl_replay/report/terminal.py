@@ -105,7 +105,8 @@ class _Fitting:
         spare = self.table.spare
         for count in range(len(spare) + 1):
             grid = _table(_without(self.table, spare[:count]))
-            if Measurement.get(console, options.update(max_width=_ANY_WIDTH), grid).maximum <= options.max_width:
+            needed = Measurement.get(console, options.update(max_width=_ANY_WIDTH), grid).maximum
+            if needed - self.table.folds <= options.max_width:
                 break
         yield grid
 

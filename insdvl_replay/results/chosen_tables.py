@@ -16,7 +16,7 @@ from insdvl_replay.results.reference_tables import reference_tables
 def require_tables(names: Sequence[str]) -> None:
     """Raise a ConfigError, with the nearest name, if a table is not known."""
     for name in names:
-        require_known("table", name, [layout.name for layout in TABLES])
+        require_known("table", name, [layout.name for layout in TABLES], most=len(TABLES))
 
 
 def tables_named(report: Report, name: str) -> Iterator[DisplayTable]:

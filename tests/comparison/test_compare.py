@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -246,6 +247,16 @@ def test_causes_are_named_key_by_key_with_both_values(tmp_path: Path) -> None:
         ("log", "channels /imu"): ("100 sensor_msgs/msg/Imu (imu)", "90 sensor_msgs/msg/Imu (imu)"),
         ("notes", "imu_gaps"): (None, "3 (warning)"),
     }
+
+
+def test_another_log_is_told_before_all_settings(tmp_path: Path) -> None:
+    new = content(sha256="other")
+    new["config"] |= {f"key{number}": number for number in range(20)}
+    told = as_markdown(brief_document(compared(tmp_path, content(), new)))
+    assert re.search(r"the log is another one \(SHA-256\): what moved may be the log's\s+config key0: -, now 0", told)
+    assert "12 more differ" in told
+    assert "another one" not in as_markdown(brief_document(compared(tmp_path / "same", content(), content(window=5))))
+    assert "another one" not in as_markdown(brief_document(compared(tmp_path / "memory", content(sha256=""), new)))
 
 
 def test_what_differs_in_many_dives_is_named_once(tmp_path: Path) -> None:

@@ -461,6 +461,16 @@ def shown(inventory: Inventory, width: int) -> list[str]:
     return capture.get().splitlines()
 
 
+def test_a_narrow_terminal_leaves_out_columns_and_folds_no_number() -> None:
+    sample = Path(__file__).resolve().parents[2] / "sample_logs" / "figure_eight.mcap"
+    inventory = inspect_log(sample, load_config(), deep=False)
+    wide, narrow = ([line.rstrip() for line in shown(inventory, width)] for width in (80, 40))
+    assert max(map(len, narrow)) <= 40
+    assert any(re.search(r"^/imu +imu +39401 +100 +0.01 +0 +394$", line) for line in wide)
+    assert any(re.search(r"^/imu +imu +39401$", line) for line in narrow)
+    assert [line.split()[-1] for line in narrow if re.match("/(imu|dvl) +header", line)] == ["100.0", "1.000"]
+
+
 @pytest.mark.parametrize(
     "name", ["blueye_x3/auto_square", "cougars/so_lastbag", "stanford_auv/x_1", "snapir/snapir_01"]
 )

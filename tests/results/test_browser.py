@@ -154,6 +154,25 @@ def test_verdict_error_track_and_evidence_are_on_the_first_screen(pages: dict[st
     assert shown["evidence"] < 1100, "four candidates have as many lines of verdict"
 
 
+WIDEST_CELLS = """
+(() => {
+  const cells = [
+    "velocity settled", "(undecided)", "m/s", "0.0007757", "0.0007891", "0.956", "0.000", "2.09e+08", "39",
+  ];
+  const evidence = [...document.querySelectorAll(".tables .wide")].slice(0, 2);
+  const rows = evidence.flatMap(table => [...table.querySelectorAll("tbody tr")]);
+  rows.forEach(row => [...row.children].forEach((cell, n) => cell.textContent = cells[n]));
+  return evidence.map(e => e.scrollWidth - e.clientWidth);
+})()
+"""
+
+
+@pytest.mark.parametrize("width", [1100, 1200, 1366])
+def test_no_digit_of_the_evidence_lies_behind_an_edge(width: int, pages: dict[str, Path], browser: Browser) -> None:
+    browser.open(pages["straight"], width)
+    assert browser.value(WIDEST_CELLS) == [0, 0]
+
+
 def test_a_click_shows_a_picture_alone_and_another_leads_back(pages: dict[str, Path], browser: Browser) -> None:
     browser.open(pages["straight"], 1280, scripts=False)
     width = 'document.querySelector("#first-1 svg").getBoundingClientRect().width'
