@@ -55,6 +55,8 @@ def is_whole(measurement: str) -> bool:
 
 PARITY: Final = "parity"
 """How the four beams of a ping agree: noise that is measured without a filter."""
+BEAM: Final = "beam_"
+"""So begins the name of a beam; its number stands behind."""
 WITHHELD: Final = "withheld_"
 """So begins the name of a sensor of whose readings no filter is told."""
 
@@ -66,6 +68,11 @@ IS_REFERENCE: Final = "_is_reference"
 def is_used(measurement: str) -> bool:
     """Distinguish a whole measurement that a filter predicts and uses, by which it is judged honest or not."""
     return is_whole(measurement) and measurement != PARITY and not measurement.startswith(WITHHELD)
+
+
+def is_beam(measurement: str) -> bool:
+    """Return whether this is one beam of the DVL."""
+    return measurement.startswith(BEAM) and measurement.removeprefix(BEAM).isdecimal()
 
 
 MEASUREMENTS: Final[dict[str, tuple[str, ...]]] = {

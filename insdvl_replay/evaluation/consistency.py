@@ -122,8 +122,8 @@ def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
 def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
     kind, total = innovations.measurement, len(innovations.used)
     if total == 0:
-        text, hint = f"filter {name} had no {kind} to use", f"filters.{name}.acceleration.max_window_gap_s or window"
-        return [Note("aiding_without_updates", text, 0, Severity.WARNING, hint)]
+        hint = f"filters.{name}.acceleration.max_window_gap_s or window" if kind == "acceleration" else ""
+        return [Note("aiding_without_updates", f"filter {name} had no {kind} to use", 0, Severity.WARNING, hint)]
     if innovations.is_withheld:
         return []
     lost = int(np.sum(~np.isfinite(innovations.nis)))
@@ -176,7 +176,12 @@ def _reopening_notes(history: History) -> list[Note]:
 
 def rejections(innovations: Innovations) -> int:
     """Count the innovations that the gate rejected."""
-    return int(np.sum(~innovations.used & np.isfinite(innovations.nis)))
+    return int(refusals(innovations).sum())
+
+
+def refusals(innovations: Innovations) -> NDArray[np.bool_]:
+    """Find the innovations that the gate rejected, shape (m,)."""
+    return ~innovations.used & np.isfinite(innovations.nis)
 
 
 def autocorrelation(standardised: Floats, used: NDArray[np.bool_]) -> tuple[float, float]:

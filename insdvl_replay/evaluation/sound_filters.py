@@ -1,20 +1,21 @@
 """Filters of which nothing is said: dead ones, and those set so wrong that gain or loss would be an accident."""
 
 from collections.abc import Iterable, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from insdvl_replay.core.dive_columns import NS_PER_S
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.quantities import IS_REFERENCE, is_used
+from insdvl_replay.core.quantities import IS_REFERENCE, is_beam, is_used
 from insdvl_replay.core.rows import ConsistencyRow, ReferenceErrorRow
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.tables import Tables
 from insdvl_replay.core.words import ReferenceStatus
-from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejections
+from insdvl_replay.evaluation.consistency import MANY_REJECTED, refusals
 
 MANY_REOPENED: Final = 0.01
 """Share of the pings; each comes after several that were rejected."""
@@ -90,9 +91,10 @@ def dead_filters(histories: tuple[History, ...]) -> dict[str, str]:
     -------
     dict of str to str
         By name of the filter what is wrong with it; those that are sound are left out. A filter is dead where its state
-        is not finite, where its gate rejected more than `MANY_REJECTED` of what locks it out (the velocities, or the
-        accelerations of a filter that has no others), or where it was set to the DVL again more than once and at more
-        than `MANY_REOPENED` of its pings. What a gate rejects of a sound filter by chance is allowed for.
+        is not finite, where its gate rejected more than `MANY_REJECTED` of what locks it out (the velocities, the
+        pings of the beams, or what else a filter is aided by first), or where it was set to the DVL again more than
+        once and at more than `MANY_REOPENED` of its pings. What a gate rejects of a sound filter by chance is allowed
+        for.
     """
     found = {
         history.filter: _not_finite(history) or _locked_out(history) or _set_again(history)
@@ -152,31 +154,52 @@ def _not_finite(history: History) -> str:
 
 
 def _locked_out(history: History) -> str:
-    innovations = _leading(history)
-    if innovations is None:
+    leading = _leading(history)
+    if leading is None:
         return ""
-    rejected, total = rejections(innovations), len(innovations.used)
-    if rejected <= max(FEW, (MANY_REJECTED + _by_chance(innovations)) * total):
+    rejected, total = int(leading.refused.sum()), len(leading.refused)
+    if rejected <= max(FEW, (MANY_REJECTED + leading.by_chance) * total):
         return ""
-    return f"{history.filter} rejected {rejected} of {total} {innovations.measurement} innovations"
+    return f"{history.filter} rejected {rejected} of {total} {leading.of}"
 
 
 def _set_again(history: History) -> str:
     """Find a filter that is not thrown off once, but errs all the time, and is saved from itself every so often."""
-    innovations = _leading(history)
-    if innovations is None:
+    leading = _leading(history)
+    if leading is None:
         return ""
-    reopened, total = len(history.reopened_ns), len(innovations.used)
-    if reopened <= max(1.0, (MANY_REOPENED + _by_chance(innovations) ** innovations.reopen_after) * total):
+    reopened, total = len(history.reopened_ns), len(leading.refused)
+    if reopened <= max(1.0, (MANY_REOPENED + leading.by_chance**leading.reopen_after) * total):
         return ""
-    return f"{history.filter} lost its way {reopened} times in {total} velocity innovations"
+    return f"{history.filter} lost its way {reopened} times in {total} {leading.of}"
 
 
-def _by_chance(innovations: Innovations) -> float:
-    """Return the share of the innovations that the gate of a sound filter rejects."""
-    return float(chdtrc(innovations.dof, innovations.gate))
+class _Leading(NamedTuple):
+    """What a filter hangs on: which of its readings the gate refused, and which share of them it would by chance."""
+
+    of: str
+    refused: NDArray[np.bool_]
+    by_chance: float
+    reopen_after: int
 
 
-def _leading(history: History) -> Innovations | None:
-    velocities = [innovations for innovations in history.innovations if innovations.measurement == "velocity"]
-    return next(iter((*velocities, *history.innovations)), None)
+def _leading(history: History) -> _Leading | None:
+    """Return the velocities, else the pings of the beams, else what a filter is aided by first."""
+    used = [innovations for innovations in history.innovations if is_used(innovations.measurement)]
+    beams = [innovations for innovations in used if is_beam(innovations.measurement)]
+    if beams:
+        return _pings(beams)
+    velocities = [innovations for innovations in used if innovations.measurement == "velocity"]
+    first = next(iter((*velocities, *used)), None)
+    if first is None:
+        return None
+    by_chance, of = float(chdtrc(first.dof, first.gate)), f"{first.measurement} innovations"
+    return _Leading(of, refusals(first), by_chance, first.reopen_after)
+
+
+def _pings(beams: Sequence[Innovations]) -> _Leading:
+    """Put the beams of each ping together: refused where all that were heard are; by chance, at most as one is."""
+    time_ns, ping = np.unique(np.concatenate([one.time_ns for one in beams]), return_inverse=True)
+    passed = np.zeros(len(time_ns), np.bool_)
+    passed[ping[~np.concatenate([refusals(one) for one in beams])]] = True
+    return _Leading("pings", ~passed, float(chdtrc(1, beams[0].gate)), beams[0].reopen_after)

@@ -37,6 +37,7 @@ from insdvl_replay.nav.vector_algebra import (
     compose,
     cross,
     dot,
+    nearest_turn,
     rotate,
     row_vector,
     scale,
@@ -233,7 +234,7 @@ def _linearise_sensor(
     if measurements.kind[m] == DEPTH:
         z[0] = _predict_depth(ins, arm_n, layout, H) - reading[0]
     elif measurements.kind[m] == HEADING:
-        z[0] = _nearest_turn(_predict_heading(ins, H) - reading[0])
+        z[0] = nearest_turn(_predict_heading(ins, H) - reading[0])
     else:
         _linearise_fix(ins, reading, arm_n, layout, z, H)
 
@@ -257,12 +258,6 @@ def _predict_heading(ins: InsAtPing, H: Floats) -> float:
     steep = down / (north * north + east * east)
     H[0, 3], H[0, 4], H[0, 5] = -steep * north, -steep * east, 1.0
     return math.atan2(east, north)
-
-
-@inlined
-def _nearest_turn(angle: float) -> float:
-    """Return an angle without its whole turns, in [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @inlined

@@ -19,6 +19,7 @@ from insdvl_replay.nav.vector_algebra import (
     Vector,
     add,
     cross,
+    nearest_turn,
     rotate,
     scale,
     scale_matrix,
@@ -117,11 +118,11 @@ def _write(P: Floats, at: int, apart: int, values: Vector) -> None:
 
 @inlined
 def offset_n(position: Vector, from_position: Vector, place: Place) -> Vector:
-    """Return how far one position, latitude rad, longitude rad, height m, is from another, in n, m."""
+    """Return how far one position, latitude rad, longitude rad, height m, is from another, in n, m, the short way."""
     to_north, to_east = curvatures(place, position[2])
     return (
         (position[0] - from_position[0]) / to_north,
-        (position[1] - from_position[1]) * place.cos_latitude / to_east,
+        nearest_turn(position[1] - from_position[1]) * place.cos_latitude / to_east,
         from_position[2] - position[2],
     )
 

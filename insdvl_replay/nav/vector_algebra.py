@@ -173,3 +173,9 @@ def rotation_from_vector(rotation: Vector) -> Matrix:
         (versine * x * y + sine * z, 1.0 - versine * (x * x + z * z), versine * y * z - sine * x),
         (versine * x * z - sine * y, versine * y * z + sine * x, 1.0 - versine * (x * x + y * y)),
     )
+
+
+@inlined
+def nearest_turn(angle: float) -> float:
+    """Return an angle without its whole turns, in [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi

@@ -139,7 +139,10 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
             end_ns,
             sensed.mat_nb,
         )
-        sensors, sensor_notes = prepare_sensors(dive.sensors, config, alignment.start, alignment.start_ns, end_ns)
+        alignment = replace(alignment, start=sensed.at_imu(alignment.start))
+        sensors, sensor_notes = prepare_sensors(
+            dive.sensors, config, alignment.start, alignment.start_ns, end_ns, sensed.told_ns
+        )
         own, own_notes = prepare_own_measurements(dive, config, len(sensors), alignment.start_ns, end_ns)
     inside = velocities.within(alignment.start_ns, end_ns)
     by_beams = any("beams" in filter_.aiding for filter_ in filters)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +14,6 @@ from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.core.states import DEG, FASTEST_MPS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import north_east_m
-from insdvl_replay.geometry.rotation import wrap_angle
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import DEPTH, FIX, HEADING
 from insdvl_replay.nav.measurements import Measurement, sensor_measurement
@@ -38,8 +38,16 @@ class _Sensor:
     notes: list[Note]
 
 
+NOTHING_TOLD: Final[Mapping[str, int]] = MappingProxyType({})
+
+
 def prepare_sensors(
-    sensors: Mapping[str, SensorColumns], config: Config, start: Start, start_ns: int, end_ns: int
+    sensors: Mapping[str, SensorColumns],
+    config: Config,
+    start: Start,
+    start_ns: int,
+    end_ns: int,
+    told_ns: Mapping[str, int] = NOTHING_TOLD,
 ) -> tuple[dict[str, Measurement], tuple[Note, ...]]:
     """Prepare the sensors that were read.
 
@@ -51,6 +59,8 @@ def prepare_sensors(
         Where the filters start.
     start_ns, end_ns : int
         Span of the replay.
+    told_ns : mapping of str to int
+        Times of the readings that the start is made of, by sensor: they tell nothing more.
 
     Returns
     -------
@@ -78,6 +88,7 @@ def prepare_sensors(
         measurement = sensor_measurement(
             name, of_sensor.unit, kind, columns.time_ns, values, sd, axes=of_sensor.components[: values.shape[1]]
         )
+        measurement.available[columns.time_ns == told_ns.get(name)] = False
         arm_b = np.array(getattr(sensor.settings, "lever_arm_m", (0.0, 0.0, 0.0)))
         found[name] = replace(measurement, sensor=row, lever_arm_b=arm_b)
     return found, tuple(notes)
@@ -105,10 +116,9 @@ def _heading(sensor: _Sensor) -> Measured:
 
 
 def _position(sensor: _Sensor) -> Measured:
-    """Return the fixes with longitudes near that of the start, and without heights that are not to be used."""
+    """Return the fixes without heights that are not to be used."""
     settings: Position = sensor.settings
-    fixes, start_longitude = sensor.columns.values.copy(), float(sensor.start.position[1])
-    fixes[:, 1] = start_longitude + wrap_angle(fixes[:, 1] - start_longitude)
+    fixes = sensor.columns.values
     sd_m = np.array([settings.sd_m, settings.sd_m, settings.height_sd_m or np.nan])
     used = slice(2 if settings.height_sd_m is None else 3)
     sensor.notes.extend(_far_notes(sensor, fixes[0]))

@@ -1,18 +1,20 @@
 """What the start takes from other sensors: an attitude where it is asked for; heading and position that are open."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
 
 from insdvl_replay.core.config import Config, Heading, Initial
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, SensorColumns, seconds
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, SensorColumns
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.sensors import BY_SENSOR
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
+from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
+from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.preparation.start_position import FAR_S
 
 
@@ -29,12 +31,22 @@ class SensedStart:
     mat_nb : ndarray, shape (3, 3), or None
         Attitude there.
     notes : tuple of Note
+    told_ns : mapping of str to int
+        Times of the readings that this start is made of, by sensor: a filter that is aided by them knows them already.
     """
 
     config: Config
     start_ns: int
     mat_nb: Floats | None
     notes: tuple[Note, ...]
+    told_ns: Mapping[str, int]
+
+    def at_imu(self, start: Start) -> Start:
+        """Move a start from the antenna, whose fix was taken for its position, to the IMU."""
+        if "position" not in self.told_ns:
+            return start
+        arm_n = start.mat_nb @ np.array(self.config.position.lever_arm_m)
+        return replace(start, position=moved_position(start.position, -arm_n))
 
 
 def started_by_sensors(
@@ -59,16 +71,19 @@ def started_by_sensors(
         The attitude is to be a sensor's, which gives none in the span; or the heading, which is silent at the start.
     """
     initial, notes, mat_nb = config.initial, list[Note](), None
+    told_ns = dict[str, int]()
     posed = initial.source == "reference" and reference is not None and reference.has_attitude
     if initial.source == BY_SENSOR:
         start_ns, mat_nb = _attitude(initial, sensors["heading"], start_ns, end_ns, notes)
         initial = _no_surer(initial, config.heading)
     elif not posed and "heading" in sensors and initial.heading_deg in (None, BY_SENSOR):
         initial = _with_heading(initial, sensors["heading"], config.heading.sd_deg, start_ns, notes)
+        told_ns["heading"] = _nearest_ns(sensors["heading"], start_ns)
     located = reference is not None and reference.has_position
     if not located and "position" in sensors and initial.latitude_deg is None:
         initial = _with_position(initial, sensors["position"], config.position.sd_m, start_ns, notes)
-    return SensedStart(msgspec.structs.replace(config, initial=initial), start_ns, mat_nb, tuple(notes))
+        told_ns["position"] = _nearest_ns(sensors["position"], start_ns)
+    return SensedStart(msgspec.structs.replace(config, initial=initial), start_ns, mat_nb, tuple(notes), told_ns)
 
 
 def _attitude(
@@ -144,6 +159,13 @@ def _with_position(initial: Initial, fixes: SensorColumns, sd_m: float, start_ns
 
 def _nearest(readings: SensorColumns, start_ns: int) -> tuple[Floats, float]:
     """Return the reading nearest to a time, and by how many seconds it is away."""
-    away_s = np.abs(seconds(readings.time_ns, start_ns))
-    row = int(np.argmin(away_s))
-    return readings.values[row], float(away_s[row])
+    row = _nearest_row(readings, start_ns)
+    return readings.values[row], abs(int(readings.time_ns[row]) - start_ns) / NS_PER_S
+
+
+def _nearest_ns(readings: SensorColumns, start_ns: int) -> int:
+    return int(readings.time_ns[_nearest_row(readings, start_ns)])
+
+
+def _nearest_row(readings: SensorColumns, start_ns: int) -> int:
+    return int(np.argmin(np.abs(readings.time_ns - start_ns)))

@@ -129,6 +129,40 @@ def test_fixes_hold_the_position_and_are_read_as_they_were_simulated(tmp_path: P
     assert np.hypot(rms(replay, "candidate", 0), rms(replay, "candidate", 1)) < 1.5
 
 
+def test_a_fix_without_height_is_none_where_heights_are_used(tmp_path: Path) -> None:
+    dive = simulated(duration_s=30.0, position=SensorErrors(2.0, 1.0))
+    fixes = dive.sensors["position"]
+    values = fixes.values.copy()
+    values[10:, 2] = np.nan
+    write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": replace(fixes, values=values)}))
+    for height_sd_m, count in ((None, 31), (3.0, 10)):
+        read = read_dive(tmp_path / "dive.mcap", config("position", position=Position(height_sd_m=height_sd_m)))
+        assert len(read.sensors["position"].time_ns) == count
+
+
+def test_a_dive_over_180_deg_of_longitude_is_as_any_other() -> None:
+    """Through coasting, too, which takes the positions up that were written down."""
+    dive = simulated(duration_s=300.0, position=SensorErrors(1.0, 1.0))
+    assert dive.reference is not None
+    east = np.pi - 1e-7 - dive.reference.position[0, 1]  # 0.5 m from there
+
+    def moved(position: Floats) -> Floats:
+        return np.column_stack([position[:, :1], wrap_angle(position[:, 1:2] + east), position[:, 2:]])
+
+    fixes = dive.sensors["position"]
+    there = replace(
+        dive,
+        reference=replace(dive.reference, position=moved(dive.reference.position)),
+        sensors={"position": replace(fixes, values=moved(fixes.values))},
+    )
+    assert np.ptp(there.sensors["position"].values[:, 1]) > 6.0
+    settings = config("position", position=Position(sd_m=1.0), noise=MEMS.noise, initial=MEMS.initial)
+    here, there_too = (replay_dive(one, settings).tables for one in (dive, there))
+    for ours, theirs in zip(here.evidence, there_too.evidence, strict=True):
+        assert (ours.quantity, ours.word) == (theirs.quantity, theirs.word)
+        assert theirs.value == pytest.approx(ours.value, rel=1e-3, nan_ok=True)
+
+
 # --- Position as a state.
 
 
@@ -353,6 +387,40 @@ def test_a_dive_without_a_reference_starts_by_its_sensors() -> None:
     codes = {note.code for note in replay.notes}
     assert {"start_heading_sensor", "start_position_sensor"} <= codes
     np.testing.assert_allclose(replay.histories[1].sd[0, 12:14], 2.0)
+
+
+def test_a_start_by_sensors_errs_as_the_filter_says() -> None:
+    """The readings next to the start lie behind it, and make it: a filter that met them again would think of two."""
+    arm_m, off = (4.0, 2.0, -1.0), []
+    for seed in range(24):
+        dive = simulate_dive(
+            "lawnmower", seed=seed, duration_s=6.0, imu_errors=MATCHED_IMU, dvl_errors=MATCHED_DVL,
+            sensors={"heading": SensorErrors(2.0, 0.1), "position": SensorErrors(2.0, 0.1)},
+        )  # fmt: skip
+        assert dive.reference is not None
+        fixes, truth = dive.sensors["position"], dive.reference
+        fixes = replace(fixes, values=moved_position(fixes.values, truth.mat_nb[:1] @ np.array(arm_m)))
+        late = {name: replace(one, time_ns=one.time_ns + 400_000_000)
+                for name, one in {**dive.sensors, "position": fixes}.items()}  # fmt: skip
+        settings = Config(
+            noise=MATCHED.noise,
+            initial=Initial(
+                source="level", accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, position_sd_m=(0.1, 0.1, 0.1)
+            ),
+            dvl=MATCHED.dvl,
+            heading=Heading(sd_deg=2.0),
+            position=Position(sd_m=2.0, lever_arm_m=arm_m),
+            filters={"aided": Filter(aiding=("velocity", "heading", "position"))},
+        )
+        dive = replace(dive, sensors=late, reference=None)
+        prepared = prepare_dive(dive, settings)
+        history = run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared))
+        apart_m = np.array(north_east_m(history.position[-1], truth.position[-1], truth.position[-1]))
+        turned = rpy_from_mat(history.mat_nb[-1])[2] - rpy_from_mat(truth.mat_nb[-1])[2]
+        off.append(np.append(apart_m, wrap_angle(np.asarray(turned))) / history.sd[-1, [12, 13, 5]])
+    nees = np.mean(np.square(off), axis=0)
+    assert 0.6 < nees[:2].mean() < 1.5, nees  # 95 %: 0.64 to 1.44
+    assert 0.5 < nees[2] < 1.7, nees  # 0.52 to 1.64
 
 
 def test_what_is_configured_goes_before_a_sensor() -> None:

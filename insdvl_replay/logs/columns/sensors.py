@@ -106,11 +106,15 @@ def _magnetic_attitude(table: Table, settings: Heading) -> Floats | None:
 
 
 def _position(table: Table, settings: Position) -> _Readings:
-    """Return latitude rad, longitude rad, height m, shape (k, 3): NaN where there was no fix."""
+    """Return latitude rad, longitude rad, height m, shape (k, 3): NaN where there was no fix.
+
+    A height that a fix lacks is 0 where heights are not used, and NaN where they are.
+    """
     unit = ANGLE_UNITS[settings.angle_unit]
     latitude, longitude = (of_receiver(table, name) * unit for name in ("latitude", "longitude"))
-    height_m = table.column("height") if "height" in table else np.zeros(len(table))
-    position = np.stack([latitude, longitude, np.nan_to_num(height_m)], axis=1)
+    missing_m = 0.0 if settings.height_sd_m is None else np.nan
+    height_m = table.column("height") if "height" in table else np.full(len(table), missing_m)
+    position = np.stack([latitude, longitude, np.where(np.isfinite(height_m), height_m, missing_m)], axis=1)
     lost = (latitude == 0.0) & (longitude == 0.0) | (np.abs(latitude) > 0.5 * np.pi)
     if "fix_status" in table:
         lost |= table.column("fix_status") < 0.0
