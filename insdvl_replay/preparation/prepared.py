@@ -171,13 +171,13 @@ def _velocities(dive: Dive, mounting: DvlMounting, limit_mps: float | None) -> t
     notes = []
     if lost := velocities.pings_without_velocity:
         notes.append(
-            Note("dvl_no_velocity", f"{lost} pings have fewer than three valid beams or no finite velocity", lost)
+            Note("dvl_no_velocity", f"pings with fewer than three valid beams or no finite velocity: {lost}", lost)
         )
     if bad := velocities.pings_with_bad_residual:
-        text = f"{bad} pings have beams that disagree by more than {limit_mps:g} m/s"
+        text = f"pings whose beams disagree by more than {limit_mps:g} m/s: {bad}"
         notes.append(Note("dvl_bad_residual", text, bad))
     if three := int(np.sum(velocities.beams_used == 3)):
-        notes.append(Note("dvl_three_beams", f"{three} pings are solved from three beams, without a check", three))
+        notes.append(Note("dvl_three_beams", f"pings solved from three beams, without a check: {three}", three))
     return velocities, tuple(notes)
 
 
@@ -214,7 +214,7 @@ def _outside_notes(name: str, velocities: DvlVelocities, inside: DvlVelocities) 
     outside = len(velocities.time_ns) - len(inside.time_ns)
     if not outside:
         return ()
-    return (Note("dvl_outside_span", f"{outside} pings lie before the start of the replay or after its end", outside),)
+    return (Note("dvl_outside_span", f"pings before the start of the replay or after its end: {outside}", outside),)
 
 
 def reference_as_configured(reference: ReferenceColumns, imu: ImuColumns, config: Config) -> ReferenceColumns:
