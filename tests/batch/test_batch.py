@@ -199,7 +199,7 @@ def test_a_folder_keeps_what_stands_behind_a_dot_in_its_name(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("paths", ["x.mcap x", "mon/x.mcap tue/x.mcap tue_x.mcap"])
 def test_dives_that_folders_do_not_tell_apart_are_refused(paths: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"x\.mcap and .*x(\.mcap)? would share the name .*x$"):
+    with pytest.raises(ConfigError, match=r"(?m)x\.mcap and .*x(\.mcap)? would share the name .*x$"):
         unique_names([tmp_path / path for path in paths.split()])
 
 
