@@ -54,6 +54,7 @@ calibration: .venv/test.stamp
 judge: .venv/test.stamp
 	$(BIN)/python benchmarks/judge.py
 	$(BIN)/python benchmarks/onboard.py
+	PYTHONPATH=tests $(BIN)/python benchmarks/noise.py
 
 # Damaged logs, bombs, hostile names, kills, swaps; takes some hour, and fails if there is a defect.
 attack: .venv/test.stamp

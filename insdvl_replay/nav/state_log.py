@@ -35,8 +35,8 @@ class Updates(NamedTuple):
     """Innovations, first axis measurement, second axis reading; and how far each kind is in a run of rejections.
 
     ``refused_in_a_row`` counts the rejections up to now, ``refused_s`` is the time of the last, ``used_s`` that of the
-    last reading that was used, and ``reopened_s`` that of the last that was used in spite of the gate. ``noise_factor``
-    is how much larger R is found to be.
+    last reading that was used, and ``reopened_s`` that of the last that was used in spite of the gate. ``noise_found``
+    is how much larger R is by the innovations, ``noise_factor`` as far as that is more than chance.
     """
 
     innovation: Floats
@@ -50,6 +50,7 @@ class Updates(NamedTuple):
     used_s: Floats
     reopened_s: Floats
     noise_factor: Floats
+    noise_found: Floats
 
 
 def new_records(keep_cov: NDArray[np.bool_], states: int, constants: int) -> Records:
@@ -82,6 +83,7 @@ def new_updates(measurements: int, readings: int, size: int) -> Updates:
         used_s=np.zeros(measurements),
         reopened_s=np.full(measurements, -np.inf),
         noise_factor=np.ones(measurements),
+        noise_found=np.ones(measurements),
     )
 
 

@@ -1,81 +1,68 @@
 """Adaptive and Student-t noise of the DVL, as candidates beside a filter that believes what it is told."""
 
-from dataclasses import replace
+from collections.abc import Iterator
 
-import msgspec
 import numpy as np
 import pytest
-from matched_sensors import MATCHED
+from contaminated_dives import CANDIDATES, competitors, contaminated_dive
 
-from insdvl_replay.core.config import Config, Evaluation, Filter, Initial
-from insdvl_replay.core.dive_columns import Dive
-from insdvl_replay.core.words import EvidenceWord
-from insdvl_replay.nav.measurement_noise import CEILING, FLOOR, adapted_factor, outlier_factor
+from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.words import Judgement
+from insdvl_replay.nav.measurement_noise import CEILING, FLOOR, believed_factor, found_factor, outlier_factor
 from insdvl_replay.replay import replay_dive
-from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 
-SD_MPS, WHITE = 0.02, 1e-3
-CONFIG = Config(
-    noise=msgspec.structs.replace(MATCHED.noise, accel_white_mps_rts=WHITE),
-    initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1),
-    dvl=msgspec.structs.replace(MATCHED.dvl, velocity_sd_mps=SD_MPS),
-    evaluation=Evaluation(starts=1),
-    filters={
-        "baseline": Filter(aiding=("velocity",)),
-        "adaptive": Filter(aiding=("velocity",), dvl_noise="adaptive"),
-        "student": Filter(aiding=("velocity",), dvl_noise="student-t"),
-    },
-)
+DIVES, LENGTH_S, STARTS = 5, 600.0, 8
+PREDICTED_VAR = 0.5
 
 
-def simulated(seed: int, contaminated: float) -> Dive:
-    """A dive of which a share of the pings is off by a metre per second along three beams."""
-    dive = simulate_dive(
-        "lawnmower", seed=seed, duration_s=1500.0, imu_errors=ImuErrors(WHITE, 4.4e-5, 0.01, 0.0, 2e-5, 8e-8),
-        dvl_errors=DvlErrors(0.0, 0.0, 0.0, 0.0, velocity_sd_mps=SD_MPS),
-    )  # fmt: skip
-    assert dive.dvl.beam_velocity_mps is not None
-    rng, beams = np.random.default_rng(seed), dive.dvl.beam_velocity_mps.copy()
-    hit = rng.random(len(beams)) < contaminated
-    beams[hit] += rng.normal(scale=0.5, size=(int(hit.sum()), beams.shape[1]))
-    return replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=beams))
+def words(aiding: str, off_by_mps: float) -> list[Judgement | None]:
+    """Words on both candidates in some dives."""
+    dives = (contaminated_dive(seed, LENGTH_S, off_by_mps) for seed in range(DIVES))
+    replays = (replay_dive(dive, competitors(aiding, STARTS)) for dive in dives)
+    return [each.verdicts[name].improvement for each in replays for name in CANDIDATES]
 
 
-def words(seed: int, contaminated: float, name: str) -> dict[str, str]:
-    rows = replay_dive(simulated(seed, contaminated), CONFIG).tables.evidence
-    return {row.quantity: row.word for row in rows if row.filter == name}
+@pytest.mark.parametrize("aiding", ["velocity", "beams"])
+def test_where_pings_are_contaminated_they_are_better(aiding: str) -> None:
+    assert words(aiding, 0.2) == [Judgement.BETTER] * DIVES * len(CANDIDATES)
 
 
-@pytest.mark.parametrize("name", ["adaptive", "student"])
-def test_where_pings_are_contaminated_they_are_better(name: str) -> None:
-    found = [words(seed, 0.05, name) for seed in (1, 2, 3)]
-    along = [each["velocity_along"] for each in found]
-    assert along.count(EvidenceWord.BETTER) == 3, found
-    assert not any(word == EvidenceWord.WORSE for each in found for word in each.values()), found
+@pytest.mark.parametrize("aiding", ["velocity", "beams"])
+def test_on_clean_dives_they_are_equivalent(aiding: str) -> None:
+    assert words(aiding, 0.0) == [Judgement.EQUIVALENT] * DIVES * len(CANDIDATES)
 
 
-@pytest.mark.parametrize("name", ["adaptive", "student"])
-def test_on_clean_dives_they_are_equivalent(name: str) -> None:
-    found = [words(seed, 0.0, name) for seed in (1, 2, 3)]
-    assert [each["velocity_along"] for each in found].count(EvidenceWord.EQUIVALENT) == 3, found
-    assert not any(word in (EvidenceWord.WORSE, EvidenceWord.BETTER) for each in found for word in each.values()), found
+def followed(true_var: Floats, size: int) -> Iterator[tuple[float, float]]:
+    """What is found and believed of the noise of innovations whose variance is so much larger than said."""
+    rng, R, found, believed = np.random.default_rng(2), np.eye(size), 1.0, 1.0
+    for var in true_var:
+        z = rng.normal(scale=np.sqrt(var + PREDICTED_VAR), size=size)
+        S = believed * R + PREDICTED_VAR * np.eye(size)
+        found = found_factor(found, believed, z, S, believed * R)
+        believed = believed_factor(found, believed, S, believed * R)
+        yield found, believed
 
 
 def test_a_noise_that_doubles_is_followed_within_a_window_or_two() -> None:
-    rng, R, factor = np.random.default_rng(2), np.eye(3), 1.0
-    found = []
-    for step in range(600):
-        var = 1.0 if step < 300 else 2.0
-        z = rng.normal(scale=np.sqrt(var + 0.5), size=3)
-        factor = adapted_factor(factor, z, factor * R + 0.5 * np.eye(3), factor * R)
-        found.append(factor)
+    found, believed = np.transpose(list(followed(np.repeat([1.0, 2.0], 300), 3)))
     assert np.mean(found[100:300]) == pytest.approx(1.0, abs=0.15)
     assert np.mean(found[360:]) == pytest.approx(2.0, abs=0.3)
-    assert min(found) > FLOOR
-    assert max(found) < CEILING
+    assert np.mean(believed[360:]) == pytest.approx(2.0, abs=0.35)
+    assert found.min() > FLOOR
+    assert found.max() < CEILING
 
 
-def test_an_innovation_as_large_as_expected_leaves_the_noise_as_it_is() -> None:
-    assert outlier_factor(3.0, 3) == 1.0
-    assert outlier_factor(103.0, 3) == pytest.approx(123.0 / 23.0)
+@pytest.mark.parametrize("size", [1, 3])
+def test_chance_is_not_believed(size: int) -> None:
+    found, believed = np.transpose(list(followed(np.ones(100_000), size)))
+    var = 2.0 * (1.0 + PREDICTED_VAR) ** 2 / size / 59.0
+    assert np.std(found) == pytest.approx(np.sqrt(var), rel=0.1)
+    assert np.mean(believed != 1.0) < 0.02
+    assert np.std(believed) < 0.1 * np.std(found)
+
+
+@pytest.mark.parametrize("size", [1, 3])
+def test_an_innovation_as_large_as_chance_has_it_leaves_the_noise_as_it_is(size: int) -> None:
+    usual = size + 3.0 * np.sqrt(2.0 * size)
+    assert outlier_factor(usual, size) == 1.0
+    assert outlier_factor(usual + 100.0, size) == pytest.approx((110.0 + usual) / (10.0 + usual))
