@@ -32,6 +32,8 @@ class Clock:
         Stamps that lie before, or at, the one before in the file.
     rate_hz : float or None
         By the stamps: those that differ, over the time between the first and the last; None where all repeat.
+    latency_s : float
+        What the configuration takes off the stamps, and was taken off here.
     """
 
     role: str
@@ -43,6 +45,7 @@ class Clock:
     back_steps: int
     repeats: int
     rate_hz: float | None
+    latency_s: float = 0.0
 
 
 @dataclass(frozen=True)

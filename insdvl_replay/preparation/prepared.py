@@ -21,7 +21,7 @@ from insdvl_replay.preparation.alignment import Alignment, align
 from insdvl_replay.preparation.filters import ResolvedFilter, dvl_mounting, resolve_filters
 from insdvl_replay.preparation.long_gaps import apply_gap_policy, find_gaps
 from insdvl_replay.preparation.own_measurements import prepare_own_measurements
-from insdvl_replay.preparation.sensors import prepare_sensors
+from insdvl_replay.preparation.sensors import prepare_sensors, withheld_notes
 from insdvl_replay.preparation.start_by_sensors import started_by_sensors
 
 IN_LINE: Final = np.eye(3)
@@ -153,6 +153,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         + alignment.notes
         + _outside_notes(dive.name, velocities, inside)
         + sensor_notes
+        + withheld_notes(config)
         + contradiction_notes(dive.sensors, dive.reference)
         + own_notes
     )

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from insdvl_replay.core.config import Config, Depth, Heading, Position
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns, TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.core.states import DEG, FASTEST_MPS
@@ -21,6 +21,9 @@ from insdvl_replay.nav.timeline import FIRST_OTHER
 
 FAR_M: Final = 1000.0
 """What a track that was reckoned until the start is not off by, nor a position that somebody configured from a map."""
+
+SILENT_S, SILENT_READINGS = 30.0, 20.0
+"""A pause between readings is told that is longer than this, and than so many of the usual ones."""
 
 Measured = tuple[int, Floats, Floats]
 """Kind of the prediction; values, shape (k, s); and their standard deviations, of a shape that fits the values."""
@@ -82,6 +85,7 @@ def prepare_sensors(
                 f"check {name}.stamp against imu.stamp, or widen --start and --end",
             )
         columns = columns.rows(inside)
+        notes += _silence_notes(name, columns.time_ns, start_ns, end_ns)
         sensor = _Sensor(name, columns, getattr(config, name), start, start_ns, notes)
         kind, values, sd = _MEASURED[name](sensor)
         of_sensor = SENSORS[name]
@@ -92,6 +96,43 @@ def prepare_sensors(
         arm_b = np.array(getattr(sensor.settings, "lever_arm_m", (0.0, 0.0, 0.0)))
         found[name] = replace(measurement, sensor=row, lever_arm_b=arm_b)
     return found, tuple(notes)
+
+
+def _silence_notes(name: str, time_ns: TimeNs, start_ns: int, end_ns: int) -> list[Note]:
+    """Tell the longest pause between readings, at times of shape (k,), where it is far longer than others.
+
+    Fixes come at the surface, so that pauses of theirs are no fault.
+    """
+    ends_ns = np.concatenate([[start_ns], time_ns, [end_ns]])
+    length_s = np.diff(ends_ns) / NS_PER_S
+    longest = int(np.argmax(length_s))
+    if length_s[longest] <= max(SILENT_S, SILENT_READINGS * float(np.median(length_s))):
+        return []
+    since_s, span_s = (int(ends_ns[longest]) - start_ns) / NS_PER_S, (end_ns - start_ns) / NS_PER_S
+    until = "to the end" if longest == len(time_ns) else "on"
+    text = (
+        f"no reading of the {name} for {length_s[longest]:.0f} of {span_s:.0f} s, from {since_s:.0f} s after the start "
+        f"{until}: filters are not aided by it there"
+    )
+    severity = Severity.INFO if name == "position" else Severity.WARNING
+    return [Note(f"{name}_silent", text, severity=severity)]
+
+
+def withheld_notes(config: Config) -> tuple[Note, ...]:
+    """Say which filters are not aided by a sensor that they name, since it is withheld from all."""
+    named = {
+        sensor: [name for name, filter_ in config.computed.items() if sensor in filter_.aiding]
+        for sensor in config.evaluation.withheld
+    }
+    return tuple(
+        Note(
+            f"{sensor}_withheld",
+            f"the {sensor} is withheld, and does not aid {', '.join(names)}",
+            hint=f'take "{sensor}" out of evaluation.withheld',
+        )
+        for sensor, names in named.items()
+        if names
+    )
 
 
 def _depth(sensor: _Sensor) -> Measured:

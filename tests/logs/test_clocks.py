@@ -1,5 +1,6 @@
 """Every topic's clock is measured against the recorder's, and clocks that have nothing in common are not mixed."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,15 @@ def test_common_clock_that_is_not_the_recorders_is_told_and_used() -> None:
     assert [note.code for note in notes] == ["imu_clock_offset", "dvl_clock_offset"]
 
 
+@pytest.mark.parametrize("fix_s", [3.0, 0.0], ids=["stamped late", "mended"])
+def test_latency_makes_no_other_clock(fix_s: float) -> None:
+    fix = replace(clock("position", -18.0 + fix_s), latency_s=3.0)
+    notes = clock_notes("a.mcap", [clock("imu", -18.0), fix], 1.0)
+    assert "clocks_apart" not in {note.code for note in notes}
+    with pytest.raises(LogError, match="different clocks"):
+        clock_notes("a.mcap", [clock("imu", -18.0), replace(fix, log_minus_stamp_s=-12.0)], 1.0)
+
+
 # Units
 
 
@@ -169,6 +179,12 @@ def test_configured_latency_puts_two_clocks_right(tmp_path: Path) -> None:
         read_dive(path, Config())
     dive = read_dive(path, Config(dvl=Dvl(latency_s=40.0)))
     assert dive.imu.time_ns[0] == dive.dvl.time_ns[0]
+    assert not dive.notes
+
+
+def test_what_is_stamped_seconds_late_is_on_the_same_clock(tmp_path: Path) -> None:
+    dive = read_dive(write(tmp_path / "dive.mcap", imu_behind_s=0.0, dvl_behind_s=0.0), Config(dvl=Dvl(latency_s=3.0)))
+    assert dive.dvl.time_ns[0] == dive.imu.time_ns[0] - 3 * 10**9
     assert not dive.notes
 
 

@@ -14,6 +14,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import moved_position, north_east_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
 from insdvl_replay.inspection.survey import inspect_log
@@ -77,10 +78,30 @@ def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
         assert len(met.nis) == 1600
         assert not met.used.any()
     np.testing.assert_array_equal(replay.histories[0].velocity_n, replay.histories[1].velocity_n)
+    assert [note.text for note in replay.notes if note.code == "depth_withheld"] == [
+        "the depth is withheld, and does not aid candidate"
+    ]
     rows = [row for row in replay.tables.consistency if row.measurement == "withheld_depth"]
     assert [(row.used, row.rejected) for row in rows] == [(0, 1600)] * 2
     assert min(row.mean_nis or 0.0 for row in rows) > 0.0
     assert not [note for note in replay.notes if note.code == "gate_rejects_many"]
+
+
+@pytest.mark.parametrize(
+    ("kept", "told"),
+    [
+        (slice(None), None),
+        (slice(None, 200), "for 60 of 110 s, from 50 s after the start to the end: filters are not aided by it there"),
+        (slice(200, None), "for 50 of 110 s, from 0 s after the start on: filters are not aided by it there"),
+        (slice(None, None, 100), None),  # a reading every 25 s is a slow sensor
+    ],
+    ids=["whole", "ends", "begins late", "slow"],
+)
+def test_a_sensor_that_falls_silent_is_told(kept: slice, told: str | None) -> None:
+    dive = simulated(duration_s=110.0, depth=SensorErrors(0.05, 4.0))
+    notes = replay_dive(replace(dive, sensors={"depth": dive.sensors["depth"].rows(kept)}), config("depth")).notes
+    found = [(note.text, note.severity) for note in notes if note.code == "depth_silent"]
+    assert found == ([] if told is None else [(f"no reading of the depth {told}", Severity.WARNING)])
 
 
 def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
@@ -138,6 +159,16 @@ def test_a_fix_without_height_is_none_where_heights_are_used(tmp_path: Path) -> 
     for height_sd_m, count in ((None, 31), (3.0, 10)):
         read = read_dive(tmp_path / "dive.mcap", config("position", position=Position(height_sd_m=height_sd_m)))
         assert len(read.sensors["position"].time_ns) == count
+
+
+def test_a_fix_without_height_starts_a_dive_at_the_configured_one(tmp_path: Path) -> None:
+    dive = simulated(duration_s=30.0, position=SensorErrors(2.0, 1.0))
+    fixes = dive.sensors["position"]
+    flat = replace(fixes, values=fixes.values * [1.0, 1.0, np.nan])
+    write_dive(tmp_path / "dive.mcap", replace(dive, reference=None, truth=None, sensors={"position": flat}))
+    initial = msgspec.structs.replace(MEMS.initial, source="level", heading_deg=0.0, height_m=-250.0)
+    replay = replay_log(tmp_path / "dive.mcap", config("position", initial=initial, noise=MEMS.noise))
+    assert replay.histories[0].position[0, 2] == pytest.approx(-250.0, abs=0.1)
 
 
 def test_a_dive_over_180_deg_of_longitude_is_as_any_other() -> None:

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Config, Depth, Heading, Position
+from insdvl_replay.core.config import Config, Depth, Heading, Initial, Position
 from insdvl_replay.core.dive_columns import Floats, SensorColumns
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.sensors import BY_SENSOR
@@ -31,7 +31,7 @@ def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumn
         No reading can be used.
     """
     settings = table.source.completed(getattr(config, name))
-    (values, mat_nb), cleaner = _READINGS[name](table, settings), Cleaner(table)
+    (values, mat_nb), cleaner = _READINGS[name](table, settings, config.initial), Cleaner(table)
     cleaner.keep_finite(values)
     if "sensor_id" in table:
         cleaner.drop_repeated_values(values)
@@ -58,7 +58,7 @@ def decode_own_topic(table: Table) -> tuple[SensorColumns, list[Note]]:
     return SensorColumns(cleaner.times, cleaner.kept(values)), cleaner.notes
 
 
-def _depth(table: Table, settings: Depth) -> _Readings:
+def _depth(table: Table, settings: Depth, _: Initial) -> _Readings:
     """Return the metres below where the gauge reads nothing, shape (k, 1); the filters find where that is."""
     if "depth" in table:
         depth_m = table.column("depth")
@@ -70,7 +70,7 @@ def _depth(table: Table, settings: Depth) -> _Readings:
     return np.asarray(depth_m[:, None], np.float64), None
 
 
-def _heading(table: Table, settings: Heading) -> _Readings:
+def _heading(table: Table, settings: Heading, _: Initial) -> _Readings:
     """Return the true heading, shape (k, 1), and the attitude that it is part of, if it is of any.
 
     NaN where a message says that there is none.
@@ -105,14 +105,14 @@ def _magnetic_attitude(table: Table, settings: Heading) -> Floats | None:
     return np.asarray(mat @ mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG).T)
 
 
-def _position(table: Table, settings: Position) -> _Readings:
+def _position(table: Table, settings: Position, initial: Initial) -> _Readings:
     """Return latitude rad, longitude rad, height m, shape (k, 3): NaN where there was no fix.
 
-    A height that a fix lacks is 0 where heights are not used, and NaN where they are.
+    A height that a fix lacks is the configured one of the start where heights are not used, and NaN where they are.
     """
     unit = ANGLE_UNITS[settings.angle_unit]
     latitude, longitude = (of_receiver(table, name) * unit for name in ("latitude", "longitude"))
-    missing_m = 0.0 if settings.height_sd_m is None else np.nan
+    missing_m = initial.height_m if settings.height_sd_m is None else np.nan
     height_m = table.column("height") if "height" in table else np.full(len(table), missing_m)
     position = np.stack([latitude, longitude, np.where(np.isfinite(height_m), height_m, missing_m)], axis=1)
     lost = (latitude == 0.0) & (longitude == 0.0) | (np.abs(latitude) > 0.5 * np.pi)
@@ -122,7 +122,7 @@ def _position(table: Table, settings: Position) -> _Readings:
     return position, None
 
 
-_READINGS: Final[dict[str, Callable[[Table, Any], _Readings]]] = {
+_READINGS: Final[dict[str, Callable[[Table, Any, Initial], _Readings]]] = {
     "depth": _depth,
     "heading": _heading,
     "position": _position,

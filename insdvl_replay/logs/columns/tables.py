@@ -5,7 +5,7 @@ from it, plus the time that messages take; two topics whose clocks differ in it 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -70,14 +70,17 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
     """Refuse to mix clocks that have nothing to do with each other, and say which of them are not the recorder's.
 
     The clock of the IMU is the first. Log time minus stamp may differ by so much between it and another role's, beyond
-    the spread of both.
+    the spread of both. A latency is how late a message was stamped, as of a fix that took seconds, or how far its clock
+    is off, which it mends: one of the two clocks, with it taken off or without, has to be the IMU's.
     """
     imu, *others = clocks
-    notes = [_offset_note(clock) for clock in clocks if abs(clock.log_minus_stamp_s) > SAME_CLOCK_S + clock.spread_s]
+    notes = [
+        _offset_note(clock) for clock in clocks if min(map(abs, _both_ways(clock))) > SAME_CLOCK_S + clock.spread_s
+    ]
     notes += [_unsteady_note(clock) for clock in clocks if clock.spread_s > LARGEST_JITTER_S]
     for other in others:
         jitter_s = min(other.spread_s, LARGEST_JITTER_S) + min(imu.spread_s, LARGEST_JITTER_S)
-        apart_s = abs(other.log_minus_stamp_s - imu.log_minus_stamp_s) - jitter_s
+        apart_s = min(abs(one - another) for one in _both_ways(other) for another in _both_ways(imu)) - jitter_s
         text = (
             f"{imu.topic} and {other.topic} are stamped by different clocks: log time minus stamp is "
             f"{imu.log_minus_stamp_s:.3f} s on the one and {other.log_minus_stamp_s:.3f} s on the other"
@@ -90,6 +93,11 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
             text += "; clocks.max_disagreement_s allows it"
             notes.append(Note("clocks_apart", text, other.messages, Severity.WARNING, by_recorder))
     return tuple(notes)
+
+
+def _both_ways(clock: Clock) -> tuple[float, float]:
+    """Return log time minus stamp, s, with the latency taken off the stamps, as it is measured, and without."""
+    return clock.log_minus_stamp_s, clock.log_minus_stamp_s - clock.latency_s
 
 
 def stamp_unit(values: NDArray[Any], log_time_ns: TimeNs) -> tuple[int, str]:
@@ -263,7 +271,8 @@ class Table:
     def clock(self) -> Clock:
         """Compare the times of validity with the times of recording."""
         source = self.source
-        return measure_clock(source.role, source.topic, source.stamp, self.time_ns(), self.columns["log_time"][:, 0])
+        clock = measure_clock(source.role, source.topic, source.stamp, self.time_ns(), self.columns["log_time"][:, 0])
+        return replace(clock, latency_s=source.latency_s)
 
     def damage_error(self) -> LogError:
         """Return the error with which a log is refused of which messages cannot be read."""
