@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from insdvl_replay.checks.sensors import contradiction_of_filter
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_navigation import Reference
 from insdvl_replay.core.dive_columns import Dive
@@ -153,7 +154,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     )  # fmt: skip
     curves = curves_of(drawn, coasts)
     notes = dive.notes + prepared.notes + outage_notes(prepared.velocities.time_ns, *span) + update_notes(histories)
-    notes += read_notes
+    notes += contradiction_of_filter(dive.sensors, dive.reference, histories[0]) + read_notes
     notes += reference_notes(dive, *span, histories[0], judged_ns, independent=independent)
     tables, judged = judged_candidates(histories, tables, notes, independent=independent)
     notes += settings_hints(tables, histories[0]) + constants_notes(histories)

@@ -10,6 +10,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, SensorColumns, nanoseconds
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import IS_REFERENCE
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
@@ -30,6 +31,8 @@ HEADING_OFF, HEADING_SPREAD = 5.0 * DEG, 20.0 * DEG
 DEPTH_RANGE_M, DEPTH_FOLLOWS, DEPTH_SCALE = 1.0, 0.9, 1.25
 """How far a vehicle has to dive for its depths to be compared, how well they have to follow, and a factor that no
 density makes: feet are 3.3 times metres."""
+FILTER_RANGE_M, FILTER_SCALE = 2.0, 2.0
+"""The same where depths are held against a filter's height, which drifts."""
 
 
 def sensor_notes(sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None) -> tuple[Note, ...]:
@@ -98,6 +101,23 @@ def contradiction_notes(sensors: Mapping[str, SensorColumns], reference: Referen
     )
 
 
+def contradiction_of_filter(
+    sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None, baseline: History
+) -> tuple[Note, ...]:
+    """Note the sensors that do not follow a filter that is not aided by them, where the reference cannot tell."""
+    told = {
+        "heading": reference is not None and reference.has_attitude,
+        "depth": reference is not None and bool(np.isfinite(reference.position[:, 2]).any()),
+        **{innovations.measurement: True for innovations in baseline.innovations},
+    }
+    return tuple(
+        note
+        for name, columns in sensors.items()
+        if name in _OF_FILTER and not told[name]
+        for note in _OF_FILTER[name](*_side_by_side(columns, baseline.motion()))
+    )
+
+
 def _side_by_side(columns: SensorColumns, reference: ReferenceColumns) -> tuple[Floats, ReferenceColumns]:
     """Pair the readings, shape (k, s), with the rows of the reference that are nearest to them, if any is near."""
     last = len(reference.time_ns) - 1
@@ -114,39 +134,53 @@ def _side_by_side(columns: SensorColumns, reference: ReferenceColumns) -> tuple[
 
 
 def _heading_compared(values: Floats, reference: ReferenceColumns) -> list[Note]:
-    off = wrap_angle(values[:, 0] - rpy_from_mat(reference.mat_nb)[:, 2])
-    off = off[np.isfinite(off)]
-    if len(off) < FEWEST_ALIKE:
-        return []
-    mean = float(np.angle(np.mean(np.exp(1j * off))))
-    spread = float(np.median(np.abs(wrap_angle(off - mean))))
-    if spread > HEADING_SPREAD:
-        text = (
-            f"the heading does not follow the reference's: half of its {len(off)} readings are more than "
-            f"{spread / DEG:.0f} deg off, whatever is taken off all of them"
-        )
-        return [_contradiction("heading", text, len(off), "heading.angle_unit, heading.axes or heading.stamp")]
-    if abs(mean) > HEADING_OFF:
+    off, mean = _headings_apart(values, reference)
+    if astray := _heading_astray(off, mean, "reference"):
+        return astray
+    if len(off) >= FEWEST_ALIKE and abs(mean) > HEADING_OFF:
         text = f"the heading is {mean / DEG:+.1f} deg off the reference's, in the mean of {len(off)} readings"
         hint = "heading.declination_deg, heading.mounting_rpy_deg or heading.axes; or the reference is turned"
         return [_contradiction("heading", text, len(off), hint)]
     return []
 
 
+def _headings_apart(values: Floats, known: ReferenceColumns) -> tuple[Floats, float]:
+    """Return by how much headings differ, rad, shape (k,), and their mean."""
+    off = wrap_angle(values[:, 0] - rpy_from_mat(known.mat_nb)[:, 2])
+    off = off[np.isfinite(off)]
+    return off, float(np.angle(np.mean(np.exp(1j * off)))) if len(off) else 0.0
+
+
+def _heading_astray(off: Floats, mean: float, whose: str) -> list[Note]:
+    spread = float(np.median(np.abs(wrap_angle(off - mean)))) if len(off) >= FEWEST_ALIKE else 0.0
+    if spread <= HEADING_SPREAD:
+        return []
+    text = (
+        f"the heading does not follow the {whose}'s: half of its {len(off)} readings are more than "
+        f"{spread / DEG:.0f} deg off, whatever is taken off all of them"
+    )
+    return [_contradiction("heading", text, len(off), "heading.angle_unit, heading.axes or heading.stamp")]
+
+
 def _depth_compared(values: Floats, reference: ReferenceColumns) -> list[Note]:
-    down_m = -reference.position[:, 2]
-    known = np.isfinite(down_m) & np.isfinite(values[:, 0])
-    ours_m, theirs_m = values[known, 0], down_m[known]
-    if len(ours_m) < FEWEST_ALIKE or np.ptp(np.percentile(theirs_m, [5.0, 95.0])) < DEPTH_RANGE_M:
+    return _depth_astray(values, reference, "reference", DEPTH_RANGE_M, DEPTH_SCALE)
+
+
+def _depth_astray(values: Floats, known: ReferenceColumns, whose: str, range_m: float, largest: float) -> list[Note]:
+    """Hold changes of depth against those of what is known, if it goes down by so much, and allow for such a factor."""
+    down_m = -known.position[:, 2]
+    both = np.isfinite(down_m) & np.isfinite(values[:, 0])
+    ours_m, theirs_m = values[both, 0], down_m[both]
+    if len(ours_m) < FEWEST_ALIKE or np.ptp(np.percentile(theirs_m, [5.0, 95.0])) < range_m:
         return []
     ours_m, theirs_m = ours_m - ours_m.mean(), theirs_m - theirs_m.mean()
     product, power = float(ours_m @ theirs_m), float(theirs_m @ theirs_m)
     scale = product / power
     if abs(product) < DEPTH_FOLLOWS * np.sqrt(power * float(ours_m @ ours_m)):
         return []
-    if 1.0 / DEPTH_SCALE < scale < DEPTH_SCALE:
+    if 1.0 / largest < scale < largest:
         return []
-    text = f"the depth changes by {scale:.3g} m for each metre that the reference goes down"
+    text = f"the depth changes by {scale:.3g} m for each metre that the {whose} goes down"
     hint = "depth.pressure_unit or depth.density_kgpm3; depth.depth for what is positive downwards, else depth.height"
     return [_contradiction("depth", text, len(ours_m), hint)]
 
@@ -155,7 +189,14 @@ def _contradiction(name: str, text: str, count: int, hint: str) -> Note:
     return Note(f"{name}_contradiction", text, count, Severity.WARNING, hint)
 
 
-_COMPARED: Final[dict[str, Callable[[Floats, ReferenceColumns], list[Note]]]] = {
-    "depth": _depth_compared,
-    "heading": _heading_compared,
-}
+def _heading_of_filter(values: Floats, motion: ReferenceColumns) -> list[Note]:
+    return _heading_astray(*_headings_apart(values, motion), "baseline")
+
+
+def _depth_of_filter(values: Floats, motion: ReferenceColumns) -> list[Note]:
+    return _depth_astray(values, motion, "baseline", FILTER_RANGE_M, FILTER_SCALE)
+
+
+_Compares = Callable[[Floats, ReferenceColumns], list[Note]]
+_COMPARED: Final[dict[str, _Compares]] = {"depth": _depth_compared, "heading": _heading_compared}
+_OF_FILTER: Final[dict[str, _Compares]] = {"depth": _depth_of_filter, "heading": _heading_of_filter}

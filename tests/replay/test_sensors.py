@@ -386,6 +386,32 @@ def test_a_sensor_that_is_misread_is_told(sensor: str, misread: Callable[[Floats
     assert sorted({note.code for note in replay.notes if note.severity == "warning"}) == told
 
 
+@pytest.mark.parametrize(
+    ("sensor", "misread", "told"),
+    [
+        ("depth", lambda depth_m: depth_m / FOOT_M, ["depth_contradiction"]),
+        ("depth", lambda depth_m: -depth_m, ["depth_contradiction"]),
+        ("depth", lambda depth_m: 1.025 * depth_m, []),
+        ("heading", np.deg2rad, ["heading_contradiction"]),
+        ("heading", lambda heading: 0.5 * np.pi - heading, ["heading_contradiction"]),
+        ("heading", lambda heading: heading + np.deg2rad(10.0), []),  # the start's heading may be off by as much
+    ],
+    ids=["feet", "upwards", "salt water", "rad for deg", "from east over north", "declination"],
+)
+def test_a_withheld_sensor_that_is_misread_is_told_without_a_reference(
+    sensor: str, misread: Callable[[Floats], Floats], told: list[str]
+) -> None:
+    """Else both filters would be as far off it, and *equivalent*."""
+    noise = {"depth": SensorErrors(0.05, 4.0), "heading": SensorErrors(0.5, 2.0)}
+    dive = simulate_dive("calibration", duration_s=250.0, grade="tactical", sensors={sensor: noise[sensor]})
+    right = dive.sensors[sensor]
+    dive = replace(dive, reference=None, sensors={sensor: replace(right, values=misread(right.values))})
+    initial = Initial(source="level", heading_deg=0.0, latitude_deg=32.8)
+    settings = config(initial=initial, evaluation=Evaluation(withheld=(sensor,)))
+    replay = replay_dive(dive, settings)
+    assert [note.code for note in replay.notes if note.code.startswith(sensor) and note.severity == "warning"] == told
+
+
 def test_what_a_filter_estimates_of_its_sensors_is_noted() -> None:
     dive = simulated(duration_s=300.0, position=SensorErrors(1.0, 1.0))
     scaled = Filter(aiding=("velocity", "position"), states=("dvl_scale",))
