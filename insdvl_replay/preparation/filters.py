@@ -1,7 +1,7 @@
 """From the configuration of a filter to its measurements and its noise: every key resolved once."""
 
 import dataclasses
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, Literal, NamedTuple
@@ -125,20 +125,26 @@ class ResolvedFilter:
         found = list[Measurement]()
         for word in (word for word in self.aiding if word not in self.withheld):
             if word == "beams":
-                found += self._beams(velocities, beams)
+                found += self._beams(velocities, mounting, gaps, beams)
             else:
                 found.append(self._measurement(word, velocities, cov_b, gaps, sensors))
         return (*found, *(_withheld(sensors[name]) for name in self.withheld))
 
-    def _beams(self, velocities: DvlVelocities, beams: DvlBeams | None) -> tuple[Measurement, ...]:
+    def _beams(
+        self, velocities: DvlVelocities, mounting: DvlMounting, gaps: Gaps, beams: DvlBeams | None
+    ) -> Iterator[Measurement]:
         """Prepare beams, whose noise follows from that of velocities if only this is told."""
         if beams is None:
             raise ConfigError(
                 f"filters.{self.name} is aided by beams, and the DVL gives velocities alone",
                 'aiding = ["velocity"]; dvl.kind and dvl.beam_velocity say where beams stand',
             )
+        swing_cov_b = lever_arm_velocity_cov(gaps, beams.time_ns, mounting.lever_arm_b)
         found = beam_measurements(beams, self.beam_sd_mps(velocities), self.gate(1), self.gate_reopen_after)
-        return tuple(dataclasses.replace(one, noise=self.measurement_noise) for one in found)
+        for one in found:
+            # All beams swing together, and are used as if each did by itself: so many of them say as much as one does.
+            swing_var = len(found) * (swing_cov_b @ one.direction_b @ one.direction_b)
+            yield dataclasses.replace(one, cov=one.cov + swing_var[:, None, None], noise=self.measurement_noise)
 
     def beam_sd_mps(self, velocities: DvlVelocities) -> float:
         """Return the noise of one beam: that of which all beams make, in the mean of the axes, that of a velocity."""

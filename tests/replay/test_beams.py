@@ -9,7 +9,7 @@ import pytest
 from matched_sensors import MATCHED
 
 from insdvl_replay.core.config import Config, Depth, Dvl, Evaluation, Filter, Initial, Position
-from insdvl_replay.core.dive_columns import Dive
+from insdvl_replay.core.dive_columns import Dive, ImuColumns
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.evaluation.consistency import update_notes
@@ -102,6 +102,29 @@ def test_nis_of_the_beams_is_that_of_the_velocity_and_of_the_parity() -> None:
     of_beams = sum(met(by_beams, f"beam_{number}").nis for number in range(1, 5))
     np.testing.assert_allclose(of_beams, met(by_velocity, "velocity").nis + met(by_beams, "parity").nis, rtol=1e-6)
     assert met(by_beams, "parity").nis.mean() == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("arm_m", [(0.0, 0.0, 1.0), (2.0, 0.0, 0.0), (1.0, -0.5, 0.3)])
+def test_beams_that_swing_unseen_in_a_gap_say_no_more_than_a_velocity_there(arm_m: tuple[float, float, float]) -> None:
+    dive, config = simulated(1), settings()
+    imu, at_s = dive.imu, (dive.imu.time_ns - dive.imu.time_ns[0]) * 1e-9
+    heard = (at_s < 50.0) | (at_s > 60.0)
+    dive = replace(dive, imu=ImuColumns(imu.time_ns[heard], imu.specific_force_b[heard], imu.angular_rate_b[heard]))
+    config = msgspec.structs.replace(config, dvl=msgspec.structs.replace(config.dvl, lever_arm_m=arm_m))
+    prepared = prepare_dive(dive, config)
+    (velocity,), beams = (
+        one.measurements(prepared.velocities, prepared.mounting, prepared.gaps, beams=prepared.beams)
+        for one in prepared.filters
+    )
+    information = sum(
+        np.einsum("k,i,j->kij", 1.0 / one.cov[:, 0, 0], one.direction_b, one.direction_b) for one in beams
+    )
+    less = np.linalg.eigvalsh(np.linalg.inv(information) - velocity.cov)
+    assert prepared.beams is not None
+    inside = prepared.gaps.overlap(prepared.beams.time_ns, prepared.beams.time_ns)
+    assert inside.sum() == 20
+    assert less[inside].min() > -1e-12
+    np.testing.assert_allclose(less[~inside], 0.0, atol=1e-12)
 
 
 def horizontal_drift_m(replay: Replay, name: str) -> float:
