@@ -14,6 +14,8 @@ from insdvl_replay.core.errors import ConfigError, require_known
 from insdvl_replay.core.plain_text import visible
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from insdvl_replay.sim.sensor_errors import LostBeam
     from insdvl_replay.sim.sensors import SensorErrors
 
@@ -101,6 +103,7 @@ def _vector(option: str, text: str) -> tuple[float, float, float]:
 
 
 def _lost_beam(text: str) -> "LostBeam":
+
     from insdvl_replay.sim.sensor_errors import LostBeam
 
     try:
@@ -176,20 +179,18 @@ def schema(
     elif name in SCHEMAS:
         write_stdout(json_schema(name).decode())
     else:
-        write_stdout(_message_definition(name, ", ".join(SCHEMAS)))
+        write_stdout(_message_definition(name, SCHEMAS))
 
 
-def _message_definition(name: str, others: str) -> str:
-    from insdvl_replay.core.errors import LogError
+def _message_definition(name: str, others: "Collection[str]") -> str:
+    from insdvl_replay.core.errors import LogError, hint_for
     from insdvl_replay.logs.encoding.ros2msg import definition_text
 
+    known = [*others, "a message type such as insdvl_msgs/msg/NavSolution"]
     try:
         return definition_text(name)
     except LogError as error:
-        raise ConfigError(
-            f"schema '{name}' is not known",
-            f"known: {others}, and message types such as insdvl_msgs/msg/NavSolution",
-        ) from error
+        raise ConfigError(f"schema '{name}' is not known", hint_for(name, known, most=len(known))) from error
 
 
 def compile_(verbose: Verbose = 0) -> None:
