@@ -6,14 +6,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.checks.sensors import OWN_SHARE
-from insdvl_replay.core.dive_columns import ReferenceColumns, SolutionColumns
+from insdvl_replay.checks.instants import same_instants
+from insdvl_replay.checks.sensors import OWN_SHARE, SAME_RAD
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, SolutionColumns
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.quantities import IS_REFERENCE
 from insdvl_replay.core.words import Severity
 
 SAME: Final = 1e-7
-"""Attitudes, velocities (m/s) and angles of positions (rad) that differ by less are the same, as files write them."""
+"""Attitudes and velocities (m/s) that differ by less are the same, as files write them."""
 FEWEST: Final = 10
 """So many samples of the same time."""
 
@@ -25,11 +26,11 @@ def solution_notes(solutions: Mapping[str, SolutionColumns], reference: Referenc
 
 def _solution_notes(solutions: Mapping[str, SolutionColumns], reference: ReferenceColumns) -> Iterator[Note]:
     for name, solution in solutions.items():
-        _, ours, theirs = np.intersect1d(solution.motion.time_ns, reference.time_ns, return_indices=True)
+        ours, theirs = same_instants(solution.motion.time_ns, reference.time_ns)
         same = {
-            "attitudes": _same(solution.motion.mat_nb[ours], reference.mat_nb[theirs]),
-            "velocities": _same(solution.motion.velocity_n[ours], reference.velocity_n[theirs]),
-            "positions": _same(solution.motion.position[ours, :2], reference.position[theirs, :2]),
+            "attitudes": _same(solution.motion.mat_nb[ours], reference.mat_nb[theirs], SAME),
+            "velocities": _same(solution.motion.velocity_n[ours], reference.velocity_n[theirs], SAME),
+            "positions": _same(solution.motion.position[ours, :2], reference.position[theirs, :2], SAME_RAD),
         }
         found = {quantity: int(rows.sum()) for quantity, rows in same.items()}
         quantity, count = max(found.items(), key=lambda item: item[1])
@@ -41,7 +42,8 @@ def _solution_notes(solutions: Mapping[str, SolutionColumns], reference: Referen
             yield Note(f"solution_{name}{IS_REFERENCE}", text, count, Severity.WARNING, hint)
 
 
-def _same(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _same(ours: Floats, theirs: Floats, least: float) -> NDArray[np.bool_]:
     """Find the rows that are alike; at rest all velocities are."""
-    apart, size = (np.abs(rows).reshape(len(rows), -1).max(axis=1, initial=0.0) for rows in (ours - theirs, theirs))
-    return np.asarray((apart < SAME) & (size > SAME))
+    components = tuple(range(1, ours.ndim))
+    apart, size = (np.abs(rows).max(axis=components, initial=0.0) for rows in (ours - theirs, theirs))
+    return np.asarray((apart < least) & (size > least))

@@ -335,13 +335,17 @@ def test_without_fixes_a_straight_line_leaves_the_scale_alone(grade: str) -> Non
 # --- A sensor that is the reference.
 
 
-@pytest.mark.parametrize(("seconds_late", "told"), [(0.0, True), (0.05, False)])
+@pytest.mark.parametrize(
+    ("seconds_late", "off_m", "told"), [(0.0, 0.0, True), (0.05, 0.0, True), (0.0, 0.05, False), (0.05, 0.05, False)]
+)
 def test_a_filter_that_is_told_the_reference_is_not_judged_by_it(
-    tmp_path: Path, seconds_late: float, told: bool
+    tmp_path: Path, seconds_late: float, off_m: float, told: bool
 ) -> None:
+    """Stamped late it is the reference all the same; 5 cm away it is another receiver, that is good."""
     dive = simulated(duration_s=120.0)
     assert dive.reference is not None
-    fixes = SensorColumns(dive.reference.time_ns + int(seconds_late * 1e9), dive.reference.position)
+    position = dive.reference.position + np.array([off_m / 6.4e6, 0.0, 0.0])
+    fixes = SensorColumns(dive.reference.time_ns + int(seconds_late * 1e9), position)
     write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": fixes}))
     replay = replay_log(tmp_path / "dive.mcap", config("position", position=Position(sd_m=0.5)))
     notes = [note.code for note in replay.notes if note.code.endswith("_is_reference")]
