@@ -348,6 +348,24 @@ def test_the_reference_in_disguise_is_found(dive: Dive, tmp_path: Path) -> None:
     assert "solution_onboard_is_reference" in codes(replay)
 
 
+@pytest.mark.parametrize(("east_m_per_s", "told"), [(0.0, True), (0.001, False)])
+def test_a_track_in_metres_that_is_the_references_is_found(
+    dive: Dive, tmp_path: Path, east_m_per_s: float, told: bool
+) -> None:
+    """The odometry of the INS whose fixes are the reference: no attitude or position is common to both. A millimetre a
+    second is a solution of its own."""
+    own = truth_of(dive)
+    since_s = seconds(own.time_ns, own.time_ns[0])[:, None]
+    write_tum(tmp_path / "own.tum", off(own, way_n=since_s * [0.0, east_m_per_s, 0.0], turn_n=np.array([0, 0, DEG])))
+    assert dive.reference is not None
+    nothing = np.full_like(dive.reference.velocity_n, np.nan)
+    fixes = replace(dive.reference.without_attitude(), velocity_n=nothing)
+    write_dive(tmp_path / "dive.mcap", replace(dive, reference=fixes))
+    settings = config(Solution(file=str(tmp_path / "own.tum")), initial=Initial(source="level", heading_deg=0.0))
+    read = read_checked_dive(tmp_path / "dive.mcap", settings)
+    assert ("solution_onboard_is_reference" in [note.code for note in read.notes]) == told
+
+
 @pytest.mark.parametrize("late_ns", [0, 30_000_000])
 def test_a_good_solution_is_judged_whenever_it_is_stamped(dive: Dive, tmp_path: Path, late_ns: int) -> None:
     """At the reference's instants, and at none of them: what is as near as 0.3 m is not therefore the same."""
