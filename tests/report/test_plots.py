@@ -21,10 +21,23 @@ def drawn(panel: Panel) -> ET.Element:
     return ET.fromstring(panel_svg(panel).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1))
 
 
+def places(path: str) -> np.ndarray:
+    """Places of a path's points, as the standard has it: SVG 2, section 9.3."""
+    words = re.findall(r"[A-Za-z]|-?(?:\d+(?:\.\d+)?|\.\d+)", path)
+    found, command = [], ""
+    while words:
+        command = words.pop(0) if words[0].isalpha() else {"M": "L"}.get(command, command)
+        if command not in "MLl":
+            break
+        place = float(words.pop(0)), float(words.pop(0))
+        found.append(np.array(place) + (found[-1] if command == "l" else 0.0))
+    return np.array(found)
+
+
 def lines(panel: Panel) -> list[np.ndarray]:
     """Places of each line's points."""
     return [
-        np.array(re.findall(r"[ML](-?[\d.]+) (-?[\d.]+)", path.get("d", "")), dtype=float)
+        places(path.get("d", ""))
         for path in drawn(panel).iter(f"{SVG}path")
         if path.get("class") in {"line filter0", "line filter1", "points rejected"}
     ]
@@ -44,6 +57,22 @@ def test_every_peak_of_a_long_series_survives() -> None:
         near = short_y[(short_x >= first - 667) & (short_x < first + 1667)]
         assert near.min() <= part.min()
         assert near.max() >= part.max()
+
+
+def test_steps_of_a_line_lead_to_its_places() -> None:
+    east, north = np.random.default_rng(3).uniform(size=(2, 200))
+    missing = slice(120, 130)
+    north[missing] = NAN
+    [path] = [
+        one.get("d", "")
+        for one in drawn(Panel("", "", (Curve(east, north, "filter0"),), equal=True)).iter(f"{SVG}path")
+        if one.get("class") == "line filter0"
+    ]
+    assert path.count("M") == path.count("l") == 2
+    for values, pixels in zip((east, north), places(path).T, strict=True):
+        known = np.delete(values, missing)
+        scale, offset = np.polyfit(known, pixels, 1)
+        np.testing.assert_allclose(pixels, scale * known + offset, atol=0.06)
 
 
 def test_what_is_missing_for_long_interrupts_a_line() -> None:
@@ -135,15 +164,15 @@ def test_ticks_are_round_numbers_at_their_places() -> None:
 
 def test_places_on_the_paper_are_where_the_values_are() -> None:
     x, y = np.array([0.0, 5.0, 10.0]), np.array([1.0, 3.0, 2.0])
-    [places] = lines(Panel("title", "x", (Curve(x, y, "filter0"),)))
-    np.testing.assert_allclose((places[1, 0] - places[0, 0]) / (places[2, 0] - places[0, 0]), 0.5, atol=1e-3)
-    np.testing.assert_allclose((places[0, 1] - places[2, 1]) / (places[0, 1] - places[1, 1]), 0.5, atol=2e-3)
+    [line] = lines(Panel("title", "x", (Curve(x, y, "filter0"),)))
+    np.testing.assert_allclose((line[1, 0] - line[0, 0]) / (line[2, 0] - line[0, 0]), 0.5, atol=1e-3)
+    np.testing.assert_allclose((line[0, 1] - line[2, 1]) / (line[0, 1] - line[1, 1]), 0.5, atol=2e-3)
 
 
 def test_a_unit_is_as_long_on_both_axes_of_a_track() -> None:
     x, y = np.array([0.0, 30.0, 30.0]), np.array([0.0, 0.0, 40.0])
-    [places] = lines(Panel("title", "x", (Curve(x, y, "filter0"),), equal=True))
-    across, down = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    [line] = lines(Panel("title", "x", (Curve(x, y, "filter0"),), equal=True))
+    across, down = np.linalg.norm(np.diff(line, axis=0), axis=1)
     assert down / across == pytest.approx(40.0 / 30.0, rel=2e-3)
 
 
@@ -156,7 +185,7 @@ def test_any_values_make_a_picture_without_words_for_missing_numbers(values: lis
     text = panel_svg(Panel("title <&>", "x", curves, bands, (0.5,), scale, equal=scale == "linear"))  # type: ignore[arg-type]
     ET.fromstring(text)
     for path in re.findall(r' d="([^"]*)"', text):
-        assert re.fullmatch(r"(?:[MLHVZh]|-?\d+(?:\.\d+)?| )*", path)
+        assert re.fullmatch(r"(?:[MLlHVZh]|-?(?:\d+(?:\.\d+)?|\.\d+)| )*", path)
 
 
 def test_the_same_panel_gives_the_same_characters() -> None:
@@ -172,7 +201,7 @@ def test_six_filters_have_styles_of_their_own() -> None:
 
 def test_a_logarithmic_time_axis_ends_with_its_values_and_gives_each_decade_the_same_room() -> None:
     x = np.array([2.0, 20.0, 200.0])
-    [places] = lines(Panel("title", "x", (Curve(x, x, "filter0"),), x_scale="log"))
-    assert places[:, 0] == pytest.approx([48.0, 199.0, 350.0], abs=0.1)
+    [line] = lines(Panel("title", "x", (Curve(x, x, "filter0"),), x_scale="log"))
+    assert line[:, 0] == pytest.approx([48.0, 199.0, 350.0], abs=0.1)
     labels = [text.text for text in drawn(Panel("", "", (Curve(x, x, "filter0"),), x_scale="log")).iter(f"{SVG}text")]
     assert labels[1:3] == ["10", "100"]
