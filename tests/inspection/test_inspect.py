@@ -188,6 +188,17 @@ def test_imu_that_is_too_slow_and_clocks_that_are_days_apart() -> None:
     assert clocks["/coug2/dvl/data"].log_minus_stamp_s / 86400.0 == pytest.approx(5.96, abs=0.005)
 
 
+def test_sensors_are_stamped_as_the_other_roles_are() -> None:
+    """What was proposed is no news, and what a filter asks beside it is."""
+    stamped = ["imu.stamp=log_time", "dvl.stamp=log_time", "reference.stamp=log_time", "initial.latitude_deg=37.4"]
+    settings = ['filters.told.aiding=["velocity","heading"]']
+    found = inspected("stanford_auv/x_1.mcap", *stamped, *settings)
+    assert "imu and heading of /imu are stamped by different clocks" in obstacles(found)
+    proposed = msgspec.toml.decode(found.configuration)
+    assert {section: of["stamp"] for section, of in proposed.items() if "stamp" in of} == {"heading": "log_time"}
+    assert not found.remaining
+
+
 def test_three_clocks_in_one_file() -> None:
     inventory = inspected("stanford_auv/x_1.mcap")
     clocks = {clock.topic: clock for clock in inventory.clocks}

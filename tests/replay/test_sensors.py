@@ -106,8 +106,9 @@ def test_a_sensor_that_falls_silent_is_told(kept: slice, told: str | None) -> No
 
 def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0))
-    with pytest.raises(LogError, match="has no DEPTH: no message is of a type known for one"):
+    with pytest.raises(LogError, match="has no topic for the depth: no message is of a type known") as refusal:
         read_dive(tmp_path / "dive.mcap", config("depth"))
+    assert refusal.value.hint.endswith("`insdvl-replay inspect` lists the topics"), "it proposes none for sensors"
 
 
 def test_a_heading_of_one_degree_holds_a_vehicle_of_small_sensors_for_an_hour() -> None:

@@ -230,7 +230,9 @@ class _Topics:
 
     def _lacks(self, required: TopicRequirement) -> LogError:
         """State that no topic plays a role, and which might have."""
-        lack = f"has no {required.role.upper()}"
+        lack = (
+            f"has no {required.role.upper() if required.role in ('imu', 'dvl') else f'topic for the {required.role}'}"
+        )
         if not self._channels:
             return LogError(f"{lack}: it has no messages at all", self._nothing_recorded())
         wanted = ", ".join(type_name for types in required.by_type for type_name in types)
