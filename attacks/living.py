@@ -1,12 +1,14 @@
 """The program as a process of its own, in a session of its own, so that all that it starts can be found."""
 
+import hashlib
+import json
 import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-from insdvl_replay.results.folder import DIVE_FILES
+from insdvl_replay.results.folder import COMPLETE
 
 PATIENCE_S = 60.0
 FAREWELL_S = 5.0
@@ -54,12 +56,18 @@ def half_written(results: Path) -> list[Path]:
     """Give result folders that are not whole; hidden ones are none."""
     folders = results.iterdir() if results.is_dir() else ()
     return [
-        folder
-        for folder in folders
-        if folder.is_dir()
-        and not folder.name.startswith(".")
-        and not all((folder / name).is_file() for name in DIVE_FILES)
+        folder for folder in folders if folder.is_dir() and not folder.name.startswith(".") and not _is_whole(folder)
     ]
+
+
+def _is_whole(folder: Path) -> bool:
+    """Say whether a result has all files that its report names, with the digests there."""
+    try:
+        named = json.loads((folder / COMPLETE).read_bytes())["files"]
+        found = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in named if name != COMPLETE}
+    except (OSError, ValueError, KeyError):
+        return False
+    return bool(found) and all(named[name] == digest for name, digest in found.items())
 
 
 def hidden(folder: Path) -> list[Path]:

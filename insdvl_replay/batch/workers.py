@@ -218,7 +218,7 @@ def _begin() -> None:
         os.environ.setdefault(name, "1")  # the other cores belong to the other processes
     collect_rarely()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all processes; the parent ends them
-    signal.signal(signal.SIGTERM, _leave)
+    signal.signal(signal.SIGTERM, _end_at_once)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDINGS)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
@@ -238,6 +238,11 @@ class _Leaving(SystemExit):
     """The parent wants this worker to end: what is half written is removed on the way out."""
 
 
+def _end_at_once(_signal: int, _frame: FrameType | None) -> NoReturn:
+    """End a worker that has nothing to do: there is nothing to remove, and an exception would end in a traceback."""
+    os._exit(1)
+
+
 def _leave(_signal: int, _frame: FrameType | None) -> NoReturn:
     signal.alarm(_GRACE_S)  # ends the process where the exception is caught by someone on its way
     raise _Leaving
@@ -246,6 +251,9 @@ def _leave(_signal: int, _frame: FrameType | None) -> NoReturn:
 def _do(work: Callable[..., Result], *args: Any, **kwargs: Any) -> Result:
     """Do the work; if the parent wants the worker to end, end it."""
     try:
+        signal.signal(signal.SIGTERM, _leave)
         return work(*args, **kwargs)
     except _Leaving:
         os._exit(1)
+    finally:
+        signal.signal(signal.SIGTERM, _end_at_once)

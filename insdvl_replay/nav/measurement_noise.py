@@ -7,8 +7,8 @@ student-t   R <- f R, f = max(1, (nu + NIS) / (nu + m + 3 sqrt(2 m))), nu = 10: 
 Source: Sage and Husa, "Adaptive filtering with unknown prior statistics", 1969, with a window and limits as follow-ups
 have them; James and Stein, "Estimation with quadratic loss", 1961, for what is believed of the factor; Roth, Oezkan and
 Gustafsson, "A Student's t filter for heavy tailed process and measurement noise", 2013, of which this is the first
-step, in ratio to what it does at three sd of the NIS, where outliers begin. Without these two clean dives drift by 2 to
-6 % more, which `benchmarks/noise.py` measures.
+step, in ratio to what it does at three sd of the NIS, where outliers begin. Without these two, clean dives drift by 2
+to 6 % more; with them, by less than 1 %, see `benchmarks/noise.py`.
 """
 
 import math

@@ -112,7 +112,7 @@ def silence_notes(name: str, time_ns: TimeNs, start_ns: int, end_ns: int) -> lis
     until = "to the end" if longest == len(time_ns) else "on"
     text = (
         f"no reading of the {name} for {length_s[longest]:.0f} of {span_s:.0f} s, from {since_s:.0f} s after the start "
-        f"{until}: filters are not aided by it there"
+        f"{until}"
     )
     severity = Severity.INFO if name == "position" else Severity.WARNING
     return [Note(f"{name}_silent", text, severity=severity)]

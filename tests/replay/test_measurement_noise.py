@@ -1,35 +1,52 @@
 """Adaptive and Student-t noise of the DVL, as candidates beside a filter that believes what it is told."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import pytest
-from contaminated_dives import CANDIDATES, competitors, contaminated_dive
+from contaminated_dives import CANDIDATES, clean_dive, competitors, contaminated_dive, noisier_dive
 
-from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.words import Judgement
 from insdvl_replay.nav.measurement_noise import CEILING, FLOOR, believed_factor, found_factor, outlier_factor
 from insdvl_replay.replay import replay_dive
 
 DIVES, LENGTH_S, STARTS = 5, 600.0, 8
+ALL = DIVES * len(CANDIDATES)
 PREDICTED_VAR = 0.5
 
 
-def words(aiding: str, off_by_mps: float) -> list[Judgement | None]:
+def words(aiding: str, dives: Iterable[Dive]) -> list[Judgement | None]:
     """Words on both candidates in some dives."""
-    dives = (contaminated_dive(seed, LENGTH_S, off_by_mps) for seed in range(DIVES))
     replays = (replay_dive(dive, competitors(aiding, STARTS)) for dive in dives)
     return [each.verdicts[name].improvement for each in replays for name in CANDIDATES]
 
 
 @pytest.mark.parametrize("aiding", ["velocity", "beams"])
 def test_where_pings_are_contaminated_they_are_better(aiding: str) -> None:
-    assert words(aiding, 0.2) == [Judgement.BETTER] * DIVES * len(CANDIDATES)
+    """In 79 of 80 dives, by `benchmarks/noise.py`."""
+    found = words(aiding, (contaminated_dive(seed, LENGTH_S, 0.2) for seed in range(DIVES)))
+    assert found.count(Judgement.BETTER) >= ALL - 2
+    assert set(found) <= {Judgement.BETTER, Judgement.UNDECIDED}
 
 
 @pytest.mark.parametrize("aiding", ["velocity", "beams"])
 def test_on_clean_dives_they_are_equivalent(aiding: str) -> None:
-    assert words(aiding, 0.0) == [Judgement.EQUIVALENT] * DIVES * len(CANDIDATES)
+    assert words(aiding, (clean_dive(seed, LENGTH_S) for seed in range(DIVES))) == [Judgement.EQUIVALENT] * ALL
+
+
+def test_where_the_dvl_grows_noisier_the_adaptive_filter_is_better_and_knows_how_noisy_it_is() -> None:
+    """With the position among its states: else it drifts more, the less it trusts the DVL."""
+    config = competitors("velocity", STARTS, ("position",))
+    for seed in range(DIVES):
+        ratio = {
+            row.quantity: row.ratio
+            for row in replay_dive(noisier_dive(seed, LENGTH_S, 3.0), config).tables.evidence
+            if row.filter == "adaptive"
+        }
+        assert ratio["velocity_along"] < 0.95, seed
+        assert ratio["drift_60s"] < 1.05, seed
+        assert ratio["nis"] < 0.5, seed
 
 
 def followed(true_var: Floats, size: int) -> Iterator[tuple[float, float]]:

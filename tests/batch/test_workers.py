@@ -1,0 +1,29 @@
+"""Workers that are told to end."""
+
+import multiprocessing
+import os
+import signal
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+
+import pytest
+
+from insdvl_replay.batch import workers
+
+
+def begun_while_a_signal_waits() -> None:
+    """Begin as a worker does whose parent ended it while it started."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    os.kill(os.getpid(), signal.SIGTERM)
+    workers._begin()
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="needs signals that wait, as POSIX has them")
+def test_a_worker_that_is_ended_while_it_begins_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    spawned = multiprocessing.get_context("spawn")
+    with (
+        ProcessPoolExecutor(1, spawned, begun_while_a_signal_waits) as executor,
+        pytest.raises(BrokenProcessPool),
+    ):
+        executor.submit(int).result(timeout=60.0)
+    assert capfd.readouterr().err == ""
