@@ -111,6 +111,25 @@ def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
     assert refusal.value.hint.endswith("`insdvl-replay inspect` lists the topics"), "it proposes none for sensors"
 
 
+def test_a_latitude_in_another_unit_is_told_by_its_number(tmp_path: Path) -> None:
+    write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0, position=SensorErrors(1.0)))
+    with pytest.raises(LogError, match=r"the latitude is 32\.8\d* rad in the median, and no place has it") as refusal:
+        read_dive(tmp_path / "dive.mcap", config("position", position=Position(angle_unit="rad")))
+    assert refusal.value.hint.startswith('position.angle_unit = "deg"')
+
+
+def test_fixes_that_are_none_are_not_called_wrong_numbers(tmp_path: Path) -> None:
+    """A receiver under water says 0, 0, which are numbers."""
+    dive = simulated(duration_s=30.0, position=SensorErrors(1.0))
+    fixes = dive.sensors["position"]
+    values = fixes.values.copy()
+    values[5:15] = 0.0
+    write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": SensorColumns(fixes.time_ns, values)}))
+    notes = read_dive(tmp_path / "dive.mcap", config("position")).notes
+    (text,) = (note.text for note in notes if note.code == "position_not_finite")
+    assert text.startswith("position: 10 messages hold no position; dropped")
+
+
 def test_a_heading_of_one_degree_holds_a_vehicle_of_small_sensors_for_an_hour() -> None:
     dive = simulated(seed=3, duration_s=3600.0, heading=SensorErrors(1.0, 1.0))
     replay = replay_dive(dive, config("heading", heading=Heading(sd_deg=1.0), noise=MEMS.noise, initial=MEMS.initial))
