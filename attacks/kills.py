@@ -14,6 +14,8 @@ from living import PATIENCE_S, half_written, hidden, started, waited
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 INTERRUPTED = 130
+BARE = "ended by the bare signal"
+"""Before or after the program: as Python starts it prints a traceback of its own modules."""
 GATES = (ROOT / "examples" / "archive" / "gates.toml").read_text("utf-8")
 
 
@@ -93,13 +95,12 @@ def _judged(folder: Path, name: str, number: signal.Signals, code: int, left: li
         return "older result lost"
     if number == signal.SIGKILL:
         return _again(folder, name)
-    if "Traceback (most recent call last)" in (folder / "said").read_text("utf-8", "replace"):
-        return "traceback"
+    said = (folder / "said").read_text("utf-8", "replace")
+    if "Traceback (most recent call last)" in said:
+        return "traceback" if str(ROOT / "insdvl_replay") in said else BARE
     if hidden(folder):
         return "leftovers"
-    return {4: "exit 4", -number: "ended by the bare signal"}.get(
-        code, "ok" if code in (0, INTERRUPTED) else "other code"
-    )
+    return {4: "exit 4", -number: BARE}.get(code, "ok" if code in (0, INTERRUPTED) else "other code")
 
 
 def _again(folder: Path, name: str) -> str:
