@@ -149,6 +149,16 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     return (imu, dvl, reference, *sensors, *solutions, *([truth] if truth.sources or truth.error else []))
 
 
+def idle_sensors(
+    place: str, channels: Sequence[LogChannel], findings: Sequence[Finding], config: Config
+) -> dict[str, list[str]]:
+    """Name the topics of sensors that nobody asks for, by sensor: what could aid a filter, and plays no other role."""
+    topics, asked = _Topics(place, channels), {finding.role for finding in findings}
+    taken = {source.topic for finding in findings for source in (*finding.sources, *finding.candidates)}
+    found = {name: topics.candidates(sensor_requirement(name, config), taken) for name in SENSORS if name not in asked}
+    return {name: candidates for name, candidates in found.items() if candidates}
+
+
 def _needed(topics: "_Topics", required: TopicRequirement) -> Finding:
     return _explained(topics, required, lambda: (topics.need(required),))
 
