@@ -142,7 +142,8 @@ def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
         text = (
             f"filter {name} broke down: {lost} of {total} {kind} innovations are not finite, from number {first + 1} on"
         )
-        hint = 'check the units and sizes of [noise], [initial] and what aids it; after long IMU gaps, imu.long_gaps = "split"'
+        sizes = "check the units and sizes of [noise], [initial] and what aids it"
+        hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
         return [Note("filter_not_finite", text, lost, Severity.WARNING, hint)]
     return [*_rejection_notes(name, innovations), *_contradiction_notes(name, innovations)]
 
