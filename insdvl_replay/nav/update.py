@@ -13,7 +13,14 @@ from insdvl_replay.nav.correction import locks_out, note_used, open_state
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square, transposed_gain, update_cov
-from insdvl_replay.nav.measurement_noise import FIXED, STUDENT_T, believed_factor, found_factor, outlier_factor
+from insdvl_replay.nav.measurement_noise import (
+    FIXED,
+    STUDENT_T,
+    believed_factor,
+    chance_var,
+    found_factor,
+    outlier_factor,
+)
 from insdvl_replay.nav.measurements import BEAM, Stack
 from insdvl_replay.nav.own_measurement import Predicts
 from insdvl_replay.nav.state_layout import StateLayout
@@ -134,7 +141,8 @@ def _noise_factor(kind: int, m: int, nis: float, z: Floats, S: Floats, R: Floats
         return outlier_factor(nis, len(z))
     before: float = updates.noise_factor[m]
     updates.noise_found[m] = found_factor(updates.noise_found[m], before, z, S, R)
-    updates.noise_factor[m] = believed_factor(updates.noise_found[m], before, S, R)
+    updates.noise_var[m] = chance_var(updates.noise_var[m], before, S, R)
+    updates.noise_factor[m] = believed_factor(updates.noise_found[m], updates.noise_var[m])
     after: float = updates.noise_factor[m]
     return after / before
 
