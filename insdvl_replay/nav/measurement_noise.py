@@ -41,11 +41,15 @@ def outlier_factor(nis: float, size: int) -> float:
 
 
 @inlined
-def found_factor(found: float, believed: float, z: Floats, S: Floats, R: Floats) -> float:
-    """Return how large R is by an innovation more; S was made with ``R``, which holds the factor believed until now."""
+def found_factor(found: float, believed: float, z: Floats, S: Floats, R: Floats, share: float) -> float:
+    """Return how large R is by an innovation more; S was made with ``R``, which holds the factor believed until now.
+
+    Of the square of one that a gate has rejected only as large a ``share`` counts as would have passed. Without these a
+    noise that grows would never be found; with all of them an outlier would be taken for noise.
+    """
     seen, size = 0.0, len(z)
     for i in range(size):
-        seen += (z[i] * z[i] - (S[i, i] - R[i, i])) / (R[i, i] / believed)
+        seen += (share * z[i] * z[i] - (S[i, i] - R[i, i])) / (R[i, i] / believed)
     return min(CEILING, max(FLOOR, found + (seen / size - found) / WINDOW))
 
 
@@ -53,13 +57,14 @@ def found_factor(found: float, believed: float, z: Floats, S: Floats, R: Floats)
 def chance_var(var: float, believed: float, S: Floats, R: Floats) -> float:
     """Return the variance of what is found of a noise as it was said to be, by an innovation more.
 
-    After an outage an innovation tells of the INS, and what it does to the factor is forgotten no sooner than this.
+    After an outage an innovation tells of the INS, and what it does to the factor is forgotten no sooner than this. The
+    limits of the factor are its own.
     """
     of_one, size = 0.0, len(R)
     for i in range(size):
         of_one += 2.0 * ((S[i, i] - R[i, i]) / (R[i, i] / believed) + 1.0) ** 2
     kept = 1.0 - 1.0 / WINDOW
-    return kept * kept * var + of_one / (size * WINDOW) ** 2
+    return min(((CEILING - 1.0) / CHANCE_SD) ** 2, kept * kept * var + of_one / (size * WINDOW) ** 2)
 
 
 @inlined

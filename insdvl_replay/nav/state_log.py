@@ -36,7 +36,7 @@ class Updates(NamedTuple):
 
     ``refused_in_a_row`` counts the rejections up to now, ``refused_s`` is the time of the last, ``used_s`` that of the
     last reading that was used, and ``reopened_s`` that of the last that was used in spite of the gate. ``noise_found``
-    is how much larger R is by the innovations, ``noise_var`` the variance of it by chance alone, and ``noise_factor`` as
+    is how much larger R is by the innovations, ``noise_var`` its variance by chance alone, and ``noise_factor`` as
     far as it is more than that.
     """
 

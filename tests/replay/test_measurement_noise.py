@@ -3,11 +3,12 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from contaminated_dives import CANDIDATES, clean_dive, competitors, contaminated_dive, noisier_dive
 
-from insdvl_replay.core.dive_columns import Dive, Floats, seconds
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, seconds
 from insdvl_replay.core.words import Judgement
 from insdvl_replay.nav.measurement_noise import (
     CEILING,
@@ -58,6 +59,18 @@ def test_where_the_dvl_grows_noisier_the_adaptive_filter_is_better_and_knows_how
         assert ratio["nis"] < 0.5, seed
 
 
+def test_with_a_gate_a_dvl_that_grows_noisier_is_followed_and_not_rejected() -> None:
+    config = competitors("velocity", 1)
+    gated = {name: msgspec.structs.replace(each, gate_probability=0.99) for name, each in config.filters.items()}
+    for seed in range(DIVES):
+        replay = replay_dive(noisier_dive(seed, LENGTH_S, 3.0), msgspec.structs.replace(config, filters=gated))
+        plain, adaptive = (history.innovations[0] for history in replay.histories[:2])
+        late = plain.time_ns > plain.time_ns[len(plain.time_ns) // 2] + 30 * NS_PER_S
+        assert plain.used[late].mean() < 0.5
+        assert adaptive.used[late].mean() > 0.95
+        assert adaptive.nis[late].mean() / 3.0 < 1.3
+
+
 @pytest.mark.parametrize("aiding", ["velocity", "beams"])
 def test_what_an_outage_did_to_the_velocity_is_not_taken_for_noise(aiding: str) -> None:
     """The first ping after it is off by what the INS has drifted by, and says nothing of the DVL."""
@@ -84,7 +97,7 @@ def followed(true_var: Floats, size: int) -> Iterator[tuple[float, float]]:
     for var in true_var:
         z = rng.normal(scale=np.sqrt(var + PREDICTED_VAR), size=size)
         S = believed * R + PREDICTED_VAR * np.eye(size)
-        found = found_factor(found, believed, z, S, believed * R)
+        found = found_factor(found, believed, z, S, believed * R, 1.0)
         chance = chance_var(chance, believed, S, believed * R)
         believed = believed_factor(found, chance)
         yield found, believed
