@@ -2,7 +2,7 @@
 
 A result is known by its content: while the log's bytes, the resolved settings, the versions and the tool's own sources
 are those that ``report.json`` names, and the files that it lists are whole, the dive is not replayed again. So an
-interrupted run goes on where it stopped.
+interrupted run goes on where it stopped. With measurements of the user's own every dive is replayed.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,6 +12,7 @@ from typing import Final
 import msgspec
 
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest
+from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.words import Severity
@@ -63,7 +64,7 @@ def known_reports(
     found = [None] * len(jobs) if force and rerun else each(_known_report, jobs)
     for job, report in zip(jobs, found, strict=True):
         if isinstance(report, Report):
-            if not rerun:
+            if not rerun and not _runs_own_code(job.options.config):
                 known[job.target] = report
             continue
         if isinstance(report, Note):
@@ -72,6 +73,11 @@ def known_reports(
             report_note(report)
         require_replaceable_folder(job.target, force=force)
     return known
+
+
+def _runs_own_code(config: Config) -> bool:
+    """Tell settings with measurements of the user's own: no digest is kept of their code and of what it reads."""
+    return any(":" in word for filter_ in config.filters.values() for word in filter_.aiding)
 
 
 def _known_report(job: ReplayJob) -> Report | Note | None:

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from insdvl_replay.checks.instants import same_instants
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, SensorColumns, nanoseconds
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
@@ -53,7 +54,7 @@ def _stuck(sensors: Mapping[str, SensorColumns]) -> Iterator[Note]:
 
 def _of_reference(sensors: Mapping[str, SensorColumns], reference: ReferenceColumns) -> Iterator[Note]:
     for name, columns in ((name, columns) for name, columns in sensors.items() if name in _SAME):
-        _, ours, theirs = np.intersect1d(columns.time_ns, reference.time_ns, return_indices=True)
+        ours, theirs = same_instants(columns.time_ns, reference.time_ns)
         with np.errstate(invalid="ignore"):
             same = _SAME[name](columns.values[ours], reference.rows(np.isin(np.arange(len(reference.time_ns)), theirs)))
         if (count := int(same.sum())) > OWN_SHARE * len(columns.time_ns):

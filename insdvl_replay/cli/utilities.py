@@ -12,9 +12,10 @@ from insdvl_replay.cli.messages import log_to_stderr, write_stdout
 from insdvl_replay.cli.options import Force, Outages, Preset, Scenario, Settings, Verbose, grade_names, outage_spans
 from insdvl_replay.core.errors import ConfigError, require_known
 from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.sensors import SENSORS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Sequence
 
     from insdvl_replay.sim.sensor_errors import LostBeam
     from insdvl_replay.sim.sensors import SensorErrors
@@ -38,13 +39,16 @@ def simulate(
     outage: Outages = [],  # noqa: B006
     lost_beam: Annotated[
         list[str],
-        typer.Option(metavar="BEAM:START:END", help="The same for one beam, counted from 0. May be repeated."),
+        typer.Option(
+            metavar="BEAM:START:END",
+            help="The same for one beam, counted from 0, which tables call beam_1. May be repeated.",
+        ),
     ] = [],  # noqa: B006
     sensor: Annotated[
         list[str],
         typer.Option(
             metavar="NAME=SD[@HZ]",
-            help="depth, heading or position, its noise in m or deg, and its rate, else 1 Hz. May be repeated.",
+            help=f"{', '.join(SENSORS)}: its noise in m or deg, and its rate, else 1 Hz. May be repeated.",
         ),
     ] = [],  # noqa: B006
     lever_arm: Annotated[
@@ -82,7 +86,7 @@ def simulate(
             grade=imu,
             outages=outage_spans(outage),
             lost_beams=[_lost_beam(text) for text in lost_beam],
-            sensors=dict(_sensor(text) for text in sensor),
+            sensors=_sensors(sensor),
             lever_arm_m=_vector("--lever-arm", lever_arm),
             mounting_rpy_deg=_vector("--mounting", mounting),
             dvl_delay_s=dvl_delay,
@@ -115,11 +119,21 @@ def _lost_beam(text: str) -> "LostBeam":
         ) from error
 
 
+def _sensors(texts: "Sequence[str]") -> "dict[str, SensorErrors]":
+    found: dict[str, SensorErrors] = {}
+    for text in texts:
+        name, errors = _sensor(text)
+        if name in found:
+            raise ConfigError(f"--sensor {text}: there is a {name} already", "leave one of them out")
+        found[name] = errors
+    return found
+
+
 def _sensor(text: str) -> "tuple[str, SensorErrors]":
     from insdvl_replay.sim.sensors import SIMULATED, SensorErrors
 
     name, _, size = text.partition("=")
-    require_known("sensor", name, SIMULATED)
+    require_known("--sensor", name, SIMULATED)
     sd, _, rate_hz = size.partition("@")
     try:
         errors = SensorErrors(float(sd), float(rate_hz or 1.0))

@@ -73,7 +73,7 @@ def check_filters(config: Config, layers: Sequence[TomlSource]) -> None:
                 "the name becomes part of topics and rows",
             )
         own = [word for word in filter_.aiding if ":" in word]
-        _check_words(filter_.aiding, (*AIDING, *own), layers, "filters", name, "aiding")
+        _check_words(filter_.aiding, (*AIDING, "module:Class", *own), layers, "filters", name, "aiding")
         _check_words(filter_.states, MORE_STATES, layers, "filters", name, "states")
         if filter_.solution is None:
             _check_filter(filter_, f"filters.{name}", where)

@@ -18,6 +18,7 @@ from insdvl_replay.core.rows import ConsistencyRow
 from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.core.words import Consistency, Severity, Whiteness
 from insdvl_replay.evaluation.chi_square import consistency_word, mean_interval, reason
+from insdvl_replay.evaluation.effective_samples import samples_in_mean_square
 
 FEWEST_UPDATES = 10
 """With fewer updates the verdict is ``too few``."""
@@ -50,8 +51,9 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> list[Consiste
         NIS is that of all innovations; what the gate rejected counts as much as the gate is, see
         `history.Innovations.weight`. Whiteness is that of the innovations that were used, autocorrelation that with the
         innovation before. After the row of a whole measurement, such as ``velocity``, stand those of its axes in b,
-        ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``. Where a filter is consistent outside its
-        interval, ``why`` tells.
+        ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``. The interval of a sensor that was withheld is
+        that of its independent innovations, as they repeat themselves, and its whiteness that of all. Where a filter is
+        consistent outside its interval, ``why`` tells.
     """
     return [
         row
@@ -69,21 +71,29 @@ def _rows(log: str, filter_: str, innovations: Innovations) -> Iterator[Consiste
         (axis_of(innovations.measurement, axis), 1, standardised[:, i] ** 2, standardised[:, i : i + 1])
         for i, axis in enumerate(innovations.axes)
     )
+    # What no filter is told of stays in the next innovation, too: fewer are independent, and none is gated.
+    withheld = innovations.is_withheld
+    compared = np.ones(len(innovations.used), np.bool_) if withheld else innovations.used
     for name, dof, nis, components in (whole, *axes):
-        correlation = autocorrelation(components, innovations.used)
-        mean_nis, low, high, word = _judged(nis * innovations.weight, dof)
+        correlation = autocorrelation(components, compared)
+        repeats = withheld and len(nis) > 0 and bool(np.isfinite(components).all())
+        independent = samples_in_mean_square(components) if repeats else float(len(nis))
+        mean_nis, low, high, word = _judged(nis * innovations.weight, dof, independent)
         counts, why = (dof, int(innovations.used.sum()), rejected), reason(word, mean_nis, low, high)
         judged = *counts, mean_nis, low, high, word
         yield ConsistencyRow(*(log, filter_, name, *judged), *correlation, whiteness(*correlation), why)
 
 
-def _judged(nis: Floats, dof: int) -> tuple[float, float, float, Consistency]:
+def _judged(nis: Floats, dof: int, independent: float) -> tuple[float, float, float, Consistency]:
+    """Judge a mean NIS; few that are independent prove that it is too large, but not that it is as it should be."""
     if len(nis) < FEWEST_UPDATES:
         nan = float("nan")
         return nan, nan, nan, Consistency.TOO_FEW
     mean_nis = float(nis.mean())
-    low, high = mean_interval(dof, len(nis))
-    return mean_nis, low, high, consistency_word(mean_nis, low, high, dof)
+    low, high = mean_interval(dof, independent)
+    word = consistency_word(mean_nis, low, high, dof)
+    few = dof * independent < FEWEST_UPDATES and word in (Consistency.CONSISTENT, Consistency.OVER_CAUTIOUS)
+    return mean_nis, low, high, Consistency.TOO_FEW if few else word
 
 
 def log_likelihood(innovations: Innovations) -> float:
@@ -132,7 +142,8 @@ def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
         text = (
             f"filter {name} broke down: {lost} of {total} {kind} innovations are not finite, from number {first + 1} on"
         )
-        hint = 'check the units and sizes of [noise] and [initial]; after long IMU gaps, imu.long_gaps = "split"'
+        sizes = "check the units and sizes of [noise], [initial] and what aids it"
+        hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
         return [Note("filter_not_finite", text, lost, Severity.WARNING, hint)]
     return [*_rejection_notes(name, innovations), *_contradiction_notes(name, innovations)]
 

@@ -195,15 +195,16 @@ def _worth_proposing(measured: Sequence[Setting], topic: str) -> list[Setting]:
 
 def _stamps(log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config) -> list[Setting]:
     """Stamp all roles by the recorder where their own clocks do not belong together."""
-    stamps = {source.topic: source.stamp for finding in findings for source in finding.sources}
-    if any(clock.stamp != stamps.get(clock.topic, clock.stamp) for clock in clocks):
-        return recorder_stamps(clocks, "not all stamps of the roles are times")
+    stamps = {(source.role, source.topic): source.stamp for finding in findings for source in finding.sources}
+    if any(clock.stamp != stamps.get((clock.role, clock.topic), clock.stamp) for clock in clocks):
+        return not_yet_set(recorder_stamps(clocks, "not all stamps of the roles are times"), config)
     if not clocks or clocks[0].role != "imu":
         return []
     try:
         clock_notes(str(log.path), clocks, config.clocks.max_disagreement_s)
     except LogError:
-        return recorder_stamps(clocks, "the clocks of the roles have nothing to do with each other")
+        together = "the clocks of the roles have nothing to do with each other"
+        return not_yet_set(recorder_stamps(clocks, together), config)
     return []
 
 

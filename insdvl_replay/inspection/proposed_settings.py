@@ -19,10 +19,11 @@ from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic, time_paths
 from insdvl_replay.logs.columns.table_reading import read_sample
 from insdvl_replay.logs.columns.tables import LARGEST_JITTER_S, Table, stamp_path, stamp_unit
-from insdvl_replay.logs.columns.topic_requirements import Source
+from insdvl_replay.logs.columns.topic_requirements import PROPOSED, Source
 from insdvl_replay.logs.container.recording import Recording
 
 _WIDTH: Final = 79
@@ -156,7 +157,7 @@ def stamp_setting(log: Recording, seen: ProbedTopic, role: str) -> Setting:
 
 def recorder_stamps(clocks: Sequence[Clock], text: str) -> list[Setting]:
     """Propose the recorder's clock for all roles."""
-    own = {clock.role: clock for clock in clocks if clock.role in ("imu", "dvl", "reference")}
+    own = {clock.role: clock for clock in clocks if clock.role in (*PROPOSED, *SENSORS)}
     return [
         Setting(f"{role}.stamp", "log_time", f"{text}; that of {clock.topic}: {_apart(clock)}")
         for role, clock in own.items()

@@ -3,7 +3,7 @@
 Built on the functions that read a dive, so that what is said here is what a replay would meet.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,12 +13,12 @@ import numpy as np
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import TimeNs, seconds
-from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.errors import Note, UserError
 from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
 from insdvl_replay.inspection.proposal import Proposal, propose
-from insdvl_replay.logs.columns.roles import Finding, find_roles
+from insdvl_replay.logs.columns.roles import Finding, find_roles, idle_sensors
 from insdvl_replay.logs.container.recording import Recording, open_recording
 from insdvl_replay.logs.container.records import LogChannel, by_topic
 from insdvl_replay.preparation.alignment import check_start
@@ -55,11 +55,24 @@ def inspect_log(
         from insdvl_replay.preparation.start_heading import prepare_with_heading
 
         dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
-        notes = prepare_with_heading(with_reference_at_imu(dive, config), config).notes
+        idle = (note for note in inventory.notes if note.code == _IDLE)
+        notes = (*prepare_with_heading(with_reference_at_imu(dive, config), config).notes, *idle)
     except UserError as error:
         obstacle = Obstacle(error.message, error.hint)
         return replace(inventory, obstacles=(*inventory.obstacles, obstacle))
     return replace(inventory, notes=dive.notes + notes)
+
+
+_IDLE: Final = "sensors_idle"
+
+
+def _idle_notes(idle: Mapping[str, Sequence[str]]) -> Iterator[Note]:
+    """Say which sensors of the log no filter is aided by."""
+    if idle:
+        said = "; ".join(f"{name} by {' or '.join(topics)}" for name, topics in idle.items())
+        aiding = ", ".join(f'"{word}"' for word in ("velocity", *idle))
+        hint = f"--set 'filters.told.aiding=[{aiding}]'; evaluation.withheld judges by them"
+        yield Note(_IDLE, f"could aid a filter: {said}", len(idle), hint=hint)
 
 
 def _check_start(inventory: Inventory, config: Config) -> None:
@@ -127,7 +140,12 @@ def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool
         pings=seen.pings,
         reference=seen.reference,
         obstacles=(*(Obstacle(error.message, error.hint) for error in refusals), *seen.obstacles),
-        notes=(*log.notes, *seen.notes, *proposal.notes),
+        notes=(
+            *log.notes,
+            *seen.notes,
+            *proposal.notes,
+            *_idle_notes(idle_sensors(str(log.path), log.channels, findings, config)),
+        ),
         configuration=proposal.configuration,
         decisions=proposal.decisions,
         remaining=proposal.obstacles,

@@ -152,8 +152,8 @@ def _mounting(dives: Sequence[ReadDive], config: Config) -> Iterator[Setting]:
     best, second = tried[:2]
     key, others = "dvl.mounting_rpy_deg", [one for one in tried if one is not configured]
     if best is configured:
-        least = "this one leaves least of the innovations"
-        text = f"of {len(tried)} ways to lay its axes {least}, {_compared(others[0], best)}"
+        least, next_best = "this one leaves least of the innovations", f"the next best, {_rpy(others[0])}"
+        text = f"of {len(tried)} ways to lay its axes {least}; {next_best}, {_compared(others[0], best)}"
         yield Setting(key, best.rpy_deg, text)
         yield from _axes(best, second, config)
     elif best.cost < CLEARLY * configured.cost:

@@ -18,8 +18,10 @@ rows stand in every table, by its name.
 """
 
 import importlib
+import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any, Final
 
 import numpy as np
@@ -105,19 +107,38 @@ def load_own_measurement(word: str) -> OwnMeasurement:
     """
     module, _, name = word.partition(":")
     try:
-        found: Any = getattr(importlib.import_module(module), name)
-    except ImportError as error:
-        raise ValueError(f"cannot be imported: {error}") from error
-    except AttributeError as error:
-        raise ValueError(f"is not in {module}") from error
+        imported: Any = importlib.import_module(module)
+    except Exception as error:
+        kind = "" if isinstance(error, ImportError) else f"{type(error).__name__}: "
+        raise ValueError(f"cannot be imported: {kind}{error}") from error
+    if not hasattr(imported, name):
+        near = get_close_matches(name, vars(imported), n=1)
+        raise ValueError(f"is not in {module}" + (f", which has {near[0]}" if near else ""))
+    found = getattr(imported, name)
     if not (isinstance(found, type) and issubclass(found, OwnMeasurement)):
         raise ValueError("is no class derived from OwnMeasurement")
-    own = found()
+    try:
+        own = found()
+    except Exception as error:
+        raise ValueError(f"cannot be made without arguments: {error}") from error
+    _require_name(own)
+    _require_methods(own)
+    return own
+
+
+def _require_methods(own: OwnMeasurement) -> None:
+    for method, takes in (("readings", "self, dive"), ("predict", "ins, z, H")):
+        if getattr(type(own), method) is getattr(OwnMeasurement, method):
+            raise ValueError(f"has no method {method}({takes})")
+    if inspect.ismethod(own.predict):
+        raise ValueError("has a predict that is no static method: @staticmethod belongs above predict(ins, z, H)")
+
+
+def _require_name(own: OwnMeasurement) -> None:
     if not own.name.isidentifier() or not is_whole(own.name):
         raise ValueError(f"has the name '{own.name}', which is no word for a row of a table")
     if own.name in MEASUREMENTS or own.name.startswith(WITHHELD):
         raise ValueError(f"has the name '{own.name}', which the tables have for a measurement of the tool's own")
-    return own
 
 
 def compiled_prediction(predict: Predict) -> Predict | None:
@@ -195,6 +216,11 @@ def checked_readings(readings: OwnReadings) -> OwnReadings:
     if time_ns.dtype != np.int64 or np.any(np.diff(time_ns) <= 0):
         raise ValueError("gives times that are not increasing int64 nanoseconds")
     sd = np.broadcast_to(np.asarray(readings.sd, np.float64), values.shape)
-    if not (np.isfinite(values).all() and np.isfinite(sd).all() and (sd > 0.0).all()):
-        raise ValueError("gives values or standard deviations that are not finite, or not above 0")
+    for what, bad in (("values that are not finite", ~np.isfinite(values)), ("sd that is not above 0", ~(sd > 0.0))):
+        if len(rows := np.flatnonzero(bad.any(axis=1))):
+            raise ValueError(
+                f"gives {what} in {len(rows)} of {len(values)} rows, the first in row {rows[0]}: leave them out"
+            )
+    if not np.isfinite(sd).all():
+        raise ValueError("gives sd that is not finite")
     return OwnReadings(time_ns, values, sd)

@@ -1,16 +1,18 @@
 """Measurements of the user's own: imported, asked for their readings of a dive, and prepared like those of a sensor."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 
-from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import Dive
+from insdvl_replay.core.dive_columns import Dive, TimeNs
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.quantities import COMPONENTS
 from insdvl_replay.core.words import Severity
+from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import OWN
 from insdvl_replay.nav.measurements import Measurement, sensor_measurement
 from insdvl_replay.nav.own_measurement import (
+    OwnMeasurement,
     Predict,
     checked_readings,
     compiled_prediction,
@@ -18,10 +20,13 @@ from insdvl_replay.nav.own_measurement import (
     load_own_measurement,
 )
 from insdvl_replay.nav.timeline import FIRST_OTHER
+from insdvl_replay.preparation.filters import ResolvedFilter
+from insdvl_replay.preparation.own_code import SHOWN, asked_readings, tried_prediction
+from insdvl_replay.preparation.sensors import silence_notes
 
 
 def prepare_own_measurements(
-    dive: Dive, config: Config, sensors: int, start_ns: int, end_ns: int
+    dive: Dive, filters: Sequence[ResolvedFilter], sensors: int, start: Start, start_ns: int, end_ns: int
 ) -> tuple[dict[str, Measurement], tuple[Note, ...]]:
     """Prepare the measurements that filters name as ``module:Class``.
 
@@ -29,6 +34,8 @@ def prepare_own_measurements(
     ----------
     sensors : int
         How many sensors stand in the time line before them.
+    start : Start
+        Where each prediction is tried.
     start_ns, end_ns : int
         Span of the replay.
 
@@ -37,23 +44,27 @@ def prepare_own_measurements(
     dict of str to Measurement
         By the word in ``aiding``, without a gate.
     tuple of Note
-        Of predictions that run as they are.
+        Of predictions that run as they are, and of those whose H contradicts their z.
 
     Raises
     ------
     ConfigError
-        One cannot be imported, has no reading in the span, or its readings are none.
+        One cannot be imported, has no reading in the span, its readings are none, or its code fails.
     """
-    words = dict.fromkeys(word for filter_ in config.filters.values() for word in filter_.aiding if ":" in word)
-    found, predictions = dict[str, Measurement](), dict[str, Predict]()
+    words = dict.fromkeys(word for filter_ in filters for word in filter_.aiding if ":" in word)
+    found, predictions, notes = dict[str, Measurement](), dict[str, Predict](), dict[str, tuple[Note, ...]]()
     for row, word in enumerate(words, start=FIRST_OTHER + sensors):
-        measurement, predictions[word] = _read(word, dive, start_ns, end_ns)
-        found[word] = replace(measurement, sensor=row)
-    for name, filter_ in config.filters.items():
-        _require_different_rows(name, {word: found[word] for word in filter_.aiding if word in found})
+        measurement, own, readings_ns = _read(word, dive, start_ns, end_ns)
+        found[word], predictions[word] = replace(measurement, sensor=row), own.predict
+        for filter_ in (filter_ for filter_ in filters if word in filter_.aiding):
+            notes[word] = tried_prediction(word, own, measurement.values.shape[1], filter_, start)
+        notes[word] += tuple(silence_notes(measurement.name, readings_ns, start_ns, end_ns))
+    for filter_ in filters:
+        _require_different_rows(filter_.name, {word: found[word] for word in filter_.aiding if word in found})
     compiled = {word: made for word in words if (made := compiled_prediction(predictions[word])) is not None}
     plain = {word: predict for word, predict in predictions.items() if word not in compiled}
-    return found | _predicted(found, predictions, compiled), tuple(map(_plain_note, plain))
+    all_notes = (*map(_plain_note, plain), *chain.from_iterable(notes.values()))
+    return found | _predicted(found, predictions, compiled), all_notes
 
 
 def _predicted(
@@ -94,15 +105,13 @@ def _require_different_rows(name: str, of_filter: Mapping[str, Measurement]) -> 
         words[row] = word
 
 
-def _read(word: str, dive: Dive, start_ns: int, end_ns: int) -> tuple[Measurement, Predict]:
-    """Return a measurement that is not predicted yet, and how it will be."""
+def _read(word: str, dive: Dive, start_ns: int, end_ns: int) -> tuple[Measurement, OwnMeasurement, TimeNs]:
+    """Return a measurement that is not predicted yet, what will predict it, and the times of its readings."""
     try:
         own = load_own_measurement(word)
-        readings = checked_readings(own.readings(dive))
+        readings = checked_readings(asked_readings(word, own, dive))
     except ValueError as error:
-        raise ConfigError(
-            f"{word} {error}", "docs/own_measurement.md shows one; PYTHONPATH names the folder in which it lies"
-        ) from error
+        raise ConfigError(f"{word} {error}", f"{SHOWN}; PYTHONPATH names the folder in which it lies") from error
     inside = (readings.time_ns > start_ns) & (readings.time_ns <= end_ns)
     if not inside.any():
         raise ConfigError(f"{word} has no reading between the start of the replay and its end", "times are int64 ns")
@@ -110,4 +119,4 @@ def _read(word: str, dive: Dive, start_ns: int, end_ns: int) -> tuple[Measuremen
         own.name, own.unit, OWN, readings.time_ns[inside], readings.values[inside], readings.sd[inside],
         axes=COMPONENTS[:width] if (width := readings.values.shape[1]) > 1 else (),
     )  # fmt: skip
-    return made, own.predict
+    return made, own, readings.time_ns[inside]

@@ -143,7 +143,9 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         sensors, sensor_notes = prepare_sensors(
             dive.sensors, config, alignment.start, alignment.start_ns, end_ns, sensed.told_ns
         )
-        own, own_notes = prepare_own_measurements(dive, config, len(sensors), alignment.start_ns, end_ns)
+        own, own_notes = prepare_own_measurements(
+            dive, filters, len(sensors), alignment.start, alignment.start_ns, end_ns
+        )
     inside = velocities.within(alignment.start_ns, end_ns)
     by_beams = any("beams" in filter_.aiding for filter_ in filters)
     beams = dvl_beams(dive.dvl, mounting, alignment.start_ns, end_ns) if by_beams else None

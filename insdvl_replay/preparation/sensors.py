@@ -85,7 +85,7 @@ def prepare_sensors(
                 f"check {name}.stamp against imu.stamp, or widen --start and --end",
             )
         columns = columns.rows(inside)
-        notes += _silence_notes(name, columns.time_ns, start_ns, end_ns)
+        notes += silence_notes(name, columns.time_ns, start_ns, end_ns)
         sensor = _Sensor(name, columns, getattr(config, name), start, start_ns, notes)
         kind, values, sd = _MEASURED[name](sensor)
         of_sensor = SENSORS[name]
@@ -98,8 +98,8 @@ def prepare_sensors(
     return found, tuple(notes)
 
 
-def _silence_notes(name: str, time_ns: TimeNs, start_ns: int, end_ns: int) -> list[Note]:
-    """Tell the longest pause between readings, at times of shape (k,), where it is far longer than others.
+def silence_notes(name: str, time_ns: TimeNs, start_ns: int, end_ns: int) -> list[Note]:
+    """Note the longest pause between readings, at times of shape (k,), where it is far longer than others.
 
     Fixes come at the surface, so that pauses of theirs are no fault.
     """

@@ -1,5 +1,6 @@
 """Many dives: found, replayed on several workers, known again, and not lost when workers die."""
 
+import csv
 import gc
 import json
 import shutil
@@ -227,6 +228,37 @@ def test_a_result_that_lost_a_file_is_made_anew(archive: Path, results: Path, tm
         "wrote out/dive_2", "wrote out/summary.csv", "wrote out/evidence.csv", "wrote out/index.html"
     ]  # fmt: skip
     assert bytes_of(tmp_path / "out") == bytes_of(results)
+
+
+OWN = """
+import numpy as np
+
+from insdvl_replay import OwnMeasurement, OwnReadings
+
+
+class Down(OwnMeasurement):
+    name, unit = "down", "m/s"
+
+    def readings(self, dive):
+        return OwnReadings(dive.reference.time_ns, dive.reference.velocity_n[:, 2:], np.array([SD]))
+
+    @staticmethod
+    def predict(ins, z, H):
+        z[0], H[0, 2] = ins[5], 1.0
+"""
+
+
+def test_code_of_ones_own_that_was_changed_is_run_again(archive: Path, tmp_path: Path) -> None:
+    """The settings are the same, and what they name is not."""
+    noise = {}
+    for sd in (0.1, 0.2):
+        (tmp_path / "mine.py").write_text(OWN.replace("SD", str(sd)))
+        aiding = 'filters.mine.aiding=["velocity","mine:Down"]'
+        done = run(archive / "dive_1.mcap", "-o", "out", "--set", aiding, "--starts", "1", cwd=tmp_path)
+        assert "wrote out/dive_1" in done.stderr
+        with (tmp_path / "out" / "dive_1" / "consistency.csv").open() as stream:
+            (noise[sd],) = (float(row["mean_nis"]) for row in csv.DictReader(stream) if row["measurement"] == "down")
+    assert noise[0.2] < 0.5 * noise[0.1]
 
 
 @pytest.mark.parametrize("name", ["*.bag", "none?.mcap", "empty", "empty.txt"])

@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import time
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
@@ -16,6 +17,29 @@ def begun_while_a_signal_waits() -> None:
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     os.kill(os.getpid(), signal.SIGTERM)
     workers._begin()
+
+
+class Ended:
+    """What a worker lets go at the moment at which it is ended."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.0)
+
+
+def let_go_and_work_on() -> None:
+    Ended()
+    time.sleep(30.0)
+
+
+def test_a_worker_that_is_ended_while_it_lets_an_object_go_says_nothing_and_ends(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    began_s = time.monotonic()
+    with workers._processes(1) as pool, pytest.raises(BrokenProcessPool):
+        pool.executor.submit(let_go_and_work_on).result(timeout=60.0)
+    assert time.monotonic() - began_s < 2.5, "before the alarm"
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="needs signals that wait, as POSIX has them")

@@ -272,6 +272,13 @@ def test_strict_turns_warnings_into_exit_3_and_keeps_the_result(dive: Path, tmp_
         (["simulate", "static", "-o", "new.mcap", "--outage", "60"], 2, "--outage 60", "60:90"),
         (["simulate", "static", "-o", "new.mcap", "--lost-beam", "x:1:2"], 2, "--lost-beam x:1:2", "2:120:180"),
         (["simulate", "static", "-o", "new.mcap", "--imu", "quantum"], 2, "'quantum' is not known", "fog"),
+        (["simulate", "static", "-o", "new.mcap", "--sensor", "depht=1"], 2, "--sensor 'depht' is not known", "depth?"),
+        (
+            ["simulate", "static", "-o", "new.mcap", "--sensor", "depth=1", "--sensor", "depth=2"],
+            2,
+            "--sensor depth=2: there is a depth already",
+            "leave one of them out",
+        ),
         (["simulate", "static"], 2, "missing option", "insdvl-replay simulate --help"),
     ],
 )

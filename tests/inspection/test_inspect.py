@@ -16,6 +16,7 @@ from rich.console import Console
 from unknown_logs import decided
 
 from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.errors import ConfigError, LogError
@@ -29,9 +30,11 @@ from insdvl_replay.replay import replay_log
 from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.json_report import as_json
 from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.sim.sensors import SensorErrors
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 BLUEYE = "blueye.protocol."
+IDLE = "sensors_idle"
 IMU2 = f"imu.topic={BLUEYE}Imu2Tel"
 
 
@@ -186,6 +189,17 @@ def test_imu_that_is_too_slow_and_clocks_that_are_days_apart() -> None:
     assert 'imu.stamp = "log_time"' in found
     clocks = {clock.topic: clock for clock in inventory.clocks}
     assert clocks["/coug2/dvl/data"].log_minus_stamp_s / 86400.0 == pytest.approx(5.96, abs=0.005)
+
+
+def test_sensors_are_stamped_as_the_other_roles_are() -> None:
+    """What was proposed is no news, and what a filter asks beside it is."""
+    stamped = ["imu.stamp=log_time", "dvl.stamp=log_time", "reference.stamp=log_time", "initial.latitude_deg=37.4"]
+    settings = ['filters.told.aiding=["velocity","heading"]']
+    found = inspected("stanford_auv/x_1.mcap", *stamped, *settings)
+    assert "imu and heading of /imu are stamped by different clocks" in obstacles(found)
+    proposed = msgspec.toml.decode(found.configuration)
+    assert {section: of["stamp"] for section, of in proposed.items() if "stamp" in of} == {"heading": "log_time"}
+    assert not found.remaining
 
 
 def test_three_clocks_in_one_file() -> None:
@@ -544,3 +558,22 @@ def test_two_topics_of_true_biases_are_an_obstacle(deep: bool, tmp_path: Path) -
         writer.finish()
     inventory = inspect_log(tmp_path / "dive.mcap", load_config(), deep=deep)
     assert "/truth/biases and /truth/biases/again could each be the truth | keep one of them" in obstacles(inventory)
+
+
+# --- Sensors that could aid.
+
+
+def test_sensors_that_no_filter_asks_for_are_named(tmp_path: Path) -> None:
+    sensors = {"depth": SensorErrors(0.05, 4.0), "heading": SensorErrors(1.0)}
+    write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=60.0, sensors=sensors))
+    for deep in (False, True):
+        (note,) = (one for one in inspect_log(tmp_path / "dive.mcap", Config(), deep=deep).notes if one.code == IDLE)
+        assert note.text == "could aid a filter: depth by /pressure; heading by /ahrs"
+        assert note.hint.startswith("""--set 'filters.told.aiding=["velocity", "depth", "heading"]'""")
+    told = load_config(overrides=['filters.told.aiding=["velocity", "depth", "heading"]'])
+    assert IDLE not in {one.code for one in inspect_log(tmp_path / "dive.mcap", told).notes}
+
+
+def test_a_topic_that_plays_a_role_is_no_idle_sensor() -> None:
+    """The reference's fixes, and the IMU's own message with its orientation."""
+    assert IDLE not in {note.code for note in inspected("snapir/snapir_01.mcap").notes}

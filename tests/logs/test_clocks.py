@@ -85,6 +85,14 @@ def test_clocks_that_have_nothing_in_common_are_refused(other: str) -> None:
     assert "514944.000 s" in refusal.value.message
 
 
+def test_one_topic_with_two_roles_and_clocks_is_told_by_its_roles() -> None:
+    """The attitude of an IMU that is stamped by the recorder: only one key is left to be set."""
+    imu, heading = replace(clock("imu", 0.0), stamp="log_time"), replace(clock("heading", 1e9), topic="/imu")
+    with pytest.raises(LogError, match=r"imu and heading of /imu are stamped by different clocks") as refusal:
+        clock_notes("a.mcap", [imu, heading], 1.0)
+    assert refusal.value.hint.startswith("--set heading.stamp=log_time stamps both by the recorder")
+
+
 def test_spread_of_both_excuses_an_offset() -> None:
     notes = clock_notes("a.mcap", [clock("imu", 0.0, 0.5), clock("dvl", 1.9, 0.5)], 1.0)
     assert "clocks_apart" not in {note.code for note in notes}

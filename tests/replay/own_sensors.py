@@ -176,3 +176,96 @@ class Flat(Speed):
 
 
 NOT_A_CLASS = 3
+
+
+class Silent(Speed):
+    """An instrument that ends early."""
+
+    name = "paddle_wheel"
+
+    def readings(self, dive: Dive) -> OwnReadings:
+        """Keep the first minute."""
+        found = super().readings(dive)
+        return OwnReadings(found.time_ns[:300], found.values[:300], found.sd)
+
+
+class NoPrediction(OwnMeasurement):
+    """A class that forgot its prediction, which compiled code would not tell."""
+
+    name, unit = "forgotten", "m/s"
+    readings = Speed.readings
+
+
+class NoReadings(OwnMeasurement):
+    """A class that forgot its readings."""
+
+    name, unit = "forgotten", "m/s"
+    predict = staticmethod(Speed.predict)
+
+
+class Bound(Speed):
+    """A prediction that is a method."""
+
+    def predict(self, ins: Floats, z: Floats, H: Floats) -> None:  # type: ignore[override]
+        """Write |v|."""
+        Speed.predict(ins, z, H)
+
+
+class WithArguments(Speed):
+    """A class that nobody can make."""
+
+    def __init__(self, sd: float) -> None:
+        self.sd = sd
+
+
+class OtherTopic(Speed):
+    """The name of a topic misspelt."""
+
+    def readings(self, dive: Dive) -> OwnReadings:
+        """Ask for what is not there."""
+        return OwnReadings(dive.topics["sped"].time_ns, dive.topics["sped"].values, np.array([SD_MPS]))
+
+
+class NoNumbers(Speed):
+    """Readings of which two are none."""
+
+    def readings(self, dive: Dive) -> OwnReadings:
+        """Spoil two."""
+        found = super().readings(dive)
+        found.values[[7, 9]] = np.nan
+        return found
+
+
+class Unreturned(Speed):
+    """Readings that are not returned."""
+
+    def readings(self, dive: Dive) -> OwnReadings:
+        """Forget them."""
+        return None  # type: ignore[return-value]
+
+
+class Misspelt(Speed):
+    """A name in the prediction that is none."""
+
+    @staticmethod
+    def predict(ins: Floats, z: Floats, H: Floats) -> None:
+        """Write what is not there."""
+        z[0] = sped  # type: ignore[name-defined]  # noqa: F821
+
+
+class WrongSign(Deep):
+    """The height's error is up, and the position's down."""
+
+    @staticmethod
+    def predict(ins: Floats, z: Floats, H: Floats) -> None:
+        """Write -h."""
+        z[0], H[0, 14] = -ins[2], -1.0
+
+
+class NoJacobian(Deep):
+    """A prediction without H."""
+
+    @staticmethod
+    def predict(ins: Floats, z: Floats, H: Floats) -> None:
+        """Write -h."""
+        z[0] = -ins[2]

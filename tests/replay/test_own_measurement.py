@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from mcap_ros2.writer import Writer
@@ -65,11 +66,34 @@ def test_what_its_author_has_compiled_is_compiled_with_the_filter() -> None:
         ("own_sensors:Three", "has the name 'three_x', which is no word for a row of a table"),
         ("own_sensors:Flat", r"of shapes \(101,\) and \(101,\)"),
         ("own_sensors:Late", "has no reading between the start of the replay and its end"),
+        ("own_sensors:Sped", "is not in own_sensors, which has Speed"),
+        (":Speed", "cannot be imported: ValueError: Empty module name"),
+        ("own_sensors:NoPrediction", r"has no method predict\(ins, z, H\)"),
+        ("own_sensors:NoReadings", r"has no method readings\(self, dive\)"),
+        ("own_sensors:Bound", "has a predict that is no static method"),
+        ("own_sensors:WithArguments", "cannot be made without arguments: .*'sd'"),
+        ("own_sensors:OtherTopic", r"readings\(self, dive\) fails in line \d+ of \S*own_sensors.py: KeyError: 'sped'"),
+        ("own_sensors:Unreturned", "gives NoneType, not OwnReadings"),
+        ("own_sensors:NoNumbers", "values that are not finite in 2 of 101 rows, the first in row 7: leave them out"),
+        ("own_sensors:Misspelt", r"predict\(ins, z, H\) fails in line \d+ of \S*own_sensors.py: NameError"),
     ],
 )
 def test_what_is_none_is_told_in_a_sentence(word: str, reason: str) -> None:
     with pytest.raises(ConfigError, match=reason):
         replayed(word, 20.0)
+
+
+def test_a_module_that_is_no_python_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "no_python.py").write_text("x = (\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ConfigError, match=r"no_python:X cannot be imported: SyntaxError: .*line 1"):
+        replayed("no_python:X", 20.0)
+
+
+def test_one_that_ends_early_is_told_by_its_name() -> None:
+    notes = [note for note in replayed("own_sensors:Silent").notes if note.code == "paddle_wheel_silent"]
+    text = "no reading of the paddle_wheel for 140 of 200 s, from 60 s after the start to the end"
+    assert [note.text for note in notes] == [text]
 
 
 # --- Several in one filter.
@@ -121,6 +145,36 @@ def test_two_give_what_the_sensors_give_that_the_tool_has(
     built_in = replace(built_in, states=mine.states, more_sd=mine.more_sd)
     timeline = prepared_timeline(gauged, prepared)
     assert_same(run_one(mine, prepared, timeline), run_one(built_in, prepared, timeline))
+
+
+def test_a_column_that_a_filter_does_not_have_is_refused(gauged: Dive) -> None:
+    """Compiled code would write it somewhere else."""
+    config = aided(20.0, baseline=("velocity",), mine=("velocity", DEEP))
+    mine = msgspec.structs.replace(config.filters["mine"], states=())
+    config = msgspec.structs.replace(config, filters={**config.filters, "mine": mine})
+    with pytest.raises(ConfigError, match=r"Deep: predict\(ins, z, H\) fails in line \d+ .*IndexError") as refusal:
+        prepare_dive(gauged, config)
+    assert refusal.value.hint == (
+        'filters.mine has 12 error states: z is (1,) and H (1, 12); states = ["position"] gives it columns 12 to 14'
+    )
+
+
+@pytest.mark.parametrize(
+    ("word", "text"),
+    [
+        (DEEP, None),
+        (BOW, None),
+        (PLAIN_BOW, None),
+        ("own_sensors:Speed", None),
+        ("own_sensors:DeepTwice", None),
+        ("own_sensors:WrongSign", "H of {} contradicts its z where {}: H[0, 14] is -1, and z changes by 1"),
+        ("own_sensors:NoJacobian", "{} leaves H at zero where {}: its readings change nothing there"),
+    ],
+)
+def test_a_jacobian_that_contradicts_its_prediction_is_told(gauged: Dive, word: str, text: str | None) -> None:
+    prepared = prepare_dive(gauged, aided(20.0, baseline=("velocity",), mine=("velocity", word)))
+    found = [note.text for note in prepared.notes if note.code == "own_measurement_jacobian"]
+    assert found == ([] if text is None else [text.format(word, "filters.mine starts")])
 
 
 def test_several_are_judged_each_by_its_name(gauged: Dive) -> None:

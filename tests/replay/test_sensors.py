@@ -106,8 +106,28 @@ def test_a_sensor_that_falls_silent_is_told(kept: slice, told: str | None) -> No
 
 def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0))
-    with pytest.raises(LogError, match="has no DEPTH: no message is of a type known for one"):
+    with pytest.raises(LogError, match="has no topic for the depth: no message is of a type known") as refusal:
         read_dive(tmp_path / "dive.mcap", config("depth"))
+    assert refusal.value.hint.endswith("`insdvl-replay inspect` lists the topics"), "it proposes none for sensors"
+
+
+def test_a_latitude_in_another_unit_is_told_by_its_number(tmp_path: Path) -> None:
+    write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0, position=SensorErrors(1.0)))
+    with pytest.raises(LogError, match=r"the latitude is 32\.8\d* rad in the median, and no place has it") as refusal:
+        read_dive(tmp_path / "dive.mcap", config("position", position=Position(angle_unit="rad")))
+    assert refusal.value.hint.startswith('position.angle_unit = "deg"')
+
+
+def test_fixes_that_are_none_are_not_called_wrong_numbers(tmp_path: Path) -> None:
+    """A receiver under water says 0, 0, which are numbers."""
+    dive = simulated(duration_s=30.0, position=SensorErrors(1.0))
+    fixes = dive.sensors["position"]
+    values = fixes.values.copy()
+    values[5:15] = 0.0
+    write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": SensorColumns(fixes.time_ns, values)}))
+    notes = read_dive(tmp_path / "dive.mcap", config("position")).notes
+    (text,) = (note.text for note in notes if note.code == "position_not_finite")
+    assert text.startswith("position: 10 messages hold no position; dropped")
 
 
 def test_a_heading_of_one_degree_holds_a_vehicle_of_small_sensors_for_an_hour() -> None:
@@ -335,13 +355,17 @@ def test_without_fixes_a_straight_line_leaves_the_scale_alone(grade: str) -> Non
 # --- A sensor that is the reference.
 
 
-@pytest.mark.parametrize(("seconds_late", "told"), [(0.0, True), (0.05, False)])
+@pytest.mark.parametrize(
+    ("seconds_late", "off_m", "told"), [(0.0, 0.0, True), (0.05, 0.0, True), (0.0, 0.05, False), (0.05, 0.05, False)]
+)
 def test_a_filter_that_is_told_the_reference_is_not_judged_by_it(
-    tmp_path: Path, seconds_late: float, told: bool
+    tmp_path: Path, seconds_late: float, off_m: float, told: bool
 ) -> None:
+    """Stamped late it is the reference all the same; 5 cm away it is another receiver, that is good."""
     dive = simulated(duration_s=120.0)
     assert dive.reference is not None
-    fixes = SensorColumns(dive.reference.time_ns + int(seconds_late * 1e9), dive.reference.position)
+    position = dive.reference.position + np.array([off_m / 6.4e6, 0.0, 0.0])
+    fixes = SensorColumns(dive.reference.time_ns + int(seconds_late * 1e9), position)
     write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": fixes}))
     replay = replay_log(tmp_path / "dive.mcap", config("position", position=Position(sd_m=0.5)))
     notes = [note.code for note in replay.notes if note.code.endswith("_is_reference")]

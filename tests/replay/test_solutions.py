@@ -339,6 +339,53 @@ def test_what_is_the_reference_by_another_name_is_not_judged(dive: Dive, tmp_pat
     assert "onboard is, or may know, the reference" in replay.verdicts["onboard"].verdict
 
 
+def test_the_reference_in_disguise_is_found(dive: Dive, tmp_path: Path) -> None:
+    """A latency of the reference, as `calibrate --reference` finds it, is not that of what was recorded beside it."""
+    write_tum(tmp_path / "own.tum", truth_of(dive))
+    write_dive(tmp_path / "dive.mcap", dive)
+    settings = config(Solution(file=str(tmp_path / "own.tum")), reference=Reference(latency_s=-0.000405))
+    replay = replay_dive(read_checked_dive(tmp_path / "dive.mcap", settings), settings)
+    assert "solution_onboard_is_reference" in codes(replay)
+
+
+@pytest.mark.parametrize(("east_m_per_s", "told"), [(0.0, True), (0.001, False)])
+def test_a_track_in_metres_that_is_the_references_is_found(
+    dive: Dive, tmp_path: Path, east_m_per_s: float, told: bool
+) -> None:
+    """The odometry of the INS whose fixes are the reference: no attitude or position is common to both. A millimetre a
+    second is a solution of its own."""
+    own = truth_of(dive)
+    since_s = seconds(own.time_ns, own.time_ns[0])[:, None]
+    write_tum(tmp_path / "own.tum", off(own, way_n=since_s * [0.0, east_m_per_s, 0.0], turn_n=np.array([0, 0, DEG])))
+    assert dive.reference is not None
+    nothing = np.full_like(dive.reference.velocity_n, np.nan)
+    fixes = replace(dive.reference.without_attitude(), velocity_n=nothing)
+    write_dive(tmp_path / "dive.mcap", replace(dive, reference=fixes))
+    settings = config(Solution(file=str(tmp_path / "own.tum")), initial=Initial(source="level", heading_deg=0.0))
+    read = read_checked_dive(tmp_path / "dive.mcap", settings)
+    assert ("solution_onboard_is_reference" in [note.code for note in read.notes]) == told
+
+
+@pytest.mark.parametrize("late_ns", [0, 30_000_000])
+def test_a_good_solution_is_judged_whenever_it_is_stamped(dive: Dive, tmp_path: Path, late_ns: int) -> None:
+    """At the reference's instants, and at none of them: what is as near as 0.3 m is not therefore the same."""
+    reference = dive.reference
+    assert reference is not None
+    near = replace(
+        reference,
+        time_ns=reference.time_ns + late_ns,
+        position=reference.position + np.array([0.3 / 6.4e6, 0.0, 0.1]),
+        velocity_n=reference.velocity_n + 0.002,
+        mat_nb=reference.mat_nb @ Rotation.from_rotvec([0.0, 0.0, 0.1 * DEG]).as_matrix(),
+    )
+    settings = msgspec.structs.replace(config("/vehicle"), reference=Reference(topic="/reference"))
+    parts = [tmp_path / "dive.mcap", write_nav_solution(tmp_path / "own.mcap", near)]
+    write_dive(parts[0], dive)
+    replay = replay_dive(read_checked_dive(parts, settings), settings)
+    assert "solution_onboard_is_reference" not in codes(replay)
+    assert rows(replay, "reference_error")["position_h"].rmse == pytest.approx(0.3, abs=0.05)
+
+
 @pytest.mark.parametrize(("factor", "word"), [(1.0, "undecided"), (5.0, "worse"), (0.2, "better")])
 def test_the_baseline_from_another_start_is_neither_better_nor_worse(factor: float, word: str) -> None:
     """What flies is often the same filter. Its one start scatters as those of the baseline do, which words allow for;

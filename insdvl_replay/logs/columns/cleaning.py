@@ -103,7 +103,9 @@ class Cleaner:
         """Drop the rows that are not good; the reason says what the dropped messages are like."""
         self._keep_rows(good[self.rows], code, reason, severity, hint)
 
-    def keep_finite(self, *values: Floats, hint: str = "") -> None:
+    def keep_finite(
+        self, *values: Floats, hint: str = "", reason: str = "messages hold a number that is not finite"
+    ) -> None:
         """Drop the rows in which a number of some columns, shape (k, n), is missing.
 
         With a hint, numbers are expected in each row, and it is a warning that more than single ones lack them.
@@ -117,7 +119,7 @@ class Cleaner:
         lost = ~finite[self.rows]
         single = not np.any(lost[1:] & lost[:-1])
         severity: Severity = Severity.WARNING if hint and not single else Severity.INFO
-        self.keep(finite, "not_finite", "messages hold a number that is not finite", severity, hint)
+        self.keep(finite, "not_finite", reason, severity, hint)
 
     def keep_possible(self, possible: Mask, reason: str, hint: str) -> None:
         """Drop the few rows that no sensor can have meant; where there are many, the unit is wrong, and is told."""

@@ -149,6 +149,16 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     return (imu, dvl, reference, *sensors, *solutions, *([truth] if truth.sources or truth.error else []))
 
 
+def idle_sensors(
+    place: str, channels: Sequence[LogChannel], findings: Sequence[Finding], config: Config
+) -> dict[str, list[str]]:
+    """Name the topics of sensors that nobody asks for, by sensor: what could aid a filter, and plays no other role."""
+    topics, asked = _Topics(place, channels), {finding.role for finding in findings}
+    taken = {source.topic for finding in findings for source in (*finding.sources, *finding.candidates)}
+    found = {name: topics.candidates(sensor_requirement(name, config), taken) for name in SENSORS if name not in asked}
+    return {name: candidates for name, candidates in found.items() if candidates}
+
+
 def _needed(topics: "_Topics", required: TopicRequirement) -> Finding:
     return _explained(topics, required, lambda: (topics.need(required),))
 
@@ -230,7 +240,9 @@ class _Topics:
 
     def _lacks(self, required: TopicRequirement) -> LogError:
         """State that no topic plays a role, and which might have."""
-        lack = f"has no {required.role.upper()}"
+        lack = (
+            f"has no {required.role.upper() if required.role in ('imu', 'dvl') else f'topic for the {required.role}'}"
+        )
         if not self._channels:
             return LogError(f"{lack}: it has no messages at all", self._nothing_recorded())
         wanted = ", ".join(type_name for types in required.by_type for type_name in types)

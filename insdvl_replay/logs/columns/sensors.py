@@ -32,7 +32,7 @@ def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumn
     """
     settings = table.source.completed(getattr(config, name))
     (values, mat_nb), cleaner = _READINGS[name](table, settings, config.initial), Cleaner(table)
-    cleaner.keep_finite(values)
+    cleaner.keep_finite(values, reason=f"messages hold no {name}")
     if "sensor_id" in table:
         cleaner.drop_repeated_values(values)
     cleaner.drop_repeated_times(values)
@@ -112,10 +112,18 @@ def _position(table: Table, settings: Position, initial: Initial) -> _Readings:
     """
     unit = ANGLE_UNITS[settings.angle_unit]
     latitude, longitude = (of_receiver(table, name) * unit for name in ("latitude", "longitude"))
+    polar = np.abs(latitude) > 0.5 * np.pi
+    if 2 * int(polar.sum()) > int(np.isfinite(latitude).sum()):
+        median = f"{np.nanmedian(latitude) / unit:.6g} {settings.angle_unit}"
+        raise LogError(
+            f"the latitude is {median} in the median, and no place has it",
+            'position.angle_unit = "deg" or "rad", or position.latitude = "field.path" names another field',
+            *table.where,
+        )
     missing_m = initial.height_m if settings.height_sd_m is None else np.nan
     height_m = table.column("height") if "height" in table else np.full(len(table), missing_m)
     position = np.stack([latitude, longitude, np.where(np.isfinite(height_m), height_m, missing_m)], axis=1)
-    lost = (latitude == 0.0) & (longitude == 0.0) | (np.abs(latitude) > 0.5 * np.pi)
+    lost = (latitude == 0.0) & (longitude == 0.0) | polar
     if "fix_status" in table:
         lost |= table.column("fix_status") < 0.0
     position[lost] = np.nan

@@ -81,11 +81,13 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
     for other in others:
         jitter_s = min(other.spread_s, LARGEST_JITTER_S) + min(imu.spread_s, LARGEST_JITTER_S)
         apart_s = min(abs(one - another) for one in _both_ways(other) for another in _both_ways(imu)) - jitter_s
+        both = f"{imu.topic} and {other.topic}" if imu.topic != other.topic else f"imu and {other.role} of {imu.topic}"
         text = (
-            f"{imu.topic} and {other.topic} are stamped by different clocks: log time minus stamp is "
+            f"{both} are stamped by different clocks: log time minus stamp is "
             f"{imu.log_minus_stamp_s:.3f} s on the one and {other.log_minus_stamp_s:.3f} s on the other"
         )
-        by_recorder = f"--set imu.stamp=log_time --set {other.role}.stamp=log_time stamps both by the recorder"
+        to_set = (f"--set {clock.role}.stamp=log_time" for clock in (imu, other) if clock.stamp != "log_time")
+        by_recorder = f"{' '.join(to_set)} stamps both by the recorder"
         if apart_s > max_disagreement_s:
             hint = f"{by_recorder}; if they do belong together, raise clocks.max_disagreement_s"
             raise LogError(text, hint, place)

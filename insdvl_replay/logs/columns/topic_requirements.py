@@ -27,6 +27,8 @@ BOW_DOWN: Final = "_bow_down"
 _ANGLES: Final = ({"latitude", "longitude"}, {"roll", "pitch", "heading"})
 _MOTION: Final = ({"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES)
 
+PROPOSED: Final = ("imu", "dvl", "reference")
+"""Roles for which `inspect` proposes topics and fields of unknown types."""
 Section = TypeVar("Section", bound=msgspec.Struct)
 
 
@@ -171,7 +173,8 @@ class TopicRequirement:
         section = self.role
         needed = sorted({quantity for quantities in self.enough for quantity in quantities})
         joined = (" and " if section == "imu" else " or ").join(f'{section}.{name} = "field.path"' for name in needed)
-        return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` proposes what to set'
+        does = "proposes what to set" if section in PROPOSED else "lists the topics"
+        return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` {does}'
 
 
 def type_of(channel: LogChannel) -> str:

@@ -1,0 +1,37 @@
+"""Rows of two roles that were recorded at one instant: where they hold the same numbers, one was made of the other."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.dive_columns import TimeNs
+
+SAME_NS: Final = 2_000
+"""Times that differ by less are one: a file of seconds since 1970 holds microseconds."""
+
+
+def same_instants(ours_ns: TimeNs, theirs_ns: TimeNs) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pair rows whose times differ by what most of them do.
+
+    A latency that was taken off one of the two and not off the other, as of a reference that was calibrated, moves all
+    of its times alike, and what was one message is found all the same.
+
+    Parameters
+    ----------
+    ours_ns, theirs_ns : ndarray, shapes (k,) and (r,)
+        Strictly increasing.
+
+    Returns
+    -------
+    tuple of ndarray
+        Rows of the one and of the other, pair by pair.
+    """
+    if not len(ours_ns) or not len(theirs_ns):
+        return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
+    after = np.minimum(np.searchsorted(theirs_ns, ours_ns), len(theirs_ns) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(theirs_ns[before] - ours_ns) < np.abs(theirs_ns[after] - ours_ns), before, after)
+    apart_ns = ours_ns - theirs_ns[nearest]
+    ours = np.flatnonzero(np.abs(apart_ns - int(np.median(apart_ns))) <= SAME_NS)
+    return ours, nearest[ours]
