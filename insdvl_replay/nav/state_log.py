@@ -36,7 +36,8 @@ class Updates(NamedTuple):
 
     ``refused_in_a_row`` counts the rejections up to now, ``refused_s`` is the time of the last, ``used_s`` that of the
     last reading that was used, and ``reopened_s`` that of the last that was used in spite of the gate. ``noise_found``
-    is how much larger R is by the innovations, ``noise_factor`` as far as that is more than chance.
+    is how much larger R is by the innovations, ``noise_var`` its variance by chance alone, and ``noise_factor`` as
+    far as it is more than that.
     """
 
     innovation: Floats
@@ -51,6 +52,7 @@ class Updates(NamedTuple):
     reopened_s: Floats
     noise_factor: Floats
     noise_found: Floats
+    noise_var: Floats
 
 
 def new_records(keep_cov: NDArray[np.bool_], states: int, constants: int) -> Records:
@@ -84,6 +86,7 @@ def new_updates(measurements: int, readings: int, size: int) -> Updates:
         reopened_s=np.full(measurements, -np.inf),
         noise_factor=np.ones(measurements),
         noise_found=np.ones(measurements),
+        noise_var=np.zeros(measurements),
     )
 
 

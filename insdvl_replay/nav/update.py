@@ -3,6 +3,7 @@
 `filter` corrects the state by them once all of a reading is told.
 """
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -13,7 +14,15 @@ from insdvl_replay.nav.correction import locks_out, note_used, open_state
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square, transposed_gain, update_cov
-from insdvl_replay.nav.measurement_noise import FIXED, STUDENT_T, believed_factor, found_factor, outlier_factor
+from insdvl_replay.nav.measurement_noise import (
+    ADAPTIVE,
+    FIXED,
+    STUDENT_T,
+    believed_factor,
+    chance_var,
+    found_factor,
+    outlier_factor,
+)
 from insdvl_replay.nav.measurements import BEAM, Stack
 from insdvl_replay.nav.own_measurement import Predicts
 from insdvl_replay.nav.state_layout import StateLayout
@@ -108,6 +117,8 @@ def update(
     elif used:
         note_used(updates, m, time_s)
     else:
+        is_followed = measurements.noise[m] == ADAPTIVE and not is_again
+        _learn_of_rejected(is_followed, measurements.gate[m], m, nis, z, S, R, updates)
         return False, _square(z)
     transposed_gain(HP, L, KT)
     for i in range(len(dx)):
@@ -132,9 +143,25 @@ def _noise_factor(kind: int, m: int, nis: float, z: Floats, S: Floats, R: Floats
     """Return by how much larger an innovation says that R is, and remember it where the noise is followed."""
     if kind == STUDENT_T:
         return outlier_factor(nis, len(z))
+    return _follow_noise(m, 1.0, z, S, R, updates)
+
+
+@inlined
+def _learn_of_rejected(
+    is_followed: bool, gate: float, m: int, nis: float, z: Floats, S: Floats, R: Floats, updates: Updates
+) -> None:
+    """Let an innovation that the gate has rejected tell of the noise as much as one would that had just passed."""
+    if is_followed and 0.0 < gate < nis and math.isfinite(nis):
+        _follow_noise(m, gate / nis, z, S, R, updates)
+
+
+@inlined
+def _follow_noise(m: int, share: float, z: Floats, S: Floats, R: Floats, updates: Updates) -> float:
+    """Remember how large R is by an innovation more, and return by how much larger that is than until now."""
     before: float = updates.noise_factor[m]
-    updates.noise_found[m] = found_factor(updates.noise_found[m], before, z, S, R)
-    updates.noise_factor[m] = believed_factor(updates.noise_found[m], before, S, R)
+    updates.noise_found[m] = found_factor(updates.noise_found[m], before, z, S, R, share)
+    updates.noise_var[m] = chance_var(updates.noise_var[m], before, S, R)
+    updates.noise_factor[m] = believed_factor(updates.noise_found[m], updates.noise_var[m])
     after: float = updates.noise_factor[m]
     return after / before
 

@@ -1,19 +1,29 @@
 """Adaptive and Student-t noise of the DVL, as candidates beside a filter that believes what it is told."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from contaminated_dives import CANDIDATES, clean_dive, competitors, contaminated_dive, noisier_dive
 
-from insdvl_replay.core.dive_columns import Dive, Floats
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, seconds
 from insdvl_replay.core.words import Judgement
-from insdvl_replay.nav.measurement_noise import CEILING, FLOOR, believed_factor, found_factor, outlier_factor
+from insdvl_replay.nav.measurement_noise import (
+    CEILING,
+    FLOOR,
+    believed_factor,
+    chance_var,
+    found_factor,
+    outlier_factor,
+)
 from insdvl_replay.replay import replay_dive
 
 DIVES, LENGTH_S, STARTS = 5, 600.0, 8
 ALL = DIVES * len(CANDIDATES)
 PREDICTED_VAR = 0.5
+OUTAGES_S, OUTAGE_S = (100.0, 250.0, 400.0), 60.0
 
 
 def words(aiding: str, dives: Iterable[Dive]) -> list[Judgement | None]:
@@ -49,14 +59,47 @@ def test_where_the_dvl_grows_noisier_the_adaptive_filter_is_better_and_knows_how
         assert ratio["nis"] < 0.5, seed
 
 
+def test_with_a_gate_a_dvl_that_grows_noisier_is_followed_and_not_rejected() -> None:
+    config = competitors("velocity", 1)
+    gated = {name: msgspec.structs.replace(each, gate_probability=0.99) for name, each in config.filters.items()}
+    for seed in range(DIVES):
+        replay = replay_dive(noisier_dive(seed, LENGTH_S, 3.0), msgspec.structs.replace(config, filters=gated))
+        plain, adaptive = (history.innovations[0] for history in replay.histories[:2])
+        late = plain.time_ns > plain.time_ns[len(plain.time_ns) // 2] + 30 * NS_PER_S
+        assert plain.used[late].mean() < 0.5
+        assert adaptive.used[late].mean() > 0.95
+        assert adaptive.nis[late].mean() / 3.0 < 1.3
+
+
+@pytest.mark.parametrize("aiding", ["velocity", "beams"])
+def test_what_an_outage_did_to_the_velocity_is_not_taken_for_noise(aiding: str) -> None:
+    """The first ping after it is off by what the INS has drifted by, and says nothing of the DVL."""
+    changes = list[Floats]()
+    for seed in range(DIVES):
+        replay = replay_dive(dive_with_outages(seed), competitors(aiding, 1))
+        plain, adaptive = ({one.measurement: one for one in history.innovations} for history in replay.histories[:2])
+        changes += [np.abs(adaptive[name].sd / plain[name].sd - 1.0).ravel() for name in plain]
+    assert np.mean(np.concatenate(changes) > 0.02) < 0.02
+
+
+def dive_with_outages(seed: int) -> Dive:
+    dive = clean_dive(seed, LENGTH_S)
+    assert dive.dvl.beam_velocity_mps is not None
+    at_s, beams = seconds(dive.dvl.time_ns, dive.dvl.time_ns[0]), dive.dvl.beam_velocity_mps.copy()
+    for start_s in OUTAGES_S:
+        beams[(at_s > start_s) & (at_s < start_s + OUTAGE_S)] = np.nan
+    return replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=beams))
+
+
 def followed(true_var: Floats, size: int) -> Iterator[tuple[float, float]]:
     """What is found and believed of the noise of innovations whose variance is so much larger than said."""
-    rng, R, found, believed = np.random.default_rng(2), np.eye(size), 1.0, 1.0
+    rng, R, found, believed, chance = np.random.default_rng(2), np.eye(size), 1.0, 1.0, 0.0
     for var in true_var:
         z = rng.normal(scale=np.sqrt(var + PREDICTED_VAR), size=size)
         S = believed * R + PREDICTED_VAR * np.eye(size)
-        found = found_factor(found, believed, z, S, believed * R)
-        believed = believed_factor(found, believed, S, believed * R)
+        found = found_factor(found, believed, z, S, believed * R, 1.0)
+        chance = chance_var(chance, believed, S, believed * R)
+        believed = believed_factor(found, chance)
         yield found, believed
 
 
