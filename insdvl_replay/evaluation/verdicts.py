@@ -203,7 +203,7 @@ def interval_in_words(ratio: Number, low: Number, high: Number) -> str:
     if finite(ratio) >= MANY_TIMES:
         return f"{finite(low):.3g} to {finite(high):.3g} times"
     low_pct, high_pct = (100.0 * (finite(end) - 1.0) for end in (low, high))
-    return f"{low_pct:+.1f} to {high_pct:+.1f} %"
+    return f"{low_pct:+z.1f} to {high_pct:+z.1f} %"
 
 
 def _in_words(row: EvidenceRow) -> str:
@@ -248,7 +248,7 @@ def _believes(believed_pct: float, baseline: str) -> str:
     if not np.isfinite(believed_pct):
         return "believes in nothing finite"
     if abs(believed_pct) < NOTABLE_PCT:
-        return f"believes in errors as large as those of {baseline} ({believed_pct:+.1f} %)"
+        return f"believes in errors as large as those of {baseline} ({believed_pct:+z.1f} %)"
     return f"believes in {abs(believed_pct):.1f} % {'smaller' if believed_pct > 0 else 'larger'} errors"
 
 

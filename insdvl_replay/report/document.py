@@ -132,7 +132,7 @@ def decimal(value: float | None, digits: int) -> str:
 
 def percent(value: float | None) -> str:
     """Write a percentage with one digit."""
-    return MISSING if value is None or math.isnan(value) else f"{value:.1f} %"
+    return MISSING if value is None or math.isnan(value) else f"{value:z.1f} %"
 
 
 Format = Literal["terminal", "markdown", "latex", "html"]

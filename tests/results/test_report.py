@@ -278,7 +278,7 @@ def test_shown_numbers_have_four_significant_digits(value: float | None, text: s
 
 
 def test_shown_percentages_have_one_digit() -> None:
-    assert (percent(18.449), percent(-0.3), percent(None)) == ("18.4 %", "-0.3 %", "-")
+    assert (percent(18.449), percent(-0.3), percent(-0.03), percent(None)) == ("18.4 %", "-0.3 %", "0.0 %", "-")
 
 
 def write_result(
