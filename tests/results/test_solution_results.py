@@ -59,7 +59,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_dive(folder / "dive.mcap", dive)
     told = truth_of(dive)
     rows, rng = len(told.time_ns), np.random.default_rng(1)
-    wrong = off(told, velocity_n=rng.normal(0.0, 0.01, (rows, 3)), turn_n=rng.normal(0.0, 1e-3, (rows, 3)))
+    velocity_n, turn_n = rng.normal(0.0, 0.01, (rows, 3)), rng.normal(0.0, 1e-3, (rows, 3))
+    drift_n = np.cumsum(rng.normal(0.0, 2e-3, (rows, 3)), axis=0)
+    wrong = off(told, velocity_n=velocity_n, turn_n=turn_n, way_n=drift_n)
     jumped = off(wrong, way_n=np.where(np.arange(rows)[:, None] > rows // 2, [3.0, 0.0, 0.0], 0.0))
     covs = {name: np.tile(1e-2 * np.eye(6), (rows, 1, 1)) for name in ("pose.covariance", "twist.covariance")}
     write_odometry(folder / "odometry.mcap", wrong, covs)
