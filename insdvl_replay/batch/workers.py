@@ -34,7 +34,8 @@ _THREADS_OF_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_
 """The variables that set, before numpy is imported, on how many cores it multiplies matrices."""
 _GRACE_S: Final = 3
 """How long a worker gets to remove what it has half written."""
-_AGAIN_S: Final = 0.02
+_AGAIN_S: Final = 0.2
+"""After this a signal comes again that Python has told and not obeyed: telling it has ended by then."""
 
 
 class WorkerLostError(LogError):

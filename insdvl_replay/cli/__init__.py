@@ -17,7 +17,7 @@ from insdvl_replay.core.runtime import Interruption, collect_rarely, use_small_p
 
 INTERRUPTED = 130
 LONGEST_SHUTDOWN_S = 5.0
-AGAIN_S = 0.02
+AGAIN_S = 0.2
 
 
 def main() -> NoReturn:
