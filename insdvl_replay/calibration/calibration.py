@@ -18,6 +18,7 @@ from insdvl_replay.calibration.certainty import (
 )
 from insdvl_replay.calibration.fit import DELAY_STEP_S, Fit, Mask, fit, scatter_of
 from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
+from insdvl_replay.calibration.motion import MOSTLY, noise_share, seen_by_motion
 from insdvl_replay.calibration.noise import NO_GEOMETRY, FittedNoise, fit_noise, levelled, noise_doubts, noise_rows
 from insdvl_replay.calibration.parameters import (
     ALL_GROUPS,
@@ -41,6 +42,7 @@ LEAST_SEEN: Final = {"mounting": 4.0, "scale": 30.0}
 mounting, which a straight line shows with up to 3.3; a DVL that smooths, or stamps that jitter, look like a smaller
 scale."""
 SMOOTHED: Final = "seen, but not beyond what a DVL that smooths would look like"
+NOISE_ALONE: Final = "not seen beyond the noise of this IMU"
 BELIEVABLE_SDS: Final = 3.0
 """An estimate further from the configuration, in sds of the prior, comes from something else."""
 BELIEVABLE_SCALE: Final = 0.05
@@ -154,12 +156,13 @@ def calibrate(
     """
     asked = np.array([parameter.group in groups for parameter in PARAMETERS])
     # Of a noise that is far off, the standard deviations are, and a noise that is fitted before the geometry hides it.
-    first = fit(dives, asked, one_delay=one_delay)
+    first = _fitted(dives, asked, one_delay=one_delay)
     noise = fit_noise(dives, [first.of_dive(i) for i in range(len(dives))])
     dives = [noise.applied(dive) for dive in dives]
-    all_at_once = fit(dives, asked, one_delay=one_delay, start=first.values)
+    settled = _fitted(dives, first.unknowns.free, one_delay=one_delay, start=first.values)
+    all_at_once = seen_by_motion(settled, dives)
     certainty = certainty_of(all_at_once, pulled_by_beams(all_at_once, dives))
-    refused = dict(_refused(certainty, mean_change(all_at_once), asked))
+    refused = dict(_refused(certainty, mean_change(all_at_once), asked, noise_share(all_at_once)))
     free = asked & np.array([row not in refused for row in range(len(PARAMETERS))])
     # Told with what is held free: a scale of 2 % that is held would be taken for arm and delay, beyond all their sds.
     change = np.where(free, mean_change(all_at_once), 0.0)
@@ -173,18 +176,34 @@ def calibrate(
     return Calibration(before, before.changed(change), change, rows, of_dives, doubts, all_at_once, noise, of_noise)
 
 
-def _refused(certainty: Certainty, change: Floats, asked: Mask) -> Iterator[tuple[int, tuple[Estimated, str]]]:
+def _fitted(dives: Sequence[DiveInnovations], asked: Mask, *, one_delay: bool, start: Floats | None = None) -> Fit:
+    """Fit all that is asked for, without a scale that nothing shows and that runs away, and takes the arm with it."""
+    found = fit(dives, asked, one_delay=one_delay, start=start)
+    if not _is_wild(mean_change(found)[SCALE]) or certainty_of(found).seen[SCALE] >= SEEN:
+        return found
+    return fit(dives, asked & (np.array(NAMES) != NAMES[SCALE]), one_delay=one_delay, start=start)
+
+
+def _is_wild(scale: float) -> bool:
+    return bool(abs(np.expm1(scale)) > BELIEVABLE_SCALE)
+
+
+def _refused(
+    certainty: Certainty, change: Floats, asked: Mask, noise_shares: Floats
+) -> Iterator[tuple[int, tuple[Estimated, str]]]:
     """Find what must stay as it is, and why."""
     for row in np.flatnonzero(asked).tolist():
         parameter = PARAMETERS[row]
         # What beams may be off by is a part of the scale that this DVL has.
         seen = (certainty.seen if row == SCALE else certainty.signal_to_noise)[row]
         least = LEAST_SEEN.get(parameter.group, SEEN)
-        if seen < least:
+        if noise_shares[row] > MOSTLY:
+            yield row, (Estimated.HELD, f"{NOISE_ALONE}: needs {parameter.shown_by}")
+        elif seen < least:
             yield row, (Estimated.HELD, SMOOTHED if row == SCALE and seen >= SEEN else f"needs {parameter.shown_by}")
         elif row == DELAY and abs(change[row]) > LATEST_S - DELAY_STEP_S:
             yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
-        elif row == SCALE and abs(np.expm1(change[row])) > BELIEVABLE_SCALE:
+        elif row == SCALE and _is_wild(change[row]):
             yield row, (Estimated.DOUBTFUL, "no sound of speed is so wrong: does the DVL smooth, or the stamps jitter?")
         elif abs(change[row]) > BELIEVABLE_SDS * parameter.prior_sd:
             yield row, (Estimated.DOUBTFUL, "too far from the configuration: are the axes right?")

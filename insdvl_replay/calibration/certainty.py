@@ -6,12 +6,12 @@ autocorrelation consistent covariance matrix", 1987; Birge, "The calculation of 
 1932.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.calibration.fit import Fit, Linearised
+from insdvl_replay.calibration.fit import SHARED, Fit, Linearised
 from insdvl_replay.calibration.parameters import DELAY, NAMES, PRIOR_SD
 from insdvl_replay.core.dive_columns import Floats
 
@@ -141,16 +141,10 @@ def one_by_one(fit: Fit) -> tuple[Floats, Floats]:
     """Return what each dive says by itself near the common answer, and its formal sds, shapes (n, 8)."""
     own, own_sd = [], []
     for i, near in enumerate(fit.dives):
-        cov, change = _own_cov(near), fit.unknowns.of_dive(fit.values, i)
-        step = cov @ (near.scores.sum(axis=0) - change / PRIOR_SD**2)
-        step[~fit.unknowns.free] = 0.0
-        own.append(change + step)
-        own_sd.append(np.sqrt(np.diag(cov)))
+        alone = Fit(replace(fit.unknowns, dives=1), fit.of_dive(i)[[*SHARED, DELAY]], (near,))
+        own.append(alone.unknowns.of_dive(alone.values + alone.step, 0))
+        own_sd.append(alone.unknowns.of_dive(np.sqrt(np.diag(alone.cov)), 0))
     return np.array(own), np.array(own_sd)
-
-
-def _own_cov(near: Linearised) -> Floats:
-    return np.asarray(np.linalg.inv(near.information + np.diag(PRIOR_SD**-2.0)), dtype=np.float64)
 
 
 def autocorrelation(near: Linearised) -> Floats:

@@ -8,7 +8,7 @@ dive's, since clocks are set anew. Sources: Levenberg, 1944, and Marquardt, 1963
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,15 +68,19 @@ class Unknowns:
         """Return the change of one dive, shape (8,)."""
         return values[self.rows(dive)]
 
+    def of_parameters(self, eight: NDArray[Any]) -> NDArray[Any]:
+        """Give each number what its parameter has, shape (count,)."""
+        return np.concatenate([eight[SHARED], np.full(self.count - OWN + 1, eight[DELAY])])
+
     @property
     def prior_sd(self) -> Floats:
         """Of all numbers, shape (count,)."""
-        return np.concatenate([PRIOR_SD[SHARED], np.full(self.count - OWN + 1, PRIOR_SD[DELAY])])
+        return self.of_parameters(PRIOR_SD)
 
     @property
     def is_free(self) -> Mask:
         """Of all numbers, shape (count,)."""
-        return np.concatenate([self.free[SHARED], np.full(self.count - OWN + 1, self.free[DELAY])])
+        return self.of_parameters(self.free)
 
 
 @dataclass(frozen=True)
@@ -91,11 +95,14 @@ class Linearised:
         What each axis scatters by, in the same; 1 where the filter knows its noise.
     jacobian : ndarray, shape (k, 3, 8)
         Of the residuals over the scatter.
+    by_motion : ndarray, shape (k, 3, 8)
+        What residuals may not go with: all of it, or what `motion` leaves of it.
     """
 
     residuals: Floats
     scatter: Floats
     jacobian: Floats
+    by_motion: Floats
 
     @property
     def scaled(self) -> Floats:
@@ -109,21 +116,26 @@ class Linearised:
 
     @property
     def information(self) -> Floats:
-        """The dive's own, shape (8, 8)."""
-        return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights, self.jacobian, self.jacobian))
+        """The scores' covariance, shape (8, 8), where residuals are white."""
+        return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights, self.by_motion, self.by_motion))
+
+    @property
+    def slope(self) -> Floats:
+        """How fast the scores' sum falls with the parameters, weights held, shape (8, 8)."""
+        return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights, self.by_motion, self.jacobian))
 
     @property
     def curvature(self) -> Floats:
-        """How fast the scores' sum falls with the parameters, shape (8, 8).
+        """The same with weights that follow, shape (8, 8).
 
-        Less than the information: a residual that is weighed down is weighed down more when it grows.
+        Less than the slope: a residual that is weighed down is weighed down more when it grows.
         """
-        return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights**3, self.jacobian, self.jacobian))
+        return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights**3, self.by_motion, self.jacobian))
 
     @property
     def scores(self) -> Floats:
-        """What each ping says, shape (k, 8): minus half the gradient of the cost."""
-        return -np.asarray(np.einsum("ka,ka,kai->ki", self.weights, self.scaled, self.jacobian))
+        """What each ping says, shape (k, 8); of all of the derivative minus half the gradient of the cost."""
+        return -np.asarray(np.einsum("ka,ka,kai->ki", self.weights, self.scaled, self.by_motion))
 
 
 @dataclass(frozen=True)
@@ -146,20 +158,29 @@ class Fit:
         return self.unknowns.of_dive(self.values, dive)
 
     @property
-    def information(self) -> Floats:
-        """Of the dives and of the prior together, shape (count, count); what is held has the prior alone."""
-        return _information(self.unknowns, self.dives)
+    def cov(self) -> Floats:
+        """Formal covariance, shape (count, count); what is held has the prior alone."""
+        slope = _total(self.unknowns, [near.slope for near in self.dives])
+        return formal_cov(slope, _total(self.unknowns, [near.information for near in self.dives]))
 
     @property
-    def cov(self) -> Floats:
-        """Formal covariance, shape (count, count)."""
-        return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
+    def step(self) -> Floats:
+        """How far it is from here to where the scores' sum is zero, shape (count,); what is held stays."""
+        slope = _total(self.unknowns, [near.slope for near in self.dives])
+        step = np.linalg.solve(slope, _gradient(self.unknowns, self.dives, self.values))
+        return np.where(self.unknowns.is_free, step, 0.0)
 
     @property
     def moved_by_scores(self) -> Floats:
         """How far the answer moves with what the pings say, shape (count, count): the inverse curvature."""
         curvature = _total(self.unknowns, [near.curvature for near in self.dives])
         return np.asarray(np.linalg.inv(curvature), dtype=np.float64)
+
+
+def formal_cov(slope: Floats, information: Floats) -> Floats:
+    """Return the covariance of an answer whose scores have the covariance of the information."""
+    inverse = np.linalg.inv(slope)
+    return np.asarray(inverse @ information @ inverse.T, dtype=np.float64)
 
 
 def weights_of(scaled: Floats) -> Floats:
@@ -197,7 +218,8 @@ def fit(dives: Sequence[DiveInnovations], free: Mask, *, one_delay: bool = False
     damping = 1e-3
     linearised = _linearised(unknowns, dives, values)
     for _ in steps("fitting the innovations", range(MOST_ROUNDS)):
-        information, gradient = _information(unknowns, linearised), _gradient(unknowns, linearised, values)
+        information = _total(unknowns, [near.information for near in linearised])
+        gradient = _gradient(unknowns, linearised, values)
         before = _cost(unknowns, dives, values, linearised)
         while damping < LARGEST_DAMPING:
             step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
@@ -247,7 +269,8 @@ def _linearised(unknowns: Unknowns, dives: Sequence[DiveInnovations], values: Fl
         change = unknowns.of_dive(values, i)
         residuals = dive.residuals(change)
         scatter = scatter_of(residuals)
-        found.append(Linearised(residuals, scatter, dive.jacobian(change, unknowns.free) / scatter[:, None]))
+        jacobian = dive.jacobian(change, unknowns.free) / scatter[:, None]
+        found.append(Linearised(residuals, scatter, jacobian, jacobian))
     return tuple(found)
 
 
@@ -260,10 +283,6 @@ def _cost(
         for i, (dive, near) in enumerate(zip(dives, linearised, strict=True))
     )
     return float(sum(of_dives) + np.sum((values / unknowns.prior_sd) ** 2))
-
-
-def _information(unknowns: Unknowns, linearised: Sequence[Linearised]) -> Floats:
-    return _total(unknowns, [near.information for near in linearised])
 
 
 def _total(unknowns: Unknowns, of_dives: Sequence[Floats]) -> Floats:

@@ -150,10 +150,11 @@ def _refused(certainty: Certainty, change: Floats, free: Mask) -> Iterator[tuple
         parameter = SHARED[row]
         if row < len(NAMES) and row not in OF_DVL:
             continue
-        if certainty.signal_to_noise[row] < SEEN:
-            yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
-        elif row == CLOCK and abs(change[row]) > LATEST_CLOCK_S - float(SHARED_STEPS[CLOCK]):
+        # Told first: at the edge what is left is no noise, and no sd right.
+        if row == CLOCK and abs(change[row]) > LATEST_CLOCK_S - float(SHARED_STEPS[CLOCK]):
             yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
+        elif certainty.signal_to_noise[row] < SEEN:
+            yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
         elif row == SCALE and abs(np.expm1(change[row])) > BELIEVABLE_SCALE:
             yield row, (Estimated.DOUBTFUL, "no sound of speed is so wrong: is the reference's velocity in m/s?")
         elif abs(change[row]) > BELIEVABLE_SDS * parameter.prior_sd:

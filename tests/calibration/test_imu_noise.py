@@ -1,0 +1,107 @@
+"""Noise of the IMU is not taken for a delay or an arm, however large it is."""
+
+import numpy as np
+import pytest
+from built_in import TRUTH, ReadDive, as_read, built_in_otherwise, shown
+
+from insdvl_replay.calibration.calibration import Calibration, calibrate
+from insdvl_replay.calibration.motion import MOTION_S, averaged
+from insdvl_replay.calibration.parameters import NAMES
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.words import Estimated
+from insdvl_replay.sim.dive import add_errors, exact_dive
+from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
+
+GRADE_NAMES = ("fog", "tactical", "mems")
+NONE = np.zeros(len(NAMES))
+BUILT_IN = shown(TRUTH)
+
+
+def as_configured(scenario: str, grade: str, seed: int, duration_s: float | None = None) -> ReadDive:
+    exact = exact_dive(scenario, duration_s=duration_s)
+    return as_read(add_errors(exact, GRADES[grade], DvlErrors(), seed), load_config(grade))
+
+
+def otherwise(scenario: str, grade: str, seed: int) -> ReadDive:
+    return built_in_otherwise(scenario, seed, DvlErrors(), config=load_config(grade), grade=grade)
+
+
+def calibrated(read: ReadDive) -> Calibration:
+    return calibrate([read.innovations()], read.config)
+
+
+def proposed(found: Calibration) -> set[str]:
+    return {row.parameter for row in found.estimated}
+
+
+def errors_over_sds(found: Calibration, truth: np.ndarray) -> np.ndarray:
+    """Of what is proposed, in the units that are shown, NaN of the rest."""
+    return np.array(
+        [
+            (finite(row.change) - of_one) / finite(row.sd) if row.status == Estimated.ESTIMATED else np.nan
+            for row, of_one in zip(found.rows, truth, strict=True)
+        ]
+    )
+
+
+@pytest.mark.parametrize("grade", GRADE_NAMES)
+@pytest.mark.parametrize("scenario", ["static", "straight"])
+def test_a_vehicle_that_does_not_turn_tells_neither_delay_nor_arm(scenario: str, grade: str) -> None:
+    found = calibrated(as_configured(scenario, grade, 1, 200.0))
+    assert not proposed(found)
+    assert found.after == found.before
+    whys = {row.parameter: row.why for row in found.rows}
+    assert whys["delay"].startswith("not seen beyond the noise of this IMU")
+    assert whys["arm_x"].startswith("not seen beyond the noise of this IMU")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("grade", GRADE_NAMES)
+@pytest.mark.parametrize("scenario", ["static", "straight"])
+def test_no_such_dive_of_ten_does(scenario: str, grade: str) -> None:
+    for seed in range(10):
+        found = proposed(calibrated(as_configured(scenario, grade, seed, 600.0)))
+        assert not found & {"delay", "arm_x", "arm_y", "arm_z"}, seed
+
+
+@pytest.mark.parametrize("grade", ["tactical", "mems"])
+def test_slow_turns_beside_a_noisy_imu_show_the_arm_and_no_delay(grade: str) -> None:
+    found = calibrated(as_configured("figure-eight", grade, 42))
+    assert "delay" not in proposed(found)
+    assert {"arm_x", "arm_y"} <= proposed(found)
+    assert np.nanmax(np.abs(errors_over_sds(found, NONE))) < 3.0
+
+
+@pytest.mark.parametrize("grade", ["tactical", "mems"])
+def test_strong_manoeuvres_show_the_delay_beside_a_noisy_imu(grade: str) -> None:
+    found = calibrated(otherwise("calibration", grade, 60))
+    assert {"delay", "arm_x", "arm_y", "arm_z"} <= proposed(found)
+    assert np.nanmax(np.abs(errors_over_sds(found, BUILT_IN))) < 3.5
+
+
+def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm() -> None:
+    found = calibrated(otherwise("lawnmower", "mems", 62))
+    assert shown(found.fit.of_dive(0))[-1] == 0.0
+    assert found.after.lever_arm_m[:2] == pytest.approx((0.3, -0.1), abs=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("grade", ["tactical", "mems"])
+@pytest.mark.parametrize("scenario", ["figure-eight", "calibration", "lawnmower"])
+def test_errors_beside_a_noisy_imu_are_as_large_as_is_said(scenario: str, grade: str) -> None:
+    """Of delay and arm, over all that is proposed of ten dives each."""
+    delay_and_arm = [NAMES.index(name) for name in ("delay", "arm_x", "arm_y", "arm_z")]
+    errors = [errors_over_sds(calibrated(as_configured(scenario, grade, seed)), NONE) for seed in range(60, 70)]
+    errors += [errors_over_sds(calibrated(otherwise(scenario, grade, seed)), BUILT_IN) for seed in range(70, 80)]
+    of_sd = np.sqrt(np.nanmean(np.square(np.array(errors)[:, delay_and_arm])))
+    assert 0.6 < of_sd < 1.5
+
+
+def test_readings_are_averaged_around_each() -> None:
+    """A line stays a line inside, white noise falls as the root of how many there are."""
+    line = np.outer(np.arange(200.0), [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(averaged(line, 0.01)[30:-30], line[30:-30])
+    noise = np.random.default_rng(3).standard_normal((20_000, 3))
+    assert averaged(noise, 0.01).std() == pytest.approx(1.0 / np.sqrt(MOTION_S / 0.01 + 1.0), rel=0.1)
+    np.testing.assert_array_equal(averaged(line, 0.6), line)
