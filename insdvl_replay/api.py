@@ -4,12 +4,11 @@ They are reached as ``from insdvl_replay import load_config, replay_log, read_re
 them may move.
 """
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import msgspec
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
@@ -17,9 +16,9 @@ from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import ConfigError, ResultError, hint_for
 from insdvl_replay.nav.own_measurement import OwnMeasurement, OwnReadings
 from insdvl_replay.results.dive_screen import dive_screen
-from insdvl_replay.results.folder import COMPLETE, PAGE, TRAJECTORY_FILE, result_folder
-from insdvl_replay.results.json_report import Report, build_report, decode_report, this_tool
-from insdvl_replay.results.stored_results import of_other_version, read_one_result
+from insdvl_replay.results.folder import PAGE, TRAJECTORY_FILE, result_folder
+from insdvl_replay.results.json_report import Report, build_report, this_tool
+from insdvl_replay.results.stored_results import read_one_result
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,22 +41,35 @@ def load_config(*files: Text, preset: str | None = None, settings: Mapping[str, 
         ``levy-klein`` (the default), ``fog``, ``tactical`` or ``mems``.
     settings : mapping or sequence of str
         Single settings by their dotted keys: ``{"dvl.scale": 1.01}``, or ``["dvl.scale=1.01"]``. Lists may be tuples or
-        arrays, and numbers NumPy's.
+        arrays, numbers NumPy's, and files paths; a mapping sets the keys in it and leaves others as they are.
 
     Raises
     ------
     ConfigError
         A key is not known or its value cannot be.
     """
-    pairs = [_pair(*item) for item in settings.items()] if isinstance(settings, Mapping) else list(settings)
+    pairs = [*_pairs(settings)] if isinstance(settings, Mapping) else list(settings)
     return _load_config(preset, [Path(file) for file in files], pairs)
 
 
-def _pair(key: str, value: object) -> str:
+def _pairs(settings: Mapping[str, object], within: str = "") -> Iterator[str]:
+    for name, value in settings.items():
+        key = f"{within}{name}"
+        if isinstance(value, Mapping):
+            yield from _pairs(value, f"{key}.")
+        else:
+            yield f"{key}={toml_value(_plain(key, value))}"
+
+
+def _plain(key: str, value: object) -> object:
+    """Make of what is NumPy's, or a path, what TOML has: NumPy writes its own name into a number's."""
     if value is None:
         raise ConfigError(f"{key}: None is no value", "leave the key out, and its default holds")
-    plain = value.tolist() if hasattr(value, "tolist") else value  # of NumPy, which writes its own name into a number's
-    return f"{key}={toml_value(plain)}"
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(key, item) for item in value]
+    return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
 def replay_log(
@@ -110,12 +122,8 @@ def read_result(folder: Text) -> "Result":
     ResultError
         It cannot be read, or is of a version that this one cannot read.
     """
-    file = read_one_result(Path(folder)).folder / COMPLETE
-    data = file.read_bytes()
-    try:
-        return Result(decode_report(data), folder=file.parent)
-    except msgspec.ValidationError as error:
-        raise of_other_version(file, data, error) from error
+    found, report = read_one_result(Path(folder), Report)
+    return Result(report, folder=found)
 
 
 class UnknownNameError(ConfigError, KeyError):

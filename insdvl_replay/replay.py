@@ -129,8 +129,9 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     ConfigError
         The settings do not fit the dive.
     """
-    dive, solutions = with_reference_at_imu(replace(dive, solutions={}), config), dict(dive.solutions)
+    dive = with_reference_at_imu(dive, config)
     prepared = prepare_with_heading(dive, config)
+    dive, solutions = replace(dive, solutions={}), dict(dive.solutions)
     span = prepared.alignment.start_ns, prepared.end_ns
     judged_ns = judged_times(dive.reference, *span, filters=len(config.filters))
     plan, timeline = coasting_plan(prepared), prepared_timeline(dive, prepared)

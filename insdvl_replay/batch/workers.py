@@ -24,7 +24,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn, TypeVar
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.core.runtime import collect_rarely
+from insdvl_replay.core.runtime import collect_rarely, coming_again
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -34,8 +34,6 @@ _THREADS_OF_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_
 """The variables that set, before numpy is imported, on how many cores it multiplies matrices."""
 _GRACE_S: Final = 3
 """How long a worker gets to remove what it has half written."""
-_AGAIN_S: Final = 0.2
-"""After this a signal comes again that Python has told and not obeyed: telling it has ended by then."""
 
 
 class WorkerLostError(LogError):
@@ -222,7 +220,7 @@ def _begin() -> None:
     collect_rarely()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all processes; the parent ends them
     signal.signal(signal.SIGTERM, _end_at_once)
-    sys.unraisablehook = _leave_again
+    sys.unraisablehook = coming_again(_Leaving)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDINGS)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
@@ -250,16 +248,6 @@ def _end_at_once(_signal: int, _frame: FrameType | None) -> NoReturn:
 def _leave(_signal: int, _frame: FrameType | None) -> NoReturn:
     signal.alarm(_GRACE_S)  # ends the process where the exception is caught by someone on its way
     raise _Leaving
-
-
-def _leave_again(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Leave again where Python could not be left: while it lets an object go, it only tells an exception."""
-    if issubclass(unraisable.exc_type, _Leaving):
-        again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), signal.SIGTERM))
-        again.daemon = True
-        again.start()
-    else:
-        sys.__unraisablehook__(unraisable)
 
 
 def _do(work: Callable[..., Result], *args: Any, **kwargs: Any) -> Result:

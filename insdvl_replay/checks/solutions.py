@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.checks.instants import same_instants
 from insdvl_replay.checks.sensors import OWN_SHARE, SAME_RAD
+from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, SolutionColumns
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.quantities import IS_REFERENCE
@@ -22,14 +23,19 @@ FEWEST: Final = 10
 """So many samples of the same time."""
 
 
-def solution_notes(solutions: Mapping[str, SolutionColumns], reference: ReferenceColumns | None) -> tuple[Note, ...]:
-    """Note the solutions that are the reference itself, from another topic or from a file."""
-    return tuple(_solution_notes(solutions, reference)) if reference is not None else ()
+def solution_notes(
+    solutions: Mapping[str, SolutionColumns], reference: ReferenceColumns | None, config: Config
+) -> tuple[Note, ...]:
+    """Note the solutions that are the reference itself, from a topic or a file, with the latencies put back."""
+    return tuple(_solution_notes(solutions, reference, config)) if reference is not None else ()
 
 
-def _solution_notes(solutions: Mapping[str, SolutionColumns], reference: ReferenceColumns) -> Iterator[Note]:
+def _solution_notes(
+    solutions: Mapping[str, SolutionColumns], reference: ReferenceColumns, config: Config
+) -> Iterator[Note]:
     for name, solution in solutions.items():
-        ours, theirs = same_instants(solution.motion.time_ns, reference.time_ns)
+        latency_s = config.solutions[name].latency_s - config.reference.latency_s
+        ours, theirs = same_instants(solution.motion.time_ns, reference.time_ns, latency_s)
         same = {
             "attitudes": _same(solution.motion.mat_nb[ours], reference.mat_nb[theirs], SAME),
             "velocities": _same(solution.motion.velocity_n[ours], reference.velocity_n[theirs], SAME),

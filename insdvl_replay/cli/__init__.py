@@ -13,11 +13,10 @@ from contextlib import suppress
 from types import FrameType
 from typing import NoReturn
 
-from insdvl_replay.core.runtime import Interruption, collect_rarely, use_small_pages
+from insdvl_replay.core.runtime import Interruption, collect_rarely, coming_again, use_small_pages
 
 INTERRUPTED = 130
 LONGEST_SHUTDOWN_S = 5.0
-AGAIN_S = 0.2
 
 
 def main() -> NoReturn:
@@ -88,7 +87,7 @@ def _listen() -> None:
     signal.signal(signal.SIGTERM, _interrupt)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
-    sys.unraisablehook = _interrupt_again
+    sys.unraisablehook = coming_again(KeyboardInterrupt)
 
 
 def _listen_no_more() -> None:
@@ -100,13 +99,3 @@ def _listen_no_more() -> None:
 def _interrupt(_signal: int, _frame: FrameType | None) -> NoReturn:
     Interruption.came = True
     raise Interruption
-
-
-def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Interrupt again where Python could not be interrupted: while it lets an object go, it only tells an exception."""
-    if issubclass(unraisable.exc_type, KeyboardInterrupt):
-        again = threading.Timer(AGAIN_S, os.kill, (os.getpid(), signal.SIGTERM))
-        again.daemon = True
-        again.start()
-    else:
-        sys.__unraisablehook__(unraisable)

@@ -55,6 +55,7 @@ def figure(
       insdvl-replay figure replay/dive sigma --states ba,bg --width 180mm --format svg -o biases.svg
     """
     from insdvl_replay.cli.messages import log_to_stderr
+    from insdvl_replay.core.stored_report import StoredReport
     from insdvl_replay.results.folder import TRAJECTORY_FILE, result_file
     from insdvl_replay.results.paper_figures import Drawn, chosen_states, draw_figure
     from insdvl_replay.results.stored_results import read_one_result
@@ -65,10 +66,10 @@ def figure(
             f"--states {states}: chooses what sigma draws, and {kind.value} draws no states", "leave it out"
         )
     chosen, width_mm = chosen_states(states), _width_mm(width)
-    stored = read_one_result(result)
-    trajectory = read_trajectory(stored.folder / TRAJECTORY_FILE)
+    folder, report = read_one_result(result, StoredReport)
+    trajectory = read_trajectory(folder / TRAJECTORY_FILE)
     if trajectory is None:
-        raise ConfigError(f"{stored.folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again")
+        raise ConfigError(f"{folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again")
     target = output or Path(f"{kind.value}.{format_.value}")
     if target.suffix != f".{format_.value}":
         ending = target.suffix.lstrip(".")
@@ -76,7 +77,7 @@ def figure(
         hint = f"--format {ending}" if ending in known else f"-o {target.with_suffix(f'.{format_.value}')}"
         raise ConfigError(f"{target}: does not end in .{format_.value}", hint)
     with result_file(target, force=force) as path:
-        drawn = Drawn(trajectory, stored.report.tables.get("coasting", []), chosen)
+        drawn = Drawn(trajectory, report.tables.get("coasting", []), chosen)
         draw_figure(kind.value, drawn, path, width_mm=width_mm)
     log_to_stderr(f"wrote {target}")
 

@@ -107,7 +107,6 @@ def _vector(option: str, text: str) -> tuple[float, float, float]:
 
 
 def _lost_beam(text: str) -> "LostBeam":
-
     from insdvl_replay.sim.sensor_errors import LostBeam
 
     try:

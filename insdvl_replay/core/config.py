@@ -145,7 +145,8 @@ class Initial(Section, frozen=True):
     source: Annotated[
         Literal["reference", "level", "sensor"],
         Comment(
-            "reference | level (by gravity and DVL) | sensor (of [heading]); both take a reference's position alone"
+            "reference | level (by gravity and DVL) | sensor (of [heading]); "
+            "of a reference the last two take the position alone"
         ),
     ] = "reference"
     heading_deg: Annotated[

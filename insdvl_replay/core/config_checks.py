@@ -2,17 +2,19 @@
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from insdvl_replay.core.config import Config, Filter
 from insdvl_replay.core.config_navigation import TOPIC_KEYS, spelled_out
 from insdvl_replay.core.errors import ConfigError, error_context, require_known
-from insdvl_replay.core.sensors import AIDING, SENSORS
+from insdvl_replay.core.sensors import AIDING, DVL_AIDING, SENSORS
 from insdvl_replay.core.states import MORE_STATES
 from insdvl_replay.core.strict_toml import KeyPath, TomlSource
 
 LARGEST = 1e30
 """Nothing that is measured is larger, and powers of what is smaller are still numbers."""
+_TOLD_BY: Final = {"dvl_scale": DVL_AIDING, "dvl_yaw": DVL_AIDING, "depth_zero": ("depth",)}
+"""Words in a filter's aiding, or sensors that are withheld, by states of which nothing else tells."""
 
 
 def check_finite(value: object, source: TomlSource, path: KeyPath) -> None:
@@ -76,7 +78,7 @@ def check_filters(config: Config, layers: Sequence[TomlSource]) -> None:
         _check_words(filter_.aiding, (*AIDING, "module:Class", *own), layers, "filters", name, "aiding")
         _check_words(filter_.states, MORE_STATES, layers, "filters", name, "states")
         if filter_.solution is None:
-            _check_filter(filter_, f"filters.{name}", where)
+            _check_filter(filter_, config.evaluation.withheld, f"filters.{name}", where)
         else:
             _check_solution(filter_, f"filters.{name}", where, is_baseline=name == config.baseline)
 
@@ -120,7 +122,7 @@ def _check_solution(filter_: Filter, key: str, where: str, *, is_baseline: bool)
         )
 
 
-def _check_filter(filter_: Filter, key: str, where: str) -> None:
+def _check_filter(filter_: Filter, withheld: Sequence[str], key: str, where: str) -> None:
     if not filter_.aiding:
         raise ConfigError(f"{where}: {key}.aiding names nothing", 'aiding = ["velocity"]')
     if {"velocity", "beams"} <= set(filter_.aiding):
@@ -133,6 +135,12 @@ def _check_filter(filter_: Filter, key: str, where: str) -> None:
             f"{where}: {key} is aided by acceleration but does not say how",
             f'[{key}] acceleration = {{ model = "windowed", window = 3 }}',
         )
+    for state in filter_.states:
+        if not set(_TOLD_BY.get(state, filter_.aiding)) & {*filter_.aiding, *withheld}:
+            raise ConfigError(
+                f"{where}: {key} estimates {state}, and is aided by nothing that tells it",
+                f"{key}.aiding with {' or '.join(_TOLD_BY[state])}, or {key}.states without {state}",
+            )
     if acceleration is not None and acceleration.order >= acceleration.window:
         raise ConfigError(
             f"{where}: {key}.acceleration.order = {acceleration.order} needs a window above "

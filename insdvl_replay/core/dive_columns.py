@@ -144,7 +144,7 @@ class SensorColumns:
     time_ns : ndarray, shape (k,)
         Times of validity, strictly increasing.
     values : ndarray, shape (k, s)
-        Of a depth the metres below the water's surface.
+        Of a depth the metres below the water's surface; of a position NaN for a height that a fix lacks.
     mat_nb : ndarray, shape (k, 3, 3), or None
         Of a heading the attitude that it is part of, where its messages hold one whole.
     """

@@ -25,7 +25,7 @@ class Clock:
     messages : int
         How many were read to know it.
     log_minus_stamp_s : float
-        Median.
+        Median, as the log has it.
     spread_s : float
         From the 5th to the 95th percentile of log time minus stamp.
     back_steps, repeats : int
@@ -33,7 +33,7 @@ class Clock:
     rate_hz : float or None
         By the stamps: those that differ, over the time between the first and the last; None where all repeat.
     latency_s : float
-        What the configuration takes off the stamps, and was taken off here.
+        What the configuration takes off the stamps, and was not taken off here.
     """
 
     role: str

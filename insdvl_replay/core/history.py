@@ -44,6 +44,8 @@ class Innovations:
     reopened : ndarray of bool, shape (m,)
         Used in spite of the gate, after so many rejections in a row that the velocity's uncertainty was opened; NIS and
         standard deviations are those before.
+    noise_factor : float
+        By how much R is larger at the end than it is said to be, by the innovations; 1 but for adaptive noise.
     """
 
     measurement: str
@@ -60,6 +62,7 @@ class Innovations:
     gate: float
     reopen_after: int
     reopened: NDArray[np.bool_]
+    noise_factor: float = 1.0
 
     @property
     def dof(self) -> int:

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from insdvl_replay.core.sensors import AXES_N, SENSORS
+from insdvl_replay.core.sensors import AIDING, AXES_N, SENSORS
 from insdvl_replay.core.states import BA, BG, DV, PHI, POSITION, STATES
 from insdvl_replay.core.words import Consistency
 
@@ -25,7 +25,7 @@ REFERENCE_QUANTITIES: Final = {
     "depth": "m",
     "position_h_pct": "%",
 }
-"""Rows of reference errors and their units; ``position_h_pct`` is of the distance travelled."""
+"""Rows of reference errors and their units; ``position_h_pct`` is of the way by the reference."""
 CREDIBILITY_QUANTITIES: Final = (
     "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", *(state.id for state in STATES[BA.start :]),
 )  # fmt: skip
@@ -55,8 +55,7 @@ def is_whole(measurement: str) -> bool:
 
 PARITY: Final = "parity"
 """How the four beams of a ping agree: noise that is measured without a filter."""
-BEAM: Final = "beam_"
-"""So begins the name of a beam; its number stands behind."""
+_BEAM: Final = "beam_"
 WITHHELD: Final = "withheld_"
 """So begins the name of a sensor of whose readings no filter is told."""
 
@@ -70,20 +69,32 @@ def is_used(measurement: str) -> bool:
     return is_whole(measurement) and measurement != PARITY and not measurement.startswith(WITHHELD)
 
 
+def beam_name(number: int) -> str:
+    """Name the measurement by one beam of the DVL, of which there may be more than the usual four."""
+    return f"{_BEAM}{number}"
+
+
 def is_beam(measurement: str) -> bool:
     """Return whether this is one beam of the DVL."""
-    return measurement.startswith(BEAM) and measurement.removeprefix(BEAM).isdecimal()
+    return measurement.startswith(_BEAM) and measurement.removeprefix(_BEAM).isdecimal()
 
 
 MEASUREMENTS: Final[dict[str, tuple[str, ...]]] = {
     "velocity": AXES,
     "acceleration": AXES,
-    **{f"beam_{number}": () for number in range(1, 5)},
+    **{beam_name(number): () for number in range(1, 5)},
     PARITY: (),
     **{name: sensor.components for name, sensor in SENSORS.items()},
     **{f"{WITHHELD}{name}": sensor.components for name, sensor in SENSORS.items()},
 }
 """What filters are aided by, each with the names of its components."""
+
+
+def is_reserved(measurement: str) -> bool:
+    """Return whether the tool gives this name to measurements of its own, which nobody else's may have."""
+    of_a_kind = is_beam(measurement) or measurement.startswith(WITHHELD)
+    return of_a_kind or measurement in MEASUREMENTS or measurement in AIDING
+
 
 DEPTH: Final = "depth_60s"
 """Decides nothing: a pressure gauge tells it."""

@@ -86,6 +86,10 @@ class ConvergenceRow(Struct, frozen=True):
     ] = None
     measured_s: Annotated[Number, Column(better="lower")] = None
     measured_status: Annotated[str, Column("reached, at_start, never or not measured.")] = ""
+    unchanged_s: Annotated[
+        Number,
+        Column("Time at which the baseline itself came to stay there, and a candidate does that changes nothing."),
+    ] = None
 
 
 class ReferenceErrorRow(Struct, frozen=True):
@@ -135,7 +139,11 @@ class ConsistencyRow(Struct, frozen=True):
     high: Number
     verdict: Annotated[
         str,
-        Column("consistent, over-confident, over-cautious, too few or not finite.", best_first=VERDICTS_BEST_FIRST),
+        Column(
+            "consistent, over-confident, over-cautious, too few, not finite; not told of a filter without the states "
+            "that a withheld sensor needs.",
+            best_first=VERDICTS_BEST_FIRST,
+        ),
     ]
     autocorrelation: Annotated[
         Number,

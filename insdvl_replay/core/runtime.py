@@ -5,7 +5,9 @@ Nothing here is slow to import; what starts the program needs some of it.
 
 import gc
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -16,6 +18,8 @@ from typing import Final, TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+_AGAIN_S: Final = 0.2
+"""After this a signal comes again that Python has told and not obeyed: telling it has ended by then."""
 _MANY_OBJECTS: Final = 200_000
 _LARGEST_LIBRARY: Final = 256 << 20
 """Address space that a library may ask for at once as it is loaded, and more."""
@@ -33,6 +37,23 @@ class Interruption(KeyboardInterrupt):
     """
 
     came = False
+
+
+def coming_again(ending: type[BaseException]) -> "Callable[[sys.UnraisableHookArgs], None]":
+    """Make a hook by which SIGTERM comes again where its exception did not end what runs.
+
+    While Python lets an object go, it only tells an exception.
+    """
+
+    def hook(unraisable: "sys.UnraisableHookArgs") -> None:
+        if issubclass(unraisable.exc_type, ending):
+            again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), signal.SIGTERM))
+            again.daemon = True
+            again.start()
+        else:
+            sys.__unraisablehook__(unraisable)
+
+    return hook
 
 
 def collect_rarely() -> None:

@@ -67,6 +67,9 @@ class Candidate(Struct, frozen=True):
         Meta(description="whether what was measured bears out what it believes: borne out, not borne out, undecided"),
         Column(best_first=tuple(Belief)),
     ] = ""
+    mean_convergence_unchanged_pct: Annotated[
+        Number, Meta(description="the mean convergence improvement that a candidate has which changes nothing")
+    ] = None
 
 
 TABLES: Final[tuple[TableLayout, ...]] = tuple(

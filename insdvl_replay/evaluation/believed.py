@@ -86,3 +86,17 @@ def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: 
     if len(rows) < len(nine) or any(row.status == ImprovementStatus.NOT_FINITE for row in rows):
         return float("nan")
     return float(np.mean(np.nan_to_num([finite(row.improvement_pct) for row in rows])))
+
+
+def unchanged_over_nine(table: Sequence[ConvergenceRow], candidate: str) -> float:
+    """Average over the same states how much sooner than at the end the baseline itself is as sure as it is then.
+
+    That much sooner is a candidate that changes nothing, by what the paper calls convergence. NaN of one that does not
+    tell all nine.
+    """
+    if not np.isfinite(mean_over_nine(table, candidate)):
+        return float("nan")
+    nine = {state.id for state in NINE}
+    rows = [row for row in table if row.filter == candidate and row.state in nine]
+    sooner_pct = [improvement_pct(finite(row.baseline_s), finite(row.unchanged_s)) for row in rows]
+    return float(np.mean(np.nan_to_num(sooner_pct)))

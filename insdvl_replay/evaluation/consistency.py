@@ -4,8 +4,10 @@ that a measurement could tell, and what remains is new each time.
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
 """
 
-from collections.abc import Iterator
-from typing import Final
+import math
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +15,12 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.quantities import axis_of
+from insdvl_replay.core.quantities import WITHHELD, axis_of, is_reserved
 from insdvl_replay.core.rows import ConsistencyRow
 from insdvl_replay.core.sensors import SENSORS
-from insdvl_replay.core.words import Consistency, Severity, Whiteness
-from insdvl_replay.evaluation.chi_square import consistency_word, mean_interval, reason
+from insdvl_replay.core.states import MORE_STATES
+from insdvl_replay.core.words import Consistency, Reason, Severity, Whiteness
+from insdvl_replay.evaluation.chi_square import chi_square_quantile, consistency_word, mean_interval, reason
 from insdvl_replay.evaluation.effective_samples import samples_in_mean_square
 
 FEWEST_UPDATES = 10
@@ -25,7 +28,7 @@ FEWEST_UPDATES = 10
 MANY_REJECTED = 0.1
 """A gate that rejects a larger share does not keep outliers out but the DVL."""
 CONTRADICTED: Final = 9.0
-"""Mean NIS over degrees of freedom at which a sensor errs by three times what its settings say, or is misread."""
+"""Median NIS over that of chi-square at which a sensor errs by three times what its settings say, or is misread."""
 FEWEST_PAIRS: Final = 10
 """With fewer neighbours the word is ``too few``."""
 SMALL_AUTOCORRELATION: Final = 0.1
@@ -35,7 +38,12 @@ NORMAL_95: Final = 1.96
 """Within so many standard deviations lie 95 % of a normal variable."""
 
 
-def consistency_table(log: str, histories: tuple[History, ...]) -> list[ConsistencyRow]:
+NO_SENSORS: Final[Mapping[str, Floats]] = MappingProxyType({})
+
+
+def consistency_table(
+    log: str, histories: tuple[History, ...], sensor_sd: Mapping[str, Floats] = NO_SENSORS
+) -> list[ConsistencyRow]:
     """Judge each filter's innovations, measurement by measurement and axis by axis.
 
     Parameters
@@ -44,6 +52,8 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> list[Consiste
         Name of the dive.
     histories : tuple of History
         All filters; the baseline has rows of its own.
+    sensor_sd : mapping of str to ndarray, shape (s,)
+        Noise of the components of one reading of each sensor that was withheld, by its name in `core.sensors`, SI.
 
     Returns
     -------
@@ -52,48 +62,102 @@ def consistency_table(log: str, histories: tuple[History, ...]) -> list[Consiste
         `history.Innovations.weight`. Whiteness is that of the innovations that were used, autocorrelation that with the
         innovation before. After the row of a whole measurement, such as ``velocity``, stand those of its axes in b,
         ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``. The interval of a sensor that was withheld is
-        that of its independent innovations, as they repeat themselves, and its whiteness that of all. Where a filter is
-        consistent outside its interval, ``why`` tells.
+        that of its independent innovations, as they repeat themselves, and its whiteness that of all; a filter without
+        the states that the sensor needs does not tell how far off it may be. ``why`` tells where the word is
+        not the interval's.
     """
     return [
         row
         for history in histories
         for innovations in history.innovations
-        for row in _rows(log, history.filter, innovations)
+        for row in _rows(log, history, innovations, sensor_sd)
     ]
 
 
-def _rows(log: str, filter_: str, innovations: Innovations) -> Iterator[ConsistencyRow]:
+def _goes_on(history: History, measurement: str) -> bool:
+    """Whether a filter lives on where a prediction of one's own gives no number: such readings are not used."""
+    return not is_reserved(measurement) and bool(np.isfinite(history.velocity_n[-1]).all())
+
+
+class _Mean(NamedTuple):
+    """A mean NIS, the interval of consistent filters, and the word that follows."""
+
+    nis: float
+    low: float
+    high: float
+    word: Consistency
+    why: Reason = Reason.NONE
+
+
+def _rows(
+    log: str, history: History, innovations: Innovations, sensor_sd: Mapping[str, Floats]
+) -> Iterator[ConsistencyRow]:
     """Return the row of a whole measurement, then those of its axes."""
-    standardised, rejected = innovations.standardised, rejections(innovations)
-    whole = (innovations.measurement, innovations.dof, innovations.nis, standardised)
-    axes = (
-        (axis_of(innovations.measurement, axis), 1, standardised[:, i] ** 2, standardised[:, i : i + 1])
-        for i, axis in enumerate(innovations.axes)
-    )
-    # What no filter is told of stays in the next innovation, too: fewer are independent, and none is gated.
-    withheld = innovations.is_withheld
-    compared = np.ones(len(innovations.used), np.bool_) if withheld else innovations.used
-    for name, dof, nis, components in (whole, *axes):
-        correlation = autocorrelation(components, compared)
-        repeats = withheld and len(nis) > 0 and bool(np.isfinite(components).all())
-        independent = samples_in_mean_square(components) if repeats else float(len(nis))
-        mean_nis, low, high, word = _judged(nis * innovations.weight, dof, independent)
-        counts, why = (dof, int(innovations.used.sum()), rejected), reason(word, mean_nis, low, high)
-        judged = *counts, mean_nis, low, high, word
-        yield ConsistencyRow(*(log, filter_, name, *judged), *correlation, whiteness(*correlation), why)
+    measurement = innovations.measurement
+    met = np.isfinite(innovations.nis) | (not _goes_on(history, measurement))
+    standardised, weight, used = innovations.standardised[met], innovations.weight[met], innovations.used[met]
+    parts = [(measurement, slice(None), innovations.nis[met])]
+    for i, axis in enumerate(innovations.axes):
+        parts.append((axis_of(measurement, axis), slice(i, i + 1), standardised[:, i] ** 2))
+    withheld, counts = innovations.is_withheld, (int(innovations.used.sum()), rejections(innovations))
+    compared = np.ones(len(used), np.bool_) if withheld else used
+    for name, components, nis in parts:
+        part = standardised[:, components]
+        correlation, dof = autocorrelation(part, compared), part.shape[1]
+        if not withheld:
+            mean = _judged(nis * weight, dof, len(nis))
+        elif _is_told(history, measurement):
+            own_sd = sensor_sd[measurement.removeprefix(WITHHELD)]
+            mean = _judged_withheld(nis, part, (innovations.innovation / own_sd)[:, components])
+        else:
+            mean = _NOT_TOLD
+        judged = *counts, mean.nis, mean.low, mean.high, mean.word
+        yield ConsistencyRow(
+            *(log, history.filter, name, dof, *judged), *correlation, whiteness(*correlation), mean.why
+        )
 
 
-def _judged(nis: Floats, dof: int, independent: float) -> tuple[float, float, float, Consistency]:
+def _judged(nis: Floats, dof: int, independent: float) -> _Mean:
     """Judge a mean NIS; few that are independent prove that it is too large, but not that it is as it should be."""
     if len(nis) < FEWEST_UPDATES:
-        nan = float("nan")
-        return nan, nan, nan, Consistency.TOO_FEW
+        return _NOT_TOLD._replace(word=Consistency.TOO_FEW)
     mean_nis = float(nis.mean())
     low, high = mean_interval(dof, independent)
     word = consistency_word(mean_nis, low, high, dof)
-    few = dof * independent < FEWEST_UPDATES and word in (Consistency.CONSISTENT, Consistency.OVER_CAUTIOUS)
-    return mean_nis, low, high, Consistency.TOO_FEW if few else word
+    if dof * independent < FEWEST_UPDATES and word in (Consistency.CONSISTENT, Consistency.OVER_CAUTIOUS):
+        word = Consistency.TOO_FEW
+    return _Mean(mean_nis, low, high, word, reason(word, mean_nis, low, high))
+
+
+_NOT_TOLD: Final = _Mean(math.nan, math.nan, math.nan, Consistency.NOT_TOLD)
+
+
+def _is_told(history: History, measurement: str) -> bool:
+    """Whether a filter has the states that a withheld sensor needs: else it does not say how far off that may be."""
+    needed = {state.id for block in SENSORS[measurement.removeprefix(WITHHELD)].states for state in MORE_STATES[block]}
+    return needed <= {state.id for state in history.states}
+
+
+def _judged_withheld(nis: Floats, standardised: Floats, in_own_sd: Floats) -> _Mean:
+    """Judge what stays in the next innovation, too, since no filter is told of it: fewer are independent.
+
+    An error that stays is one sample, and where it happens to be small, or is none at an exact start, nothing shows
+    that it stays. A filter is over-cautious only where differences are too small for the noise of the sensor alone, in
+    whose standard deviations they are given, too.
+    """
+    mean = _judged(nis, standardised.shape[1], _independent(standardised))
+    if mean.word != Consistency.OVER_CAUTIOUS:
+        return mean
+    by_sensor = _judged(np.sum(in_own_sd**2, axis=1), in_own_sd.shape[1], _independent(in_own_sd))
+    if by_sensor.word == Consistency.OVER_CAUTIOUS:
+        return mean
+    return mean._replace(word=Consistency.TOO_FEW, why=Reason.ONE_SAMPLE)
+
+
+def _independent(components: Floats) -> float:
+    if not (len(components) and np.isfinite(components).all()):
+        return float(len(components))
+    return samples_in_mean_square(components)
 
 
 def log_likelihood(innovations: Innovations) -> float:
@@ -124,13 +188,13 @@ def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     notes = []
     for history in histories:
         for innovations in history.innovations:
-            notes += _judged_updates(history.filter, innovations)
+            notes += _judged_updates(history, innovations)
         notes += _reopening_notes(history)
     return tuple(notes)
 
 
-def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
-    kind, total = innovations.measurement, len(innovations.used)
+def _judged_updates(history: History, innovations: Innovations) -> list[Note]:
+    name, kind, total = history.filter, innovations.measurement, len(innovations.used)
     if total == 0:
         hint = f"filters.{name}.acceleration.max_window_gap_s or window" if kind == "acceleration" else ""
         return [Note("aiding_without_updates", f"filter {name} had no {kind} to use", 0, Severity.WARNING, hint)]
@@ -139,9 +203,11 @@ def _judged_updates(name: str, innovations: Innovations) -> list[Note]:
     lost = int(np.sum(~np.isfinite(innovations.nis)))
     if lost:
         first = int(np.argmax(~np.isfinite(innovations.nis)))
-        text = (
-            f"filter {name} broke down: {lost} of {total} {kind} innovations are not finite, from number {first + 1} on"
-        )
+        are_lost = f"{lost} of {total} {kind} innovations are not finite, from number {first + 1} on"
+        if _goes_on(history, kind):
+            text, hint = f"filter {name} goes on without some: {are_lost}", "arithmetic fails in what predicts them"
+            return [Note("innovations_not_finite", text, lost, Severity.WARNING, hint)]
+        text = f"filter {name} broke down: {are_lost}"
         sizes = "check the units and sizes of [noise], [initial] and what aids it"
         hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
         return [Note("filter_not_finite", text, lost, Severity.WARNING, hint)]
@@ -153,13 +219,17 @@ def _gate_hint(name: str) -> str:
 
 
 def _contradiction_notes(name: str, innovations: Innovations) -> list[Note]:
-    """Warn of a sensor beside the DVL that says something else than all others: the filter is none the worse for it."""
+    """Warn of a sensor beside the DVL that says something else than all others: the filter is none the worse for it.
+
+    By the median: readings that are wild are few, and the gate's affair.
+    """
     sensor, total = innovations.measurement, len(innovations.used)
-    size = float(np.mean(innovations.nis * innovations.weight)) / innovations.dof
+    size = float(np.median(innovations.nis)) / chi_square_quantile(0.5, innovations.dof)
     if sensor not in SENSORS or total < FEWEST_UPDATES or size <= CONTRADICTED:
         return []
     text = (
-        f"filter {name} and its {sensor} contradict each other: mean NIS / dof of {sensor} is {size:.3g}, 1 is expected"
+        f"filter {name} and its {sensor} contradict each other: the median NIS of {sensor} is {size:.3g} times "
+        "what is expected"
     )
     hint = f"units, axes, stamp and delay in [{sensor}], or a larger sd there; evaluation.withheld judges without it"
     return [Note(f"{sensor}_disagrees", text, total, Severity.WARNING, hint)]
@@ -177,7 +247,8 @@ def _reopening_notes(history: History) -> list[Note]:
     name, count = history.filter, len(history.reopened_ns)
     if not count:
         return []
-    first_s = (int(history.reopened_ns[0]) - min(int(one.time_ns[0]) for one in history.innovations)) / NS_PER_S
+    first_ns = min(int(one.time_ns[0]) for one in history.innovations if len(one.time_ns))
+    first_s = (int(history.reopened_ns[0]) - first_ns) / NS_PER_S
     text = (
         f"filter {name} was set to the DVL again after runs of rejected velocities ({count} in all, the first "
         f"{first_s:.1f} s after the first reading)"

@@ -49,8 +49,15 @@ def convergence_table(
             named = log, candidate.filter, state.id, state.unit
             predicted = target / state.factor, baseline_s, reached_s, faster_pct
             found = _measured(measured.get(candidate.filter, {}).get(state.id), state.factor)
-            rows.append(ConvergenceRow(*named, *predicted, status, *found))
+            rows.append(ConvergenceRow(*named, *predicted, status, *found, _stays_s(baseline, last, state.index)))
     return rows
+
+
+def _stays_s(baseline: History, last: int, state: int) -> float:
+    """Return when the baseline came to stay as sure as it is at the end; NaN where it always was."""
+    pings = np.flatnonzero(baseline.updated[: last + 1] | (baseline.time_ns[: last + 1] == baseline.time_ns[0]))
+    time_s = seconds(baseline.time_ns[pings], baseline.time_ns[0])
+    return time_to_stay_below(time_s, baseline.sd[pings, state], float(baseline.sd[last, state]))[0]
 
 
 def _since_start_s(history: History, row: int) -> float:

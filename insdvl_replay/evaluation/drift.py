@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, nanoseconds, seconds
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.evaluation.reference import ReferenceErrors
-from insdvl_replay.geometry.frames import north_east_m
+from insdvl_replay.evaluation.travelled import thinned
 
 SEGMENT_S: Final = 60.0
 SEGMENT_M: Final = 100.0
@@ -26,8 +26,6 @@ ROUNDING: Final = 1e-6
 """Share of a segment that sums of speeds and steps may be short of it."""
 SLOWEST_MPS: Final = 0.1
 """A slower vehicle has no course."""
-CHORD_S: Final = 10.0
-"""Steps between positions that are shorter than this add up their noise rather than the way."""
 
 Indices = NDArray[np.int64]
 
@@ -107,7 +105,7 @@ def distance_segments(time_ns: TimeNs, distance_m: Floats, length_m: float = SEG
     time_ns : ndarray, shape (k,)
         Of the compared errors, in order.
     distance_m : ndarray, shape (k,)
-        Travelled since the first of them, as `reference_distance_m` gives it.
+        Travelled since the first of them, as `travelled.reference_distance_m` gives it.
     """
     return _segments(time_ns, distance_m, length_m)
 
@@ -116,36 +114,6 @@ def segment_drift(errors: ReferenceErrors, segments: Segments) -> Drift:
     """Return what a filter's position error changes by over each segment."""
     change_ned_m = errors.position_error_ned_m[segments.last] - errors.position_error_ned_m[segments.first]
     return Drift(segments, np.hypot(change_ned_m[:, 0], change_ned_m[:, 1]), change_ned_m[:, 2])
-
-
-def reference_distance_m(reference: ReferenceColumns, time_ns: TimeNs) -> Floats:
-    """Return how far the reference has travelled horizontally since the first of some times.
-
-    Its speed is added up; where it never gives a velocity, chords between its positions.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-        In order, times of the reference.
-
-    Returns
-    -------
-    ndarray, shape (k,), m
-        NaN where the reference has neither velocity nor position.
-    """
-    rows = np.isin(reference.time_ns, time_ns)
-    moving, located = reference.known["velocities"] & rows, reference.known["positions"] & rows
-    if moving.any():
-        speed_mps = np.hypot(reference.velocity_n[moving, 0], reference.velocity_n[moving, 1])
-        since_s = seconds(time_ns, time_ns[0])
-        steady_mps = np.interp(since_s, seconds(reference.time_ns[moving], time_ns[0]), speed_mps)
-        return _added_up(np.diff(since_s) * (steady_mps[1:] + steady_mps[:-1]) / 2.0)
-    if not located.any():
-        return np.full(len(time_ns), np.nan)
-    ends = _thinned(reference.time_ns[located], CHORD_S)
-    fix_ns, position = reference.time_ns[located][ends], reference.position[located][ends]
-    way_m = _added_up(np.hypot(*north_east_m(position[1:], position[:-1], position[:-1])))
-    return np.interp(seconds(time_ns, time_ns[0]), seconds(fix_ns, time_ns[0]), way_m)
 
 
 def course_errors(errors: ReferenceErrors, reference: ReferenceColumns) -> CourseErrors:
@@ -162,7 +130,7 @@ def course_errors(errors: ReferenceErrors, reference: ReferenceColumns) -> Cours
 
 def _segments(time_ns: TimeNs, travelled: Floats, length: float) -> Segments:
     """Pair each start with the time whose seconds, or metres, are nearest to a length further on."""
-    first = _thinned(time_ns, STEP_S)
+    first = thinned(time_ns, STEP_S)
     # What remains at the end of the dive is no segment; the last may lack what rounding takes.
     first = first[travelled[first] + length <= travelled[-1:] + ROUNDING * length]
     if not len(first):
@@ -176,15 +144,3 @@ def _segments(time_ns: TimeNs, travelled: Floats, length: float) -> Segments:
     inside = np.searchsorted(first, last) - np.arange(len(first))
     steps = max(1, int(np.ceil(np.median(inside)))) if len(first) else 1
     return Segments(time_ns[first], time_ns[last], first, last, steps)
-
-
-def _thinned(time_ns: TimeNs, step_s: float) -> Indices:
-    """Return the first row in every step of time."""
-    if not len(time_ns):
-        return np.empty(0, np.int64)
-    _, rows = np.unique((time_ns - time_ns[0]) // nanoseconds(step_s), return_index=True)
-    return np.asarray(rows, dtype=np.int64)
-
-
-def _added_up(steps: Floats) -> Floats:
-    return np.concatenate([[0.0], np.cumsum(steps)])

@@ -16,12 +16,12 @@ from insdvl_replay.evaluation.drift import (
     Segments,
     course_errors,
     distance_segments,
-    reference_distance_m,
     segment_drift,
     time_segments,
 )
 from insdvl_replay.evaluation.reference import ReferenceErrors
 from insdvl_replay.evaluation.track_fit import filter_track_fit
+from insdvl_replay.evaluation.travelled import reference_distance_m
 
 OF_POSITION: Final = ("position_h", "drift_60s", "drift_100m")
 """Quantities that keep what went wrong in a gap of the IMU."""

@@ -232,9 +232,15 @@ def _convergence(named: _Named, measured: Measured) -> Iterator[EvidenceRow]:
 
 
 def _word_of_convergence(interval: RatioInterval) -> EvidenceWord:
+    """Return the word on times of which a few of the drawn starts may make others: such are no equal ones, either."""
     word = word_of(interval)
-    is_far = not 1.0 / (1.0 + SOONER) < interval.ratio < 1.0 + SOONER
-    return word if is_far or word == EvidenceWord.EQUIVALENT else EvidenceWord.UNDECIDED
+    if word == EvidenceWord.EQUIVALENT:
+        return word if _is_near(interval.low) and _is_near(interval.high) else EvidenceWord.UNDECIDED
+    return EvidenceWord.UNDECIDED if _is_near(interval.ratio) else word
+
+
+def _is_near(ratio: float) -> bool:
+    return 1.0 / (1.0 + SOONER) < ratio < 1.0 + SOONER
 
 
 def _ends(interval: RatioInterval) -> tuple[float, float, float, float]:

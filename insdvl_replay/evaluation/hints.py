@@ -51,6 +51,8 @@ def settings_hints(tables: Tables, history: History) -> tuple[Note, ...]:
 def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     """Note what filters take the constants of the sensors to be at the end: scale and yaw of the DVL, the gauge's zero.
 
+    Of adaptive noise, too, by how much it is larger than said.
+
     Returns
     -------
     tuple of Note
@@ -59,7 +61,7 @@ def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     return tuple(
         Note("constants_estimated", f"{history.filter} estimates: {'; '.join(found)}", len(found))
         for history in histories
-        if (found := [*_constants(history)])
+        if (found := [*_constants(history), *_noise_found(history)])
     )
 
 
@@ -72,6 +74,12 @@ def _constants(history: History) -> Iterator[str]:
             f"{state.label} {value:+.3g} {state.unit} (sd {sd:.2g} {state.unit}; "
             f"at the start {start:+.3g}, sd {start_sd:.2g})"
         )
+
+
+def _noise_found(history: History) -> Iterator[str]:
+    for innovations in history.innovations:
+        if innovations.noise_factor != 1.0:
+            yield f"noise of {innovations.measurement} {math.sqrt(innovations.noise_factor):.3g} times what it is told"
 
 
 def _nis_per_dof(tables: Tables, baseline: str) -> dict[str, float]:

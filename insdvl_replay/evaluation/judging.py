@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from msgspec.structs import replace
 
-from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, TimeNs
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.tables import Candidate, Tables
@@ -58,7 +58,7 @@ def tables_of_filters(
     drawn: tuple[DrawnErrors, ...],
     coasts: Coasts,
     noise: ReferenceNoise,
-    sensor_sd: Mapping[str, float],
+    sensor_sd: Mapping[str, Floats],
     jumps: list[JumpRow],
     *,
     start_ns: int,
@@ -72,8 +72,8 @@ def tables_of_filters(
         Of the filters; empty without a reference.
     noise : ReferenceNoise
         How far the reference itself may be off.
-    sensor_sd : mapping of str to float
-        Noise of one reading of the sensors that may be withheld, see `withheld.withheld_losses`.
+    sensor_sd : mapping of str to ndarray, shape (s,)
+        Noise of the components of one reading of the sensors that may be withheld, see `withheld.withheld_losses`.
     jumps : list of JumpRow
         From `jumps.jump_table`.
 
@@ -85,16 +85,13 @@ def tables_of_filters(
     """
     errors, in_states = {}, {}
     if dive.reference is not None:
-        errors = {
-            history.filter: reference_errors(history, dive.reference, histories[0] if history.is_read else None)
-            for history in histories
-        }
+        errors = {history.filter: reference_errors(history, dive.reference, histories[0]) for history in histories}
         in_states = {
             history.filter: state_errors(history, dive.reference, dive.truth).after(start_ns) for history in histories
         }
     names = [history.filter for history in histories]
     convergence = {of_one.filter: measured_convergences(drawn[0], of_one) for of_one in drawn[1:]}
-    consistency = consistency_table(dive.name, histories)
+    consistency = consistency_table(dive.name, histories, sensor_sd)
     credibility = credibility_table(dive.name, names, in_states)
     measured = Measured(
         _losses(dive, drawn, noise, bridged_gaps=bridged_gaps),

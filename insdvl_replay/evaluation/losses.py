@@ -18,11 +18,11 @@ from insdvl_replay.evaluation.drift import (
     Segments,
     course_errors,
     distance_segments,
-    reference_distance_m,
     segment_drift,
     time_segments,
 )
 from insdvl_replay.evaluation.reference import ReferenceErrors
+from insdvl_replay.evaluation.travelled import reference_distance_m
 
 ROOT_2: Final = float(np.sqrt(2.0))
 SEGMENTS_S: Final = (30.0, 60.0)

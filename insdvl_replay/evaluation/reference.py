@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.core.rows import ReferenceErrorRow
@@ -12,6 +12,7 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.evaluation.believed import improvement_pct
 from insdvl_replay.evaluation.coverage import WELL_COVERED, covered_share
+from insdvl_replay.evaluation.travelled import compared_distance_m
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat
 
@@ -36,7 +37,8 @@ class ReferenceErrors:
     attitude_error_rad : ndarray, shape (k, 3)
         Roll, pitch, heading: the error rotation about the vehicle's level forward, level starboard and down axes, rad.
     distance_m : float
-        Horizontal distance travelled from the start to the last compared position.
+        Horizontal distance travelled from the start to the last compared position, see
+        `travelled.compared_distance_m`.
     """
 
     time_ns: TimeNs
@@ -46,24 +48,25 @@ class ReferenceErrors:
     distance_m: float
 
     def where_known(self, other: "ReferenceErrors") -> "ReferenceErrors":
-        """Keep what another filter's errors have a number for at the same times, too; else NaN."""
+        """Keep what another filter's errors have a number for at the same times, too; else NaN, as far as both go."""
         return replace(
             self,
             position_error_ned_m=np.where(np.isfinite(other.position_error_ned_m), self.position_error_ned_m, np.nan),
             velocity_error_n=np.where(np.isfinite(other.velocity_error_n), self.velocity_error_n, np.nan),
             attitude_error_rad=np.where(np.isfinite(other.attitude_error_rad), self.attitude_error_rad, np.nan),
+            distance_m=min(self.distance_m, other.distance_m),
         )
 
 
-def reference_errors(history: History, reference: ReferenceColumns, moved_as: History | None = None) -> ReferenceErrors:
+def reference_errors(history: History, reference: ReferenceColumns, baseline: History | None = None) -> ReferenceErrors:
     """Compare a history with the reference where the history was recorded at the reference's times.
 
     Parameters
     ----------
     history : History
         Recorded at every reference time inside the replay.
-    moved_as : History, optional
-        By whose velocity the distance is, of a solution that may give none.
+    baseline : History, optional
+        By whose velocity the distance is where the reference does not tell it, if not by the history's own.
 
     Returns
     -------
@@ -79,25 +82,8 @@ def reference_errors(history: History, reference: ReferenceColumns, moved_as: Hi
         error_ned_m,
         history.velocity_n[ours] - reference.velocity_n[theirs],
         attitude_error(history.mat_nb[ours], reference.mat_nb[theirs]),
-        distance_travelled_m(moved_as or history, time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]),
+        compared_distance_m(reference, baseline or history, time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]),
     )
-
-
-def distance_travelled_m(history: History, time_ns: TimeNs) -> float:
-    """Integrate the filter's horizontal speed from the start to the last of the compared times.
-
-    The steps between reference positions would sum up the reference's noise: a fix with 1 m of noise at 5 Hz travels
-    7 m/s at rest.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-    """
-    if not len(time_ns):
-        return 0.0
-    rows = history.time_ns <= time_ns[-1]
-    speed_mps = np.hypot(history.velocity_n[rows, 0], history.velocity_n[rows, 1])
-    return float(np.trapezoid(speed_mps, seconds(history.time_ns[rows], history.time_ns[0])))
 
 
 def attitude_error(mat_nb: Floats, mat_nb_reference: Floats) -> Floats:

@@ -17,7 +17,7 @@ from insdvl_replay.core.states import NINE
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
-from insdvl_replay.evaluation.believed import mean_over_nine
+from insdvl_replay.evaluation.believed import mean_over_nine, unchanged_over_nine
 from insdvl_replay.evaluation.honesty import HONESTY
 
 NOTABLE_PCT: Final = 5.0
@@ -147,6 +147,7 @@ def _verdict(tables: Tables, baseline: str, candidate: str, unsound: Mapping[str
         reference_improvement_pct=_median_pct(tables, candidate),
         credibility=credibility_of(tables.credibility, candidate),
         belief=belief,
+        mean_convergence_unchanged_pct=unchanged_over_nine(tables.convergence, candidate),
     )
 
 

@@ -19,13 +19,14 @@ from insdvl_replay.evaluation.drift import STEP_S, time_segments
 from insdvl_replay.evaluation.losses import Losses
 
 
-def withheld_losses(history: History, noise_sd: Mapping[str, float]) -> dict[str, Losses]:
+def withheld_losses(history: History, noise_sd: Mapping[str, Floats]) -> dict[str, Losses]:
     """Square what a filter and the withheld sensors differ by.
 
     Parameters
     ----------
-    noise_sd : mapping of str to float
-        Of one reading of each sensor of `core.sensors`, by its name: m, or of a heading rad.
+    noise_sd : mapping of str to ndarray, shape (s,)
+        Of the components of one reading of each sensor of `core.sensors`, by its name: m, or of a heading rad. The
+        first stands for all that are compared.
 
     Returns
     -------
@@ -36,7 +37,7 @@ def withheld_losses(history: History, noise_sd: Mapping[str, float]) -> dict[str
     for innovations in history.innovations:
         name = innovations.measurement.removeprefix(WITHHELD)
         if innovations.is_withheld and name in _LOSSES:
-            found[innovations.measurement] = _LOSSES[name](innovations, noise_sd[name])
+            found[innovations.measurement] = _LOSSES[name](innovations, float(noise_sd[name][0]))
     return {quantity: losses for quantity, losses in found.items() if losses.squared.shape[1] > 1}
 
 

@@ -87,7 +87,8 @@ def least_difference(steps: Floats) -> Floats:
     least = np.full(len(steps), np.nan)
     for reach in range(1, AROUND + 1):
         apart = np.linalg.norm(steps[reach:] - steps[:-reach], axis=1)
-        least[reach:], least[:-reach] = np.fmin(least[reach:], apart), np.fmin(least[:-reach], apart)
+        for rows in (slice(reach, None), slice(None, -reach)):  # these overlap
+            least[rows] = np.fmin(least[rows], apart)
     return least
 
 

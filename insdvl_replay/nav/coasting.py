@@ -6,21 +6,18 @@ NIS whether it knows.
 """
 
 from collections.abc import Collection
-from typing import Final
 
 import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.history import History
+from insdvl_replay.core.quantities import is_beam
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.local_earth import HOLD_AFTER_S
 from insdvl_replay.nav.measurements import Measurement, withheld
 from insdvl_replay.nav.state_layout import TWELVE
 from insdvl_replay.nav.timeline import PINGS, Timeline
-
-OF_VELOCITY: Final = ("velocity", *(f"beam_{number}" for number in range(1, 5)))
-"""Names of the measurements that hold the height."""
 
 
 def coast(
@@ -101,7 +98,7 @@ def restart(history: History, time_ns: int) -> Start:
 
 def _height_drift_m(history: History, until_ns: int) -> float:
     """Sum up by what the height has moved while that of gravity was held, see `local_earth.GravityHeight`."""
-    holding = [of_kind for of_kind in history.innovations if of_kind.measurement in OF_VELOCITY]
+    holding = [one for one in history.innovations if one.measurement == "velocity" or is_beam(one.measurement)]
     aided_ns = np.unique(np.concatenate([history.time_ns[:1], *(one.time_ns[one.used] for one in holding)]))
     aided_ns = aided_ns[aided_ns <= until_ns]
     held_ns = aided_ns[:-1] + int(HOLD_AFTER_S * NS_PER_S)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats, seconds
+from insdvl_replay.core.quantities import beam_name
 from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities, slope_windows, windowed_sum
 from insdvl_replay.nav.measurements import BEAM, NEVER_REOPENED, VELOCITY, Measurement, sensor_measurement
 from insdvl_replay.nav.timeline import BEAMS, PINGS
@@ -91,7 +92,7 @@ def beam_measurements(dvl: DvlBeams, sd_mps: float, gate: float, reopen_after: i
     for beam in range(beams):
         reading = dvl.beam_velocity_mps[:, beam : beam + 1]
         one = sensor_measurement(
-            f"beam_{beam + 1}", "m/s", BEAM, dvl.time_ns, np.nan_to_num(reading), np.array([sd_mps])
+            beam_name(beam + 1), "m/s", BEAM, dvl.time_ns, np.nan_to_num(reading), np.array([sd_mps])
         )
         found.append(
             replace(

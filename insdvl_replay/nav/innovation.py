@@ -139,7 +139,7 @@ def linearise(
 
 @inlined
 def _linearise_own(measurements: Stack, m: int, row: int, ins: InsAtPing, own: Predicts, z: Floats, H: Floats) -> None:
-    """Let the user's prediction write z and H, and take the reading off."""
+    """Let the user's prediction write z and H, and take the reading off: no gate would refuse what is infinite."""
     size, known = len(z), np.empty(INS_SIZE)
     for i in range(3):
         known[i], known[3 + i] = ins.position[i], ins.velocity_n[i]
@@ -149,7 +149,7 @@ def _linearise_own(measurements: Stack, m: int, row: int, ins: InsAtPing, own: P
     predicted, jacobian = np.zeros(size), np.zeros((size, H.shape[1]))
     own(measurements.kind[m] - OWN, known, predicted, jacobian)
     for i in range(size):
-        z[i] = predicted[i] - measurements.values[m, row, i]
+        z[i] = predicted[i] - measurements.values[m, row, i] if math.isfinite(predicted[i]) else math.nan
         for j in range(H.shape[1]):
             H[i, j] = jacobian[i, j]
 

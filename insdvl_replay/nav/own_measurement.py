@@ -28,7 +28,7 @@ import numpy as np
 
 from insdvl_replay.core.compiled import plain
 from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
-from insdvl_replay.core.quantities import MEASUREMENTS, WITHHELD, is_whole
+from insdvl_replay.core.quantities import is_reserved, is_whole
 
 Predict = Callable[[Floats, Floats, Floats], None]
 Predicts = Callable[[int, Floats, Floats, Floats], None]
@@ -121,7 +121,7 @@ def load_own_measurement(word: str) -> OwnMeasurement:
         own = found()
     except Exception as error:
         raise ValueError(f"cannot be made without arguments: {error}") from error
-    _require_name(own)
+    _require_words(own)
     _require_methods(own)
     return own
 
@@ -134,10 +134,13 @@ def _require_methods(own: OwnMeasurement) -> None:
         raise ValueError("has a predict that is no static method: @staticmethod belongs above predict(ins, z, H)")
 
 
-def _require_name(own: OwnMeasurement) -> None:
+def _require_words(own: OwnMeasurement) -> None:
+    for what, word in (("name", own.name), ("unit", own.unit)):
+        if not isinstance(word, str):
+            raise ValueError(f"has the {what} {word!r}, which is no text")
     if not own.name.isidentifier() or not is_whole(own.name):
         raise ValueError(f"has the name '{own.name}', which is no word for a row of a table")
-    if own.name in MEASUREMENTS or own.name.startswith(WITHHELD):
+    if is_reserved(own.name):
         raise ValueError(f"has the name '{own.name}', which the tables have for a measurement of the tool's own")
 
 
@@ -210,12 +213,17 @@ def checked_readings(readings: OwnReadings) -> OwnReadings:
     ValueError
         The text says what is wrong.
     """
-    time_ns, values = np.asarray(readings.time_ns), np.asarray(readings.values, np.float64)
+    time_ns, values = np.asarray(readings.time_ns), _numbers("values", readings.values)
     if values.ndim != 2 or not 1 <= values.shape[1] <= 4 or time_ns.shape != values.shape[:1]:
         raise ValueError(f"gives times and values of shapes {time_ns.shape} and {values.shape}, not (k,) and (k, s)")
     if time_ns.dtype != np.int64 or np.any(np.diff(time_ns) <= 0):
         raise ValueError("gives times that are not increasing int64 nanoseconds")
-    sd = np.broadcast_to(np.asarray(readings.sd, np.float64), values.shape)
+    sd = _numbers("sd", readings.sd)
+    try:
+        sd = np.broadcast_to(sd, values.shape)
+    except ValueError as error:
+        shapes = f"{sd.shape} for values of shape {values.shape}"
+        raise ValueError(f"gives sd of shape {shapes}, not (s,) or (k, s)") from error
     for what, bad in (("values that are not finite", ~np.isfinite(values)), ("sd that is not above 0", ~(sd > 0.0))):
         if len(rows := np.flatnonzero(bad.any(axis=1))):
             raise ValueError(
@@ -224,3 +232,10 @@ def checked_readings(readings: OwnReadings) -> OwnReadings:
     if not np.isfinite(sd).all():
         raise ValueError("gives sd that is not finite")
     return OwnReadings(time_ns, values, sd)
+
+
+def _numbers(what: str, given: Any) -> Floats:
+    try:
+        return np.asarray(given, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"gives {what} that are no array of numbers: {error}") from error

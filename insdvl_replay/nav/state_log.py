@@ -168,6 +168,7 @@ def history_of(
                 reopen_after=measurement.reopen_after,
                 reopened=updates.reopened[m, rows],
                 log_det=updates.log_det[m, rows],
+                noise_factor=float(updates.noise_factor[m]),
             )
         )
     records.position[:, 1] = wrap_angle(records.position[:, 1])

@@ -7,13 +7,13 @@ readings would take more memory than the samples themselves.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.compiled import inlined
-from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, distinct, seconds
+from insdvl_replay.core.dive_columns import Floats, ImuColumns, Scalar, TimeNs, distinct, seconds
 from insdvl_replay.core.states import STATES
 from insdvl_replay.nav.vector_algebra import Vector, add, row_vector, scale, subtract
 
@@ -106,9 +106,6 @@ class Gaps:
 
 NO_GAPS: Final = Gaps(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, len(STATES))))
 """What a gapless dive has."""
-
-
-Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class Timeline(NamedTuple):

@@ -16,7 +16,6 @@ from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square, transposed_gain, update_cov
 from insdvl_replay.nav.measurement_noise import (
     ADAPTIVE,
-    FIXED,
     STUDENT_T,
     believed_factor,
     chance_var,
@@ -80,7 +79,7 @@ def update(
 
     What is used changes P and the estimated errors ``dx``, to which those of the measurements before it are added if it
     goes on with their reading. The state is corrected by all of them. A beam that is met again, since its ping has
-    opened the velocity, keeps the innovation that it had before.
+    opened the velocity, keeps the innovation that it had before, and tells nothing of the noise.
 
     Returns
     -------
@@ -101,7 +100,9 @@ def update(
     innovation_cov(P, H, R, HP, S)
     cholesky(S, L)
     nis = normalised_square(L, z, standardised)
-    if measurements.noise[m] != FIXED and nis <= measurements.gate[m]:
+    # Of a velocity that was opened, innovations tell of that alone.
+    is_followed = measurements.noise[m] == ADAPTIVE and not is_again
+    if (is_followed or measurements.noise[m] == STUDENT_T) and nis <= measurements.gate[m]:
         _scale(R, _noise_factor(measurements.noise[m], m, nis, z, S, R, updates))
         innovation_cov(P, H, R, HP, S)
         cholesky(S, L)
@@ -117,7 +118,6 @@ def update(
     elif used:
         note_used(updates, m, time_s)
     else:
-        is_followed = measurements.noise[m] == ADAPTIVE and not is_again
         _learn_of_rejected(is_followed, measurements.gate[m], m, nis, z, S, R, updates)
         return False, _square(z)
     transposed_gain(HP, L, KT)

@@ -26,6 +26,9 @@ from insdvl_replay.preparation.start_position import FAR_S, configured_latitude_
 HEADING_DOUBT = 10.0 * DEG
 """No compass of a vehicle errs by more, even where nobody has taken the declination off."""
 
+IDLE_HEADING_DOUBT = 5.0 * DEG
+"""A heading that somebody read off a compass, or a plan, is as near as this."""
+
 TILT_DOUBT = 5.0 * DEG
 """No AHRS errs by more, nor do accelerometers."""
 
@@ -38,6 +41,14 @@ class Alignment:
     start: Start
     notes: tuple[Note, ...]
 
+    @property
+    def row(self) -> ReferenceColumns:
+        """The start as a reference of one row."""
+        start = self.start
+        return ReferenceColumns(
+            np.array([self.start_ns]), start.position[None], start.velocity_n[None], start.mat_nb[None]
+        )
+
 
 def align(
     imu: ImuColumns,
@@ -49,12 +60,15 @@ def align(
     start_ns: int,
     end_ns: int,
     sensed_mat_nb: Floats | None = None,
+    *,
+    is_fix: bool = False,
 ) -> Alignment:
     """Find the start: the reference's first attitude inside the span, or the first sample when levelling.
 
     What the reference lacks is taken from gravity (roll, pitch), from the DVL (velocity) and from the configuration
     (heading, position), each with a note. Started level or by a sensor, the reference gives the position and height
-    alone. The lever arm, shape (3,), goes from IMU to DVL, m; a sensor's attitude, shape (3, 3), is that at the start.
+    alone. The lever arm, shape (3,), goes from IMU to DVL, m; a sensor's attitude, shape (3, 3), is that at the start,
+    and a sensor's fix may stand in the place of the configured position.
     """
     notes: list[Note] = []
     check_start(
@@ -68,10 +82,12 @@ def align(
     posed = moving if moving is not None and moving.has_attitude else None
     if posed is not None:
         start_ns = _first_attitude_ns(posed, start_ns, end_ns)
-    position = start_position(reference, initial, start_ns, notes)
+    position = start_position(reference, initial, start_ns, notes, is_fix=is_fix)
     level = None
     if posed is not None:
         mat_nb = posed.mat_nb[np.searchsorted(posed.time_ns, start_ns)]
+    elif sensed_mat_nb is not None and len(levelling_samples(imu, start_ns).time_ns) < FEWEST_SAMPLES:
+        mat_nb = sensed_mat_nb
     else:
         heading = _heading(initial, sensed_mat_nb)
         level = _level(imu, velocities, noise, initial, lever_arm_b, start_ns, heading, float(position[0]))
@@ -85,7 +101,7 @@ def align(
     cov = start_cov(initial_sd(initial), mat_nb, level if sensed_mat_nb is None else None, by_dvl_n)
     if level is not None:
         notes += _level_notes(level, mat_nb, cov) if sensed_mat_nb is None else _tilt_notes(level, mat_nb)
-        notes += _heading_notes(reference, mat_nb, start_ns)
+    notes += _heading_notes(reference, mat_nb, start_ns) if posed is None else _idle_heading_notes(initial, mat_nb)
     start = Start(position, velocity_n, mat_nb, cov, _accel_bias_b(initial), _gyro_bias_b(initial))
     return Alignment(start_ns, start, tuple(notes))
 
@@ -107,7 +123,8 @@ def check_start(
         raise LogError(
             "no reference solution was found to start from",
             "name it with --set reference.topic=... and its fields (a solution that is a filter is none), or start "
-            "level: --set initial.source=level --set initial.heading_deg=... --set initial.latitude_deg=...",
+            "level: --set initial.source=level --set initial.heading_deg=... --set initial.latitude_deg=..., or, where "
+            "the log has an AHRS, from its attitude: --set initial.source=sensor --set initial.latitude_deg=...",
         )
     if not has_position:
         configured_latitude_deg(initial)
@@ -196,6 +213,21 @@ def _heading_notes(reference: ReferenceColumns | None, mat_nb: Floats, start_ns:
     ours_deg, theirs_deg = ours / DEG % 360.0, theirs / DEG % 360.0
     text = f"the heading of {ours_deg:.0f} deg at the start contradicts the reference, which has {theirs_deg:.0f} deg"
     return [Note("start_heading_contradiction", text, 1, Severity.WARNING, f"initial.heading_deg = {theirs_deg:.1f}")]
+
+
+def _idle_heading_notes(initial: Initial, mat_nb: Floats) -> list[Note]:
+    """State that a heading is configured in vain, where it is another than that of the reference's attitude."""
+    if not isinstance(initial.heading_deg, float | int):
+        return []
+    theirs = rpy_from_mat(mat_nb)[2]
+    if abs(float(wrap_angle(np.asarray(initial.heading_deg * DEG - theirs)))) <= IDLE_HEADING_DOUBT:
+        return []
+    text = (
+        f"initial.heading_deg is {initial.heading_deg:g}, but the reference starts at {theirs / DEG % 360.0:.1f} deg, "
+        "which counts"
+    )
+    hint = 'leave initial.heading_deg out, or initial.source = "level" to start from it'
+    return [Note("start_heading_idle", text, severity=Severity.WARNING, hint=hint)]
 
 
 def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:

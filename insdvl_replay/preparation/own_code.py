@@ -22,6 +22,9 @@ from insdvl_replay.nav.own_measurement import INS_SIZE, OwnMeasurement, OwnReadi
 from insdvl_replay.preparation.filters import ResolvedFilter
 
 SHOWN: Final = "docs/own_measurement.md shows one"
+_PREDICT: Final = "predict(ins, z, H)"
+_OUTSIDE: Final = ("math domain error", "expected ")
+"""So begin the errors of `math` outside a function's domain, up to Python 3.13 and from 3.14 on."""
 POSITION: Final = 12
 """Its first column in H, of a filter that estimates it."""
 _STEPS: Final = (1e-5, 1e-6, 1e-5, 1e-7, 0.01)
@@ -40,11 +43,11 @@ def called(word: str, own: OwnMeasurement, what: str, call: Callable[[], _T], hi
     Raises
     ------
     ConfigError
-        It raises, but for errors of arithmetic, which compiled code has none of.
+        It raises.
     """
     try:
         return call()
-    except (UserError, ArithmeticError):
+    except UserError:
         raise
     except Exception as error:
         said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
@@ -68,13 +71,29 @@ def asked_readings(word: str, own: OwnMeasurement, dive: Dive) -> OwnReadings:
     """
     topics = f"dive.topics has {listed(sorted(dive.topics))}" if dive.topics else "dive.topics is empty"
     hint = f"{topics}; a section [topics.NAME] adds one"
-    try:
-        readings = called(word, own, "readings(self, dive)", lambda: own.readings(dive), hint)
-    except ArithmeticError as error:
-        raise ConfigError(f"{word}: readings(self, dive) fails{_line(own, error)}: {error}", SHOWN) from error
+    readings = called(word, own, "readings(self, dive)", lambda: own.readings(dive), hint)
     if not isinstance(readings, OwnReadings):
         raise ConfigError(f"{word}: readings(self, dive) gives {type(readings).__name__}, not OwnReadings", SHOWN)
     return readings
+
+
+def uncompiled_prediction(word: str, own: OwnMeasurement, hint: str = SHOWN) -> Predict:
+    """Return a prediction as it is, which where its arithmetic fails is no number, as in compiled code.
+
+    Whatever else it raises is told as of `called`.
+    """
+    predict = plain(own.predict)
+
+    def as_compiled(ins: Floats, z: Floats, H: Floats) -> None:
+        try:
+            with np.errstate(all="ignore"):
+                predict(ins, z, H)
+        except (ArithmeticError, ValueError) as error:
+            if isinstance(error, ValueError) and not str(error).startswith(_OUTSIDE):
+                raise
+            z[:] = np.nan
+
+    return lambda ins, z, H: called(word, own, _PREDICT, lambda: as_compiled(ins, z, H), hint)
 
 
 def tried_prediction(
@@ -90,24 +109,25 @@ def tried_prediction(
     Returns
     -------
     tuple of Note
-        A warning where H says something else than z, in an entry that is not zero, or is all zero.
+        A warning where H says something else than z, in an entry that is not zero, or is all zero, and where one
+        component is not written. None where z is no number at the start, as a direction is none at rest.
 
     Raises
     ------
     ConfigError
         The code raises, as where it writes a column that the filter does not have.
     """
-    predict, count = plain(own.predict), len(states_with(filter_.states))
+    count = len(states_with(filter_.states))
     lacks = "" if "position" in filter_.states else '; states = ["position"] gives it columns 12 to 14'
     hint = f"filters.{filter_.name} has {count} error states: z is ({size},) and H ({size}, {count}){lacks}"
-    ins, jacobian = _ins(start, np.zeros(15)), np.zeros((size, count))
+    predict = uncompiled_prediction(word, own, hint)
+    z, jacobian = np.zeros(size), np.zeros((size, count))
     with np.errstate(all="ignore"):
-        try:
-            called(word, own, "predict(ins, z, H)", lambda: predict(ins, np.zeros(size), jacobian), hint)
-            differences = _differences(predict, size, count, start, "position" in filter_.states)
-        except ArithmeticError:  # at rest, as at 0 m/s, compiled code goes on
+        predict(_ins(start, np.zeros(15)), z, jacobian)
+        if not np.isfinite(z).all():
             return ()
-    return tuple(_notes(word, jacobian, differences, filter_))
+        differences = _differences(predict, size, count, start, "position" in filter_.states)
+    return tuple(_notes(word, z, jacobian, differences, filter_))
 
 
 def _differences(predict: Predict, size: int, count: int, start: Start, has_position: bool) -> Floats:
@@ -131,16 +151,18 @@ def _ins(start: Start, error: Floats) -> Floats:
     return ins
 
 
-def _notes(word: str, jacobian: Floats, differences: Floats, filter_: ResolvedFilter) -> Iterator[Note]:
+def _notes(word: str, z: Floats, jacobian: Floats, differences: Floats, filter_: ResolvedFilter) -> Iterator[Note]:
     hint = "H is the change of z by what the INS is off: docs/own_measurement.md has columns and signs"
-    if not jacobian.any() and np.isfinite(jacobian).all():
-        text = f"{word} leaves H at zero where filters.{filter_.name} starts: its readings change nothing there"
+    unwritten = np.flatnonzero((z == 0.0) & ~jacobian.any(axis=1))
+    if len(unwritten) or not jacobian.any():
+        left = f"z[{unwritten[0]}] and H[{unwritten[0]}]" if jacobian.any() else "H"
+        text = f"{word} leaves {left} at zero where filters.{filter_.name} starts: its readings change nothing there"
         yield Note("own_measurement_jacobian", text, severity=Severity.WARNING, hint=hint)
-        return
+    known = np.isfinite(differences)
     with np.errstate(invalid="ignore"):
-        largest = np.abs(differences).max(axis=1, initial=0.0, keepdims=True)
+        largest = np.abs(differences).max(axis=1, initial=0.0, where=known, keepdims=True)
         off = np.abs(jacobian - differences) > _OFF * np.maximum(np.abs(jacobian), 1e-3 * largest)
-    wrong = np.argwhere(off & (jacobian != 0.0) & np.isfinite(differences) & np.isfinite(jacobian))
+    wrong = np.argwhere(off & (jacobian != 0.0) & known & np.isfinite(jacobian))
     if len(wrong):
         row, column = wrong[0]
         text = (

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
 
 from insdvl_replay.core.dive_columns import Dive, TimeNs
 from insdvl_replay.core.errors import ConfigError, Note
@@ -21,7 +20,7 @@ from insdvl_replay.nav.own_measurement import (
 )
 from insdvl_replay.nav.timeline import FIRST_OTHER
 from insdvl_replay.preparation.filters import ResolvedFilter
-from insdvl_replay.preparation.own_code import SHOWN, asked_readings, tried_prediction
+from insdvl_replay.preparation.own_code import SHOWN, asked_readings, tried_prediction, uncompiled_prediction
 from insdvl_replay.preparation.sensors import silence_notes
 
 
@@ -52,34 +51,34 @@ def prepare_own_measurements(
         One cannot be imported, has no reading in the span, its readings are none, or its code fails.
     """
     words = dict.fromkeys(word for filter_ in filters for word in filter_.aiding if ":" in word)
-    found, predictions, notes = dict[str, Measurement](), dict[str, Predict](), dict[str, tuple[Note, ...]]()
+    found, owns, notes = dict[str, Measurement](), dict[str, OwnMeasurement](), list[Note]()
     for row, word in enumerate(words, start=FIRST_OTHER + sensors):
         measurement, own, readings_ns = _read(word, dive, start_ns, end_ns)
-        found[word], predictions[word] = replace(measurement, sensor=row), own.predict
+        found[word], owns[word] = replace(measurement, sensor=row), own
         for filter_ in (filter_ for filter_ in filters if word in filter_.aiding):
-            notes[word] = tried_prediction(word, own, measurement.values.shape[1], filter_, start)
-        notes[word] += tuple(silence_notes(measurement.name, readings_ns, start_ns, end_ns))
+            notes += tried_prediction(word, own, measurement.values.shape[1], filter_, start)
+        notes += silence_notes(measurement.name, readings_ns, start_ns, end_ns)
     for filter_ in filters:
         _require_different_rows(filter_.name, {word: found[word] for word in filter_.aiding if word in found})
-    compiled = {word: made for word in words if (made := compiled_prediction(predictions[word])) is not None}
-    plain = {word: predict for word, predict in predictions.items() if word not in compiled}
-    all_notes = (*map(_plain_note, plain), *chain.from_iterable(notes.values()))
-    return found | _predicted(found, predictions, compiled), all_notes
+    compiled = {word: made for word in words if (made := compiled_prediction(owns[word].predict)) is not None}
+    uncompiled = {word: uncompiled_prediction(word, own) for word, own in owns.items()}
+    plain_notes = (_plain_note(word) for word in words if word not in compiled)
+    return found | _predicted(found, uncompiled, compiled), (*plain_notes, *dict.fromkeys(notes))
 
 
 def _predicted(
-    found: Mapping[str, Measurement], predictions: Mapping[str, Predict], compiled: Mapping[str, Predict]
+    found: Mapping[str, Measurement], uncompiled: Mapping[str, Predict], compiled: Mapping[str, Predict]
 ) -> dict[str, Measurement]:
     """Give each measurement its prediction, by a number and what all have in common.
 
     What is compiled has the first numbers, so that they are the same in what is compiled of these alone and in what
     runs all as they are, for a filter that has another one, too.
     """
-    order = sorted(predictions, key=lambda word: word not in compiled)
+    order = sorted(uncompiled, key=lambda word: word not in compiled)
     if compiled:
         by_compiled = joined([compiled[word] for word in order if word in compiled], compiled=True)
     if len(compiled) < len(order):
-        by_all = joined([predictions[word] for word in order], compiled=False)
+        by_all = joined([uncompiled[word] for word in order], compiled=False)
     return {
         word: replace(found[word], kind=OWN + which, predict=by_compiled if word in compiled else by_all)
         for which, word in enumerate(order)

@@ -1,15 +1,25 @@
 """Before the filters: move the reference to the IMU, solve the pings, find the span, settle gaps, and align."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.checks.sensors import contradiction_notes
+from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
+from insdvl_replay.core.dive_columns import (
+    Dive,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    SensorColumns,
+    nanoseconds,
+    seconds,
+)
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import moved_position
@@ -24,6 +34,9 @@ from insdvl_replay.preparation.own_measurements import prepare_own_measurements
 from insdvl_replay.preparation.sensors import prepare_sensors, withheld_notes
 from insdvl_replay.preparation.start_by_sensors import started_by_sensors
 
+MOST_DROPPED: Final = 0.5
+"""Of the pings; where more of them are dropped, what drops them is not meant so."""
+RESIDUAL_HINT: Final = "dvl.max_beam_residual_mps several times the noise of a beam, or leave it out"
 IN_LINE: Final = np.eye(3)
 """The axes of the reference are those of the IMU."""
 
@@ -63,9 +76,10 @@ class Prepared:
     notes: tuple[Note, ...]
 
     @property
-    def sensor_sd(self) -> dict[str, float]:
-        """Noise of one reading of each sensor, in its SI unit."""
-        return {name: float(np.sqrt(np.median(one.cov[:, 0, 0]))) for name, one in self.sensors.items()}
+    def sensor_sd(self) -> dict[str, Floats]:
+        """Noise of the components of one reading of each sensor, shape (s,), in its SI unit."""
+        variances = {name: np.diagonal(one.cov, axis1=1, axis2=2) for name, one in self.sensors.items()}
+        return {name: np.sqrt(np.median(variance, axis=0)) for name, variance in variances.items()}
 
 
 def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
@@ -138,6 +152,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
             sensed.start_ns,
             end_ns,
             sensed.mat_nb,
+            is_fix=sensed.fix is not None,
         )
         alignment = replace(alignment, start=sensed.at_imu(alignment.start))
         sensors, sensor_notes = prepare_sensors(
@@ -149,6 +164,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     inside = velocities.within(alignment.start_ns, end_ns)
     by_beams = any("beams" in filter_.aiding for filter_ in filters)
     beams = dvl_beams(dive.dvl, mounting, alignment.start_ns, end_ns) if by_beams else None
+    read = _within(dive.sensors, alignment.start_ns, end_ns)
     notes += (
         gap_notes
         + sensed.notes
@@ -156,17 +172,26 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         + _outside_notes(dive.name, velocities, inside)
         + sensor_notes
         + withheld_notes(config)
-        + contradiction_notes(dive.sensors, dive.reference)
+        + contradiction_notes(read, dive.reference, config.depth)
+        + depth_at_start_notes(read, dive.reference, alignment.row, config)
         + own_notes
     )
     gaps = gaps.within(alignment.start_ns, end_ns)
     return Prepared(inside, alignment, end_ns, gaps, mounting, filters, beams, sensors | own, notes)
 
 
+def _within(sensors: Mapping[str, SensorColumns], start_ns: int, end_ns: int) -> dict[str, SensorColumns]:
+    """Keep the readings inside the span."""
+    return {name: one.rows((one.time_ns >= start_ns) & (one.time_ns <= end_ns)) for name, one in sensors.items()}
+
+
 def _velocities(dive: Dive, mounting: DvlMounting, limit_mps: float | None) -> tuple[DvlVelocities, tuple[Note, ...]]:
     """Solve the pings, and count those that gave no velocity."""
     velocities = dvl_velocities(dive.dvl, mounting, limit_mps or np.inf)
     if not len(velocities.time_ns):
+        if bad := velocities.pings_with_bad_residual:
+            text = f"{dive.name}: the beams of all {bad} solved pings disagree by more than {limit_mps:g} m/s"
+            raise LogError(text, RESIDUAL_HINT)
         raise LogError(
             f"{dive.name}: none of the DVL's {len(dive.dvl.time_ns)} pings has a velocity",
             "three valid beams, or a finite bottom-track velocity, are needed; was the seabed in range?",
@@ -178,10 +203,17 @@ def _velocities(dive: Dive, mounting: DvlMounting, limit_mps: float | None) -> t
         )
     if bad := velocities.pings_with_bad_residual:
         text = f"pings whose beams disagree by more than {limit_mps:g} m/s: {bad}"
-        notes.append(Note("dvl_bad_residual", text, bad))
+        notes.append(_residual_note(text, bad, bad + len(velocities.time_ns)))
     if three := int(np.sum(velocities.beams_used == 3)):
         notes.append(Note("dvl_three_beams", f"pings solved from three beams, without a check: {three}", three))
     return velocities, tuple(notes)
+
+
+def _residual_note(text: str, bad: int, solved: int) -> Note:
+    """Count the pings that their beams' residual drops; noise does not drop most."""
+    if bad <= MOST_DROPPED * solved:
+        return Note("dvl_bad_residual", text, bad)
+    return Note("dvl_bad_residual", f"{text} of {solved}, most of them", bad, Severity.WARNING, RESIDUAL_HINT)
 
 
 def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, int]:

@@ -33,5 +33,6 @@ def read_checked_dive(path: Path | Sequence[Path], config: Config, *, allow_dama
     dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
     place = str(logs.name_giver((path,) if isinstance(path, Path) else path))
     notes = plausibility_notes(place, dive.imu, dive.dvl, dive.reference, config)
-    notes += (*sensor_notes(dive.sensors, dive.reference), *solution_notes(dive.solutions, dive.reference))
+    notes += sensor_notes(dive.sensors, dive.reference, config)
+    notes += solution_notes(dive.solutions, dive.reference, config)
     return replace(dive, notes=(*dive.notes, *notes))

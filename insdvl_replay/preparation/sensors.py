@@ -106,7 +106,8 @@ def silence_notes(name: str, time_ns: TimeNs, start_ns: int, end_ns: int) -> lis
     ends_ns = np.concatenate([[start_ns], time_ns, [end_ns]])
     length_s = np.diff(ends_ns) / NS_PER_S
     longest = int(np.argmax(length_s))
-    if length_s[longest] <= max(SILENT_S, SILENT_READINGS * float(np.median(length_s))):
+    usual_s = float(np.median(length_s[1:-1])) if len(time_ns) > 1 else 0.0
+    if length_s[longest] <= max(SILENT_S, SILENT_READINGS * usual_s):
         return []
     since_s, span_s = (int(ends_ns[longest]) - start_ns) / NS_PER_S, (end_ns - start_ns) / NS_PER_S
     until = "to the end" if longest == len(time_ns) else "on"

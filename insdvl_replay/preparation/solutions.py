@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from insdvl_replay.core.dive_columns import (
     Floats,
     ImuColumns,
     ReferenceColumns,
+    Scalar,
     SolutionColumns,
     TimeNs,
     at_time,
@@ -35,7 +36,6 @@ STATES: Final = states_with(["position"])
 """Those of which a solution can say how sure it is are among these; the biases never are."""
 _TOLD: Final = np.r_[: BA.start, POSITION.start : POSITION.stop]
 """Rows of a solution's covariance among its states."""
-Scalar = TypeVar("Scalar", bound=np.generic)
 QUANTITIES: Final = ("positions", "velocities", "attitudes")
 
 

@@ -15,7 +15,7 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.preparation.start_position import FAR_S
+from insdvl_replay.preparation.start_position import FAR_S, configured_height_note
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,8 @@ class SensedStart:
     notes : tuple of Note
     told_ns : mapping of str to int
         Times of the readings that this start is made of, by sensor: a filter that is aided by them knows them already.
+    fix : ndarray, shape (3,), or None
+        That its position is, of the antenna; its height is NaN where it has none, and the configured one counts.
     """
 
     config: Config
@@ -40,13 +42,15 @@ class SensedStart:
     mat_nb: Floats | None
     notes: tuple[Note, ...]
     told_ns: Mapping[str, int]
+    fix: Floats | None
 
     def at_imu(self, start: Start) -> Start:
-        """Move a start from the antenna, whose fix was taken for its position, to the IMU."""
-        if "position" not in self.told_ns:
+        """Move a start from the antenna, whose fix its position is, to the IMU; a configured height stays."""
+        if self.fix is None:
             return start
         arm_n = start.mat_nb @ np.array(self.config.position.lever_arm_m)
-        return replace(start, position=moved_position(start.position, -arm_n))
+        moved = moved_position(start.position, -arm_n)
+        return replace(start, position=np.where(np.isfinite(self.fix), moved, start.position))
 
 
 def started_by_sensors(
@@ -70,7 +74,7 @@ def started_by_sensors(
     LogError
         The attitude is to be a sensor's, which gives none in the span; or the heading, which is silent at the start.
     """
-    initial, notes, mat_nb = config.initial, list[Note](), None
+    initial, notes, mat_nb, fix = config.initial, list[Note](), None, None
     told_ns = dict[str, int]()
     posed = initial.source == "reference" and reference is not None and reference.has_attitude
     if initial.source == BY_SENSOR:
@@ -81,9 +85,10 @@ def started_by_sensors(
         told_ns["heading"] = _nearest_ns(sensors["heading"], start_ns)
     located = reference is not None and reference.has_position
     if not located and "position" in sensors and initial.latitude_deg is None:
-        initial = _with_position(initial, sensors["position"], config.position.sd_m, start_ns, notes)
+        fix, away_s = _nearest(sensors["position"], start_ns)
+        initial = _with_position(initial, fix, away_s, config.position.sd_m, notes)
         told_ns["position"] = _nearest_ns(sensors["position"], start_ns)
-    return SensedStart(msgspec.structs.replace(config, initial=initial), start_ns, mat_nb, tuple(notes), told_ns)
+    return SensedStart(msgspec.structs.replace(config, initial=initial), start_ns, mat_nb, tuple(notes), told_ns, fix)
 
 
 def _attitude(
@@ -142,11 +147,14 @@ def _with_heading(
     )
 
 
-def _with_position(initial: Initial, fixes: SensorColumns, sd_m: float, start_ns: int, notes: list[Note]) -> Initial:
-    (latitude, longitude, height_m), away_s = _nearest(fixes, start_ns)
+def _with_position(initial: Initial, fix: Floats, away_s: float, sd_m: float, notes: list[Note]) -> Initial:
+    latitude, longitude, height_m = fix
     text = f"position at the start by the fix {away_s:.2f} s away"
     severity = Severity.WARNING if away_s > FAR_S else Severity.INFO
     notes.append(Note("start_position_sensor", text, severity=severity))
+    if np.isnan(height_m):
+        height_m = initial.height_m
+        notes.append(configured_height_note(initial))
     north_m, east_m, down_m = initial.position_sd_m
     return msgspec.structs.replace(
         initial,

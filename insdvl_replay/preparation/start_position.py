@@ -1,4 +1,4 @@
-"""The position at the start: the reference's, or the configured one."""
+"""The position at the start: the reference's, a fix, or the configured one."""
 
 from typing import Final
 
@@ -17,15 +17,18 @@ CONTRADICTION_DEG: Final = 0.1
 """A latitude that a user gives in round numbers is as near as this."""
 
 
-def start_position(reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note]) -> Floats:
-    """Find the position at the start: the reference's where it has any, else the configured one.
+def start_position(
+    reference: ReferenceColumns | None, initial: Initial, start_ns: int, notes: list[Note], *, is_fix: bool = False
+) -> Floats:
+    """Find the position at the start: the reference's where it has any, else the configured one, or a fix in its place.
 
     Latitude rad, longitude rad and height m, shape (3,); notes say what was taken from elsewhere, or is far.
     """
     if reference is not None and reference.has_position:
         return _reference_position(reference, initial, start_ns, notes)
     latitude_deg = configured_latitude_deg(initial)
-    notes.append(Note("start_position_configured", f"started at the configured latitude {latitude_deg:g} deg"))
+    if not is_fix:
+        notes.append(Note("start_position_configured", f"started at the configured latitude {latitude_deg:g} deg"))
     return np.array([latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
 
 
@@ -40,9 +43,14 @@ def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns:
         far = far or _far_notes("height", reference.time_ns, height_m, start_ns)
     else:
         start_height_m = initial.height_m
-        notes.append(Note("start_height_configured", f"started at the configured height {initial.height_m:g} m"))
+        notes.append(configured_height_note(initial))
     notes += far + _latitude_notes(initial, float(latitude) / DEG)
     return np.array([latitude, float(wrap_angle(longitude + first_longitude)), start_height_m])
+
+
+def configured_height_note(initial: Initial) -> Note:
+    """State that filters start at the configured height, since nothing else gives one."""
+    return Note("start_height_configured", f"started at the configured height {initial.height_m:g} m")
 
 
 def _far_notes(quantity: str, time_ns: TimeNs, values: Floats, start_ns: int) -> list[Note]:

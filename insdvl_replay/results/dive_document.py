@@ -153,7 +153,8 @@ def closing_lines(report: Report) -> tuple[str, ...]:
     return tuple(
         f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (believed by the filter's "
         f"own covariance; see {trust}), "
-        f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner"
+        f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner "
+        f"({percent(means.mean_convergence_unchanged_pct)} without any change)"
         for name, means in report.filters.items()
         if means.improvement != Judgement.NOT_JUDGED
     )

@@ -3,10 +3,11 @@
 One dive, of up to two candidates, fits 24 lines of 80 columns; of more candidates each has a row.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER, NAMES
+from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER, NAMES, WITHHELD_QUANTITIES
 from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
@@ -128,11 +129,13 @@ def _believed(candidate: Candidate) -> str:
         return "it was read, not run: what it believes is told of some states, or of none"
     smaller, sooner = candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct
     word = candidate.belief or Belief.UNDECIDED
-    return f"it believes in {percent(smaller)} smaller errors, {percent(sooner)} faster convergence: {word}"
+    unchanged = candidate.mean_convergence_unchanged_pct
+    zero = "" if unchanged is None or not math.isfinite(unchanged) else f" ({percent(unchanged)} without any change)"
+    return f"it believes in {percent(smaller)} smaller errors, {percent(sooner)} faster convergence{zero}: {word}"
 
 
 def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
-    """Choose pieces of evidence: those that decided, the first of each kind, and what else there is room for."""
+    """Choose pieces of evidence: what decided, the first of each kind and what was withheld, and what has room."""
     known = [row for row in rows if row.baseline is not None or row.value is not None]
     decided = (EvidenceWord.BETTER, EvidenceWord.WORSE)
     first = {row.evidence: row.quantity for row in reversed(known)}
@@ -140,7 +143,7 @@ def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
     def importance(row: EvidenceRow) -> tuple[bool, bool, bool, bool]:
         return (
             not (row.quantity in DECIDING and row.word in decided),
-            row.quantity != first[row.evidence],
+            row.quantity not in (first[row.evidence], *WITHHELD_QUANTITIES),
             row.quantity not in _CHOSEN,
             row.quantity not in DECIDING_TOGETHER,
         )

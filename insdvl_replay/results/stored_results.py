@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
 import msgspec
 
@@ -12,6 +12,8 @@ from insdvl_replay.core.errors import ConfigError, Note, ResultError, looked_for
 from insdvl_replay.core.stored_report import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES
 from insdvl_replay.results.folder import COMPLETE, NOT_JSON
+
+_Kind = TypeVar("_Kind")
 
 
 class _Label(msgspec.Struct):
@@ -43,21 +45,28 @@ def read_results(root: Path) -> tuple[list[StoredResult], list[Note]]:
     ResultError
         A report cannot be read.
     """
-    files = sorted(_report_files(root))
-    read = [(file, _read_report(file)) for file in files]
-    results = [
-        StoredResult(file.parent, _below(file.parent, root), report) for file, report in read if report is not None
-    ]
-    if not results:
-        found = "holds results of studies alone" if read else "holds no result"
-        raise ConfigError(f"{root}: {found}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote")
-    studies = len(read) - len(results)
+    reports, studies = _read_reports(root, StoredReport)
+    results = [StoredResult(file.parent, _below(file.parent, root), report) for file, report in reports]
     text = f"{root}: {studies} results of studies are left out"
     return results, [Note("studies_left_out", text, studies)] if studies else []
 
 
-def read_one_result(root: Path) -> StoredResult:
+def read_one_result(root: Path, kind: type[_Kind]) -> tuple[Path, _Kind]:
     """Read the one result in a place.
+
+    Parameters
+    ----------
+    root : Path
+        As of `read_results`.
+    kind : type
+        `StoredReport`, or `json_report.Report`, as which those of this version alone can be read.
+
+    Returns
+    -------
+    Path
+        Its folder.
+    kind
+        Its report.
 
     Raises
     ------
@@ -66,10 +75,20 @@ def read_one_result(root: Path) -> StoredResult:
     ResultError
         It cannot be read.
     """
-    (stored, *others), _ = read_results(root)
+    ((file, report), *others), _ = _read_reports(root, kind)
     if others:
-        raise ConfigError(f"{root}: holds {len(others) + 1} results", f"name one of them, such as {stored.folder}")
-    return stored
+        raise ConfigError(f"{root}: holds {len(others) + 1} results", f"name one of them, such as {file.parent}")
+    return file.parent, report
+
+
+def _read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind]], int]:
+    """Read the reports of all dives in a place, of which there must be one, and count those of studies."""
+    read = [(file, _read_report(file, kind)) for file in sorted(_report_files(root))]
+    reports = [(file, report) for file, report in read if report is not None]
+    if not reports:
+        found = "holds results of studies alone" if read else "holds no result"
+        raise ConfigError(f"{root}: {found}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote")
+    return reports, len(read) - len(reports)
 
 
 def _below(folder: Path, root: Path) -> str:
@@ -97,26 +116,27 @@ def _refuse(error: OSError) -> NoReturn:
     ) from error
 
 
-def _read_report(file: Path) -> StoredReport | None:
+def _read_report(file: Path, kind: type[_Kind]) -> _Kind | None:
     """Read one report; None for that of a study."""
     try:
         data = file.read_bytes()
         label = msgspec.json.decode(data, type=_Label)
         if label.study is not None:
             return None
-        report = msgspec.json.decode(data, type=StoredReport)
+        report = msgspec.json.decode(data, type=kind)
     except OSError as error:
         _refuse(error)
     except msgspec.ValidationError as error:
-        raise of_other_version(file, data, error) from error
+        raise _of_other_version(file, data, error) from error
     except NOT_JSON as error:
         hint = "name a result folder or its report.json; a broken one is replaced by replaying its log with --force"
         raise ResultError(f"{file}: is not JSON: {error}", hint) from error
-    _require_named_rows(file, report)
+    if isinstance(report, StoredReport):
+        _require_named_rows(file, report)
     return report
 
 
-def of_other_version(file: Path, data: bytes, error: msgspec.ValidationError) -> ResultError:
+def _of_other_version(file: Path, data: bytes, error: msgspec.ValidationError) -> ResultError:
     """Return the error of a report whose layout is another one."""
     found = str(error)
     reason = f"{found[:1].lower()}{found[1:]}"

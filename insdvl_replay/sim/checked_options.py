@@ -52,14 +52,20 @@ def check_positive(what: str, unit: str, value: float) -> None:
         raise ConfigError(f"{what} is {value:g} {unit}, and must be above 0", f"give the {what} in {unit}")
 
 
-def check_spans(spans: Sequence[LostBeam]) -> None:
-    """Require beams that there are, lost until after they were; a `ConfigError` else."""
+def check_spans(spans: Sequence[LostBeam], duration_s: float) -> None:
+    """Require beams that there are, lost inside the dive until after they were; a `ConfigError` else."""
     beams = len(AZIMUTH_DEG)
     for span in spans:
         if not span.start_s < span.end_s:
             raise ConfigError(
                 f"an outage from {span.start_s:g} s to {span.end_s:g} s does not end after its start",
                 "give its start first, then its end, in seconds from the start of the dive",
+            )
+        if span.start_s >= duration_s or span.end_s <= 0.0:
+            raise ConfigError(
+                f"an outage from {span.start_s:g} s to {span.end_s:g} s lies outside the dive, which lasts "
+                f"{duration_s:g} s",
+                "give its start and its end in seconds from the start of the dive, or a longer --duration",
             )
         if not 0 <= span.beam < beams:
             raise ConfigError(f"beam {span.beam} cannot be lost", f"beams are counted from 0 to {beams - 1}")

@@ -183,7 +183,7 @@ def exact_dive(
         raise ConfigError(f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples", "--duration 60")
     every_beam = range(len(AZIMUTH_DEG))
     spans = [*lost_beams, *(LostBeam(beam, *outage) for outage in outages for beam in every_beam)]
-    check_spans(spans)
+    check_spans(spans, end_s)
     trajectory = Trajectory(way, end_s)
     ping_ns = _grid_ns(FIRST_PING_S, dvl_rate_hz, end_s)
     own_ns = _grid_ns(0.0, reference_rate_hz, end_s)

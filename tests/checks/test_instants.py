@@ -17,6 +17,14 @@ def test_a_latency_that_is_the_same_for_all_hides_no_pair(late_ns: int) -> None:
     assert list(rows) == list(lost)
 
 
+@pytest.mark.parametrize("latency_s", [0.5, -1.3])
+def test_a_latency_of_several_steps_that_is_told_hides_no_pair(latency_s: float) -> None:
+    theirs = np.cumsum(np.random.default_rng(1).integers(15 * MS, 25 * MS, 1000))
+    ours = theirs[100:900] - round(latency_s * 1e9)
+    assert len(same_instants(ours, theirs, latency_s)[0]) == 800
+    assert len(same_instants(ours, theirs)[0]) < 80
+
+
 def test_clocks_of_their_own_hardly_ever_agree() -> None:
     rng = np.random.default_rng(2)
     ours, theirs = (np.cumsum(rng.integers(190 * MS, 210 * MS, 1000)) for _ in range(2))

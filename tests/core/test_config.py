@@ -120,6 +120,11 @@ def test_any_value_survives_being_written_as_toml(
             "filters.b.acceleration.order = 3 needs a window above 3, found 3",
             "window = 4",
         ),
+        (
+            '[filters.b]\naiding = ["heading", "my:Own"]\nstates = ["position", "dvl_yaw"]',
+            "toml:1: filters.b estimates dvl_yaw, and is aided by nothing that tells it",
+            "filters.b.aiding with velocity or acceleration or beams, or filters.b.states without dvl_yaw",
+        ),
         ('[filters.a-b]\naiding = ["velocity"]', "filter name 'a-b'", "part of topics"),
         (
             '[filters.a]\nsolution = "/o"',
@@ -187,6 +192,17 @@ def test_a_mistake_in_a_file_is_told_with_its_line(text: str, place: str, tmp_pa
     with pytest.raises(ConfigError) as caught:
         load_config(file=written(tmp_path, text))
     assert caught.value.message.startswith(f"{tmp_path / 'vehicle.toml'}{place}")
+
+
+def test_a_state_is_told_by_a_sensor_that_is_withheld_too(tmp_path: Path) -> None:
+    """How far a filter's depth may differ from a gauge hangs on the zero of the gauge."""
+    path = tmp_path / "vehicle.toml"
+    text = '[filters.a]\naiding = ["velocity"]\nstates = ["position", "depth_zero"]\n'
+    path.write_text(text)
+    with pytest.raises(ConfigError, match="estimates depth_zero, and is aided by nothing that tells it"):
+        load_config(None, path, [])
+    path.write_text(f'{text}[evaluation]\nwithheld = ["depth"]\n')
+    assert load_config(None, path, []).filters["a"].states == ("position", "depth_zero")
 
 
 def test_a_mistyped_word_is_told_the_nearest_one(tmp_path: Path) -> None:

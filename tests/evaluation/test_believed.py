@@ -11,7 +11,7 @@ from frames import frame
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import NINE, STATES
-from insdvl_replay.evaluation.believed import improvement_pct, improvement_table, mean_over_nine
+from insdvl_replay.evaluation.believed import improvement_pct, improvement_table, mean_over_nine, unchanged_over_nine
 from insdvl_replay.evaluation.convergence import convergence_table, time_to_stay_below
 
 SECOND = 1_000_000_000
@@ -137,7 +137,7 @@ def test_convergence_counts_seconds_from_the_start() -> None:
     table = frame(convergence_table("dive", (baseline, aided)))
     assert table.columns.tolist() == [
         "log", "filter", "state", "unit", "target_sd", "baseline_s", "reached_s", "improvement_pct", "status",
-        "measured_target", "measured_baseline_s", "measured_s", "measured_status",
+        "measured_target", "measured_baseline_s", "measured_s", "measured_status", "unchanged_s",
     ]  # fmt: skip
     for state in STATES:
         found = row(table, state.id)
@@ -160,6 +160,15 @@ def test_what_was_not_reached_has_no_time(sd: list[float], status: str) -> None:
     assert set(table["status"]) == {status}
     assert table[["reached_s", "improvement_pct"]].isna().all(axis=None)
     assert mean_over_nine(rows, "a") == 0.0
+
+
+def test_a_candidate_that_changes_nothing_is_as_much_sooner_as_the_baseline_itself_was() -> None:
+    """As sure after two of four seconds as at the end, which is when the paper takes it to have converged."""
+    baseline = history("baseline", np.array([9.0, 8.0, 5.0, 5.0, 5.0]))
+    rows = convergence_table("dive", (baseline, history("same", baseline.sd), history("aided", 0.9 * baseline.sd)))
+    assert [row.unchanged_s for row in rows] == pytest.approx([2.0] * len(rows))
+    assert mean_over_nine(rows, "same") == unchanged_over_nine(rows, "same") == pytest.approx(50.0)
+    assert mean_over_nine(rows, "aided") > unchanged_over_nine(rows, "aided") == pytest.approx(50.0)
 
 
 # --- The mean over nine states.

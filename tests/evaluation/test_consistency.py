@@ -280,6 +280,25 @@ def test_gate_that_rejects_more_than_outliers_is_a_warning() -> None:
     assert "filters.many.gate_probability" in warning.hint
 
 
+def test_a_reopened_filter_is_told_though_something_that_aids_it_was_never_met() -> None:
+    made, (never,) = history("one", np.full(30, 3.0)), history("one", np.empty(0)).innovations
+    set_again = replace(made.innovations[0], reopened=np.arange(30) == 4)
+    (_, reopened) = update_notes((replace(made, innovations=(set_again, replace(never, measurement="acceleration"))),))
+    assert (reopened.code, reopened.count) == ("gate_reopened", 1)
+
+
+@pytest.mark.parametrize(
+    ("factor", "wild", "told"),
+    [(1.0, 0, False), (1.0, 1, False), (1.0, 20, False), (4.0, 0, True), (4.0, 20, True), (2.0, 0, False)],
+)
+def test_a_sensor_contradicts_a_filter_by_most_of_its_readings(factor: float, wild: int, told: bool) -> None:
+    """And not by few that are far off; errors of so many times what the settings say."""
+    nis = factor**2 * np.random.default_rng(3).chisquare(3, 200)
+    nis[:wild] = 1e4
+    codes = [note.code for note in update_notes((history("aided", nis, measurement="position"),))]
+    assert codes == ["position_disagrees"] * told
+
+
 # --- Filters on simulated dives.
 
 

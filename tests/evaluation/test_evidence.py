@@ -127,6 +127,12 @@ def test_convergence_has_to_differ_by_more_than_the_sensors_of_one_dive(ratio: f
     assert (row.evidence, row.unit, row.word, row.starts) == ("convergence", "s", word, 15)
 
 
+@pytest.mark.parametrize(("high", "word"), [(1.04, "equivalent"), (3.66, "undecided")])
+def test_times_that_a_few_starts_may_make_others_are_not_equivalent(high: float, word: str) -> None:
+    found = converged(1.0)._replace(low=0.99, high=high, low90=0.99, high90=1.02)
+    assert evidence(convergence={"level": found})["convergence_level"].word == word
+
+
 def nis(filter_: str, mean: float, verdict: str) -> ConsistencyRow:
     return ConsistencyRow("dive", filter_, "velocity", 3, 99, 0, 3.0 * mean, 2.9, 3.1, verdict)
 

@@ -10,6 +10,7 @@ from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.track_rows import JumpRow
 from insdvl_replay.evaluation.jumps import jump_table
 from insdvl_replay.geometry.frames import moved_position
+from insdvl_replay.geometry.steps import least_difference
 
 RATE_HZ = 5
 TIME_S = np.arange(600) / RATE_HZ
@@ -18,9 +19,9 @@ VELOCITY_N = np.stack([np.cos(TURN_RADPS * TIME_S), np.sin(TURN_RADPS * TIME_S),
 WAY_N = np.stack([np.sin(TURN_RADPS * TIME_S), 1.0 - np.cos(TURN_RADPS * TIME_S), 0.0 * TIME_S], axis=1) / TURN_RADPS
 
 
-def found(way_n: Floats, velocity_n: Floats = VELOCITY_N) -> JumpRow:
+def found(way_n: Floats, velocity_n: Floats = VELOCITY_N, time_s: Floats = TIME_S) -> JumpRow:
     """Look at a vehicle that turns all the time, beside a history that spans it."""
-    time_ns = np.round(TIME_S * 1e9).astype(np.int64)
+    time_ns = np.round(time_s * 1e9).astype(np.int64)
     origin = np.broadcast_to([0.57, 0.61, -5.0], way_n.shape)
     motion = ReferenceColumns(time_ns, moved_position(origin, way_n), velocity_n, np.full((len(way_n), 3, 3), np.nan))
     beside = replace(history("onboard", np.full(2, 3.0)), time_ns=time_ns[[0, -1]], is_read=True)
@@ -49,6 +50,21 @@ def test_jumps_are_counted_whether_or_not_a_velocity_is_told(told: bool) -> None
     row = found(jumping((100, 0.7), (300, -3.0), (301, 1.0)), velocity_n)
     assert (row.jumps, row.largest_m) == (3, pytest.approx(3.0, abs=0.02))
     assert row.largest_at_s == pytest.approx(300 / RATE_HZ)
+
+
+def test_each_step_is_compared_with_three_before_and_three_after() -> None:
+    steps = np.array([[1.0], [1.0], [1.0], [1.0], [5.0], [6.0], [7.0], [20.0], [9.0]])
+    assert least_difference(steps).tolist() == [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 11.0, 2.0]
+
+
+def test_the_edge_of_a_gap_is_no_jump() -> None:
+    """A fix a second and its noise: the last step before the gap has its like before it alone."""
+    time_s = np.r_[np.arange(100.0), np.arange(140.0, 240.0)]
+    way_n = np.column_stack([time_s, 0.0 * time_s, 0.0 * time_s])
+    way_n[time_s < 100.0, 1] = 0.2 * time_s[time_s < 100.0]
+    way_n += np.random.default_rng(0).normal(0.0, 0.005, way_n.shape)
+    row = found(way_n, np.full_like(way_n, np.nan), time_s)
+    assert row.jumps == 0
 
 
 def test_what_is_smaller_or_usual_is_no_jump() -> None:

@@ -18,10 +18,10 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.reference import (
     ReferenceErrors,
     attitude_error,
-    distance_travelled_m,
     reference_error_table,
     reference_errors,
 )
+from insdvl_replay.evaluation.travelled import distance_travelled_m
 from insdvl_replay.geometry.frames import north_east_down_m
 
 SECOND = 1_000_000_000
@@ -124,6 +124,33 @@ def test_noise_of_the_reference_travels_no_distance() -> None:
     noise = np.random.default_rng(1).normal(scale=5.0, size=(11, 3))
     noisy = replace(reference, position=shifted(reference.position, noise))
     assert reference_errors(history_like(reference), noisy).distance_m == pytest.approx(100.0, abs=1e-9)
+    noisier = replace(
+        reference, position=shifted(reference.position, 10.0 * noise), velocity_n=np.full((11, 3), np.nan)
+    )
+    assert reference_errors(history_like(reference), noisier).distance_m <= 100.0 + 1e-9
+
+
+def test_all_filters_are_measured_by_the_way_of_the_reference() -> None:
+    """A filter that flies off would make its own way longer, and what it is off by a smaller share of it."""
+    reference = going_north()
+    baseline, astray = history_like(reference, "baseline"), history_like(reference, velocity=(500.0, 0.0, 0.0))
+    for known in (reference, replace(reference, velocity_n=np.full((11, 3), np.nan))):
+        assert reference_errors(astray, known, baseline).distance_m == pytest.approx(100.0, abs=1e-3)
+        assert reference_errors(baseline, known, astray).distance_m == pytest.approx(100.0, abs=1e-3)
+
+
+def test_way_is_that_of_the_baseline_where_the_reference_does_not_tell_it() -> None:
+    """A dive between two fixes may end where it began."""
+    reference = going_north()
+    unseen = np.full((11, 3), np.nan)
+    position = reference.position.copy()
+    position[1:10] = np.nan
+    surfaced = replace(reference, position=position, velocity_n=unseen)
+    assert reference_errors(history_like(reference), surfaced).distance_m == pytest.approx(100.0, abs=1e-9)
+    few = reference.velocity_n.copy()
+    few[2:] = 0.0, 0.0, np.nan
+    by_positions = reference_errors(history_like(reference), replace(reference, velocity_n=few)).distance_m
+    assert by_positions == pytest.approx(100.0, abs=1e-3)
 
 
 # --- Attitude.
@@ -183,9 +210,8 @@ def test_known_errors_come_out_with_their_size_and_sign() -> None:
         assert table.loc[quantity, "rmse"] == pytest.approx(abs(error), abs=1e-4), quantity
         assert table.loc[quantity, "final"] == pytest.approx(error, abs=1e-4), quantity
     assert table.loc["position_h", "rmse"] == pytest.approx(5.0, abs=1e-4)
-    # The way is what the filter's own velocity makes of 10 s.
-    way_m = 10.0 * np.hypot(10.1, 0.2)
-    assert table.loc["position_h_pct", "final"] == pytest.approx(100.0 * 5.0 / way_m, abs=1e-4)
+    # The way is the reference's, 10 m/s for 10 s, not what the filter's own velocity makes of it.
+    assert table.loc["position_h_pct", "final"] == pytest.approx(5.0, abs=1e-4)
     assert (table["samples"] == 10).all(), "the start, where a filter is set to the reference, does not count"
     assert set(table["status"]) == {"compared"}
 

@@ -11,6 +11,7 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import DECIDING
 from insdvl_replay.core.rows import EvidenceRow
+from insdvl_replay.core.states import STATES, states_with
 from insdvl_replay.evaluation.consistency import consistency_table
 from insdvl_replay.evaluation.evidence import Measured, evidence_table
 from insdvl_replay.evaluation.withheld import withheld_losses
@@ -31,7 +32,7 @@ def history(name: str, sensor: str, apart: Floats, *, is_withheld: bool = True) 
     nothing = np.empty((0, 3))
     return History(
         name, time_ns[:0], none[:0], nothing, nothing, np.empty((0, 3, 3)), nothing, nothing, np.empty((0, 12)),
-        time_ns[:0], np.empty((0, 12, 12)), (met,),
+        time_ns[:0], np.empty((0, 12, 12)), (met,), states_with(("position",)),
     )  # fmt: skip
 
 
@@ -41,7 +42,7 @@ def walk(rng: np.random.Generator, step_m: float, size: int) -> Floats:
 
 def word(sensor: str, baseline: Floats, candidate: Floats, noise_sd: float) -> EvidenceRow:
     pair = history("baseline", sensor, baseline), history("aided", sensor, candidate)
-    losses = {one.filter: withheld_losses(one, {sensor: noise_sd}) for one in pair}
+    losses = {one.filter: withheld_losses(one, {sensor: np.full(3, noise_sd)}) for one in pair}
     (row,) = evidence_table("dive", "baseline", ["aided"], Measured({}, {}, {}, losses), (), ())
     return row
 
@@ -95,7 +96,8 @@ def test_a_heading_is_taken_as_it_is_in_degrees() -> None:
 def test_a_depth_has_no_vote_and_what_was_used_is_no_evidence() -> None:
     assert "withheld_depth" not in DECIDING
     assert "withheld_position" in DECIDING
-    assert not withheld_losses(history("aided", "depth", np.ones((9, 1)), is_withheld=False), {"depth": 0.1})
+    aided = history("aided", "depth", np.ones((9, 1)), is_withheld=False)
+    assert not withheld_losses(aided, {"depth": np.array([0.1])})
 
 
 def consistency_of(sd: float, correlation_s: float, seed: int) -> tuple[str, str]:
@@ -107,7 +109,7 @@ def consistency_of(sd: float, correlation_s: float, seed: int) -> tuple[str, str
     met = history("baseline", "position", apart)
     (innovations,) = met.innovations
     judged = replace(innovations, nis=(apart**2).sum(axis=1))
-    row, *_ = consistency_table("dive", (replace(met, innovations=(judged,)),))
+    row, *_ = consistency_table("dive", (replace(met, innovations=(judged,)),), {"position": np.zeros(2) + 0.5})
     return row.verdict, row.whiteness
 
 
@@ -121,3 +123,25 @@ def test_differences_that_stay_are_few_however_often_they_are_met() -> None:
 
 def test_differences_that_are_too_large_are_found_all_the_same() -> None:
     assert Counter(consistency_of(2.0, 60.0, seed)[0] for seed in range(50))["over-confident"] >= 48
+
+
+def test_a_filter_without_the_states_that_a_sensor_needs_does_not_tell_how_far_off_it_may_be() -> None:
+    met = history("baseline", "position", np.ones((99, 2)))
+    rows = consistency_table("dive", (replace(met, states=STATES),))
+    assert [(row.verdict, np.isnan(row.mean_nis or 0.0), row.whiteness) for row in rows] == [
+        ("not told", True, "correlated")
+    ] * 3
+    # A gauge of depth has a zero, too.
+    assert consistency_table("dive", (history("baseline", "depth", np.ones((99, 1))),))[0].verdict == "not told"
+
+
+@pytest.mark.parametrize(("noise", "verdict"), [(1.0, "too few"), (0.5, "over-cautious")])
+def test_an_error_that_stays_and_happens_to_be_small_is_no_over_caution(noise: float, verdict: str) -> None:
+    """S is twice the sensor's own variance: the other half is the position at the start, which is off by nothing."""
+    apart = noise * np.random.default_rng(3).standard_normal((400, 2))
+    met = history("baseline", "position", apart)
+    (innovations,) = met.innovations
+    sd = np.full((400, 2), np.sqrt(2.0))
+    judged = replace(met, innovations=(replace(innovations, sd=sd, nis=np.sum((apart / sd) ** 2, axis=1)),))
+    rows = consistency_table("dive", (judged,), {"position": np.ones(2)})
+    assert {row.verdict for row in rows} == {verdict}

@@ -112,11 +112,11 @@ def test_common_clock_that_is_not_the_recorders_is_told_and_used() -> None:
 
 @pytest.mark.parametrize("fix_s", [3.0, 0.0], ids=["stamped late", "mended"])
 def test_latency_makes_no_other_clock(fix_s: float) -> None:
-    fix = replace(clock("position", -18.0 + fix_s), latency_s=3.0)
+    fix = replace(clock("position", -18.0 + fix_s - 3.0), latency_s=3.0)
     notes = clock_notes("a.mcap", [clock("imu", -18.0), fix], 1.0)
     assert "clocks_apart" not in {note.code for note in notes}
     with pytest.raises(LogError, match="different clocks"):
-        clock_notes("a.mcap", [clock("imu", -18.0), replace(fix, log_minus_stamp_s=-12.0)], 1.0)
+        clock_notes("a.mcap", [clock("imu", -18.0), replace(fix, log_minus_stamp_s=-15.0)], 1.0)
 
 
 # Units
@@ -194,6 +194,25 @@ def test_what_is_stamped_seconds_late_is_on_the_same_clock(tmp_path: Path) -> No
     dive = read_dive(write(tmp_path / "dive.mcap", imu_behind_s=0.0, dvl_behind_s=0.0), Config(dvl=Dvl(latency_s=3.0)))
     assert dive.dvl.time_ns[0] == dive.imu.time_ns[0] - 3 * 10**9
     assert not dive.notes
+
+
+def test_an_offset_is_told_as_the_log_has_it(tmp_path: Path) -> None:
+    """By which an engineer finds it there, whatever latency was told."""
+    path = write(tmp_path / "dive.mcap", imu_behind_s=40.0, dvl_behind_s=40.0)
+    settings = Config(dvl=Dvl(latency_s=3.0), clocks=Clocks(max_disagreement_s=100.0))
+    told = {note.code: note.text for note in read_dive(path, settings).notes}
+    assert told["imu_clock_offset"].startswith("/imu: log time minus stamp 'header' is 40.000 s in the median, 0.000 s")
+    assert told["dvl_clock_offset"].startswith("/dvl: log time minus stamp 'header' is 40.000 s in the median, 0.000 s")
+    assert told["dvl_clock_offset"].endswith("; dvl.latency_s takes 3 s off the stamps")
+    assert "latency" not in told["imu_clock_offset"]
+
+
+def test_two_clocks_are_told_as_the_log_has_them(tmp_path: Path) -> None:
+    path = write(tmp_path / "dive.mcap", imu_behind_s=0.0, dvl_behind_s=40.0)
+    with pytest.raises(
+        LogError, match=r"is 0\.000 s on the one and 40\.000 s on the other; dvl\.latency_s takes 3 s off"
+    ):
+        read_dive(path, Config(dvl=Dvl(latency_s=3.0)))
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs ../shared/data (real logs)")

@@ -248,6 +248,24 @@ def test_gravity_is_taken_where_the_filter_took_it_after_an_outage() -> None:
     assert_same_coast(dive, config, 1000.0, 60.0)
 
 
+def test_any_beam_holds_the_height_as_a_velocity_does(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also the fifth of a DVL, after an outage of all of them."""
+    monkeypatch.setattr("insdvl_replay.nav.coasting.HOLD_AFTER_S", 10.0)
+    rising = replace(flight.history, position=flight.history.position + np.arange(len(flight.history.time_ns))[:, None])
+    (velocity,) = flight.history.innovations
+    velocity = replace(
+        velocity,
+        used=velocity.used & ((velocity.time_ns < flight.ping_ns[10]) | (velocity.time_ns > flight.ping_ns[50])),
+    )
+    heights_m = [
+        restart(replace(rising, innovations=(replace(velocity, measurement=name),)), int(flight.ping_ns[TO])).position[
+            2
+        ]
+        for name in ("velocity", "beam_5")
+    ]
+    assert heights_m[0] == heights_m[1] < rising.position[np.searchsorted(rising.time_ns, flight.ping_ns[TO]), 2]
+
+
 def test_history_without_p_cannot_be_gone_on_from(flight: Flight) -> None:
     with pytest.raises(ValueError, match="holds no P"):
         restart(flight.history.without_cov(), int(flight.ping_ns[FROM]))

@@ -1,6 +1,7 @@
 """Where a replay starts: at the reference's first attitude, or level from gravity, and what is said otherwise."""
 
 from dataclasses import replace
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -183,7 +184,13 @@ def test_last_sample_is_no_start(dive: Dive) -> None:
 def test_no_reference_to_start_from_says_how_to_start_level(dive: Dive) -> None:
     with pytest.raises(LogError, match="no reference solution") as caught:
         aligned(dive, None, Initial())
-    for key in ("initial.source=level", "initial.heading_deg", "initial.latitude_deg", "reference.topic"):
+    for key in (
+        "initial.source=level",
+        "initial.heading_deg",
+        "initial.latitude_deg",
+        "reference.topic",
+        "source=sensor",
+    ):
         assert key in caught.value.hint
 
 
@@ -246,6 +253,22 @@ def test_configured_heading_far_from_the_references_is_a_warning(dive: Dive, hea
     if told:
         assert f"the heading of {heading_deg % 360.0:.0f} deg at the start contradicts the reference" in notes[0].text
         assert (notes[0].severity, notes[0].hint) == ("warning", "initial.heading_deg = 30.0")
+
+
+@pytest.mark.parametrize(
+    ("heading_deg", "told"), [(77.0, True), (37.0, True), (34.0, False), (-330.0, False), (None, False), ("fit", False)]
+)
+def test_configured_heading_beside_a_references_attitude_is_a_warning(
+    dive: Dive, heading_deg: float | Literal["fit"] | None, told: bool
+) -> None:
+    found = aligned(dive, reference_of(dive), Initial(heading_deg=heading_deg))
+    np.testing.assert_allclose(rpy_from_mat(found.start.mat_nb)[2] / DEG, 30.0, atol=0.01)
+    notes = [note for note in found.notes if note.code == "start_heading_idle"]
+    assert [note.severity for note in notes] == ["warning"] * told
+    for note in notes:
+        assert (
+            note.text == f"initial.heading_deg is {heading_deg:g}, but the reference starts at 30.0 deg, which counts"
+        )
 
 
 def test_configured_latitude_beside_a_reference_of_another_is_a_warning(dive: Dive) -> None:

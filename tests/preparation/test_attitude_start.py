@@ -108,6 +108,21 @@ def test_a_roll_says_nothing_without_a_pitch(tmp_path: Path, alone: str) -> None
         read_dive(tmp_path / "dive.mcap", config(heading=angles))
 
 
+def test_a_quaternion_has_no_unit(tmp_path: Path) -> None:
+    write_dive(tmp_path / "dive.mcap", simulated())
+    with pytest.raises(ConfigError, match=r"heading\.angle_unit .* hold a quaternion"):
+        read_dive(tmp_path / "dive.mcap", config(heading=Heading(angle_unit="rad")))
+
+
+def test_roll_and_pitch_are_no_attitude_without_a_heading(tmp_path: Path) -> None:
+    """Though the type of the topic has a quaternion, which would have been read had nothing been named."""
+    write_dive(tmp_path / "dive.mcap", simulated())
+    angles = Heading(roll="quaternion.x", pitch="quaternion.y")
+    with pytest.raises(LogError, match="roll and pitch without a heading") as caught:
+        read_dive(tmp_path / "dive.mcap", config(heading=angles))
+    assert 'heading.heading = "field.path"' in caught.value.hint
+
+
 def test_a_compass_gives_no_start_and_has_no_axes(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulated())
     compass = Heading(topic="/reference", heading="heading_deg")
@@ -132,6 +147,26 @@ def test_filters_start_at_the_first_attitude_in_the_span() -> None:
     np.testing.assert_allclose(rpy_from_mat(prepared.alignment.start.mat_nb), rpy[first], atol=1e-12)
     assert {"start_attitude_sensor", "start_velocity_dvl"} <= codes(prepared)
     assert not codes(prepared) & {"start_levelled", "start_tilt_contradiction", "start_heading_sensor"}
+
+
+def test_an_ahrs_needs_no_samples_to_level_by() -> None:
+    """The IMU falls silent 0.2 s after the first attitude, for a second."""
+    dive = simulated()
+    columns, rpy = ahrs_of(dive)
+    since_s = (dive.imu.time_ns - columns.time_ns[0]) * 1e-9
+    heard = (since_s < 0.2) | (since_s > 1.2)
+    imu = replace(
+        dive.imu,
+        time_ns=dive.imu.time_ns[heard],
+        specific_force_b=dive.imu.specific_force_b[heard],
+        angular_rate_b=dive.imu.angular_rate_b[heard],
+    )
+    few = replace(imu, **{name: getattr(imu, name)[::3] for name in ("time_ns", "specific_force_b", "angular_rate_b")})
+    prepared = prepare_dive(replace(dive, imu=few), config())
+    np.testing.assert_allclose(rpy_from_mat(prepared.alignment.start.mat_nb), rpy[0], atol=1e-12)
+    level = msgspec.structs.replace(BY_SENSOR, source="level", heading_deg=0.0)
+    with pytest.raises(LogError, match="too few to find the level"):
+        prepare_dive(replace(dive, imu=few), config(initial=level))
 
 
 def test_a_reference_gives_its_position_alone() -> None:

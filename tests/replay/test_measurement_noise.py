@@ -23,6 +23,7 @@ from insdvl_replay.replay import replay_dive
 DIVES, LENGTH_S, STARTS = 5, 600.0, 8
 ALL = DIVES * len(CANDIDATES)
 PREDICTED_VAR = 0.5
+SHOCK_S = 500.0
 OUTAGES_S, OUTAGE_S = (100.0, 250.0, 400.0), 60.0
 
 
@@ -80,6 +81,40 @@ def test_what_an_outage_did_to_the_velocity_is_not_taken_for_noise(aiding: str) 
         plain, adaptive = ({one.measurement: one for one in history.innovations} for history in replay.histories[:2])
         changes += [np.abs(adaptive[name].sd / plain[name].sd - 1.0).ravel() for name in plain]
     assert np.mean(np.concatenate(changes) > 0.02) < 0.02
+
+
+@pytest.mark.parametrize("aiding", ["velocity", "beams"])
+def test_how_noisy_the_dvl_is_is_not_forgotten_where_a_filter_is_set_to_it_again(aiding: str) -> None:
+    """After a shock of the IMU; beams had forgotten it, and NIS / dof of 4 to 8 behind it."""
+    nis_per_dof = []
+    for seed in range(3):
+        config = competitors(aiding, 1)
+        gated = msgspec.structs.replace(config.filters["adaptive"], gate_probability=0.999)
+        config = msgspec.structs.replace(config, filters={**config.filters, "adaptive": gated})
+        replay = replay_dive(shocked(noisier_dive(seed, LENGTH_S, 3.0)), config)
+        history = replay.histories[1]
+        assert len(history.reopened_ns) == 1
+        met = history.innovations[0]
+        time_s = seconds(met.time_ns, replay.start_ns)
+        after = (time_s > SHOCK_S + 15.0) & (time_s < SHOCK_S + 45.0)
+        nis_per_dof.append(float(np.mean(met.nis[after])) / met.dof)
+    assert 0.7 < np.mean(nis_per_dof) < 1.4, nis_per_dof
+
+
+def test_the_noise_that_is_found_is_noted() -> None:
+    replay = replay_dive(noisier_dive(0, LENGTH_S, 3.0), competitors("velocity", 1))
+    (note,) = (note for note in replay.notes if note.code == "constants_estimated")
+    factor = replay.histories[1].innovations[0].noise_factor
+    assert note.text == f"adaptive estimates: noise of velocity {np.sqrt(factor):.3g} times what it is told"
+    assert np.sqrt(factor) == pytest.approx(3.0, rel=0.15)
+
+
+def shocked(dive: Dive) -> Dive:
+    """Let the vehicle hit something that is not there."""
+    force_b = dive.imu.specific_force_b.copy()
+    first = int(np.argmax(seconds(dive.imu.time_ns, int(dive.imu.time_ns[0])) > SHOCK_S))
+    force_b[first : first + 3] += (60.0, 40.0, 0.0)
+    return replace(dive, imu=replace(dive.imu, specific_force_b=force_b))
 
 
 def dive_with_outages(seed: int) -> Dive:

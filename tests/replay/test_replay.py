@@ -437,10 +437,21 @@ def test_bad_beam_is_dropped_where_a_limit_is_set(straight: Dive) -> None:
     bad = note(checked, "dvl_bad_residual")
     assert bad.count == 3
     assert "0.1 m/s" in bad.text
+    assert bad.severity == "info"
     unchecked = replay_dive(spoilt, config())
     assert not [note for note in unchecked.notes if note.code == "dvl_bad_residual"]
     rmse = [errors_of(replay).loc[("aided", "velocity_n"), "rmse"] for replay in (checked, unchecked)]
     assert rmse[0] < 0.5 * rmse[1]
+
+
+def test_limit_that_drops_most_pings_is_a_warning(straight: Dive) -> None:
+    """The noise of a beam does it."""
+    bad = note(replay_dive(straight, config(dvl=Dvl(max_beam_residual_mps=0.002))), "dvl_bad_residual")
+    assert (bad.count or 0) > 0.5 * len(straight.dvl.time_ns)
+    assert bad.severity == "warning"
+    assert "dvl.max_beam_residual_mps" in (bad.hint or "")
+    with pytest.raises(LogError, match=r"the beams of all \d+ solved pings disagree by more than 1e-09 m/s"):
+        replay_dive(straight, config(dvl=Dvl(max_beam_residual_mps=1e-9)))
 
 
 def test_dvl_that_reports_velocities_replays_like_one_that_reports_beams(turning: Dive) -> None:

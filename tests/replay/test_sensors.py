@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matched_sensors import MATCHED
 
-from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Heading, Initial, Position
+from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Heading, Initial, Position, Span
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError
@@ -83,7 +83,7 @@ def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
     ]
     rows = [row for row in replay.tables.consistency if row.measurement == "withheld_depth"]
     assert [(row.used, row.rejected) for row in rows] == [(0, 1600)] * 2
-    assert min(row.mean_nis or 0.0 for row in rows) > 0.0
+    assert {row.verdict for row in rows} == {"not told"}
     assert not [note for note in replay.notes if note.code == "gate_rejects_many"]
 
 
@@ -94,8 +94,9 @@ def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
         (slice(None, 200), "for 60 of 110 s, from 50 s after the start to the end"),
         (slice(200, None), "for 50 of 110 s, from 0 s after the start on"),
         (slice(None, None, 100), None),  # a reading every 25 s is a slow sensor
+        (slice(200, 201), "for 60 of 110 s, from 50 s after the start to the end"),
     ],
-    ids=["whole", "ends", "begins late", "slow"],
+    ids=["whole", "ends", "begins late", "slow", "once"],
 )
 def test_a_sensor_that_falls_silent_is_told(kept: slice, told: str | None) -> None:
     dive = simulated(duration_s=110.0, depth=SensorErrors(0.05, 4.0))
@@ -113,9 +114,20 @@ def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
 
 def test_a_latitude_in_another_unit_is_told_by_its_number(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0, position=SensorErrors(1.0)))
-    with pytest.raises(LogError, match=r"the latitude is 32\.8\d* rad in the median, and no place has it") as refusal:
+    with pytest.raises(LogError, match=r"31 of 31 latitudes are beyond the poles, up to 32\.8\d* rad") as refusal:
         read_dive(tmp_path / "dive.mcap", config("position", position=Position(angle_unit="rad")))
     assert refusal.value.hint.startswith('position.angle_unit = "deg"')
+
+
+def test_wrong_latitudes_of_both_signs_are_told_by_the_furthest(tmp_path: Path) -> None:
+    """Their median is a latitude that many places have."""
+    dive = simulated(duration_s=30.0, position=SensorErrors(1.0))
+    fixes = dive.sensors["position"]
+    both = fixes.values * np.where(np.arange(31) % 2, 1.0, -1.0)[:, None]
+    both[0, 0] = 0.0
+    write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": replace(fixes, values=both)}))
+    with pytest.raises(LogError, match=r"30 of 31 latitudes are beyond the poles, up to -?32\.8\d* rad"):
+        read_dive(tmp_path / "dive.mcap", config("position", position=Position(angle_unit="rad")))
 
 
 def test_fixes_that_are_none_are_not_called_wrong_numbers(tmp_path: Path) -> None:
@@ -181,14 +193,26 @@ def test_a_fix_without_height_is_none_where_heights_are_used(tmp_path: Path) -> 
         assert len(read.sensors["position"].time_ns) == count
 
 
-def test_a_fix_without_height_starts_a_dive_at_the_configured_one(tmp_path: Path) -> None:
+@pytest.mark.parametrize("arm_m", [(0.0, 0.0, 0.0), (3.0, 0.0, -5.0)])
+def test_a_fix_without_height_starts_a_dive_at_the_configured_one(
+    tmp_path: Path, arm_m: tuple[float, float, float]
+) -> None:
+    """Which is the IMU's, wherever the antenna is."""
     dive = simulated(duration_s=30.0, position=SensorErrors(2.0, 1.0))
     fixes = dive.sensors["position"]
     flat = replace(fixes, values=fixes.values * [1.0, 1.0, np.nan])
     write_dive(tmp_path / "dive.mcap", replace(dive, reference=None, truth=None, sensors={"position": flat}))
     initial = msgspec.structs.replace(MEMS.initial, source="level", heading_deg=0.0, height_m=-250.0)
-    replay = replay_log(tmp_path / "dive.mcap", config("position", initial=initial, noise=MEMS.noise))
-    assert replay.histories[0].position[0, 2] == pytest.approx(-250.0, abs=0.1)
+    settings = config("position", initial=initial, noise=MEMS.noise, position=Position(lever_arm_m=arm_m))
+    # A log's own fixes are its reference, too, where it has no other.
+    replay = replay_dive(replace(read_dive(tmp_path / "dive.mcap", settings), reference=None), settings)
+    assert replay.histories[0].position[0, 2] == -250.0
+    assert [note.text for note in replay.notes if note.code.startswith(("start_position", "start_height"))] == [
+        "position at the start by the fix 0.00 s away",
+        "started at the configured height -250 m",
+    ]
+    apart_m = north_east_m(replay.histories[0].position[0], fixes.values[0], fixes.values[0])
+    assert np.hypot(*apart_m) == pytest.approx(np.hypot(*arm_m[:2]), abs=0.2)
 
 
 def test_a_dive_over_180_deg_of_longitude_is_as_any_other() -> None:
@@ -408,6 +432,17 @@ def test_a_sensor_that_is_misread_is_told(sensor: str, misread: Callable[[Floats
     settings = msgspec.structs.replace(settings, filters=config(sensor).filters)
     replay = replay_dive(dive, settings)
     assert sorted({note.code for note in replay.notes if note.severity == "warning"}) == told
+
+
+@pytest.mark.parametrize(("end_s", "told"), [(50.0, []), (110.0, ["heading_contradiction"])])
+def test_a_sensor_is_held_against_the_reference_in_the_span_alone(end_s: float, told: list[str]) -> None:
+    dive = simulated(duration_s=110.0, heading=SensorErrors(0.5, 4.0))
+    right = dive.sensors["heading"]
+    late = right.time_ns > right.time_ns[0] + 55 * 10**9
+    turned = replace(right, values=right.values + np.deg2rad(30.0) * late[:, None])
+    settings = config("heading", span=Span(end_s=end_s))
+    replay = replay_dive(replace(dive, sensors={"heading": turned}), settings)
+    assert [note.code for note in replay.notes if note.code == "heading_contradiction"] == told
 
 
 @pytest.mark.parametrize(

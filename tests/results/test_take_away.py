@@ -220,6 +220,13 @@ def test_a_result_is_read_back(replayed: Result, folder: Path) -> None:
         again.save(folder)
 
 
+def test_a_result_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read, read_bytes = list[Path](), Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read.append(path) or read_bytes(path))
+    read_result(folder)
+    assert read == [folder / "report.json"]
+
+
 def test_a_name_that_is_not_there_is_told_those_that_are(replayed: Result) -> None:
     with pytest.raises(UserError) as caught:
         _ = replayed.tables["x"]

@@ -6,18 +6,17 @@ length, or of one length in a row or at even distances, and nothing is said of s
 """
 
 from dataclasses import dataclass, field
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, is_new, seconds
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, Scalar, TimeNs, is_new, seconds
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.order import Mask, Order, Rows, find_order, raise_if_two_dives
 from insdvl_replay.logs.columns.tables import SAME_CLOCK_S, Table
 
-Scalar = TypeVar("Scalar", bound=np.generic)
 FEW: Final = 0.05
 """Faults are single; where a larger share of the readings is impossible, something else is wrong with all of them."""
 MOST: Final = 0.5

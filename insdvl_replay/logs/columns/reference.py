@@ -193,7 +193,7 @@ def of_receiver(table: Table, quantity: str) -> Floats:
 
 def attitude(table: Table, settings: Navigation | Heading) -> Floats | None:
     """Return the attitude as it was written, shape (k, 3, 3), or None where the messages hold none whole."""
-    if _by_quaternion(table, settings):
+    if is_by_quaternion(table, settings):
         to_north = mat_from_quat if settings.axes == "ned_frd" else _mat_from_enu_flu
         mat = in_blocks(to_north, table.values("quaternion", 4), np.empty((len(table), 3, 3)))
         for frame, north in _NORTHS:
@@ -201,6 +201,13 @@ def attitude(table: Table, settings: Navigation | Heading) -> Floats | None:
                 mat[table.column(frame) != north] = np.nan
         return mat
     if "roll" in table:
+        if "heading" not in table:
+            role = table.source.role
+            raise LogError(
+                f"{role}.roll and {role}.pitch name roll and pitch without a heading",
+                f'{role}.heading = "field.path", or leave both out',
+                *table.where,
+            )
         pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
         rpy = np.stack([table.column("roll"), pitch, table.column("heading")], axis=1)
         return mat_from_rpy(rpy * ANGLE_UNITS[settings.angle_unit])
@@ -213,10 +220,11 @@ def _mat_from_enu_flu(quat: Floats) -> Floats:
 
 def _is_east_north_up(table: Table, settings: Navigation) -> bool:
     """Return in which axes a velocity in n is: unless it is said, in those of the quaternion beside it."""
-    return settings.axes == "enu_flu" or (settings.axes is None and _by_quaternion(table, settings))
+    return settings.axes == "enu_flu" or (settings.axes is None and is_by_quaternion(table, settings))
 
 
-def _by_quaternion(table: Table, settings: Navigation | Heading) -> bool:
+def is_by_quaternion(table: Table, settings: Navigation | Heading) -> bool:
+    """Return whether an attitude is that of a quaternion, which goes before three angles only where it is named."""
     return "quaternion" in table and ("roll" not in table or settings.quaternion is not None)
 
 

@@ -5,21 +5,21 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Config, Depth, Heading, Initial, Position
+from insdvl_replay.core.config import Config, Depth, Heading, Position
 from insdvl_replay.core.dive_columns import Floats, SensorColumns
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.sensors import BY_SENSOR
 from insdvl_replay.core.states import DEG, STANDARD_GRAVITY_MPS2
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.logs.columns.cleaning import Cleaner
-from insdvl_replay.logs.columns.reference import ANGLE_UNITS, attitude, of_receiver
+from insdvl_replay.logs.columns.reference import ANGLE_UNITS, attitude, is_by_quaternion, of_receiver
 from insdvl_replay.logs.columns.tables import Table
 
 PRESSURE_UNITS: Final = {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "dbar": 1e4, "bar": 1e5}
 """Pa of one unit."""
 
 _Readings = tuple[Floats, Floats | None]
-"""Values, shape (k, s), and the attitudes that they are part of, shape (k, 3, 3), if they are of any."""
+"""Values, shape (k, s), the first NaN where there is no reading; attitudes that they are part of, shape (k, 3, 3)."""
 
 
 def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumns, list[Note]]:
@@ -31,8 +31,8 @@ def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumn
         No reading can be used.
     """
     settings = table.source.completed(getattr(config, name))
-    (values, mat_nb), cleaner = _READINGS[name](table, settings, config.initial), Cleaner(table)
-    cleaner.keep_finite(values, reason=f"messages hold no {name}")
+    (values, mat_nb), cleaner = _READINGS[name](table, settings), Cleaner(table)
+    cleaner.keep_finite(values[:, :1], reason=f"messages hold no {name}")
     if "sensor_id" in table:
         cleaner.drop_repeated_values(values)
     cleaner.drop_repeated_times(values)
@@ -58,7 +58,7 @@ def decode_own_topic(table: Table) -> tuple[SensorColumns, list[Note]]:
     return SensorColumns(cleaner.times, cleaner.kept(values)), cleaner.notes
 
 
-def _depth(table: Table, settings: Depth, _: Initial) -> _Readings:
+def _depth(table: Table, settings: Depth) -> _Readings:
     """Return the metres below where the gauge reads nothing, shape (k, 1); the filters find where that is."""
     if "depth" in table:
         depth_m = table.column("depth")
@@ -70,7 +70,7 @@ def _depth(table: Table, settings: Depth, _: Initial) -> _Readings:
     return np.asarray(depth_m[:, None], np.float64), None
 
 
-def _heading(table: Table, settings: Heading, _: Initial) -> _Readings:
+def _heading(table: Table, settings: Heading) -> _Readings:
     """Return the true heading, shape (k, 1), and the attitude that it is part of, if it is of any.
 
     NaN where a message says that there is none.
@@ -99,38 +99,44 @@ def _heading(table: Table, settings: Heading, _: Initial) -> _Readings:
 def _magnetic_attitude(table: Table, settings: Heading) -> Floats | None:
     """Return the attitude of the IMU, from magnetic or true north, whichever the sensor knows."""
     heading_alone = settings.heading is not None and settings.quaternion is None and settings.roll is None
+    if not heading_alone and settings.angle_unit != "deg" and is_by_quaternion(table, settings):
+        raise ConfigError(
+            "heading.angle_unit is of a heading, roll and pitch, and the messages hold a quaternion",
+            "leave it out; heading.heading names an angle in its place",
+        )
     mat = None if heading_alone else attitude(table, settings)
     if mat is None or not any(settings.mounting_rpy_deg):
         return mat
     return np.asarray(mat @ mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG).T)
 
 
-def _position(table: Table, settings: Position, initial: Initial) -> _Readings:
+def _position(table: Table, settings: Position) -> _Readings:
     """Return latitude rad, longitude rad, height m, shape (k, 3): NaN where there was no fix.
 
-    A height that a fix lacks is the configured one of the start where heights are not used, and NaN where they are.
+    A fix without height is none where heights are used, and else one whose height alone is NaN.
     """
     unit = ANGLE_UNITS[settings.angle_unit]
     latitude, longitude = (of_receiver(table, name) * unit for name in ("latitude", "longitude"))
     polar = np.abs(latitude) > 0.5 * np.pi
-    if 2 * int(polar.sum()) > int(np.isfinite(latitude).sum()):
-        median = f"{np.nanmedian(latitude) / unit:.6g} {settings.angle_unit}"
+    count, known = int(polar.sum()), int(np.isfinite(latitude).sum())
+    if 2 * count > known:
+        furthest = latitude[np.nanargmax(np.abs(latitude))] / unit
         raise LogError(
-            f"the latitude is {median} in the median, and no place has it",
+            f"{count} of {known} latitudes are beyond the poles, up to {furthest:.6g} {settings.angle_unit}",
             'position.angle_unit = "deg" or "rad", or position.latitude = "field.path" names another field',
             *table.where,
         )
-    missing_m = initial.height_m if settings.height_sd_m is None else np.nan
-    height_m = table.column("height") if "height" in table else np.full(len(table), missing_m)
-    position = np.stack([latitude, longitude, np.where(np.isfinite(height_m), height_m, missing_m)], axis=1)
-    lost = (latitude == 0.0) & (longitude == 0.0) | polar
+    height_m = table.column("height") if "height" in table else np.full(len(table), np.nan)
+    position = np.stack([latitude, longitude, np.where(np.isfinite(height_m), height_m, np.nan)], axis=1)
+    needed = position[:, : 2 if settings.height_sd_m is None else 3]
+    lost = (latitude == 0.0) & (longitude == 0.0) | polar | ~np.isfinite(needed).all(axis=1)
     if "fix_status" in table:
         lost |= table.column("fix_status") < 0.0
     position[lost] = np.nan
     return position, None
 
 
-_READINGS: Final[dict[str, Callable[[Table, Any, Initial], _Readings]]] = {
+_READINGS: Final[dict[str, Callable[[Table, Any], _Readings]]] = {
     "depth": _depth,
     "heading": _heading,
     "position": _position,

@@ -85,6 +85,7 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
         text = (
             f"{both} are stamped by different clocks: log time minus stamp is "
             f"{imu.log_minus_stamp_s:.3f} s on the one and {other.log_minus_stamp_s:.3f} s on the other"
+            f"{_latency_words(imu, other)}"
         )
         to_set = (f"--set {clock.role}.stamp=log_time" for clock in (imu, other) if clock.stamp != "log_time")
         by_recorder = f"{' '.join(to_set)} stamps both by the recorder"
@@ -98,8 +99,15 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
 
 
 def _both_ways(clock: Clock) -> tuple[float, float]:
-    """Return log time minus stamp, s, with the latency taken off the stamps, as it is measured, and without."""
-    return clock.log_minus_stamp_s, clock.log_minus_stamp_s - clock.latency_s
+    """Return log time minus stamp, s, as the log has it, and with the latency taken off the stamps."""
+    return clock.log_minus_stamp_s, clock.log_minus_stamp_s + clock.latency_s
+
+
+def _latency_words(*clocks: Clock) -> str:
+    """Say what is taken off the stamps, of which the log knows nothing."""
+    return "".join(
+        f"; {clock.role}.latency_s takes {clock.latency_s:g} s off the stamps" for clock in clocks if clock.latency_s
+    )
 
 
 def stamp_unit(values: NDArray[Any], log_time_ns: TimeNs) -> tuple[int, str]:
@@ -134,7 +142,7 @@ def _unsteady_note(clock: Clock) -> Note:
 def _offset_note(clock: Clock) -> Note:
     text = (
         f"{clock.topic}: log time minus stamp '{clock.stamp}' is {clock.log_minus_stamp_s:.3f} s in the median, "
-        f"{clock.spread_s:.3f} s between its 5th and 95th percentile"
+        f"{clock.spread_s:.3f} s between its 5th and 95th percentile{_latency_words(clock)}"
     )
     return Note(f"{code_of(clock.role)}_clock_offset", text, clock.messages)
 
@@ -271,10 +279,11 @@ class Table:
         return None if is_time else values[:, 0]
 
     def clock(self) -> Clock:
-        """Compare the times of validity with the times of recording."""
+        """Compare the stamps with the times of recording; what is measured over an interval has the middle of it."""
         source = self.source
         clock = measure_clock(source.role, source.topic, source.stamp, self.time_ns(), self.columns["log_time"][:, 0])
-        return replace(clock, latency_s=source.latency_s)
+        by_log_s = clock.log_minus_stamp_s - source.latency_s
+        return replace(clock, log_minus_stamp_s=by_log_s, latency_s=source.latency_s)
 
     def damage_error(self) -> LogError:
         """Return the error with which a log is refused of which messages cannot be read."""
