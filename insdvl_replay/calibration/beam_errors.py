@@ -42,7 +42,7 @@ def pulled_by_beams(fit: Fit, dives: Sequence[DiveInnovations]) -> Floats:
         change = fit.unknowns.of_dive(fit.values, i)
         shaken = each(partial(DiveInnovations.residuals, change=change), _shaken(dive))
         moved = (np.array(list(shaken)) - near.residuals) / (STEP * near.scatter)
-        pull[fit.unknowns.rows(i)] -= np.einsum("ka,kai,jka->ij", near.weights**3, near.jacobian, moved)
+        pull[fit.unknowns.rows(i)] -= np.einsum("ka,kai,jka->ij", near.weights**3, near.by_motion, moved)
     pull[~fit.unknowns.is_free] = 0.0
     return np.asarray(fit.moved_by_scores @ pull)
 

@@ -160,9 +160,10 @@ def calibrate(
     noise = fit_noise(dives, [first.of_dive(i) for i in range(len(dives))])
     dives = [noise.applied(dive) for dive in dives]
     settled = _fitted(dives, first.unknowns.free, one_delay=one_delay, start=first.values)
-    all_at_once = seen_by_motion(settled, dives)
+    noise_shares = noise_share(settled, dives)
+    all_at_once = seen_by_motion(settled, dives, noise_shares)
     certainty = certainty_of(all_at_once, pulled_by_beams(all_at_once, dives))
-    refused = dict(_refused(certainty, mean_change(all_at_once), asked, noise_share(all_at_once)))
+    refused = dict(_refused(certainty, mean_change(all_at_once), asked, noise_shares))
     free = asked & np.array([row not in refused for row in range(len(PARAMETERS))])
     # Told with what is held free: a scale of 2 % that is held would be taken for arm and delay, beyond all their sds.
     change = np.where(free, mean_change(all_at_once), 0.0)

@@ -2,9 +2,11 @@
 
 A delay or an arm that is tried lets noise of accelerometers and gyros into the innovations, of a vehicle that lies
 still, too. Derivatives made of it look like knowledge: the delay comes to rest where innovations happen to be smallest,
-the arm near zero, and the more surely the noisier the IMU is. What is found is therefore where innovations do not go
-with the derivatives of the same dive with an averaged IMU ("instrumental variables"). Source: Fuller, "Measurement
-error models", 1987.
+the arm near zero, and the more surely the noisier the IMU is. How much of a derivative is noise is what it changes by
+beside as much noise once more ("simulation extrapolation"). Where that is not little, what is found is where
+innovations do not go with the derivative of the same dive with an averaged IMU ("instrumental variables"). Sources:
+Cook & Stefanski, "Simulation-extrapolation estimation in parametric measurement error models", 1994; Fuller,
+"Measurement error models", 1987.
 """
 
 from collections.abc import Sequence
@@ -13,17 +15,25 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.calibration.fit import OWN, Fit, Linearised
+from insdvl_replay.calibration.fit import OWN, Fit, Linearised, Mask
 from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
+from insdvl_replay.calibration.parameters import NAMES
 from insdvl_replay.core.dive_columns import Floats, ImuColumns
+from insdvl_replay.evaluation.sensor_classes import readings_scatter
 
 MOTION_S: Final = 0.5
-"""A vehicle moves slower than this; the IMU's readings that are faster are mostly noise."""
+"""Most of what moves a vehicle is slower than this; white noise mostly faster."""
+LITTLE: Final = 0.01
+"""Share of the derivative's squares up to which noise moves what is found by less than its standard deviation."""
 MOSTLY: Final = 0.5
-"""Share of the derivative's squares beyond which it is the noise's."""
+"""Share beyond which the derivative is the noise's."""
+HIDDEN: Final = 2.0
+"""Times what gyros scatter by from sample to sample, as much may be noise; what is fitted also stands for what rates do
+between samples."""
+SEED: Final = 1
 
 
-def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations]) -> Fit:
+def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations], noise_shares: Floats) -> Fit:
     """Go from where innovations are smallest to where they do not go with the vehicle's motion.
 
     Parameters
@@ -31,12 +41,14 @@ def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations]) -> Fit:
     smallest : Fit
     dives : sequence of DiveInnovations
         Those that were fitted, in the same order.
+    noise_shares : ndarray, shape (8,)
+        By `noise_share`. A derivative that is mostly noise is left to its prior, and with it what it pulls at the rest.
     """
     unknowns = smallest.unknowns
-    here = replace(smallest, dives=tuple(_by_motion(smallest, dive, i) for i, dive in enumerate(dives)))
-    shown = noise_share(here) <= MOSTLY
-    # What is mostly noise is left to its prior, and with it what it pulls at the rest.
-    here = replace(here, dives=tuple(replace(near, by_motion=near.by_motion * shown) for near in here.dives))
+    here = replace(
+        smallest,
+        dives=tuple(_by_motion(smallest, dive, i, noise_shares) for i, dive in enumerate(dives)),
+    )
     values = here.values + here.step
     values[OWN - 1 :] = np.clip(values[OWN - 1 :], -LATEST_S, LATEST_S)
     there = (
@@ -46,10 +58,27 @@ def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations]) -> Fit:
     return replace(here, values=values, dives=tuple(there))
 
 
-def noise_share(found: Fit) -> Floats:
-    """Return the share of the squares of the derivatives that is noise of the IMU, shape (8,)."""
-    noise = sum(_squares(near, near.jacobian - near.by_motion) for near in found.dives)
-    whole = sum(_squares(near, near.jacobian) for near in found.dives)
+def _by_motion(found: Fit, dive: DiveInnovations, number: int, noise_shares: Floats) -> Linearised:
+    near, noisy = found.dives[number], noise_shares > LITTLE
+    averaged_imu = _jacobian(found, without_imu_noise(dive), number, noisy)
+    by_motion = np.where(noisy, averaged_imu, near.jacobian)
+    return replace(near, by_motion=by_motion * (noise_shares <= MOSTLY))
+
+
+def noise_share(found: Fit, dives: Sequence[DiveInnovations]) -> Floats:
+    """Return the share of the squares of the derivatives that is noise of the IMU, shape (8,).
+
+    Parameters
+    ----------
+    found : Fit
+    dives : sequence of DiveInnovations
+        Those that were fitted, in the same order, with filters that take the IMU to be as noisy as it is.
+    """
+    whole = noise = np.zeros(len(NAMES))
+    for i, (dive, near) in enumerate(zip(dives, found.dives, strict=True)):
+        noisier = _jacobian(found, with_imu_noise(dive), i, found.unknowns.free)
+        whole = whole + _squares(near, near.jacobian)
+        noise = noise + _squares(near, noisier - near.jacobian)
     return np.asarray(noise / np.maximum(whole, np.finfo(float).tiny))
 
 
@@ -57,17 +86,35 @@ def _squares(near: Linearised, derivative: Floats) -> Floats:
     return np.asarray(np.einsum("ka,kai->i", near.weights, derivative**2))
 
 
-def _by_motion(found: Fit, dive: DiveInnovations, number: int) -> Linearised:
-    near = found.dives[number]
-    jacobian = without_imu_noise(dive).jacobian(found.of_dive(number), found.unknowns.free)
-    return replace(near, by_motion=jacobian / near.scatter[:, None])
+def _jacobian(found: Fit, dive: DiveInnovations, number: int, chosen: Mask) -> Floats:
+    """Differentiate as the fit does, over its scatter."""
+    return dive.jacobian(found.of_dive(number), found.unknowns.free & chosen) / found.dives[number].scatter[:, None]
+
+
+def with_imu_noise(dive: DiveInnovations) -> DiveInnovations:
+    """Return the same dive with the white noise of its IMU once more, as its filter has it."""
+    imu, noise, rng = dive.dive.imu, dive.filter.inertial_noise, np.random.default_rng(SEED)
+    root_s = np.sqrt(imu.usual_step_s)
+    shown = HIDDEN * readings_scatter(imu.angular_rate_b, imu.usual_step_s)
+    accel_mps2 = noise.accel_white_mps_rts / root_s
+    gyro_radps = min(noise.gyro_white_rad_rts, shown) / root_s
+    shape = imu.specific_force_b.shape
+    return _with_imu(
+        dive,
+        imu.specific_force_b + accel_mps2 * rng.standard_normal(shape),
+        imu.angular_rate_b + gyro_radps * rng.standard_normal(shape),
+    )
 
 
 def without_imu_noise(dive: DiveInnovations) -> DiveInnovations:
     """Return the same dive with what its IMU says on the average over `MOTION_S`."""
     imu = dive.dive.imu
     force_b, rate_b = (averaged(of_one, imu.usual_step_s) for of_one in (imu.specific_force_b, imu.angular_rate_b))
-    return replace(dive, dive=replace(dive.dive, imu=ImuColumns(imu.time_ns, force_b, rate_b)))
+    return _with_imu(dive, force_b, rate_b)
+
+
+def _with_imu(dive: DiveInnovations, force_b: Floats, rate_b: Floats) -> DiveInnovations:
+    return replace(dive, dive=replace(dive.dive, imu=ImuColumns(dive.dive.imu.time_ns, force_b, rate_b)))
 
 
 def averaged(readings: Floats, step_s: float) -> Floats:

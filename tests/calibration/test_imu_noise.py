@@ -1,11 +1,15 @@
 """Noise of the IMU is not taken for a delay or an arm, however large it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from built_in import TRUTH, ReadDive, as_read, built_in_otherwise, shown
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
-from insdvl_replay.calibration.motion import MOTION_S, averaged
+from insdvl_replay.calibration.fit import fit
+from insdvl_replay.calibration.motion import MOTION_S, averaged, noise_share
+from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.calibration.parameters import NAMES
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.table_layout import finite
@@ -23,12 +27,20 @@ def as_configured(scenario: str, grade: str, seed: int, duration_s: float | None
     return as_read(add_errors(exact, GRADES[grade], DvlErrors(), seed), load_config(grade))
 
 
-def otherwise(scenario: str, grade: str, seed: int) -> ReadDive:
-    return built_in_otherwise(scenario, seed, DvlErrors(), config=load_config(grade), grade=grade)
+def otherwise(scenario: str, grade: str, seed: int, duration_s: float | None = None) -> ReadDive:
+    return built_in_otherwise(
+        scenario, seed, DvlErrors(), duration_s=duration_s, config=load_config(grade), grade=grade
+    )
 
 
 def calibrated(read: ReadDive) -> Calibration:
     return calibrate([read.innovations()], read.config)
+
+
+def moving_average(readings: np.ndarray, samples: int) -> np.ndarray:
+    share = np.full(samples, 1.0 / samples)
+    padded = np.pad(readings, ((samples - 1, 0), (0, 0)), mode="edge")
+    return np.column_stack([np.convolve(axis, share, mode="valid") for axis in padded.T])
 
 
 def proposed(found: Calibration) -> set[str]:
@@ -54,6 +66,33 @@ def test_a_vehicle_that_does_not_turn_tells_neither_delay_nor_arm(scenario: str,
     whys = {row.parameter: row.why for row in found.rows}
     assert whys["delay"].startswith("not seen beyond the noise of this IMU")
     assert whys["arm_x"].startswith("not seen beyond the noise of this IMU")
+
+
+def test_an_imu_that_smooths_its_readings_tells_no_more() -> None:
+    """From sample to sample its noise hides."""
+    config = load_config("mems")
+    noisy = add_errors(exact_dive("static", duration_s=200.0), GRADES["mems"], DvlErrors(), 3)
+    imu = replace(
+        noisy.imu,
+        specific_force_b=moving_average(noisy.imu.specific_force_b, 8),
+        angular_rate_b=moving_average(noisy.imu.angular_rate_b, 8),
+    )
+    assert not proposed(calibrated(as_read(replace(noisy, imu=imu), config)))
+
+
+@pytest.mark.parametrize(("scenario", "grade", "share"), [("static", "mems", 1.0), ("calibration", "fog", 0.0)])
+def test_the_share_of_noise_is_known_of_a_vehicle_that_lies_still_and_of_quiet_sensors(
+    scenario: str, grade: str, share: float
+) -> None:
+    sensors = GRADES[grade]
+
+    noise = {key: getattr(sensors, key) for key in INERTIAL}
+    config = load_config(grade, overrides=[f"noise.{key}={value}" for key, value in noise.items()])
+    dive = as_read(add_errors(exact_dive(scenario, duration_s=200.0), sensors, DvlErrors(), 1), config).innovations()
+    seen = np.array([name in ("delay", "arm_x", "arm_y") for name in NAMES])
+    shares = noise_share(fit([dive], seen), [dive])
+    assert shares[seen] == pytest.approx(share, abs=0.15 * share + 1e-3)
+    assert not shares[~seen].any()
 
 
 @pytest.mark.slow
@@ -88,12 +127,15 @@ def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("grade", ["tactical", "mems"])
-@pytest.mark.parametrize("scenario", ["figure-eight", "calibration", "lawnmower"])
-def test_errors_beside_a_noisy_imu_are_as_large_as_is_said(scenario: str, grade: str) -> None:
+@pytest.mark.parametrize(
+    ("scenario", "duration_s"), [("figure-eight", None), ("calibration", None), ("lawnmower", 600.0)]
+)
+def test_errors_beside_a_noisy_imu_are_as_large_as_is_said(scenario: str, duration_s: float | None, grade: str) -> None:
     """Of delay and arm, over all that is proposed of ten dives each."""
     delay_and_arm = [NAMES.index(name) for name in ("delay", "arm_x", "arm_y", "arm_z")]
-    errors = [errors_over_sds(calibrated(as_configured(scenario, grade, seed)), NONE) for seed in range(60, 70)]
-    errors += [errors_over_sds(calibrated(otherwise(scenario, grade, seed)), BUILT_IN) for seed in range(70, 80)]
+    dives = [(as_configured(scenario, grade, seed, duration_s), NONE) for seed in range(60, 70)]
+    dives += [(otherwise(scenario, grade, seed, duration_s), BUILT_IN) for seed in range(70, 80)]
+    errors = [errors_over_sds(calibrated(read), truth) for read, truth in dives]
     of_sd = np.sqrt(np.nanmean(np.square(np.array(errors)[:, delay_and_arm])))
     assert 0.6 < of_sd < 1.5
 

@@ -16,7 +16,7 @@ TYPES = sorted(file.stem for file in (PACKAGE / "msg").glob("*.msg"))
 TABLES = {
     "ImprovementRow": "log,filter,state,unit,baseline_sd,sd,improvement_pct,status",
     "ConvergenceRow": "log,filter,state,unit,target_sd,baseline_s,reached_s,improvement_pct,status,"
-    "measured_target,measured_baseline_s,measured_s,measured_status",
+    "measured_target,measured_baseline_s,measured_s,measured_status,unchanged_s",
     "ReferenceErrorRow": "log,filter,quantity,unit,baseline_rmse,rmse,improvement_pct,baseline_final,final,samples,"
     "status",
     "ConsistencyRow": "log,filter,measurement,dof,used,rejected,mean_nis,low,high,verdict,autocorrelation,"
