@@ -75,7 +75,7 @@ def certainty_of(fit: Fit, pulled: Floats | None = None) -> Certainty:
     cov, mean_of = fit.cov, _means(fit)
     formal = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, cov, mean_of))
     moved = fit.moved_by_scores
-    sandwich = moved @ _scores_cov(fit) @ moved
+    sandwich = moved @ _scores_cov(fit) @ moved.T
     correlated = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, sandwich, mean_of))
     beams = np.zeros(len(NAMES)) if pulled is None else np.linalg.norm(mean_of @ pulled, axis=1)
     own, own_sd = one_by_one(fit)

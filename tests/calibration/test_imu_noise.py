@@ -7,7 +7,8 @@ import pytest
 from built_in import TRUTH, ReadDive, as_read, built_in_otherwise, shown
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
-from insdvl_replay.calibration.fit import fit
+from insdvl_replay.calibration.certainty import certainty_of
+from insdvl_replay.calibration.fit import Fit, Linearised, Unknowns, fit
 from insdvl_replay.calibration.motion import MOTION_S, averaged, noise_share
 from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.calibration.parameters import NAMES
@@ -147,3 +148,14 @@ def test_readings_are_averaged_around_each() -> None:
     noise = np.random.default_rng(3).standard_normal((20_000, 3))
     assert averaged(noise, 0.01).std() == pytest.approx(1.0 / np.sqrt(MOTION_S / 0.01 + 1.0), rel=0.1)
     np.testing.assert_array_equal(averaged(line, 0.6), line)
+
+
+def test_both_standard_deviations_are_alike_where_residuals_are_white() -> None:
+    """By the information and by the scores, with other derivatives of the motion than of the residuals."""
+    rng, free = np.random.default_rng(5), np.ones(len(NAMES), dtype=bool)
+    by_motion = rng.standard_normal((4000, 3, len(NAMES)))
+    jacobian = by_motion @ (np.eye(len(NAMES)) + 0.3 * rng.standard_normal((len(NAMES), len(NAMES))))
+    near = Linearised(rng.standard_normal((4000, 3)), np.ones(3), jacobian, by_motion)
+    unknowns = Unknowns(1, one_delay=False, free=free)
+    certainty = certainty_of(Fit(unknowns, np.zeros(unknowns.count), (near,)))
+    assert certainty.correlated == pytest.approx(certainty.formal, rel=0.2)
