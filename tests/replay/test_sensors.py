@@ -117,6 +117,24 @@ def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
     assert refusal.value.hint.endswith("`insdvl-replay inspect` lists the topics"), "it proposes none for sensors"
 
 
+@pytest.mark.parametrize(
+    ("settings", "fields"),
+    [
+        (Position("/pressure"), 'position.latitude = "field.path" and position.longitude = "field.path"'),
+        (Heading("/pressure"), 'heading.heading = "field.path" or heading.quaternion = "field.path"'),
+    ],
+    ids=["both", "either"],
+)
+def test_a_topic_of_another_type_is_told_with_the_fields_that_it_takes(
+    tmp_path: Path, settings: Heading | Position, fields: str
+) -> None:
+    write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0, depth=SensorErrors(1.0, 1.0)))
+    name = type(settings).__name__.lower()
+    with pytest.raises(LogError, match=f"not known as a type for {name}.topic") as refusal:
+        read_dive(tmp_path / "dive.mcap", config(name, **{name: settings}))
+    assert f'set {name}.topic = "/topic" with {fields};' in refusal.value.hint
+
+
 def test_a_latitude_in_another_unit_is_told_by_its_number(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0, position=SensorErrors(1.0)))
     with pytest.raises(LogError, match=r"31 of 31 latitudes are beyond the poles, up to 32\.8\d* rad") as refusal:
