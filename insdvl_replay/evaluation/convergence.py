@@ -10,7 +10,7 @@ from insdvl_replay.core.dive_columns import Floats, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.rows import ConvergenceRow
 from insdvl_replay.core.words import ConvergenceStatus
-from insdvl_replay.evaluation.believed import SAME_PCT, believed_states, improvement_pct, last_row
+from insdvl_replay.evaluation.believed import believed_states, improvement_pct, last_row
 from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
 
 NOT_MEASURED: Final[Mapping[str, Mapping[str, MeasuredConvergence]]] = MappingProxyType({})
@@ -44,8 +44,7 @@ def convergence_table(
             target, baseline_s = float(baseline.sd[last, state.index]), _since_start_s(baseline, last)
             told = pings & np.isfinite(candidate.sd[:, state.index]) if candidate.is_read else pings
             time_s = seconds(candidate.time_ns[told], candidate.time_ns[0])
-            sd = candidate.sd[told, state.index]
-            reached_s, status = time_to_stay_below(time_s, sd, _same_or_target(target, sd[-1:]))
+            reached_s, status = time_to_stay_below(time_s, candidate.sd[told, state.index], target)
             faster_pct = improvement_pct(baseline_s, reached_s) if status == ConvergenceStatus.REACHED else float("nan")
             named = log, candidate.filter, state.id, state.unit
             predicted = target / state.factor, baseline_s, reached_s, faster_pct
@@ -59,15 +58,6 @@ def _stays_s(baseline: History, last: int, state: int) -> float:
     pings = np.flatnonzero(baseline.updated[: last + 1] | (baseline.time_ns[: last + 1] == baseline.time_ns[0]))
     time_s = seconds(baseline.time_ns[pings], baseline.time_ns[0])
     return time_to_stay_below(time_s, baseline.sd[pings, state], float(baseline.sd[last, state]))[0]
-
-
-def _same_or_target(target: float, last_sd: Floats) -> float:
-    """Return what a candidate is to reach: what it ends with, where the table of improvement calls that the same.
-
-    Else rounding would decide whether a candidate that changes nothing is as sure as the baseline once, or never.
-    """
-    same = last_sd[last_sd < target * (1.0 + SAME_PCT / 100.0)]
-    return max(target, float(same[0])) if len(same) else target
 
 
 def _since_start_s(history: History, row: int) -> float:
