@@ -108,7 +108,7 @@ def load_own_measurement(word: str) -> OwnMeasurement:
     module, _, name = word.partition(":")
     try:
         imported: Any = importlib.import_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         kind = "" if isinstance(error, ImportError) else f"{type(error).__name__}: "
         raise ValueError(f"cannot be imported: {kind}{error}") from error
     if not hasattr(imported, name):
@@ -119,7 +119,7 @@ def load_own_measurement(word: str) -> OwnMeasurement:
         raise ValueError("is no class derived from OwnMeasurement")
     try:
         own = found()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"cannot be made without arguments: {error}") from error
     _require_words(own)
     _require_methods(own)
@@ -147,13 +147,13 @@ def _require_words(own: OwnMeasurement) -> None:
 def compiled_prediction(predict: Predict) -> Predict | None:
     """Compile a prediction so that `joined` can call it; None where it cannot be, or where nothing is compiled."""
     import numba
-    from numba.core import config, errors
+    from numba.core import config
 
     if getattr(config, "DISABLE_JIT", False):
         return None
     try:
         made: Any = numba.njit(_signature(), error_model="numpy")(plain(predict))
-    except errors.NumbaError:
+    except Exception:  # some of what numba cannot do it says by errors of its own, some by Python's
         return None
     found: Predict = made
     return found
@@ -215,7 +215,8 @@ def checked_readings(readings: OwnReadings) -> OwnReadings:
     """
     time_ns, values = np.asarray(readings.time_ns), _numbers("values", readings.values)
     if values.ndim != 2 or not 1 <= values.shape[1] <= 4 or time_ns.shape != values.shape[:1]:
-        raise ValueError(f"gives times and values of shapes {time_ns.shape} and {values.shape}, not (k,) and (k, s)")
+        shapes = f"{time_ns.shape} and {values.shape}"
+        raise ValueError(f"gives times and values of shapes {shapes}, not (k,) and (k, s), s from 1 to 4")
     if time_ns.dtype != np.int64 or np.any(np.diff(time_ns) <= 0):
         raise ValueError("gives times that are not increasing int64 nanoseconds")
     sd = _numbers("sd", readings.sd)

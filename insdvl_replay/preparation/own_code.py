@@ -49,12 +49,12 @@ def called(word: str, own: OwnMeasurement, what: str, call: Callable[[], _T], hi
         return call()
     except UserError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # one that leaves would end the run without a word
         said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         raise ConfigError(f"{word}: {what} fails{_line(own, error)}: {said}", hint) from error
 
 
-def _line(own: OwnMeasurement, error: Exception) -> str:
+def _line(own: OwnMeasurement, error: BaseException) -> str:
     """Say where in the user's module it happened."""
     file = getattr(sys.modules[type(own).__module__], "__file__", None)
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]

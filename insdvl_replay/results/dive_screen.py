@@ -7,8 +7,8 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER, NAMES, WITHHELD_QUANTITIES
-from insdvl_replay.core.rows import EvidenceRow
+from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER, NAMES, WITHHELD_QUANTITIES, is_beam
+from insdvl_replay.core.rows import ConsistencyRow, EvidenceRow
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement
@@ -64,16 +64,28 @@ def _and_notes(report: Report) -> str:
 
 def facts(report: Report) -> str:
     """State in one line what was replayed."""
-    pings = next((row for row in report.tables.consistency if row.measurement == "velocity"), None)
     starts = max((row.starts for row in report.tables.evidence), default=0)
-    compared = max((row.samples for row in report.tables.reference_error), default=0)
+    # A solution that was read may speak of a part of the dive, or of nothing: of the baseline all is compared.
+    of_baseline = [row.samples for row in report.tables.drift if row.filter == report.baseline]
+    compared = max([row.samples for row in report.tables.reference_error] + of_baseline, default=0)
     said = [
         f"{report.log.duration_s:.0f} s",
-        f"{pings.used + pings.rejected} velocities, {pings.rejected} rejected" if pings else "no velocities",
+        _readings_of_dvl(report.tables.consistency),
         f"reference {compared / report.log.duration_s:.2g} Hz" if has_reference(report) else "no reference",
         *([counted(starts, "start")] if starts and has_reference(report) else []),
     ]
     return f"{report.log.name}: {', '.join(said)}"
+
+
+def _readings_of_dvl(rows: Sequence[ConsistencyRow]) -> str:
+    """Count what the first filter met that takes velocities, or beams where none does."""
+    velocity = next((row for row in rows if row.measurement == "velocity"), None)
+    if velocity is not None:
+        return f"{velocity.used + velocity.rejected} velocities, {velocity.rejected} rejected"
+    of_beams = [row for row in rows if is_beam(row.measurement)]
+    of_one = [row for row in of_beams if row.filter == of_beams[0].filter]
+    rejected = sum(row.rejected for row in of_one)
+    return f"{sum(row.used for row in of_one) + rejected} beams, {rejected} rejected" if of_one else "no velocities"
 
 
 def shouted(judgement: str) -> str:

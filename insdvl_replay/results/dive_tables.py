@@ -135,7 +135,7 @@ def _evidence(report: Report, name: str, rows: Sequence[EvidenceRow]) -> Iterato
 
 def word_in_table(row: EvidenceRow) -> str:
     """Return the word on a piece of evidence, in brackets where it has no vote."""
-    return row.word if row.quantity in DECIDING else f"({row.word})"
+    return row.word if row.quantity in DECIDING or not row.word else f"({row.word})"
 
 
 def is_read(report: Report, name: str) -> bool:

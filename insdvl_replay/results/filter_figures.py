@@ -223,7 +223,7 @@ def nis_figure(histories: Sequence[History], clock: Clock, interval: Interval) -
 
 def _nis_panel(name: str, style: str, innovations: Innovations, clock: Clock, interval: Interval) -> Panel:
     time = clock.time(innovations.time_ns)
-    rejected = np.where(innovations.used, np.nan, innovations.nis)
+    rejected = np.where(innovations.used | innovations.is_withheld, np.nan, innovations.nis)
     return Panel(
         f"{name}: NIS of the {innovations.measurement}",
         clock.label,

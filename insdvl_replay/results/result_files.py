@@ -10,7 +10,8 @@ from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.plain_text import visible
-from insdvl_replay.core.quantities import is_whole
+from insdvl_replay.core.quantities import WITHHELD, is_whole
+from insdvl_replay.core.rows import ConsistencyRow
 from insdvl_replay.core.runtime import begin
 from insdvl_replay.core.sensors import DVL_AIDING
 from insdvl_replay.core.tables import each_table
@@ -159,7 +160,7 @@ def _log_lines(report: Report) -> Iterator[str]:
     yield f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock"
     for row in report.tables.consistency:
         if is_whole(row.measurement):
-            yield f"filter {row.filter}: {row.used} {row.measurement} updates, {row.rejected} rejected by the gate"
+            yield f"filter {row.filter}: {_counts(row)}"
     for candidate in report.filters.values():
         yield candidate.verdict
     if not has_reference(report):
@@ -167,3 +168,9 @@ def _log_lines(report: Report) -> Iterator[str]:
     for note in report.notes:
         hint = f" (hint: {note.hint})" if note.hint else ""
         yield f"{note.severity} {note.code} [{note.count}]: {note.text}{hint}"
+
+
+def _counts(row: ConsistencyRow) -> str:
+    if row.measurement.startswith(WITHHELD):
+        return f"{row.rejected} readings of {row.measurement.removeprefix(WITHHELD)} withheld, and compared alone"
+    return f"{row.used} {row.measurement} updates, {row.rejected} rejected by the gate"

@@ -219,6 +219,29 @@ def test_three_candidates_have_a_row_each() -> None:
     assert [line.split()[0] for line in text.split("\n")[3:6]] == list(filters)
 
 
+def test_the_reference_keeps_its_rate_beside_a_solution_that_says_little() -> None:
+    made = report()
+    little = [replace(row, samples=row.samples // 4) for row in made.tables.reference_error]
+    text = rendered(
+        list(dive_screen(replace(made, tables=replace(made.tables, reference_error=little)), "report.html"))
+    )
+    assert "reference 1 Hz" in screen_lines(text)[0]
+
+
+def test_beams_are_counted_where_no_filter_takes_velocities() -> None:
+    made = report()
+    velocity = made.tables.consistency[0]
+    met = [(name, beam) for name in ("baseline", "aided") for beam in ("beam_1", "beam_2")]
+    rows = [replace(velocity, filter=name, measurement=beam, used=420, rejected=4) for name, beam in met]
+    for used, said in (
+        (rows, "848 beams, 8 rejected"),
+        ([], "no velocities"),
+        ([*rows, velocity], "424 velocities, 0"),
+    ):
+        tables = replace(made.tables, consistency=used)
+        assert said in rendered(list(dive_screen(replace(made, tables=tables), "report.html")))
+
+
 def test_two_candidates_fit_a_screen_though_their_sentences_fold() -> None:
     made = report()
     filters = dict.fromkeys(("windowed_acceleration", "published_acceleration"), made.filters["aided"])

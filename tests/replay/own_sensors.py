@@ -1,6 +1,7 @@
 """Measurements of a user's own, as `test_own_measurement` names them."""
 
 import math
+import sys
 
 import numba
 import numpy as np
@@ -72,6 +73,18 @@ class PlainSpeed(Speed):
         velocity = {"n": ins[3], "e": ins[4], "d": ins[5]}
         z[0] = math.sqrt(sum(component**2 for component in velocity.values()))
         H[0, :3] = np.array(list(velocity.values())) / z[0]
+
+
+class ImportingSpeed(Speed):
+    """The same by a module that it imports itself, which the compiler tells by an error that is none of its own."""
+
+    @staticmethod
+    def predict(ins: Floats, z: Floats, H: Floats) -> None:
+        """Write |v|, and v / |v|."""
+        import math as own_math
+
+        z[0] = own_math.sqrt(ins[3] ** 2 + ins[4] ** 2 + ins[5] ** 2)
+        H[0, :3] = ins[3:6] / z[0]
 
 
 class Deep(OwnMeasurement):
@@ -242,6 +255,23 @@ class Unreturned(Speed):
     def readings(self, dive: Dive) -> OwnReadings:
         """Forget them."""
         return None  # type: ignore[return-value]
+
+
+class Leaving(Speed):
+    """Readings that leave the program."""
+
+    def readings(self, dive: Dive) -> OwnReadings:
+        """Leave as scripts do."""
+        sys.exit("no file of ranges")
+
+
+class Six(Speed):
+    """Readings of more components than a filter takes."""
+
+    def readings(self, dive: Dive) -> OwnReadings:
+        """Repeat them."""
+        found = super().readings(dive)
+        return OwnReadings(found.time_ns, np.repeat(found.values, 6, axis=1), np.repeat(found.sd, 6))
 
 
 class Misspelt(Speed):

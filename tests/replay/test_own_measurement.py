@@ -43,12 +43,13 @@ def test_it_is_met_judged_and_shown() -> None:
     assert not [note for note in replay.notes if note.code == "own_measurement_plain"]
 
 
-def test_what_cannot_be_compiled_gives_the_same_and_says_so() -> None:
-    compiled, plain = replayed("own_sensors:Speed", 20.0), replayed("own_sensors:PlainSpeed", 20.0)
+@pytest.mark.parametrize("name", ["PlainSpeed", "ImportingSpeed"])
+def test_what_cannot_be_compiled_gives_the_same_and_says_so(name: str) -> None:
+    compiled, plain = replayed("own_sensors:Speed", 20.0), replayed(f"own_sensors:{name}", 20.0)
     np.testing.assert_allclose(plain.histories[1].velocity_n, compiled.histories[1].velocity_n, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(plain.histories[1].sd, compiled.histories[1].sd, rtol=1e-9)
     (note,) = [note for note in plain.notes if note.code == "own_measurement_plain"]
-    assert "PlainSpeed cannot be compiled" in note.text
+    assert f"{name} cannot be compiled" in note.text
 
 
 def test_what_its_author_has_compiled_is_compiled_with_the_filter() -> None:
@@ -65,6 +66,8 @@ def test_what_its_author_has_compiled_is_compiled_with_the_filter() -> None:
         ("own_sensors:NOT_A_CLASS", "is no class derived from OwnMeasurement"),
         ("own_sensors:Three", "has the name 'three_x', which is no word for a row of a table"),
         ("own_sensors:Flat", r"of shapes \(101,\) and \(101,\)"),
+        ("own_sensors:Six", r"of shapes \(101,\) and \(101, 6\), not \(k,\) and \(k, s\), s from 1 to 4"),
+        ("own_sensors:Leaving", r"fails in line \d+ of \S*own_sensors.py: SystemExit: no file of ranges"),
         ("own_sensors:Late", "has no reading between the start of the replay and its end"),
         ("own_sensors:Sped", "is not in own_sensors, which has Speed"),
         (":Speed", "cannot be imported: ValueError: Empty module name"),
@@ -88,6 +91,13 @@ def test_a_module_that_is_no_python_is_told(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ConfigError, match=r"no_python:X cannot be imported: SyntaxError: .*line 1"):
         replayed("no_python:X", 20.0)
+
+
+def test_a_module_that_leaves_as_it_is_imported_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a_script.py").write_text("import sys\n\nsys.exit()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ConfigError, match="a_script:X cannot be imported: SystemExit"):
+        replayed("a_script:X", 20.0)
 
 
 def test_one_that_ends_early_is_told_by_its_name() -> None:

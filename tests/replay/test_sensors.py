@@ -23,6 +23,7 @@ from insdvl_replay.logs.writing.dive_log import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_one
 from insdvl_replay.replay import Replay, replay_dive, replay_log
+from insdvl_replay.results.filter_figures import Clock, nis_figure
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 from insdvl_replay.sim.sensors import SensorErrors
@@ -77,6 +78,10 @@ def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
         met = next(one for one in history.innovations if one.measurement == "withheld_depth")
         assert len(met.nis) == 1600
         assert not met.used.any()
+    drawn = nis_figure(replay.histories, Clock(0, 10**12), lambda dof: (0.0, 1.0)).panels
+    for panel in drawn:  # what no gate has rejected is not marked so
+        assert np.isnan(panel.curves[1].y).all()
+    assert [panel.title for panel in drawn][-1] == "candidate: NIS of the withheld_depth"
     np.testing.assert_array_equal(replay.histories[0].velocity_n, replay.histories[1].velocity_n)
     assert [note.text for note in replay.notes if note.code == "depth_withheld"] == [
         "the depth is withheld, and does not aid candidate"
@@ -110,6 +115,24 @@ def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="has no topic for the depth: no message is of a type known") as refusal:
         read_dive(tmp_path / "dive.mcap", config("depth"))
     assert refusal.value.hint.endswith("`insdvl-replay inspect` lists the topics"), "it proposes none for sensors"
+
+
+@pytest.mark.parametrize(
+    ("settings", "fields"),
+    [
+        (Position("/pressure"), 'position.latitude = "field.path" and position.longitude = "field.path"'),
+        (Heading("/pressure"), 'heading.heading = "field.path" or heading.quaternion = "field.path"'),
+    ],
+    ids=["both", "either"],
+)
+def test_a_topic_of_another_type_is_told_with_the_fields_that_it_takes(
+    tmp_path: Path, settings: Heading | Position, fields: str
+) -> None:
+    write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0, depth=SensorErrors(1.0, 1.0)))
+    name = type(settings).__name__.lower()
+    with pytest.raises(LogError, match=f"not known as a type for {name}.topic") as refusal:
+        read_dive(tmp_path / "dive.mcap", config(name, **{name: settings}))
+    assert f'set {name}.topic = "/topic" with {fields};' in refusal.value.hint
 
 
 def test_a_latitude_in_another_unit_is_told_by_its_number(tmp_path: Path) -> None:

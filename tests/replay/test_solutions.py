@@ -307,6 +307,13 @@ def test_what_cannot_be_a_solution_is_refused(
     assert caught.value.hint
 
 
+def test_a_file_that_is_named_as_a_topic_is_told_its_key(dive: Dive, tmp_path: Path) -> None:
+    write_dive(tmp_path / "dive.mcap", dive)
+    with pytest.raises(LogError) as caught:
+        read_dive(tmp_path / "dive.mcap", config(Solution(topic="flown.tum", align="heading")))
+    assert caught.value.hint == 'a file is filters.onboard.solution.file = "flown.tum"'
+
+
 def test_the_only_odometry_is_not_the_reference_if_it_is_a_solution(dive: Dive, tmp_path: Path) -> None:
     """Found by type it would be both, and free of error."""
     write_dive(tmp_path / "dive.mcap", replace(dive, reference=None))

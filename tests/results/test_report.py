@@ -216,6 +216,7 @@ def test_a_word_without_a_vote_stands_in_brackets(quantity: str, shown: str) -> 
     row = replace(tables().evidence[0], quantity=quantity, word="undecided")
     assert word_in_table(row) == shown
     assert f"| {shown} |" in as_markdown(dive_document(replace(report(), tables=replace(tables(), evidence=[row]))))
+    assert not word_in_table(replace(row, word="")), "what is not judged has no word"
 
 
 def test_markdown_tables_have_one_cell_per_column() -> None:
@@ -253,6 +254,15 @@ def test_summary_has_a_row_for_each_log_and_a_reason_for_a_failed_one() -> None:
     assert (rows[0]["position_h_baseline_rmse_m"], rows[0]["position_h_rmse_m"]) == ("1.25", "1.5")
     assert rows[0]["verdicts"] == "velocity consistent; acceleration over-confident; errors over-confident"
     assert rows[1]["reason"] == "two.mcap: is empty"
+
+
+def test_run_log_does_not_call_rejected_what_was_withheld() -> None:
+    made = report()
+    withheld = replace(made.tables.consistency[0], measurement="withheld_heading", used=0, rejected=2120)
+    text = run_log(replace(made, tables=replace(made.tables, consistency=[*made.tables.consistency, withheld])))
+    assert "filter baseline: 424 velocity updates, 0 rejected by the gate" in text
+    assert "filter baseline: 2120 readings of heading withheld, and compared alone" in text
+    assert "2120 rejected" not in text
 
 
 def test_run_log_names_every_channel_and_note() -> None:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.config_navigation import Solution
+from insdvl_replay.core.config_navigation import Solution, key_of
 from insdvl_replay.core.dive_columns import (
     DvlColumns,
     ImuColumns,
@@ -300,6 +300,8 @@ class _Topics:
             meant = nearest(topic, self._channels)
             there_are = f"those with messages are {listed(sorted(self._channels))}"
             hint = there_are if self._channels else self._nothing_recorded()
+            if key.endswith(".solution.topic") and key_of(topic) == "file":
+                hint, meant = f'a file is {key.removesuffix("topic")}file = "{topic}"', None
             raise LogError(
                 f"has no messages on topic '{topic}' ({key})",
                 f'the nearest is {key} = "{meant}"' if meant else hint,

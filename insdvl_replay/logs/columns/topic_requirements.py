@@ -171,8 +171,8 @@ class TopicRequirement:
         if not self.paths:
             return f"known are {', '.join(name for types in (*self.by_type, self.if_named) for name in types)}"
         section = self.role
-        needed = sorted({quantity for quantities in self.enough for quantity in quantities})
-        joined = (" and " if section == "imu" else " or ").join(f'{section}.{name} = "field.path"' for name in needed)
+        ways = sorted(sorted(quantities) for quantities in self.enough)
+        joined = " or ".join(" and ".join(f'{section}.{name} = "field.path"' for name in way) for way in ways)
         does = "proposes what to set" if section in PROPOSED else "lists the topics"
         return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` {does}'
 
