@@ -25,7 +25,7 @@ class Reason(StrEnum):
     """Outside, but so near to what is expected that it does not matter."""
     EXACT_START = "as from an exact start"
     """Below: a filter that starts on the reference errs less than it allows for, for as long as it remembers that."""
-    ONE_SAMPLE = "what stays is one sample"
+    ONE_SAMPLE = "a difference that stays is one sample"
     """Below, but an error of the filter that stays tells of itself once, and may be small by chance."""
     BEYOND_3_SD = "many beyond 3 sd"
     """Inside, but more errors than chance allows are beyond three standard deviations."""

@@ -165,7 +165,7 @@ def _measured(candidate: str, baseline: str, judgement: Judgement, evidence: Seq
     """State what was measured, by the pieces of evidence that decided, or those that could have."""
     named = "; ".join(map(_in_words, spoken_of(judgement, evidence))) or "there is nothing to measure it by"
     left = left_undecided(judgement, evidence)
-    return f"{candidate} {AGAINST[judgement]} {baseline}: {named}{left}{_on_honesty(evidence)}"
+    return f"{candidate} {AGAINST[judgement]} {baseline}: {named}{left}{_on_honesty(judgement, evidence)}"
 
 
 def left_undecided(judgement: Judgement, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
@@ -215,11 +215,13 @@ def _in_words(row: EvidenceRow) -> str:
     return f"{changed(row.quantity, ratio)} ({values}; 95 %: {interval_in_words(row.ratio, row.low, row.high)})"
 
 
-def _on_honesty(evidence: Sequence[EvidenceRow]) -> str:
-    words = {row.word for row in evidence if row.evidence == HONESTY}
-    if EvidenceWord.BETTER in words and EvidenceWord.WORSE not in words:
-        return "; and it is more honest"
-    return "; but it is less honest" if EvidenceWord.WORSE in words and EvidenceWord.BETTER not in words else ""
+def _on_honesty(judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
+    words = {row.word for row in evidence if row.evidence == HONESTY} & {EvidenceWord.BETTER, EvidenceWord.WORSE}
+    if len(words) != 1:
+        return ""
+    is_more = EvidenceWord.BETTER in words
+    joined = "but" if is_more == (judgement == Judgement.WORSE) else "and"
+    return f"; {joined} it is {'more' if is_more else 'less'} honest"
 
 
 def _median_pct(tables: Tables, candidate: str) -> float:

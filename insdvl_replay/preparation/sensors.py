@@ -129,6 +129,7 @@ def withheld_notes(config: Config) -> tuple[Note, ...]:
         Note(
             f"{sensor}_withheld",
             f"the {sensor} is withheld, and does not aid {', '.join(names)}",
+            severity=Severity.WARNING,
             hint=f'take "{sensor}" out of evaluation.withheld',
         )
         for sensor, names in named.items()

@@ -197,8 +197,7 @@ def _first_ns(motion: ReferenceColumns, quantity: str, key: str, baseline: Histo
 
 def _heading_at(time_ns: TimeNs, mat_nb: Floats, at_ns: int) -> float:
     known = np.isfinite(mat_nb).all(axis=(1, 2))
-    heading = np.unwrap(rpy_from_mat(mat_nb[known])[:, 2])
-    return float(at_time(time_ns[known], heading[:, None], at_ns)[0])
+    return float(at_time(time_ns[known], np.unwrap(rpy_from_mat(mat_nb[known])[:, 2])[:, None], at_ns)[0])
 
 
 def _turned(solution: SolutionColumns, mat: Floats) -> SolutionColumns:
@@ -289,8 +288,7 @@ def _told_at(solution: SolutionColumns, at_ns: TimeNs, told: Floats) -> Floats:
     """Return of covariances, shape (c, ...), the last one before, or at, each time; the first before that."""
     if not len(told):
         return nothing((len(at_ns), *told.shape[1:]))
-    rows = np.searchsorted(solution.cov_ns, at_ns, side="right") - 1
-    return told[np.clip(rows, 0, None)]
+    return told[np.clip(np.searchsorted(solution.cov_ns, at_ns, side="right") - 1, 0, None)]
 
 
 def _coverage_notes(name: str, motion: ReferenceColumns, baseline: History) -> Iterator[Note]:
@@ -298,7 +296,9 @@ def _coverage_notes(name: str, motion: ReferenceColumns, baseline: History) -> I
     start_ns, end_ns = int(baseline.time_ns[0]), int(baseline.time_ns[-1])
     never = [quantity for quantity in QUANTITIES if not motion.known[quantity].any()]
     if never:
-        yield Note("solution_lacks", f"filters.{name}.solution says nothing of {' and '.join(never)}", len(never))
+        severity = Severity.WARNING if len(never) == len(QUANTITIES) else Severity.INFO
+        lacking = " and ".join(never)
+        yield Note("solution_lacks", f"filters.{name}.solution says nothing of {lacking}", len(never), severity)
     alike: dict[str, list[str]] = {}
     for quantity in (one for one in QUANTITIES if one not in never):
         share = covered_share(motion.time_ns, motion.known[quantity], start_ns, end_ns)

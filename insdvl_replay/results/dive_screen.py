@@ -143,7 +143,15 @@ def _believed(candidate: Candidate) -> str:
     word = candidate.belief or Belief.UNDECIDED
     unchanged = candidate.mean_convergence_unchanged_pct
     zero = "" if unchanged is None or not math.isfinite(unchanged) else f" ({percent(unchanged)} without any change)"
-    return f"it believes in {percent(smaller)} smaller errors, {percent(sooner)} faster convergence{zero}: {word}"
+    errors, convergence = _gained(smaller, "smaller", "larger"), _gained(sooner, "faster", "slower")
+    return f"it believes in {errors} errors, {convergence} convergence{zero}: {word}"
+
+
+def _gained(change: float | None, gain: str, loss: str) -> str:
+    """Say a change in percent by the word that makes it a positive number."""
+    if change is not None and change < 0.0:
+        return f"{percent(-change)} {loss}"
+    return f"{percent(change)} {gain}"
 
 
 def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:

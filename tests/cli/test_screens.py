@@ -228,6 +228,13 @@ def test_the_reference_keeps_its_rate_beside_a_solution_that_says_little() -> No
     assert "reference 1 Hz" in screen_lines(text)[0]
 
 
+def test_a_belief_in_larger_errors_is_told_without_a_sign() -> None:
+    made = report()
+    lost = replace(made.filters["aided"], mean_improvement_pct=-66.9, mean_convergence_improvement_pct=-2.04)
+    text = rendered(list(dive_screen(replace(made, filters={"aided": lost}), "report.html")))
+    assert "it believes in 66.9 % larger errors, 2.0 % slower convergence" in " ".join(text.split())
+
+
 def test_beams_are_counted_where_no_filter_takes_velocities() -> None:
     made = report()
     velocity = made.tables.consistency[0]

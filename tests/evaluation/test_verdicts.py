@@ -150,12 +150,14 @@ def test_sentence_holds_the_numbers_that_it_was_judged_by() -> None:
     sentence = judged(["worse"], 40.0, (1.75, 1.5, 2.0), of_aided="over-confident", honesty="worse").verdict
     assert sentence.startswith(
         "aided is WORSE than baseline: drift in 30 s 75.0 % larger (2 m, now 3.5 m; 95 %: +50.0 to +100.0 %); "
-        "but it is less honest. It believes in 40.0 % smaller errors, and that is NOT borne out. "
+        "and it is less honest. It believes in 40.0 % smaller errors, and that is NOT borne out. "
     )
 
 
 def test_better_and_more_honest_and_better_than_believed_can_be_said() -> None:
     assert "; and it is more honest." in judged(["better"], honesty="better").verdict
+    assert "; but it is more honest." in judged(["worse"], honesty="better").verdict
+    assert "; but it is less honest." in judged(["better"], honesty="worse").verdict
     assert "It believes in 30.0 % larger errors. " in judged(["better"], -30.0).verdict
 
 

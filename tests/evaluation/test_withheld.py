@@ -90,7 +90,7 @@ def test_a_heading_is_taken_as_it_is_in_degrees() -> None:
     off = np.full((100, 1), np.deg2rad(3.0))
     row = word("heading", off, 2.0 * off, np.deg2rad(0.1))
     assert (row.baseline, row.value, row.unit) == (pytest.approx(3.0), pytest.approx(6.0), "deg")
-    assert row.word == "undecided"  # what stays is one sample
+    assert row.word == "undecided"  # a difference that stays is one sample
 
 
 def test_a_depth_has_no_vote_and_what_was_used_is_no_evidence() -> None:

@@ -117,6 +117,19 @@ def test_a_tum_file_is_read_in_either_axes(dive: Dive, tmp_path: Path, axes: str
     assert "solution_lacks" in codes(replay)
 
 
+def test_a_file_without_a_number_is_a_warning(dive: Dive, tmp_path: Path) -> None:
+    told, _ = slow_errors(truth_of(dive))
+    write_tum(tmp_path / "own.tum", told)
+    lines = [line.split()[0] + " nan" * 7 for line in (tmp_path / "own.tum").read_text("utf-8").splitlines()]
+    (tmp_path / "own.tum").write_text("\n".join(lines), "utf-8")
+    [lacks] = [
+        note
+        for note in replayed(tmp_path, dive, config(Solution(file=str(tmp_path / "own.tum")))).notes
+        if note.code == "solution_lacks"
+    ]
+    assert (lacks.severity, lacks.count) == ("warning", 3)
+
+
 def correlated(told: Told, seed: int, factor: float = 1.0) -> tuple[Told, dict[str, Floats]]:
     """White errors as the covariances say, times a factor: the twist's in the body, the pose's in its frame."""
     rng, count = np.random.default_rng(seed), len(told.time_ns)
