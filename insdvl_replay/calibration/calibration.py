@@ -39,8 +39,9 @@ from insdvl_replay.core.words import Estimated
 
 LEAST_SEEN: Final = {"mounting": 4.0, "scale": 30.0}
 """Signal to noise from which something is moved, where it is not `SEEN`: how a filter finds its level looks like a
-mounting, which a straight line shows with up to 3.3; a DVL that smooths, or stamps that jitter, look like a smaller
-scale."""
+mounting, which a straight line shows with up to 3.3, and more where it is long beside accelerometers so steady that
+they feel gravity grow with the depth that a pitched DVL claims (4.6 in 600 s, 9 in 1800 s); a DVL that smooths, or
+stamps that jitter, look like a smaller scale."""
 SMOOTHED: Final = "seen, but not beyond what a DVL that smooths would look like"
 NOISE_ALONE: Final = "not seen beyond the noise of this IMU"
 BELIEVABLE_SDS: Final = 3.0
@@ -163,7 +164,7 @@ def calibrate(
     noise_shares = noise_share(settled, dives)
     all_at_once = seen_by_motion(settled, dives, noise_shares)
     certainty = certainty_of(all_at_once, pulled_by_beams(all_at_once, dives))
-    refused = dict(_refused(certainty, mean_change(all_at_once), asked, noise_shares))
+    refused = dict(_refused(certainty, mean_change(all_at_once), asked, noise_shares.min(axis=0)))
     free = asked & np.array([row not in refused for row in range(len(PARAMETERS))])
     # Told with what is held free: a scale of 2 % that is held would be taken for arm and delay, beyond all their sds.
     change = np.where(free, mean_change(all_at_once), 0.0)

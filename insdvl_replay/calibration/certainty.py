@@ -3,7 +3,7 @@
 The formal one believes that innovations are white; the second allows for their correlation; the third is what the dives
 differ by. The largest counts. Sources: Newey and West, "A simple, positive semi-definite, heteroskedasticity and
 autocorrelation consistent covariance matrix", 1987; Birge, "The calculation of errors by the method of least squares",
-1932.
+1932; DerSimonian and Laird, "Meta-analysis in clinical trials", 1986, for the mean of what differs from dive to dive.
 """
 
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.calibration.fit import SHARED, Fit, Linearised
-from insdvl_replay.calibration.parameters import DELAY, NAMES, PRIOR_SD
+from insdvl_replay.calibration.parameters import DELAY, NAMES
 from insdvl_replay.core.dive_columns import Floats
 
 FEWEST_DIVES: Final = 2
@@ -27,7 +27,7 @@ class Certainty:
     Attributes
     ----------
     prior_sd : ndarray, shape (p,)
-        How far papers may be off.
+        How far papers may be off; of a mean over dives, less.
     formal, correlated, between : ndarray, shape (p,)
         By the information, by the correlation of the innovations, and by how the dives differ; the last is NaN of fewer
         than `FEWEST_DIVES`.
@@ -80,12 +80,56 @@ def certainty_of(fit: Fit, pulled: Floats | None = None) -> Certainty:
     beams = np.zeros(len(NAMES)) if pulled is None else np.linalg.norm(mean_of @ pulled, axis=1)
     own, own_sd = one_by_one(fit)
     n = len(own)
+    # Behind a mean of delays that are each dive's own stand as many priors.
+    prior_sd = np.sqrt(mean_of**2 @ fit.unknowns.prior_sd**2)
     if n < FEWEST_DIVES:
         unknown = np.full(len(NAMES), np.nan)
-        return Certainty(PRIOR_SD, formal, correlated, unknown, unknown, beams)
-    off = own - np.average(own, axis=0)
-    birge = np.sqrt(np.sum((off / own_sd) ** 2, axis=0) / (n - 1))
-    return Certainty(PRIOR_SD, formal, correlated, own.std(axis=0, ddof=1) / np.sqrt(n), birge, beams)
+        return Certainty(prior_sd, formal, correlated, unknown, unknown, beams)
+    weights = own_sd**-2.0
+    weights[:, DELAY] = delay_weights(*own_delays(fit))
+    between, birge = differing(own, own_sd, weights)
+    return Certainty(prior_sd, formal, correlated, between, birge, beams)
+
+
+def differing(own: Floats, own_sd: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Return by what dives differ: the standard deviation of their mean by it, and the Birge ratio, shapes (p,).
+
+    A dive that lies still says nothing, and differs from nothing. Where all count alike, the first is their scatter
+    over the root of how many they are.
+
+    Parameters
+    ----------
+    own, own_sd : ndarray, shape (n, p)
+        What each of at least two dives says, and its formal standard deviation.
+    weights : ndarray, shape (n, p)
+        What each counts in the mean.
+    """
+    total = weights.sum(axis=0)
+    off = own - np.average(own, axis=0, weights=weights)
+    pairs = np.sum(weights * (total - weights), axis=0)
+    between = np.sqrt(np.sum((weights * off) ** 2, axis=0) / pairs)
+    return between, np.sqrt(np.sum((off / own_sd) ** 2, axis=0) / (len(own) - 1))
+
+
+def delay_weights(delays_s: Floats, sds_s: Floats) -> Floats:
+    """Return what the delay of each dive counts in their mean: as it is sure, and as they differ beyond that.
+
+    Clocks are set anew before a dive: the surest one is no better guess of the next than others are. Where none tells
+    more than that, all count alike; one that lies still counts nothing.
+
+    Parameters
+    ----------
+    delays_s, sds_s : ndarray, shape (n,)
+        By `own_delays`.
+    """
+    weights = np.asarray(sds_s**-2.0)
+    if len(weights) < FEWEST_DIVES:
+        return weights
+    total = weights.sum()
+    chi_square = np.sum(weights * (delays_s - np.average(delays_s, weights=weights)) ** 2)
+    beyond_chance = max(0.0, float(chi_square) - (len(weights) - 1))
+    apart = total - np.sum(weights**2) / total
+    return np.asarray(1.0 / (sds_s**2 + beyond_chance / apart))
 
 
 def correlations(fit: Fit, at_least: float) -> list[tuple[str, str, float]]:
@@ -107,11 +151,13 @@ def mean_change(fit: Fit) -> Floats:
 
 
 def _means(fit: Fit) -> Floats:
-    """Return what makes the eight of all unknowns, shape (8, count): the delay is the mean of the dives'."""
+    """Return what makes the eight of all unknowns, shape (8, count): the delay is the dives', by `delay_weights`."""
     unknowns = fit.unknowns
     rows = np.zeros((len(NAMES), unknowns.count))
-    for dive in range(unknowns.dives):
-        rows[np.arange(len(NAMES)), unknowns.rows(dive)] += 1.0 / unknowns.dives
+    rows[SHARED, unknowns.rows(0)[SHARED]] = 1.0
+    weights = delay_weights(*own_delays(fit))
+    for dive, share in enumerate(weights / weights.sum()):
+        rows[DELAY, unknowns.rows(dive)[DELAY]] += share
     return rows
 
 

@@ -41,13 +41,13 @@ def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations], noise_shares
     smallest : Fit
     dives : sequence of DiveInnovations
         Those that were fitted, in the same order.
-    noise_shares : ndarray, shape (8,)
+    noise_shares : ndarray, shape (n, 8)
         By `noise_share`. A derivative that is mostly noise is left to its prior, and with it what it pulls at the rest.
     """
     unknowns = smallest.unknowns
     here = replace(
         smallest,
-        dives=tuple(_by_motion(smallest, dive, i, noise_shares) for i, dive in enumerate(dives)),
+        dives=tuple(_by_motion(smallest, dive, i, noise_shares[i]) for i, dive in enumerate(dives)),
     )
     values = here.values + here.step
     values[OWN - 1 :] = np.clip(values[OWN - 1 :], -LATEST_S, LATEST_S)
@@ -66,20 +66,24 @@ def _by_motion(found: Fit, dive: DiveInnovations, number: int, noise_shares: Flo
 
 
 def noise_share(found: Fit, dives: Sequence[DiveInnovations]) -> Floats:
-    """Return the share of the squares of the derivatives that is noise of the IMU, shape (8,).
+    """Return the share of the squares of the derivatives that is noise of the IMU, dive by dive, shape (n, 8).
+
+    A dive that lies still tells nothing, whatever the others do.
 
     Parameters
     ----------
     found : Fit
     dives : sequence of DiveInnovations
-        Those that were fitted, in the same order, with filters that take the IMU to be as noisy as it is.
+        Those that were fitted, in the same order, with filters that take their IMUs to be as noisy as they are.
     """
-    whole = noise = np.zeros(len(NAMES))
+    shares = np.zeros((len(dives), len(NAMES)))
     for i, (dive, near) in enumerate(zip(dives, found.dives, strict=True)):
-        noisier = _jacobian(found, with_imu_noise(dive), i, found.unknowns.free)
-        whole = whole + _squares(near, near.jacobian)
-        noise = noise + _squares(near, noisier - near.jacobian)
-    return np.asarray(noise / np.maximum(whole, np.finfo(float).tiny))
+        # The noise is that of all dives together: one that is noisier shows it by how its innovations scatter.
+        times = max(1.0, float(np.sqrt(np.mean(near.scatter**2))))
+        noisier = _jacobian(found, with_imu_noise(dive, times), i, found.unknowns.free)
+        whole = np.maximum(_squares(near, near.jacobian), np.finfo(float).tiny)
+        shares[i] = _squares(near, noisier - near.jacobian) / whole
+    return shares
 
 
 def _squares(near: Linearised, derivative: Floats) -> Floats:
@@ -91,13 +95,13 @@ def _jacobian(found: Fit, dive: DiveInnovations, number: int, chosen: Mask) -> F
     return dive.jacobian(found.of_dive(number), found.unknowns.free & chosen) / found.dives[number].scatter[:, None]
 
 
-def with_imu_noise(dive: DiveInnovations) -> DiveInnovations:
-    """Return the same dive with the white noise of its IMU once more, as its filter has it."""
+def with_imu_noise(dive: DiveInnovations, times: float = 1.0) -> DiveInnovations:
+    """Return the same dive with so many times the white noise of its IMU more, as its filter has it."""
     imu, noise, rng = dive.dive.imu, dive.filter.inertial_noise, np.random.default_rng(SEED)
     root_s = np.sqrt(imu.usual_step_s)
     shown = HIDDEN * readings_scatter(imu.angular_rate_b, imu.usual_step_s)
-    accel_mps2 = noise.accel_white_mps_rts / root_s
-    gyro_radps = min(noise.gyro_white_rad_rts, shown) / root_s
+    accel_mps2 = times * noise.accel_white_mps_rts / root_s
+    gyro_radps = min(times * noise.gyro_white_rad_rts, shown) / root_s
     shape = imu.specific_force_b.shape
     return _with_imu(
         dive,

@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from built_in import TRUTH, ReadDive, as_read, built_in_otherwise, shown
+from built_in import ARM_M, DELAY_S, SCALE, TRUTH, YAW_DEG, ReadDive, as_read, built_in_otherwise, shown
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
-from insdvl_replay.calibration.certainty import certainty_of
+from insdvl_replay.calibration.certainty import certainty_of, delay_weights, differing
 from insdvl_replay.calibration.fit import Fit, Linearised, Unknowns, fit
 from insdvl_replay.calibration.motion import MOTION_S, averaged, noise_share
 from insdvl_replay.calibration.noise import INERTIAL
-from insdvl_replay.calibration.parameters import NAMES
+from insdvl_replay.calibration.parameters import DELAY, NAMES
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.sim.dive import add_errors, exact_dive
+from insdvl_replay.sim.dive import add_errors, exact_dive, late_and_long
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
 
 GRADE_NAMES = ("fog", "tactical", "mems")
@@ -91,7 +91,7 @@ def test_the_share_of_noise_is_known_of_a_vehicle_that_lies_still_and_of_quiet_s
     config = load_config(grade, overrides=[f"noise.{key}={value}" for key, value in noise.items()])
     dive = as_read(add_errors(exact_dive(scenario, duration_s=200.0), sensors, DvlErrors(), 1), config).innovations()
     seen = np.array([name in ("delay", "arm_x", "arm_y") for name in NAMES])
-    shares = noise_share(fit([dive], seen), [dive])
+    (shares,) = noise_share(fit([dive], seen), [dive])
     assert shares[seen] == pytest.approx(share, abs=0.15 * share + 1e-3)
     assert not shares[~seen].any()
 
@@ -103,6 +103,30 @@ def test_no_such_dive_of_ten_does(scenario: str, grade: str) -> None:
     for seed in range(10):
         found = proposed(calibrated(as_configured(scenario, grade, seed, 600.0)))
         assert not found & {"delay", "arm_x", "arm_y", "arm_z"}, seed
+
+
+@pytest.mark.parametrize("times", [1.0, 10.0])
+def test_dives_that_lie_still_take_nothing_from_one_that_shows_how_the_dvl_is_built_in(times: float) -> None:
+    """Nor do they say anything of their own, with an IMU as noisy or with one that is far noisier there."""
+    config, sensors = load_config("mems"), GRADES["mems"]
+    noisier = replace(sensors, **{key: times * getattr(sensors, key) for key in INERTIAL})
+    exact = exact_dive("static", duration_s=200.0, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, YAW_DEG))
+    moving = otherwise("calibration", "mems", 100)
+    still = [
+        as_read(late_and_long(add_errors(exact, noisier, DvlErrors(), seed), DELAY_S, SCALE), config)
+        for seed in (101, 102)
+    ]
+    dives = [read.innovations() for read in (moving, *still)]
+    found = calibrate(dives, config)
+    assert {"mounting_z", "arm_x", "arm_y", "arm_z"} <= proposed(found)
+    assert np.nanmax(np.abs(errors_over_sds(found, BUILT_IN))) < 3.5
+    assert not [doubt for doubt in found.doubts if "the dives differ" in doubt]
+    assert [found.fit.of_dive(i)[DELAY] for i in (1, 2)] == [0.0, 0.0]
+    if times == 1.0:
+        alone = calibrated(moving)
+        assert proposed(found) == proposed(alone)
+        for row, of_one in zip(found.rows, alone.rows, strict=True):
+            assert finite(row.sd) < 1.1 * finite(of_one.sd)
 
 
 @pytest.mark.parametrize("grade", ["tactical", "mems"])
@@ -159,3 +183,24 @@ def test_both_standard_deviations_are_alike_where_residuals_are_white() -> None:
     unknowns = Unknowns(1, one_delay=False, free=free)
     certainty = certainty_of(Fit(unknowns, np.zeros(unknowns.count), (near,)))
     assert certainty.correlated == pytest.approx(certainty.formal, rel=0.2)
+
+
+def test_dives_differ_by_what_those_say_that_say_anything() -> None:
+    rng = np.random.default_rng(6)
+    own, sd = rng.standard_normal((6, 2)), np.ones((6, 2))
+    between, birge = differing(own, sd, sd**-2.0)
+    assert between == pytest.approx(own.std(axis=0, ddof=1) / np.sqrt(6.0))
+    assert birge == pytest.approx(own.std(axis=0, ddof=1))
+    mute = np.full((1, 2), 1e4)
+    own, sd = np.vstack([own, mute]), np.vstack([sd, mute])
+    assert differing(own, sd, sd**-2.0)[0] == pytest.approx(between, rel=0.01)
+
+
+def test_delays_that_differ_count_alike_and_those_that_do_not_as_they_are_sure() -> None:
+    sds_s = np.array([0.001, 0.002, 0.004, 0.5])
+    alike = delay_weights(np.array([0.1, 0.1, 0.1, 0.0]), sds_s)
+    assert alike == pytest.approx(sds_s**-2.0)
+    differing_s = delay_weights(np.array([0.1, 0.05, -0.1, 0.0]), sds_s)
+    assert differing_s[:3] / differing_s[0] == pytest.approx(1.0, abs=0.01)
+    assert differing_s[3] < 0.05 * differing_s[0]
+    assert delay_weights(np.array([0.1]), np.array([0.01])) == pytest.approx(1e4)
