@@ -101,7 +101,7 @@ def test_the_share_of_noise_is_known_of_a_vehicle_that_lies_still_and_of_quiet_s
 @pytest.mark.parametrize("scenario", ["static", "straight"])
 def test_no_such_dive_of_ten_does(scenario: str, grade: str) -> None:
     for seed in range(10):
-        found = proposed(calibrated(as_configured(scenario, grade, seed, 600.0)))
+        found = proposed(calibrated(as_configured(scenario, grade, seed, 300.0)))
         assert not found & {"delay", "arm_x", "arm_y", "arm_z"}, seed
 
 
@@ -156,10 +156,10 @@ def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm() -> None:
     ("scenario", "duration_s"), [("figure-eight", None), ("calibration", None), ("lawnmower", 600.0)]
 )
 def test_errors_beside_a_noisy_imu_are_as_large_as_is_said(scenario: str, duration_s: float | None, grade: str) -> None:
-    """Of delay and arm, over all that is proposed of ten dives each."""
+    """Of delay and arm, over all that is proposed of seven dives as configured, and of seven built in otherwise."""
     delay_and_arm = [NAMES.index(name) for name in ("delay", "arm_x", "arm_y", "arm_z")]
-    dives = [(as_configured(scenario, grade, seed, duration_s), NONE) for seed in range(60, 70)]
-    dives += [(otherwise(scenario, grade, seed, duration_s), BUILT_IN) for seed in range(70, 80)]
+    dives = [(as_configured(scenario, grade, seed, duration_s), NONE) for seed in range(60, 67)]
+    dives += [(otherwise(scenario, grade, seed, duration_s), BUILT_IN) for seed in range(70, 77)]
     errors = [errors_over_sds(calibrated(read), truth) for read, truth in dives]
     of_sd = np.sqrt(np.nanmean(np.square(np.array(errors)[:, delay_and_arm])))
     assert 0.6 < of_sd < 1.5
