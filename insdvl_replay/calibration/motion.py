@@ -24,7 +24,7 @@ from insdvl_replay.evaluation.sensor_classes import readings_scatter
 MOTION_S: Final = 0.5
 """Most of what moves a vehicle is slower than this; white noise mostly faster."""
 LITTLE: Final = 0.01
-"""Share of the derivative's squares up to which noise moves what is found by less than its standard deviation."""
+"""Share of the derivative's squares up to which it is taken as it is; it draws what is found to zero by as much."""
 MOSTLY: Final = 0.5
 """Share beyond which the derivative is the noise's."""
 HIDDEN: Final = 2.0

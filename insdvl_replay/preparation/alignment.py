@@ -21,7 +21,7 @@ from insdvl_replay.nav.levelling import (
     find_level,
     levelling_samples,
 )
-from insdvl_replay.preparation.start_position import FAR_S, configured_latitude_deg, start_position
+from insdvl_replay.preparation.start_position import FAR_S, configured_latitude_deg, idle_note, start_position
 
 HEADING_DOUBT = 10.0 * DEG
 """No compass of a vehicle errs by more, even where nobody has taken the declination off."""
@@ -222,12 +222,9 @@ def _idle_heading_notes(initial: Initial, mat_nb: Floats) -> list[Note]:
     theirs = rpy_from_mat(mat_nb)[2]
     if abs(float(wrap_angle(np.asarray(initial.heading_deg * DEG - theirs)))) <= IDLE_HEADING_DOUBT:
         return []
-    text = (
-        f"initial.heading_deg is {initial.heading_deg:g}, but the reference starts at {theirs / DEG % 360.0:.1f} deg, "
-        "which counts"
-    )
     hint = 'leave initial.heading_deg out, or initial.source = "level" to start from it'
-    return [Note("start_heading_idle", text, severity=Severity.WARNING, hint=hint)]
+    shown = f"{theirs / DEG % 360.0:.1f} deg"
+    return [idle_note("start_heading_idle", "heading_deg", initial.heading_deg, shown, hint)]
 
 
 def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:

@@ -67,12 +67,15 @@ def _latitude_notes(initial: Initial, latitude_deg: float) -> list[Note]:
     """State that a latitude is configured in vain, where it is another than the reference's."""
     if initial.latitude_deg is None or abs(initial.latitude_deg - latitude_deg) <= CONTRADICTION_DEG:
         return []
-    text = (
-        f"initial.latitude_deg is {initial.latitude_deg:g}, but the reference starts at {latitude_deg:.4g} deg, "
-        "which counts"
-    )
     hint = "leave initial.latitude_deg out, or name another reference.topic or reference.fix"
-    return [Note("start_latitude_contradiction", text, severity=Severity.WARNING, hint=hint)]
+    theirs = f"{latitude_deg:.4g} deg"
+    return [idle_note("start_latitude_contradiction", "latitude_deg", initial.latitude_deg, theirs, hint)]
+
+
+def idle_note(code: str, key: str, configured: float, theirs: str, hint: str) -> Note:
+    """Warn of a number in ``[initial]`` that the reference goes before."""
+    text = f"initial.{key} is {configured:g}, but the reference starts at {theirs}, which counts"
+    return Note(code, text, severity=Severity.WARNING, hint=hint)
 
 
 def configured_latitude_deg(initial: Initial) -> float:
