@@ -1,4 +1,4 @@
-"""Attack the program with damaged logs, bombs, hostile names, kills and logs that change while they are read.
+"""Attack the program with damaged logs, bombs, hostile names and surroundings, kills, and logs that change meanwhile.
 
 `make attack` runs all of it and writes the tables of benchmarks/RESULTS.md. Exit code 1 says that a defect was found;
 each is one line on stdout, with the seed that makes it again.
@@ -120,6 +120,17 @@ def names(arguments: argparse.Namespace, folder: Path) -> bool:
     return failed
 
 
+def surroundings(arguments: argparse.Namespace, folder: Path) -> bool:
+    """Put code, devices, pipes, links and other runs where a command meets them."""
+    import surroundings as attacker
+
+    content, _ = _clean(folder)
+    lines, failed = _counted(found for found in attacker.attack(folder, content) if arguments.only in found[0])
+    text = "Each ends with the exit code and the sentence that it should, in a time that goes with its size."
+    _told(arguments, "surroundings", text, lines)
+    return failed
+
+
 def kills(arguments: argparse.Namespace, folder: Path) -> bool:
     """Send signals at random moments."""
     import kills as attacker
@@ -144,7 +155,14 @@ def swaps(arguments: argparse.Namespace, folder: Path) -> bool:
     return failed
 
 
-ATTACKS = {"names": names, "kills": kills, "swaps": swaps, "bombs": bombs, "mutate": mutate}
+ATTACKS = {
+    "names": names,
+    "surroundings": surroundings,
+    "kills": kills,
+    "swaps": swaps,
+    "bombs": bombs,
+    "mutate": mutate,
+}
 
 
 def _attacked(name: str, arguments: argparse.Namespace) -> bool:

@@ -14,28 +14,79 @@ from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
-from built_in import CONFIG, TRUTH, WHITE, ReadDive, built_in_otherwise, shown
+from built_in import (
+    ARM_M,
+    CONFIG,
+    DELAY_S,
+    SCALE,
+    TRUTH,
+    WHITE,
+    YAW_DEG,
+    ReadDive,
+    as_read,
+    built_in_otherwise,
+    shown,
+)
 from results import machine, table, write_part
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
 from insdvl_replay.calibration.certainty import certainty_of
 from insdvl_replay.calibration.dives import held_out_row, likeliest_mounting, read_dive, with_mounting
+from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.calibration.parameters import NAMES, PARAMETERS
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.sim.sensor_errors import DvlErrors
+from insdvl_replay.sim import dive as sim_dive
+from insdvl_replay.sim.dive import add_errors, exact_dive, late_and_long
+from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
+from insdvl_replay.sim.trajectories import Scenario, Segment, Wave, turn
 
 SEEDS = range(6000, 6020)
 STRAIGHT_SEEDS = range(20)
 COMMAND_SEEDS = range(1, 5)
 EXAMPLES = Path(__file__).parents[1] / "examples"
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+TURNS_DEG = (120.0, -150.0, 180.0, -90.0, 150.0, -180.0, 90.0, -120.0)
+MOTIONS = {
+    "aggressive": Scenario(
+        "fast turns, changes of speed, large roll and pitch",
+        300.0,
+        Wave(1.5, 1.2, 19.0),
+        tuple(part for angle_deg in TURNS_DEG * 2 for part in (Segment(10.0), turn(angle_deg, 30.0))),
+        roll_deg=Wave(0.0, 15.0, 9.0),
+        pitch_deg=Wave(0.0, 12.0, 14.0),
+        sway_mps=Wave(0.0, 0.4, 11.0),
+        heave_mps=Wave(0.0, 0.4, 8.0),
+    ),
+    "hover": Scenario(
+        "in one place, with turns on the spot",
+        300.0,
+        Wave(0.0, 0.05, 23.0),
+        tuple(part for angle_deg in (60.0, -60.0, 90.0, -90.0) * 2 for part in (Segment(25.0), turn(angle_deg, 8.0))),
+        roll_deg=Wave(0.0, 1.5, 6.0),
+        pitch_deg=Wave(0.0, 1.0, 5.0),
+        sway_mps=Wave(0.0, 0.05, 17.0),
+        heave_mps=Wave(0.0, 0.04, 13.0),
+    ),
+    "waves": Scenario(
+        "a slow way near the surface, in swell",
+        300.0,
+        Wave(1.0, 0.3, 7.0),
+        tuple(part for angle_deg in (90.0, 90.0, -90.0, -90.0) for part in (Segment(50.0), turn(angle_deg, 10.0))),
+        roll_deg=Wave(0.0, 6.0, 7.0),
+        pitch_deg=Wave(0.0, 4.0, 8.0),
+        sway_mps=Wave(0.0, 0.2, 7.0),
+        heave_mps=Wave(0.0, 0.3, 8.0),
+    ),
+}
+"""Motions beside those of the simulator's own scenarios."""
 COLUMNS = ("what", "asked for", "measured")
 
 Line = tuple[str, str, str]
@@ -72,7 +123,7 @@ def errors_over_sds() -> Iterator[Line]:
             found = list(
                 each(lambda seed, args=(scenario, beams): found_of(built_in_otherwise(args[0], seed, args[1])), SEEDS)
             )
-            over = np.array([_over_sds(of_one, perfect=beams is WHITE) for of_one in found])
+            over = np.array([_over_sds(of_one, perfect_beams=beams is WHITE) for of_one in found])
             rms = np.sqrt(np.nanmean(over**2, axis=0))
             told = ", ".join(f"{parameter} {size:.2f}" for parameter, size in zip(NAMES, rms, strict=True))
             held = [parameter for parameter, of_one in zip(NAMES, over.T, strict=True) if np.isnan(of_one).any()]
@@ -86,14 +137,63 @@ def errors_over_sds() -> Iterator[Line]:
             yield f"what was put in, {scenario}, {name}", "within 3 sds", f"{inside.sum()} of {len(inside)} dives"
 
 
-def _over_sds(found: Calibration, *, perfect: bool) -> Floats:
-    """Return errors over sds, NaN of what is held; of perfect beams without what beams may be off by, shape (8,)."""
-    said = certainty_of(found.fit).sd if perfect else _said(found)
+def _over_sds(found: Calibration, *, perfect_beams: bool) -> Floats:
+    """Return errors over sds, NaN of what is held, shape (8,).
+
+    These IMUs have no errors of scale and alignment: the sds are without them, and without those of perfect beams.
+    """
+    beams = np.array([finite(row.beams_sd) for row in found.rows]) / shown(np.ones(len(PARAMETERS)))
+    said = np.hypot(certainty_of(found.fit).sd, 0.0 if perfect_beams else beams)
     return is_proposed(found) * (found.change - TRUTH) / said
 
 
 def _said(found: Calibration) -> Floats:
     return np.array([finite(row.sd) for row in found.rows]) / shown(np.ones(len(PARAMETERS)))
+
+
+def beside_imu_errors() -> Iterator[Line]:
+    """Tactical IMUs whose scales are 1500 ppm off and whose axes 1 mrad (sds), with beams as makers say."""
+    for name in MOTIONS:
+        with patch.object(sim_dive, "SCENARIOS", MOTIONS):
+            exact = exact_dive(name, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, YAW_DEG))
+        found = list(each(lambda seed, exact=exact: found_of(with_imu_errors(exact, seed)), SEEDS))
+        over = np.array([is_proposed(one) * (one.change - TRUTH) / _said(one) for one in found])
+        told = []
+        for parameter, sizes in zip(NAMES, over.T, strict=True):
+            proposed = sizes[np.isfinite(sizes)]
+            size = f"{np.sqrt(np.mean(proposed**2)):.2f}" if len(proposed) else "-"
+            left = len(sizes) - len(proposed)
+            told.append(f"{parameter} {size}{f' (not determined on {left})' if left else ''}")
+        yield f"errors over sds, IMU of 1500 ppm and 1 mrad, {name}", "0.6 to 1.5 each", ", ".join(told)
+        for key, true in _true_noise("tactical").items():
+            rows = [row for one in found for row in one.noise_rows if row.parameter == key]
+            ratios = [row.after / true for row in rows if row.status == Estimated.ESTIMATED]
+            off = [finite(row.sd) / row.after for row in rows if row.status == Estimated.ESTIMATED]
+            yield (
+                f"{key} found over true, IMU of 1500 ppm and 1 mrad, {name}",
+                "0.5 to 2, or not determined",
+                f"{f'{min(ratios):.2f} to {max(ratios):.2f}, sd {np.median(off):.0%}; ' if ratios else ''}"
+                f"not determined on {len(found) - len(ratios)} of {len(found)}",
+            )
+
+
+def _true_noise(grade: str) -> dict[str, float]:
+    errors = GRADES[grade]
+    return {key: getattr(errors, key) for key in INERTIAL} | {"beam_sd_mps": DvlErrors().beam_sd_mps}
+
+
+def with_imu_errors(exact: Dive, seed: int) -> ReadDive:
+    """Give a dive an IMU that has other scales than it says, and axes that are not at right angles."""
+    rng, imu = np.random.default_rng((seed, 77)), exact.imu
+    turns = [
+        np.eye(3) + np.where(np.eye(3) > 0.0, np.diag(1.5e-3 * along), 1e-3 * across)
+        for across, along in ((rng.standard_normal((3, 3)), rng.standard_normal(3)) for _ in range(2))
+    ]
+    imu = replace(
+        imu, specific_force_b=imu.specific_force_b @ turns[0].T, angular_rate_b=imu.angular_rate_b @ turns[1].T
+    )
+    dive = add_errors(replace(exact, imu=imu), GRADES["tactical"], DvlErrors(), seed)
+    return as_read(late_and_long(dive, DELAY_S, SCALE), load_config("tactical"))
 
 
 def straight_lines() -> Iterator[Line]:
@@ -235,6 +335,7 @@ def times() -> Iterator[Line]:
 
 PARTS: tuple[Callable[[], Iterator[Line]], ...] = (
     errors_over_sds,
+    beside_imu_errors,
     straight_lines,
     wild_pings,
     right_angles,

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import product
@@ -20,12 +20,13 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 from results import machine, table, write_part
-from true_errors import MeanSquares, Soundness, mean_squares, soundness, true_ratios, truth
-from worlds import DURATION_S, SCENARIO, WORLDS, dive_seed, exact_way, made_dive
+from true_errors import MeanSquares, Soundness, is_large, mean_squares, soundness, true_ratios, truth
+from worlds import DURATION_S, SCENARIO, SEA_SEED, WORLDS, World, dive_seed, made_dive
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.history import History
 from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.words import Judgement
 from insdvl_replay.evaluation.pooled_evidence import pooled_evidence, pooled_judgement
@@ -37,8 +38,13 @@ from insdvl_replay.preparation.running import prepared_timeline, run_filters
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.studies.simulated_run import MonteCarloSetup, drawn_start
 
-DIVES, POOLED = 60, 8
+DIVES, SEA_DIVES = 60, 24
+TRUTH_DIVES, TRUTH_ALONE = 72, 1000
+"""So many more dives in each world at sea, from this number on, tell what is true and are not judged."""
+FEW, POOLED = 3, 8
+"""Dives that are pooled, disjoint groups in the order of their numbers."""
 WORDS: Final = ("better", "equivalent", "undecided", "mixed", "worse", "not judged")
+LONG_S: Final = 3600.0
 STARTS: Final = ("reference", "drawn")
 """The truth of filters that start on the reference, and of filters whose start errs as much as they allow for."""
 
@@ -80,13 +86,16 @@ class JudgedDive:
     soundness: Soundness | None
 
 
-def judged_dive(task: tuple[int, int]) -> JudgedDive:
-    """Simulate, replay and judge one dive; the task is the number of its world and its own."""
+def judged_dive(task: tuple[int, ...]) -> JudgedDive:
+    """Simulate, replay and judge one dive; the task is the numbers of its world and its own, and the seed at sea."""
     number, seed = task[0], dive_seed(*task)
     world = WORLDS[number]
+    reported, exact = made_dive(number, seed)
+    if task[1] >= TRUTH_ALONE:
+        return JudgedDive(number, {}, {}, {"drawn": _errors_from_drawn_start(reported, exact, number, seed)}, None)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "dive.mcap"
-        write_dive(path, made_dive(number, seed))
+        write_dive(path, reported)
         try:
             dive = read_checked_dive(path, world.config)
             replay = replay_dive(dive, _with_own_draws(world.config, seed))
@@ -97,8 +106,8 @@ def judged_dive(task: tuple[int, int]) -> JudgedDive:
         {name: word_of_replay(replay, name) for name in world.candidates},
         {name: evidence_of_replay(replay, name) for name in world.candidates},
         {
-            "reference": {name: mean_squares(errors) for name, errors in replay.errors.items()},
-            "drawn": _errors_from_drawn_start(dive, number, seed),
+            "reference": _true_errors(replay.histories, exact),
+            "drawn": _errors_from_drawn_start(dive, exact, number, seed),
         },
         soundness(replay.histories, replay.errors),
     )
@@ -109,18 +118,25 @@ def _with_own_draws(config: Config, seed: int) -> Config:
     return msgspec.structs.replace(config, evaluation=msgspec.structs.replace(config.evaluation, seed=seed))
 
 
-def _errors_from_drawn_start(dive: Dive, number: int, seed: int) -> dict[str, MeanSquares]:
+def _errors_from_drawn_start(dive: Dive, exact: Dive, number: int, seed: int) -> dict[str, MeanSquares]:
     """Replay a dive from a start that errs as the initial uncertainty says; the biases' errors are the sensors' own."""
-    if dive.reference is None:
-        raise ValueError("a simulated dive has a reference")
-    world, start = WORLDS[number], prepare_dive(dive, WORLDS[number].config)
-    drawn = drawn_start(MonteCarloSetup(exact_way(number), world.imu_errors, world.dvl_errors, world.config), seed)
+    world = WORLDS[number]
+    start, drawn = (
+        prepare_dive(dive, world.config),
+        drawn_start(MonteCarloSetup(exact, world.imu_errors, world.dvl_errors, world.config), seed),
+    )
     begun = replace(start, alignment=replace(start.alignment, start=drawn))
-    histories = run_filters(begun, prepared_timeline(dive, begun))
-    return {history.filter: mean_squares(reference_errors(history, dive.reference)) for history in histories}
+    return _true_errors(run_filters(begun, prepared_timeline(dive, begun)), exact)
 
 
-def judged_dives(tasks: Sequence[tuple[int, int]], jobs: int) -> Iterator[JudgedDive]:
+def _true_errors(histories: Sequence[History], exact: Dive) -> dict[str, MeanSquares]:
+    """Measure what filters are off by against the exact motion, however noisy the reference in the log is."""
+    if exact.reference is None:
+        raise ValueError("a simulated dive has a reference")
+    return {history.filter: mean_squares(reference_errors(history, exact.reference)) for history in histories}
+
+
+def judged_dives(tasks: Sequence[tuple[int, ...]], jobs: int) -> Iterator[JudgedDive]:
     """Judge dives, in processes of their own where there is more than one job."""
     if jobs == 1:
         yield from map(judged_dive, tasks)
@@ -138,31 +154,40 @@ class Judged(NamedTuple):
     words: Counter[str]
     pooled: Counter[str]
     soundness: str
+    of_few: Counter[str]
+    """Words on groups of `FEW` dives."""
+    is_far: bool
+    """Whether the better or the worse filter errs by at least 10 % less."""
+    is_copy: bool
 
 
 def judged_candidates(dives: Sequence[JudgedDive], start: str) -> list[Judged]:
     """Hold the words on each candidate against the truth, which is of filters that start on a kind of start."""
     found = []
     for number, world in enumerate(WORLDS):
-        of_world = [dive for dive in dives if dive.number == number]
+        every = [dive for dive in dives if dive.number == number]
+        of_world = [dive for dive in every if dive.words]
         for candidate in world.candidates if of_world else ():
-            ratios = {begun: _ratios(of_world, world.config.baseline, candidate, begun) for begun in STARTS}
+            ratios = {begun: _ratios(every, world.config.baseline, candidate, begun) for begun in STARTS}
             kind = "D" if world.dead else truth(ratios[start]) if ratios[start] else "-"
             told = {begun: " | ".join(map(str, ratio)) or "- | -" for begun, ratio in ratios.items()}
             words = Counter(dive.words[candidate] for dive in of_world)
             name = world.name if len(world.candidates) == 1 else f"{world.name}: {candidate}"
-            found.append(Judged(name, kind, told, words, _pooled(of_world, candidate), _median_soundness(of_world)))
+            pooled, of_few = (_pooled(of_world, candidate, size) for size in (POOLED, FEW))
+            is_far, is_copy = is_large(ratios[start]), candidate.startswith("copy")
+            sound = _median_soundness(of_world)
+            found.append(Judged(name, kind, told, words, pooled, sound, of_few, is_far, is_copy))
     return found
 
 
 def _ratios(dives: Sequence[JudgedDive], baseline: str, candidate: str, start: str) -> tuple[Any, ...]:
-    known = [dive.errors[start] for dive in dives if dive.errors]
+    known = [dive.errors[start] for dive in dives if start in dive.errors]
     return true_ratios(known, baseline, candidate) if known else ()
 
 
-def _pooled(dives: Sequence[JudgedDive], candidate: str) -> Counter[str]:
+def _pooled(dives: Sequence[JudgedDive], candidate: str, size: int) -> Counter[str]:
     """Count the words on whole groups of dives."""
-    groups = (dives[first : first + POOLED] for first in range(0, len(dives) - POOLED + 1, POOLED))
+    groups = (dives[first : first + size] for first in range(0, len(dives) - size + 1, size))
     return Counter(pooled_word(candidate, [dive.evidence.get(candidate, []) for dive in group]) for group in groups)
 
 
@@ -250,6 +275,121 @@ def page(candidates: Sequence[Judged], dives: int, start: str, took_s: float) ->
     )
 
 
+class SeaQuestion(NamedTuple):
+    """A row of the table of rates at sea: of which candidates, which words, and how often they may be."""
+
+    asks: str
+    of: Callable[[Judged], bool]
+    words: Callable[[Judged], frozenset[str]]
+    asked: tuple[str, str, str]
+    """Of one dive, of three, of eight; empty where nothing is asked."""
+
+
+def _is(kind: str) -> Callable[[Judged], bool]:
+    return lambda it: it.kind.rstrip("?") == kind
+
+
+def _wrong(it: Judged) -> frozenset[str]:
+    """Give the words that contradict the truth: gain or loss of equal ones, else the opposite and likeness."""
+    wrong = {"A": {"worse", "equivalent", "mixed"}, "B": {"better", "worse", "mixed"}}
+    found = frozenset(wrong.get(it.kind.rstrip("?"), {"better", "equivalent", "mixed"}))
+    return found if it.is_far or _is("B")(it) else found - {"equivalent"}
+
+
+def _opposite(it: Judged) -> frozenset[str]:
+    return frozenset({"worse" if _is("A")(it) else "better"})
+
+
+SEA_QUESTIONS: Final = (
+    SeaQuestion(
+        "gains of 10 % or more, said better",
+        lambda it: _is("A")(it) and it.is_far,
+        lambda _: frozenset({"better"}),
+        ("at least 45 %", "at least 35 %", "at least 90 %"),
+    ),
+    SeaQuestion(
+        "losses of 10 % or more, said worse",
+        lambda it: _is("C")(it) and it.is_far,
+        lambda _: frozenset({"worse"}),
+        ("", "", ""),
+    ),
+    SeaQuestion(
+        "truly better or worse, said the opposite",
+        lambda it: _is("A")(it) or _is("C")(it),
+        _opposite,
+        ("at most 1 %", "at most 0.5 %", "0"),
+    ),
+    SeaQuestion(
+        "truly the same, said better or worse",
+        _is("B"),
+        lambda _: frozenset({"better", "worse", "mixed"}),
+        ("at most 2 %", "", "0"),
+    ),
+    SeaQuestion("all, wrong words", lambda it: it.kind[0] in "ABC", _wrong, ("", "", "0")),
+    SeaQuestion(
+        "copies, said equivalent",
+        lambda it: it.is_copy,
+        lambda _: frozenset({"equivalent"}),
+        ("at least 95 %", "at least 95 %", "at least 95 %"),
+    ),
+    SeaQuestion(
+        "six that are the same, with an outage of 120 s, said better or worse",
+        lambda it: "outage" in it.name,
+        lambda _: frozenset({"better", "worse", "mixed"}),
+        ("at most 4 of 48", "", "0"),
+    ),
+)
+
+
+def sea_rates(candidates: Sequence[Judged]) -> list[str]:
+    """Give the rows of the table of rates at sea."""
+    rows = []
+    for question in SEA_QUESTIONS:
+        cells = []
+        for count, asked in zip(("words", "of_few", "pooled"), question.asked, strict=True):
+            words = [(getattr(it, count), question.words(it)) for it in candidates if question.of(it)]
+            total = sum(counted.total() for counted, _ in words)
+            said = sum(counted[word] for counted, some in words for word in some)
+            cells += [f"{100.0 * said / total:.1f} % ({said} of {total})" if total else "-", asked]
+        rows.append(f"| {question.asks} | {' | '.join(cells)} |")
+    return rows
+
+
+def sea_page(candidates: Sequence[Judged], dives: int, start: str, took_s: float) -> str:
+    """Write the part of the page of results on the worlds at sea."""
+    about = (
+        f"{dives} dives in each world (a third as many of 2 h), replayed from their logs. No dive has the motion of "
+        "another. IMUs have turn-on biases, Gauss-Markov biases, scale errors and misalignments; DVLs have correlated "
+        "errors and lose the bottom; references are noisy. The filters are told presets. Truth is as in "
+        f"*Judgement*, of these and {TRUTH_DIVES} more dives of each world: horizontal drift in 60 s and velocity "
+        "against the exact motion. "
+        "A gain or a loss is of 10 % or more where the drift or the velocity of the one is at most 1/1.1 of the "
+        "other's. A copy has the baseline's own settings. Three and eight dives are disjoint groups. Wrong words are "
+        "gain or loss of equal filters, the opposite, *mixed*, and *equivalent* where 10 % are true. The classes are "
+        f"those of filters that start {_START_IN_WORDS[start]}."
+    )
+    groups = ("one dive", "asked", "three dives", "asked", "eight dives", "asked")
+    said = [
+        f"| {it.name.removeprefix('sea: ')} | {it.kind}{' 10 %' if it.is_far else ''} | {it.truths[start]} | "
+        f"{' | '.join(_counts(count) for count in (it.words, it.of_few, it.pooled))} |"
+        for it in candidates
+    ]
+    columns = ("world", "truth", "drift", "velocity", "one dive", "three dives", "eight dives")
+    return "\n".join(
+        [
+            *("# Judgement at sea", "", about, ""),
+            *table(("", *groups), sea_rates(candidates)),
+            *("", "b: better, e: equivalent, u: undecided, m: mixed, w: worse, n: not judged.", ""),
+            *table(columns, said),
+            *("", f"{machine()}; {took_s:.0f} s."),
+        ]
+    )
+
+
+def _counts(words: Counter[str]) -> str:
+    return " ".join(f"{words[word]} {word[0]}" for word in WORDS if words[word])
+
+
 _START_IN_WORDS: Final = {
     "reference": "on the reference",
     "drawn": "as far off as they allow for",
@@ -260,22 +400,41 @@ def main() -> None:
     """Judge, print, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--dives", type=int, default=DIVES, help="in each world")
+    parser.add_argument("--sea-dives", type=int, default=SEA_DIVES, help="in each world at sea; a third as many of 2 h")
     parser.add_argument("--worlds", nargs="+", default=[""], help="those whose names hold one of these texts")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--seed", type=int, default=SEA_SEED, help="of the worlds at sea")
     parser.add_argument(
         "--truth", choices=STARTS, default=STARTS[1], help="the start of the filters that say what is true"
     )
     arguments = parser.parse_args()
-    numbers = [i for i, world in enumerate(WORLDS) if any(part in world.name for part in arguments.worlds)]
     for library in ("OPENBLAS", "OMP"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")  # each process, which has yet to load numpy, has one core
-    begun_s = time.monotonic()
-    dives = list(judged_dives([*product(numbers, range(arguments.dives))], arguments.jobs))
-    candidates = judged_candidates(dives, arguments.truth)
-    part = page(candidates, arguments.dives, arguments.truth, time.monotonic() - begun_s)
-    if (arguments.dives, arguments.worlds) == (DIVES, [""]):
-        write_part(part)
-    sys.stdout.write(f"{part}\n")
+    parts = (False, arguments.dives, DIVES, page), (True, arguments.sea_dives, SEA_DIVES, sea_page)
+    for at_sea, dives, usual, write in parts:
+        numbers = [
+            i
+            for i, world in enumerate(WORLDS)
+            if bool(world.sea) == at_sea and any(part in world.name for part in arguments.worlds)
+        ]
+        if not numbers:
+            continue
+        begun_s = time.monotonic()
+        tasks = [(i, dive, arguments.seed) for i in numbers for dive in _dives_of(WORLDS[i], dives)]
+        candidates = judged_candidates(list(judged_dives(tasks, arguments.jobs)), arguments.truth)
+        part = write(candidates, dives, arguments.truth, time.monotonic() - begun_s)
+        if (dives, arguments.worlds, arguments.seed) in [
+            (usual, all_worlds, SEA_SEED) for all_worlds in ([""], ["sea:"])
+        ]:
+            write_part(part)
+        sys.stdout.write(f"{part}\n\n")
+
+
+def _dives_of(world: World, dives: int) -> list[int]:
+    """Number the dives of a world, a third of them where they are long; at sea also those that tell the truth alone."""
+    share = 3 if world.sea and world.sea.duration_s > LONG_S else 1
+    alone = range(TRUTH_ALONE, TRUTH_ALONE + TRUTH_DIVES, share) if world.sea else ()
+    return [*range(dives // share), *alone]
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from insdvl_replay.evaluation.reference import ReferenceErrors
 
 MARGIN: Final = 1.05
 """A ratio of errors nearer to 1 makes no difference to anybody."""
+LARGE: Final = 1.1
 SEGMENT_S: Final = 60.0
 DRAWS, SEED = 2000, 1
 
@@ -88,6 +89,11 @@ def truth(ratios: Sequence[Ratio]) -> str:
     kind = _class_of([_side(ratio.value) for ratio in ratios])
     allowed = product(*(range(_side(ratio.low), _side(ratio.high) + 1) for ratio in ratios))
     return kind if {_class_of(sides) for sides in allowed} == {kind} else f"{kind}?"
+
+
+def is_large(ratios: Sequence[Ratio]) -> bool:
+    """Return whether a difference is of 10 % or more in one of the ratios."""
+    return any(not 1.0 / LARGE < ratio.value < LARGE for ratio in ratios)
 
 
 def _class_of(sides: Collection[int]) -> str:

@@ -1,8 +1,8 @@
 """The worlds in which the judgement is tried: what the sensors do, what the filters are told, what befalls the log.
 
-Each is the same figure-eight with errors drawn anew for every dive. In most of them a candidate is truly better than
-the baseline, as good or worse, which `true_errors` measures; in the last four nobody can tell, since the filters are
-dead or set wrong.
+The first are the same figure-eight with errors drawn anew for every dive. In most of them a candidate is truly better
+than the baseline, as good or worse, which `true_errors` measures; in four nobody can tell, since the filters are dead
+or set wrong. The worlds at sea (`sea_worlds`) draw motion and all errors anew; their filters know none of them exactly.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
+from sea_worlds import Sea, SeaDvl, SeaReference, Voyage
 
 from insdvl_replay.core.config import Acceleration, Config, Filter, Initial, Noise
 from insdvl_replay.core.config_file import load_config
@@ -24,6 +25,8 @@ SCENARIO: Final = "figure-eight"
 DURATION_S: Final = 300.0
 OUTAGE_S: Final = 3600.0
 SEED: Final = 1
+SEA_SEED: Final = 320_000_000
+"""Of the worlds at sea; rules were tried with other seeds (`judge.py --seed`), and measured with this one."""
 _HARM_STREAM: Final = 9
 """Sensors and starts draw from the first streams of a dive's seed."""
 
@@ -49,6 +52,8 @@ class World:
         What befalls the readings of a dive, drawn from the generator.
     dead : bool
         Whether the filters are dead or set wrong, so that nothing can be said of gain or loss.
+    sea : Sea, optional
+        What is drawn for each dive, in place of the four before.
     """
 
     name: str
@@ -58,6 +63,7 @@ class World:
     way: Mapping[str, Any] = field(default_factory=dict)
     harm: Harm = unharmed
     dead: bool = False
+    sea: Sea | None = None
 
     @property
     def candidates(self) -> tuple[str, ...]:
@@ -65,16 +71,20 @@ class World:
         return tuple(self.config.filters)[1:]
 
 
-def dive_seed(number: int, dive: int) -> int:
+def dive_seed(number: int, dive: int, sea_seed: int = SEA_SEED) -> int:
     """Return the seed of one dive in the world of some number, from which it can be made again by itself."""
-    return int(np.random.SeedSequence(SEED, spawn_key=(number, dive)).generate_state(1)[0])
+    base = sea_seed if WORLDS[number].sea else SEED
+    return int(np.random.SeedSequence(base, spawn_key=(number, dive)).generate_state(1)[0])
 
 
-def made_dive(number: int, seed: int) -> Dive:
-    """Simulate one dive in the world of some number."""
+def made_dive(number: int, seed: int) -> tuple[Dive, Dive]:
+    """Simulate one dive in the world of some number: as its sensors report it, and exactly."""
     world = WORLDS[number]
-    dive = add_errors(exact_way(number), world.imu_errors, world.dvl_errors, seed)
-    return world.harm(dive, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_HARM_STREAM,))))
+    if world.sea is not None:
+        return world.sea.dive(seed)
+    exact = exact_way(number)
+    dive = add_errors(exact, world.imu_errors, world.dvl_errors, seed)
+    return world.harm(dive, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_HARM_STREAM,)))), exact
 
 
 @cache
@@ -162,6 +172,33 @@ _FOG, _TACTICAL, _MEMS = (load_config(preset) for preset in ("fog", "tactical", 
 _GATE: Final = {"gate_probability": 0.99999}
 _SHUT: Final = {**_GATE, "gate_reopen_after": 0}
 
+
+def _noise(preset: str, **times: float) -> dict[str, float]:
+    """Give a filter some of a preset's inertial noise, each so many times as large."""
+    noise = load_config(preset).noise
+    return {key: factor * getattr(noise, key) for key, factor in times.items()}
+
+
+def _at_sea(name: str, sea: Sea, **filters: Filter) -> World:
+    """Tell the filters the preset of the sensors' grade and how noisy the reference is."""
+    preset = load_config(sea.grade)
+    noise = sea.reference
+    config = msgspec.structs.replace(
+        preset,
+        filters=filters,
+        evaluation=msgspec.structs.replace(preset.evaluation, starts=SEA_STARTS),
+        reference=msgspec.structs.replace(
+            preset.reference,
+            position_sd_m=noise.position_m,
+            velocity_sd_mps=noise.velocity_mps,
+            attitude_sd_deg=noise.attitude_deg,
+        ),
+    )
+    return World(f"sea: {name}", config, ImuErrors(), DvlErrors(), sea=sea)
+
+
+SEA_STARTS: Final = 16
+
 WORLDS: Final[tuple[World, ...]] = (
     _world("FOG sensors as the preset says", _FOG),
     _paper(),
@@ -224,4 +261,75 @@ WORLDS: Final[tuple[World, ...]] = (
     ),
     replace(_world("dead: a DVL turned by 90 deg", _TACTICAL), way={"mounting_rpy_deg": (0.0, 0.0, 90.0)}, dead=True),
     replace(_world("dead: a DVL in mm/s", _TACTICAL), harm=_in_millimetres, dead=True),
+    # Worlds at sea: the baseline is set somewhat wrong, and copies, like ones, better and worse ones stand beside it.
+    _at_sea(
+        "MEMS in waves, 200 s",
+        Sea(Voyage(1.2, 0.2, 25.0, 60.0, wave_deg=4.0, wave_mps=0.2, wave_period_s=6.0), "mems", 200.0),
+        baseline=_by_velocity(velocity_sd_mps=0.06),
+        copy=_by_velocity(velocity_sd_mps=0.06),
+        alike=_by_velocity(velocity_sd_mps=0.063),
+        right=_by_velocity(velocity_sd_mps=0.015),
+        worse=_by_velocity(velocity_sd_mps=0.2),
+    ),
+    _at_sea(
+        "hover, tactical, 400 s",
+        Sea(Voyage(0.0, 0.08, 40.0, 15.0, wave_deg=1.0), "tactical", 400.0),
+        baseline=_by_velocity(velocity_sd_mps=0.06),
+        copy=_by_velocity(velocity_sd_mps=0.06),
+        alike=_by_velocity(velocity_sd_mps=0.057),
+        right=_by_velocity(velocity_sd_mps=0.015),
+        worse=_by_velocity(velocity_sd_mps=0.2),
+    ),
+    _at_sea(
+        "FOG, a DVL whose errors stay, 600 s",
+        Sea(Voyage(1.5, 0.1, 60.0, 70.0), "fog", 600.0, SeaDvl(correlated_mps=0.008, correlated_s=20.0)),
+        baseline=_by_velocity(velocity_sd_mps=0.1),
+        copy=_by_velocity(velocity_sd_mps=0.1),
+        alike=_by_velocity(velocity_sd_mps=0.103),
+        right=_by_velocity(),
+        worse=_by_velocity(velocity_sd_mps=0.4),
+    ),
+    _at_sea(
+        "tactical, one outage of 120 s in 480 s",
+        Sea(Voyage(1.0, 0.1, 40.0, 60.0), "tactical", 480.0, outage_s=(240.0, 360.0)),
+        baseline=_by_velocity(),
+        alike1=_by_velocity(velocity_sd_mps=0.024),
+        alike2=_by_velocity(dvl_noise="adaptive"),
+        alike3=_by_velocity(**_noise("tactical", gyro_white_rad_rts=1.1)),
+        alike4=_by_velocity(**_noise("tactical", accel_white_mps_rts=0.9)),
+        alike5=_by_velocity(**_noise("tactical", gyro_white_rad_rts=1.2, accel_white_mps_rts=1.4)),
+        alike6=_by_acceleration(Acceleration()),
+    ),
+    _at_sea(
+        "MEMS, the bottom lost now and then, 900 s",
+        Sea(Voyage(1.0, 0.2, 50.0, 60.0, wave_deg=2.0), "mems", 900.0, SeaDvl(lost_spans=8), imu_rate_hz=40.0),
+        baseline=_by_velocity(velocity_sd_mps=0.4),
+        copy=_by_velocity(velocity_sd_mps=0.4),
+        alike=_by_velocity(velocity_sd_mps=0.41),
+        right=_by_velocity(velocity_sd_mps=0.05),
+        worse=_by_velocity(velocity_sd_mps=1.5),
+    ),
+    _at_sea(
+        "tactical in swell, a noisy reference of 1 Hz, 600 s",
+        Sea(
+            Voyage(1.2, 0.1, 60.0, 60.0, wave_deg=3.0, wave_mps=0.3, wave_period_s=10.0),
+            "tactical",
+            600.0,
+            reference=SeaReference(0.3, 0.03, 0.1, 1.0),
+        ),
+        baseline=_by_velocity(velocity_sd_mps=0.1),
+        copy=_by_velocity(velocity_sd_mps=0.1),
+        alike=_by_velocity(velocity_sd_mps=0.105),
+        right=_by_velocity(velocity_sd_mps=0.02),
+        worse=_by_velocity(velocity_sd_mps=0.4),
+    ),
+    _at_sea(
+        "tactical survey of 2 h",
+        Sea(Voyage(1.5, 0.05, 240.0, 80.0), "tactical", 7200.0, SeaDvl(lost_spans=20), SeaReference(rate_hz=0.5), 20.0),
+        baseline=_by_velocity(velocity_sd_mps=0.2),
+        copy=_by_velocity(velocity_sd_mps=0.2),
+        alike=_by_velocity(velocity_sd_mps=0.21),
+        right=_by_velocity(velocity_sd_mps=0.02),
+        worse=_by_velocity(velocity_sd_mps=0.8),
+    ),
 )

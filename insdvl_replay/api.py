@@ -30,7 +30,12 @@ __all__ = ["OwnMeasurement", "OwnReadings", "Result", "load_config", "read_resul
 Text = str | Path
 
 
-def load_config(*files: Text, preset: str | None = None, settings: Mapping[str, object] | Sequence[str] = ()) -> Config:
+def load_config(
+    *files: Text,
+    preset: str | None = None,
+    settings: Mapping[str, object] | Sequence[str] = (),
+    allow_code: bool = False,
+) -> Config:
     """Resolve settings, as the command line does.
 
     Parameters
@@ -42,14 +47,16 @@ def load_config(*files: Text, preset: str | None = None, settings: Mapping[str, 
     settings : mapping or sequence of str
         Single settings by their dotted keys: ``{"dvl.scale": 1.01}``, or ``["dvl.scale=1.01"]``. Lists may be tuples or
         arrays, numbers NumPy's, and files paths; a mapping sets the keys in it and leaves others as they are.
+    allow_code : bool
+        The settings may name your code, as ``module:Class``. A replay with them runs it.
 
     Raises
     ------
     ConfigError
-        A key is not known or its value cannot be.
+        A key is not known, its value cannot be, or it names code without ``allow_code``.
     """
     pairs = [*_pairs(settings)] if isinstance(settings, Mapping) else list(settings)
-    return _load_config(preset, [Path(file) for file in files], pairs)
+    return _load_config(preset, [Path(file) for file in files], pairs, allow_code=allow_code)
 
 
 def _pairs(settings: Mapping[str, object], within: str = "") -> Iterator[str]:

@@ -137,7 +137,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     plan, timeline = coasting_plan(prepared), prepared_timeline(dive, prepared)
     histories = run_filters(prepared, timeline, cov_ns=np.union1d(judged_ns, plan.start_ns))
     read, motions, read_notes = read_solutions(solutions, config.solutions, dive.imu, histories[0], judged_ns)
-    coasts = coasting_of(prepared, timeline, histories, plan)
+    coasts = coasting_of(replace(dive, solutions=solutions), config, prepared, timeline, histories, plan)
     draws = config.evaluation
     drawn = run_from_drawn_starts(dive, prepared, draws.starts, draws.seed) if dive.reference is not None else ()
     del timeline
@@ -157,7 +157,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     notes = dive.notes + prepared.notes + outage_notes(prepared.velocities.time_ns, *span) + update_notes(histories)
     notes += contradiction_of_filter(dive.sensors, dive.reference, histories[0]) + read_notes
     notes += reference_notes(dive, *span, histories[0], judged_ns, independent=independent)
-    tables, judged = judged_candidates(histories, tables, notes, independent=independent)
+    tables, judged = judged_candidates(histories, errors, tables, notes, independent=independent)
     notes += settings_hints(tables, histories[0]) + constants_notes(histories)
     if not keep_cov:
         histories = tuple(history.without_cov() for history in histories)

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from msgspec import Struct
 
+from insdvl_replay.core.dive_columns import seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import STATES
 from insdvl_replay.evaluation.believed import mean_over_nine
@@ -73,12 +74,26 @@ def straight_claims(replay: Replay) -> Iterator[Claim]:
         f"{levelling['phi_n']:.1f} % and {levelling['phi_e']:.1f} %",
         bool((levelling - 7.0).abs().max() <= 2.0),
     )
-    times_s = reached.loc[["ba_x", "ba_y"], "reached_s"]
+    times_s = reached.loc[["ba_x", "ba_y"], "nearest_approach_s"]
     yield judged(
         place,
         "x and y accelerometer biases after 30 s as well known as by the baseline after 424 s",
         f"{times_s['ba_x']:.0f} s and {times_s['ba_y']:.0f} s",
         bool((times_s - 30.0).abs().max() <= 8.0),
+    )
+    tilt = INDEX["phi_n"]
+    rows = np.flatnonzero(aided.updated)
+    near = rows[
+        np.argmin(np.abs(seconds(aided.time_ns[rows], aided.time_ns[0]) - reached.loc["phi_n", "nearest_approach_s"]))
+    ]
+    below_pct = 100.0 * (1.0 - aided.sd[near, tilt] / FACTOR["phi_n"] / reached.loc["phi_n", "target_sd"])
+    highest = aided.sd[near, tilt] >= 0.9999 * aided.sd[rows, tilt].max()
+    yield judged(
+        place,
+        "roll and pitch converge after 99 s and 100 s",
+        f"nearest to the target after {reached.loc['phi_n', 'nearest_approach_s']:.0f} s, at {below_pct:.1f} % below it"
+        + (", where sigma is at its largest" if highest else ""),
+        not highest,
     )
     left = {state: left_share(baseline, state) for state in ("ba_z", "bg_x", "bg_y")}
     yield judged(

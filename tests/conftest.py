@@ -2,16 +2,38 @@
 
 import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
 from left_out import left_out
+
+from insdvl_replay import replay
+from insdvl_replay.core.config import Evaluation
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
 # A shell lets what it starts in the background ignore Ctrl-C, and the programs that tests start would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+_draw = replay.run_from_drawn_starts
+_draws = {"all": False}
+
+
+def _draw_one(dive: Any, prepared: Any, count: int, *seed: int) -> Any:
+    """Replay from one start where nobody asks about starts: the usual 16 take four times as long."""
+    return _draw(dive, prepared, 1 if count == Evaluation().starts and not _draws["all"] else count, *seed)
+
+
+replay.run_from_drawn_starts = _draw_one
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Leave the usual number of starts to the tests that are marked so, and to their fixtures."""
+    _draws["all"] = item.get_closest_marker("all_starts") is not None
+
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
@@ -58,3 +80,5 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     if terminal is not None:
         for line in left_out(report.longrepr[2] for report in terminal.stats.get("skipped", [])):
             terminal.write_line(line, yellow=True)
+        if config.option.markexpr == "not nightly":
+            terminal.write_line("tests marked nightly were left out: `make nightly` runs them", yellow=True)

@@ -21,18 +21,10 @@ _LEFT_WITHIN_S: Final = 2.0
 
 @dataclass(frozen=True)
 class Cluster:
-    """A dask.distributed cluster that runs already.
+    """A dask.distributed cluster that runs already."""
 
-    Attributes
-    ----------
-    address : str
-        Of its scheduler, such as ``tcp://host:8786``.
-    timeout_s : float
-        How long it may be without a worker or an answer.
-    """
-
-    address: str
-    timeout_s: float
+    address: str  # of its scheduler, such as ``tcp://host:8786``
+    timeout_s: float  # how long it may be without a worker or an answer
 
 
 def cluster_workers(cluster: Cluster) -> Workers:

@@ -19,105 +19,53 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.runtime import each, sources_digest
-from insdvl_replay.results.folder import COMPLETE, result_folder
+from insdvl_replay.results.folder import COMPLETE, result_digest, result_folder
 from insdvl_replay.results.json_report import Report, decode_report, encode_report
-from insdvl_replay.results.workspace import clear_leftovers
 
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """What is done to every dive.
-
-    Attributes
-    ----------
-    allow_damaged : bool
-        Use what can be read of a damaged log.
-    control : bool
-        Add the baseline with its noise fitted.
-    trajectories : bool
-        Write TUM files, too.
-    histories : bool
-        Write replay.mcap.
-    history_format : str
-        In which the history of each filter is written beside it; empty for none.
-    version, sources : str
-        Of the tool, which workers elsewhere must have, too.
-    """
+    """What is done to every dive."""
 
     config: Config
-    allow_damaged: bool = False
-    control: bool = False
-    trajectories: bool = False
-    histories: bool = True
-    history_format: str = ""
-    version: str = __version__
-    sources: str = field(default_factory=sources_digest)
+    allow_damaged: bool = False  # use what can be read of a damaged log
+    control: bool = False  # add the baseline with its noise fitted
+    trajectories: bool = False  # write TUM files, too
+    histories: bool = True  # write replay.mcap
+    history_format: str = ""  # of each filter's history beside it; empty for none
+    version: str = __version__  # of the tool, which workers elsewhere must have, too
+    sources: str = field(default_factory=sources_digest)  # likewise
 
 
 @dataclass(frozen=True)
 class ReplayJob:
-    """One dive to be replayed.
+    """One dive to be replayed."""
 
-    Attributes
-    ----------
-    logs : tuple of Path
-        A log or a bag, or several of them that are one dive.
-    name : Path
-        The one of them after which the dive is named.
-    target : Path
-        Its result folder, which bears the dive's name.
-    sha256 : str or None
-        Of the logs, where the one who asks for the replay may see other files than the one who does it; empty if they
-        cannot be read there.
-    """
-
-    logs: tuple[Path, ...]
-    name: Path
-    target: Path
+    logs: tuple[Path, ...]  # a log or a bag, or several of them that are one dive
+    name: Path  # the one of them after which the dive is named
+    target: Path  # its result folder, which bears the dive's name
     options: ReplayOptions
-    sha256: str | None = None
+    sha256: str | None = None  # of the logs, where a worker may see other files; empty if they cannot be read here
+    before: str | None = None  # `result_digest` of the target as the replay is asked for; another run's result stays
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one dive.
-
-    Attributes
-    ----------
-    unchanged : bool
-        The result lay there already.
-    """
+    """What became of one dive."""
 
     job: ReplayJob
     result: Report | Exception
-    unchanged: bool = False
+    unchanged: bool = False  # the result lay there already
 
 
 def plan_jobs(logs: Sequence[Path], output: Path, options: ReplayOptions, *, one_dive: bool = False) -> list[ReplayJob]:
-    """Name each dive's result folder.
-
-    Parameters
-    ----------
-    output : Path
-        The folder above.
-    one_dive : bool
-        All logs are one dive; else each is one.
-
-    Returns
-    -------
-    list of ReplayJob
-        In the order of the logs.
-
-    Raises
-    ------
-    ConfigError
-        Two dives would share a name.
-    """
+    """Name each dive's result folder, below the output; a ConfigError says that two dives would share a name."""
     dives = [tuple(logs)] if one_dive else [(log,) for log in logs]
     givers = [_name_giver(dive) for dive in dives]
     names = unique_names(givers)
     return [
-        ReplayJob(dive, giver, output / name, options) for dive, giver, name in zip(dives, givers, names, strict=True)
+        ReplayJob(dive, giver, output / name, options, before=result_digest(output / name))
+        for dive, giver, name in zip(dives, givers, names, strict=True)
     ]
 
 
@@ -134,17 +82,8 @@ def replay_jobs(
 ) -> Generator[Outcome, None, None]:
     """Replay dives, each into its folder. One that fails does not stop the others.
 
-    Parameters
-    ----------
-    known : dict of Path to Report
-        Those that need no replay, from `known_reports`. It is emptied on the way.
-    after_dive : callable
-        Called as soon as a dive is done, in any options.
-
-    Yields
-    ------
-    Outcome
-        In the order of the jobs.
+    Those that `known_reports` has found need no replay; they are taken out on the way. ``after_dive`` is called as soon
+    as a dive is done; outcomes come in the order of the jobs.
     """
     todo = [job for job in jobs if job.target not in known]
     done: dict[Path, Outcome] = {}
@@ -174,7 +113,6 @@ def _for_elsewhere(job: ReplayJob) -> ReplayJob:
 
 def _result_of(job: ReplayJob, result: bytes | Exception) -> Report | Exception:
     if isinstance(result, WorkerLostError):  # workers do not know of logs
-        clear_leftovers(job.target.parent)
         return LogError(f"{job.name}: {result.message}", result.hint)
     return decode_report(result) if isinstance(result, bytes) else result
 
@@ -200,7 +138,7 @@ def replay_into(job: ReplayJob) -> bytes:
             f"was asked for it is {job.sha256 or 'not to be had'}",
             "--scheduler needs workers that see the same files under the same paths",
         )
-    with result_folder(job.target, force=True) as folder:
+    with result_folder(job.target, force=True, before=job.before) as folder:
         save_replay(replay, folder, histories=job.options.histories)
         if job.options.trajectories:
             save_trajectories(replay, folder)

@@ -12,7 +12,6 @@ from typing import Final
 import msgspec
 
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest
-from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.words import Severity
@@ -22,6 +21,7 @@ from insdvl_replay.results.folder import (
     REPLAY_LOG,
     damaged_files,
     history_file,
+    read_file,
     require_replaceable_folder,
     trajectory_file,
 )
@@ -38,24 +38,9 @@ def known_reports(
 ) -> dict[Path, Report]:
     """Find the dives whose result is there already and whole, made from the same log, settings and versions.
 
-    Parameters
-    ----------
-    force : bool
-        Results made from anything else may be replaced.
-    rerun : bool
-        Take none for known.
-    report_note : callable
-        Called for each result whose files are not as they were written, which is replaced.
-
-    Returns
-    -------
-    dict of Path to Report
-        By result folder.
-
-    Raises
-    ------
-    ConfigError
-        A folder is in the way, or holds what a result did not write.
+    With ``force``, results made from anything else may be replaced; with ``rerun``, none is taken for known. A result
+    whose files are not as they were written is reported, and replaced. A ConfigError tells that a folder is in the way,
+    or holds what a result did not write.
     """
     for folder in {job.target.parent for job in jobs}:
         clear_leftovers(folder)
@@ -64,7 +49,7 @@ def known_reports(
     found = [None] * len(jobs) if force and rerun else each(_known_report, jobs)
     for job, report in zip(jobs, found, strict=True):
         if isinstance(report, Report):
-            if not rerun and not _runs_own_code(job.options.config):
+            if not rerun and not job.options.config.code:  # no digest is kept of all that code reads
                 known[job.target] = report
             continue
         if isinstance(report, Note):
@@ -75,18 +60,13 @@ def known_reports(
     return known
 
 
-def _runs_own_code(config: Config) -> bool:
-    """Tell settings with measurements of the user's own: no digest is kept of their code and of what it reads."""
-    return any(":" in word for filter_ in config.filters.values() for word in filter_.aiding)
-
-
 def _known_report(job: ReplayJob) -> Report | Note | None:
     """Return the result that is there if another replay would give the same; a note if only its files are not whole.
 
     What is large is read last: the log, then the files of the result.
     """
     try:
-        report = decode_report((job.target / COMPLETE).read_bytes())
+        report = decode_report(read_file(job.target / COMPLETE))
         filters = [report.baseline, *report.filters] if job.options.trajectories else []
         wanted = {*map(trajectory_file, filters), *([REPLAY_LOG] if job.options.histories else [])}
         if job.options.history_format:

@@ -127,7 +127,7 @@ def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, befor
     timeline = prepared_timeline(dive, start)
 
     def negative_log_likelihood(logarithms: Floats) -> float:
-        tried = resolve_filter(NAME, filter_with(logarithms), config, from_beams=start.velocities.from_beams)
+        tried = resolve_filter(NAME, filter_with(logarithms), config)
         history = run_one(tried, start, timeline)
         return -round(log_likelihood(history.innovations[0]), LIKELIHOOD_DIGITS)
 

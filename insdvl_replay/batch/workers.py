@@ -11,29 +11,24 @@ import os
 import signal
 import sys
 import threading
-import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from concurrent.futures.process import ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from multiprocessing import resource_tracker
-from types import FrameType
-from typing import Any, Final, NoReturn, TypeVar
+from typing import Any, Final, TypeVar
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.core.runtime import collect_rarely, coming_again
+from insdvl_replay.core.runtime import collect_rarely
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_ENDINGS: Final = (signal.SIGINT, signal.SIGTERM)
 _THREADS_OF_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """The variables that set, before numpy is imported, on how many cores it multiplies matrices."""
-_GRACE_S: Final = 3
-"""How long a worker gets to remove what it has half written."""
+_ENDED_WITHIN_S: Final = 5.0
 
 
 class WorkerLostError(LogError):
@@ -42,41 +37,21 @@ class WorkerLostError(LogError):
 
 @dataclass(frozen=True)
 class Pool:
-    """Workers that are at work.
-
-    Attributes
-    ----------
-    in_flight : int
-        How many items they hold at a time; more than there are workers, so that none waits.
-    require_alive : callable
-        Raises an error when nothing more is to be expected of them.
-    look_every_s : float or None
-        How often it is asked while no item gets done; None for never.
-    """
+    """Workers that are at work."""
 
     executor: Executor
-    in_flight: int
-    require_alive: Callable[[], None] = lambda: None
-    look_every_s: float | None = None
+    in_flight: int  # items that they hold at a time; more than there are workers, so that none waits
+    require_alive: Callable[[], None] = lambda: None  # raises an error when nothing more is to be expected of them
+    look_every_s: float | None = None  # how often it is asked while no item gets done; None for never
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Where work is done.
+    """Where work is done."""
 
-    Attributes
-    ----------
-    open : callable
-        Gives a fresh `Pool`, of a single worker if asked to.
-    lost : tuple of exception types
-        What a future raises whose worker died.
-    are_elsewhere : bool
-        They may stand in other folders, on other machines.
-    """
-
-    open: Callable[[bool], AbstractContextManager[Pool]]
-    lost: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
-    are_elsewhere: bool = False
+    open: Callable[[bool], AbstractContextManager[Pool]]  # gives a fresh pool, of a single worker if asked to
+    lost: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)  # raised by a future whose worker died
+    are_elsewhere: bool = False  # they may stand in other folders, on other machines
 
 
 def do_each(
@@ -129,7 +104,7 @@ def _outcome(future: Future[Result], lost: tuple[type[BaseException], ...]) -> R
     except lost as error:
         return WorkerLostError(
             f"its worker died, and died again with nothing else to do: {error}",
-            "a machine that runs out of memory kills; try it alone, with --jobs 1",
+            "a machine that runs out of memory kills, and code in the settings may: try it alone, with --jobs 1",
         )
     except Exception as error:
         # Else it would keep all that was read of its dive for as long as somebody keeps the error.
@@ -137,9 +112,12 @@ def _outcome(future: Future[Result], lost: tuple[type[BaseException], ...]) -> R
         return error
 
 
-def local_workers(jobs: int) -> Workers:
-    """Work in this process, or in several new ones: as many as jobs at the same time."""
-    if jobs == 1:
+def local_workers(jobs: int, *, runs_code: bool = False) -> Workers:
+    """Work in this process, or in several new ones: as many as jobs at the same time.
+
+    The user's code runs in a new process. If it ends that process, its dive fails, and the command goes on.
+    """
+    if jobs == 1 and not runs_code:
         return Workers(lambda _alone: nullcontext(Pool(_InThisProcess(), 1)))
     return Workers(lambda alone: _processes(1 if alone else jobs))
 
@@ -157,42 +135,16 @@ class _InThisProcess(Executor):
 
 
 class _Processes(ProcessPoolExecutor):
-    """Processes each of which ends as a whole when the parent wants it to, and not the item alone."""
+    """Processes that a Ctrl-C at the terminal does not reach: their parent ends them."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        with _signals_held():
+        if threading.current_thread() is not threading.main_thread():
             return super().submit(_do, fn, *args, **kwargs)
-
-
-@contextmanager
-def _signals_held() -> Iterator[None]:
-    """Obey a signal only when the processes that are being started know what to do, and all of them are known here.
-
-    One that has not read yet what it is for would complain, with a traceback, that nobody tells it any more.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    held: list[int] = []
-    before = {number: signal.signal(number, lambda got, _frame: held.append(got)) for number in _ENDINGS}
-    masked = _block_for_those_that_start()
-    try:
-        yield
-    finally:
-        if masked is not None:
-            signal.pthread_sigmask(signal.SIG_SETMASK, masked)
-        for number, handler in before.items():
-            signal.signal(number, handler or signal.SIG_DFL)  # none, where Python did not set it
-    for got in held:
-        signal.raise_signal(got)
-
-
-def _block_for_those_that_start() -> Collection[int] | None:
-    """Block the signals in this thread, from which a new process has it until `_begin`; return what was blocked."""
-    if not hasattr(signal, "pthread_sigmask"):
-        return None
-    resource_tracker.ensure_running()  # as it starts, it lets signals through again
-    return signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a process that is started now will do
+        try:
+            return super().submit(_do, fn, *args, **kwargs)
+        finally:
+            signal.signal(signal.SIGINT, before or signal.SIG_DFL)
 
 
 @contextmanager
@@ -208,7 +160,7 @@ def _processes(jobs: int) -> Iterator[Pool]:
         for process in ours:
             process.terminate()
         for process in ours:
-            process.join(2 * _GRACE_S)
+            process.join(_ENDED_WITHIN_S)
         executor.shutdown(wait=False, cancel_futures=True)
         raise
 
@@ -218,11 +170,7 @@ def _begin() -> None:
     for name in _THREADS_OF_LIBRARIES:
         os.environ.setdefault(name, "1")  # the other cores belong to the other processes
     collect_rarely()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all processes; the parent ends them
-    signal.signal(signal.SIGTERM, _end_at_once)
-    sys.unraisablehook = coming_again(_Leaving)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDINGS)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # what is half written is removed on the way out
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 
 
@@ -231,31 +179,12 @@ def _end_with_the_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(_GRACE_S)
-        os._exit(1)  # compiled code may leave Python no moment for its handler
-
-
-class _Leaving(SystemExit):
-    """The parent wants this worker to end: what is half written is removed on the way out."""
-
-
-def _end_at_once(_signal: int, _frame: FrameType | None) -> NoReturn:
-    """End a worker that has nothing to do: there is nothing to remove, and an exception would end in a traceback."""
-    os._exit(1)
-
-
-def _leave(_signal: int, _frame: FrameType | None) -> NoReturn:
-    signal.alarm(_GRACE_S)  # ends the process where the exception is caught by someone on its way
-    raise _Leaving
+        os._exit(1)
 
 
 def _do(work: Callable[..., Result], *args: Any, **kwargs: Any) -> Result:
-    """Do the work; if the parent wants the worker to end, end it."""
+    """Do the work; a worker that is to end ends, where the pool would take that for the result."""
     try:
-        signal.signal(signal.SIGTERM, _leave)
         return work(*args, **kwargs)
-    except _Leaving:
+    except SystemExit:
         os._exit(1)
-    finally:
-        signal.signal(signal.SIGTERM, _end_at_once)

@@ -2,11 +2,10 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay.calibration.beam_errors import pulled_by_beams
 from insdvl_replay.calibration.certainty import (
     SEEN,
     Certainty,
@@ -16,10 +15,19 @@ from insdvl_replay.calibration.certainty import (
     mean_change,
     own_delays,
 )
+from insdvl_replay.calibration.considered import beside_imu_errors, effects_of_errors, nis_by_errors, pulled
 from insdvl_replay.calibration.fit import DELAY_STEP_S, Fit, Mask, fit, scatter_of
 from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
 from insdvl_replay.calibration.motion import MOSTLY, noise_share, seen_by_motion
-from insdvl_replay.calibration.noise import NO_GEOMETRY, FittedNoise, fit_noise, levelled, noise_doubts, noise_rows
+from insdvl_replay.calibration.noise import (
+    NO_GEOMETRY,
+    FittedNoise,
+    fit_noise,
+    judged_noise,
+    levelled,
+    noise_doubts,
+    noise_rows,
+)
 from insdvl_replay.calibration.parameters import (
     ALL_GROUPS,
     DELAY,
@@ -44,6 +52,8 @@ they feel gravity grow with the depth that a pitched DVL claims (4.6 in 600 s, 9
 stamps that jitter, look like a smaller scale."""
 SMOOTHED: Final = "seen, but not beyond what a DVL that smooths would look like"
 NOISE_ALONE: Final = "not seen beyond the noise of this IMU"
+NEARLY_SETTLED: Final = 0.5
+"""A step of less than so many standard deviations ends the fit with the noise that is configured."""
 BELIEVABLE_SDS: Final = 3.0
 """An estimate further from the configuration, in sds of the prior, comes from something else."""
 BELIEVABLE_SCALE: Final = 0.05
@@ -71,39 +81,19 @@ class ReferenceCalibration:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What several dives say of their vehicle.
-
-    Attributes
-    ----------
-    before, after : DvlGeometry
-        What the configuration says, and what is proposed.
-    change : ndarray, shape (8,)
-        What is proposed, of `parameters.PARAMETERS`; zero where nothing is.
-    rows : tuple of ParameterRow
-        In the order of the parameters.
-    doubts : tuple of str
-        What speaks against believing it.
-    fit : Fit
-        Of all that was asked for, with what is then held.
-    noise : FittedNoise
-        Of the sensors, by which the innovations are weighed.
-    noise_rows : tuple of NoiseRow
-        What of it is proposed.
-    tried : str
-        Which mounting was tried first, where nobody knew it.
-    """
+    """What several dives say of their vehicle."""
 
     before: DvlGeometry
-    after: DvlGeometry
-    change: Floats
+    after: DvlGeometry  # what is proposed
+    change: Floats  # shape (8,): what is proposed, zero where nothing is
     rows: tuple[ParameterRow, ...]
     dives: tuple[DiveRow, ...]
-    doubts: tuple[str, ...]
-    fit: Fit
-    noise: FittedNoise
+    doubts: tuple[str, ...]  # what speaks against believing it
+    fit: Fit  # of all that was asked for, with what is then held
+    noise: FittedNoise  # what is proposed of the sensors
     noise_rows: tuple[NoiseRow, ...]
     held_out: tuple[HeldOutRow, ...] = ()
-    tried: str = ""
+    tried: str = ""  # which mounting was tried first, where nobody knew it
     reference: ReferenceCalibration | None = None
 
     def with_held_out(self, rows: Sequence[HeldOutRow]) -> "Calibration":
@@ -131,7 +121,7 @@ class Calibration:
     @property
     def proposes_noise(self) -> bool:
         """Whether any noise is proposed."""
-        return any(row.status == Estimated.ESTIMATED for row in self.noise_rows)
+        return any(row.is_proposed for row in self.noise_rows)
 
     @property
     def all_rows(self) -> tuple[ParameterRow, ...]:
@@ -142,48 +132,43 @@ class Calibration:
 def calibrate(
     dives: Sequence[DiveInnovations], config: Config, groups: Collection[str] = ALL_GROUPS, *, one_delay: bool = False
 ) -> Calibration:
-    """Estimate what the dives show, and leave the rest as it is.
-
-    Parameters
-    ----------
-    dives : sequence of DiveInnovations
-        Of one vehicle.
-    config : Config
-        With which they were read.
-    groups : collection of str
-        What may be estimated.
-    one_delay : bool
-        Whether all dives are late by the same.
-    """
+    """Estimate what the dives show, and leave the rest as it is."""
     asked = np.array([parameter.group in groups for parameter in PARAMETERS])
     # Of a noise that is far off, the standard deviations are, and a noise that is fitted before the geometry hides it.
-    first = _fitted(dives, asked, one_delay=one_delay)
+    first = _fitted(dives, asked, one_delay=one_delay, settled=NEARLY_SETTLED)
     noise = fit_noise(dives, [first.of_dive(i) for i in range(len(dives))])
     dives = [noise.applied(dive) for dive in dives]
     settled = _fitted(dives, first.unknowns.free, one_delay=one_delay, start=first.values)
     noise_shares = noise_share(settled, dives)
     all_at_once = seen_by_motion(settled, dives, noise_shares)
-    certainty = certainty_of(all_at_once, pulled_by_beams(all_at_once, dives))
+    effects = effects_of_errors(all_at_once, dives)
+    beside = beside_imu_errors(all_at_once, effects)
+    certainty = certainty_of(all_at_once, beside, pulled(beside, effects))
     refused = dict(_refused(certainty, mean_change(all_at_once), asked, noise_shares.min(axis=0)))
     free = asked & np.array([row not in refused for row in range(len(PARAMETERS))])
     # Told with what is held free: a scale of 2 % that is held would be taken for arm and delay, beyond all their sds.
     change = np.where(free, mean_change(all_at_once), 0.0)
     noise = levelled(noise, dives, [change] * len(dives))
+    held = NO_GEOMETRY if asked.any() and not free.any() else ""
+    if NOISE in groups and not held:
+        by_errors = nis_by_errors(all_at_once, effects)
+        noise, of_noise = judged_noise(noise, dives, [change] * len(dives), by_errors, config)
+    else:
+        status = Estimated.HELD if NOISE in groups else Estimated.NOT_ASKED
+        of_noise = noise_rows(noise, dict.fromkeys(noise.after, (status, held)), {})
     before = DvlGeometry.of(config)
     rows = tuple(parameter_rows(PARAMETERS, certainty, change, mean_change(all_at_once), asked, refused))
     of_dives = tuple(_dive_rows([noise.applied(dive) for dive in dives], all_at_once, free))
-    held = NO_GEOMETRY if asked.any() and not free.any() else ""
-    of_noise = tuple(noise_rows(noise, dives, config, asked=NOISE in groups, held=held))
     doubts = (*_doubts(all_at_once, certainty, free), *_doubts_of_dives(of_dives), *noise_doubts(of_noise))
     return Calibration(before, before.changed(change), change, rows, of_dives, doubts, all_at_once, noise, of_noise)
 
 
-def _fitted(dives: Sequence[DiveInnovations], asked: Mask, *, one_delay: bool, start: Floats | None = None) -> Fit:
+def _fitted(dives: Sequence[DiveInnovations], asked: Mask, **how: Any) -> Fit:
     """Fit all that is asked for, without a scale that nothing shows and that runs away, and takes the arm with it."""
-    found = fit(dives, asked, one_delay=one_delay, start=start)
+    found = fit(dives, asked, **how)
     if not _is_wild(mean_change(found)[SCALE]) or certainty_of(found).seen[SCALE] >= SEEN:
         return found
-    return fit(dives, asked & (np.array(NAMES) != NAMES[SCALE]), one_delay=one_delay, start=start)
+    return fit(dives, asked & (np.array(NAMES) != NAMES[SCALE]), **how)
 
 
 def _is_wild(scale: float) -> bool:
@@ -235,6 +220,7 @@ def parameter_rows(
             _number(shown * certainty.correlated[row]),
             _number(shown * certainty.between[row]),
             _number(shown * certainty.beams[row]),
+            _number(shown * certainty.imu[row]),
             _number(shown * certainty.sd[row]),
             _number(certainty.signal_to_noise[row]),
             _number(certainty.birge[row]),

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from insdvl_replay.calibration.considered import BEAM_ERRORS
 from insdvl_replay.calibration.fit import SHARED, Fit, Linearised
 from insdvl_replay.calibration.parameters import DELAY, NAMES
 from insdvl_replay.core.dive_columns import Floats
@@ -22,32 +23,20 @@ SEEN: Final = 3.0
 
 @dataclass(frozen=True)
 class Certainty:
-    """Standard deviations of p parameters, SI; the delay's is that of its mean over dives.
+    """Standard deviations of p parameters, SI; the delay's is that of its mean over dives."""
 
-    Attributes
-    ----------
-    prior_sd : ndarray, shape (p,)
-        How far papers may be off; of a mean over dives, less.
-    formal, correlated, between : ndarray, shape (p,)
-        By the information, by the correlation of the innovations, and by how the dives differ; the last is NaN of fewer
-        than `FEWEST_DIVES`.
-    beams : ndarray, shape (p,)
-        What single beams may be off by, see `beam_errors`.
-    birge : ndarray, shape (p,)
-        How much more dives differ than they should: 1 is expected; NaN of one dive.
-    """
-
-    prior_sd: Floats
-    formal: Floats
-    correlated: Floats
-    between: Floats
-    birge: Floats
-    beams: Floats
+    prior_sd: Floats  # shape (p,): how far papers may be off; of a mean over dives, less
+    formal: Floats  # by the information
+    correlated: Floats  # with the correlation of the innovations
+    between: Floats  # by how the dives differ; NaN of fewer than `FEWEST_DIVES`
+    birge: Floats  # how much more dives differ than they should: 1 is expected; NaN of one dive
+    beams: Floats  # what single beams may be off by, see `considered`
+    imu: Floats  # what is left of the errors of the IMU, likewise
 
     @property
     def sd(self) -> Floats:
         """The largest of the three, and what beams may be off by beside it, at most the prior's, shape (p,)."""
-        return np.asarray(np.minimum(np.hypot(self._largest, self.beams), self.prior_sd))
+        return np.asarray(np.minimum(np.sqrt(self._largest**2 + self.beams**2 + self.imu**2), self.prior_sd))
 
     @property
     def _largest(self) -> Floats:
@@ -64,31 +53,28 @@ class Certainty:
         return np.sqrt((self.prior_sd / np.minimum(self._largest, self.prior_sd)) ** 2 - 1.0)
 
 
-def certainty_of(fit: Fit, pulled: Floats | None = None) -> Certainty:
-    """Say how sure a fit is.
-
-    Parameters
-    ----------
-    pulled : ndarray, shape (count, m), optional
-        By `beam_errors.pulled_by_beams`; left out, beams are taken to be perfect but for their white noise.
-    """
-    cov, mean_of = fit.cov, _means(fit)
-    formal = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, cov, mean_of))
-    moved = fit.moved_by_scores
-    sandwich = moved @ _scores_cov(fit) @ moved.T
+def certainty_of(fit: Fit, beside: Fit | None = None, pulled: Floats | None = None) -> Certainty:
+    """Say how sure a fit is; `beside` and `pulled` are of `considered`, left out where beams and IMU are perfect."""
+    mean_of, inner = _means(fit), beside or fit
+    formal = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, inner.cov, mean_of))
+    moved = inner.moved_by_scores
+    sandwich = moved @ _scores_cov(inner) @ moved.T
     correlated = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, sandwich, mean_of))
-    beams = np.zeros(len(NAMES)) if pulled is None else np.linalg.norm(mean_of @ pulled, axis=1)
+    beams = imu = np.zeros(len(NAMES))
+    if pulled is not None:
+        pulled = mean_of @ np.column_stack([pulled, inner.step])
+        beams, imu = (np.linalg.norm(part, axis=1) for part in np.split(pulled, [BEAM_ERRORS], axis=1))
     own, own_sd = one_by_one(fit)
     n = len(own)
     # Behind a mean of delays that are each dive's own stand as many priors.
     prior_sd = np.sqrt(mean_of**2 @ fit.unknowns.prior_sd**2)
     if n < FEWEST_DIVES:
         unknown = np.full(len(NAMES), np.nan)
-        return Certainty(prior_sd, formal, correlated, unknown, unknown, beams)
+        return Certainty(prior_sd, formal, correlated, unknown, unknown, beams, imu)
     weights = own_sd**-2.0
     weights[:, DELAY] = delay_weights(*own_delays(fit))
     between, birge = differing(own, own_sd, weights)
-    return Certainty(prior_sd, formal, correlated, between, birge, beams)
+    return Certainty(prior_sd, formal, correlated, between, birge, beams, imu)
 
 
 def differing(own: Floats, own_sd: Floats, weights: Floats) -> tuple[Floats, Floats]:
@@ -96,13 +82,6 @@ def differing(own: Floats, own_sd: Floats, weights: Floats) -> tuple[Floats, Flo
 
     A dive that lies still says nothing, and differs from nothing. Where all count alike, the first is their scatter
     over the root of how many they are.
-
-    Parameters
-    ----------
-    own, own_sd : ndarray, shape (n, p)
-        What each of at least two dives says, and its formal standard deviation.
-    weights : ndarray, shape (n, p)
-        What each counts in the mean.
     """
     total = weights.sum(axis=0)
     off = own - np.average(own, axis=0, weights=weights)
@@ -116,11 +95,6 @@ def delay_weights(delays_s: Floats, sds_s: Floats) -> Floats:
 
     Clocks are set anew before a dive: the surest one is no better guess of the next than others are. Where none tells
     more than that, all count alike; one that lies still counts nothing.
-
-    Parameters
-    ----------
-    delays_s, sds_s : ndarray, shape (n,)
-        By `own_delays`.
     """
     weights = np.asarray(sds_s**-2.0)
     if len(weights) < FEWEST_DIVES:

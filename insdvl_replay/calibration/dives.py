@@ -209,6 +209,7 @@ def _coasted(read: ReadDive, change: Floats) -> tuple[int, float | None]:
     )
     plan, timeline = coasting_plan(moved), prepared_timeline(read.dive, moved)
     histories = run_filters(moved, timeline, cov_ns=plan.start_ns)
-    rows = coasting_table(read.dive.name, coasting_of(moved, timeline, histories, plan), windows_ratio)
+    coasts = coasting_of(read.dive, config, moved, timeline, histories, plan)
+    rows = coasting_table(read.dive.name, coasts, windows_ratio)
     found = next((row for row in rows if row.window_s == COASTED_S), None)
     return (0, None) if found is None else (found.windows, found.drift_median_m)

@@ -30,15 +30,7 @@ LABELS: Final = {
 
 
 def calibration_document(found: Calibration, written: str = "", figures: Sequence[Figure] = ()) -> list[Part]:
-    """Lay out a calibration: what is proposed first, then what it rests on, and what speaks against it.
-
-    Parameters
-    ----------
-    written : str
-        The file that holds the proposal, if there is one.
-    figures : sequence of Figure
-        For a page.
-    """
+    """Lay out a calibration: what is proposed first, then what it rests on, and what speaks against it."""
     parts: list[Part] = [
         Title(f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"),
         Callout(_headline(found), "good" if found.estimated and not found.doubts else "bad"),
@@ -79,8 +71,11 @@ def _reasons(found: Calibration) -> Iterator[Remark]:
         for why in dict.fromkeys(row.why for row in rows):
             names = ", ".join(LABELS[row.parameter] for row in rows if row.why == why)
             yield Remark(f"{names}: {said}; {why}")
-    for why in dict.fromkeys(row.why for row in found.noise_rows if row.status == Estimated.HELD):
-        yield Remark(f"noise: held; {why}")
+    for why in dict.fromkeys(
+        row.why for row in found.noise_rows if row.status in (Estimated.HELD, Estimated.NOT_DETERMINED)
+    ):
+        names = ", ".join(row.parameter for row in found.noise_rows if row.why == why)
+        yield Remark(f"{names}: {why}")
 
 
 def _what_now(found: Calibration, written: str) -> Iterator[Part]:
@@ -101,8 +96,8 @@ def _parameters(title: str, rows: tuple[ParameterRow, ...]) -> DisplayTable:
             ("between\ndives", "r", lambda row: number(row.between_dives_sd)),
             ("signal /\nnoise", "r", lambda row: number(row.signal_to_noise)),
         ),
-        "The sd is the largest of the three, with what beams may be off by, each by 0.2 % and 1 mm/s. What is below a "
-        "signal to noise of 3 (mounting: 4, scale: 30) is held.",
+        "The sd is the largest of the three, with what beams (each 0.2 % and 1 mm/s) and the IMU (1500 ppm and "
+        "1 mrad) may be off by. What is below a signal to noise of 3 (mounting: 4, scale: 30) is held.",
     )
 
 
@@ -120,11 +115,18 @@ def _noise(rows: tuple[NoiseRow, ...]) -> DisplayTable:
         (
             ("noise", "l", lambda row: f"{row.parameter} [{row.unit}]"),
             ("before", "r", lambda row: number(row.before)),
-            ("after", "r", lambda row: "held" if row.status == Estimated.HELD else number(row.after)),
+            ("after", "r", _noise_after),
+            ("sd", "r", lambda row: number(row.sd)),
             ("class", "l", lambda row: row.sensor_class),
         ),
         "" if all(row.status != Estimated.NOT_ASKED for row in rows) else "It was not asked for, and only weighs.",
     )
+
+
+def _noise_after(row: NoiseRow) -> str:
+    if row.status == Estimated.NOT_DETERMINED:
+        return f"not determined{f', at most {number(row.after)}' if row.is_proposed else ''}"
+    return number(row.after) if row.status in (Estimated.ESTIMATED, Estimated.NOT_ASKED) else Estimated.HELD
 
 
 def _dives(rows: tuple[DiveRow, ...]) -> DisplayTable:

@@ -29,13 +29,7 @@ _OF_DIVES: Final = "dive, in the order of the table"
 
 
 def calibration_figures(found: Calibration, dives: Sequence[DiveInnovations]) -> tuple[Figure, ...]:
-    """Draw a calibration; what there is nothing to draw of is left out.
-
-    Parameters
-    ----------
-    dives : sequence of DiveInnovations
-        Those that were fitted, in the same order.
-    """
+    """Draw a calibration; what there is nothing to draw of is left out."""
     dives = [found.noise.applied(dive) for dive in dives]
     figures = [_innovations(found.change_of_dive(i), dive) for i, dive in enumerate(dives[:DRAWN])]
     figures.append(_delays(found, dives))

@@ -36,21 +36,11 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Where the parameters of each dive stand among all: those of the vehicle first, then the delays.
-
-    Attributes
-    ----------
-    dives : int
-        How many.
-    one_delay : bool
-        Whether all dives share one, as those of one driver may.
-    free : ndarray of bool, shape (8,)
-        What is estimated at all.
-    """
+    """Where the parameters of each dive stand among all: those of the vehicle first, then the delays."""
 
     dives: int
-    one_delay: bool
-    free: Mask
+    one_delay: bool  # whether all dives share one, as those of one driver may
+    free: Mask  # shape (8,): what is estimated at all
 
     @property
     def count(self) -> int:
@@ -85,24 +75,12 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class Linearised:
-    """The residuals of one dive near an answer.
+    """The residuals of one dive near an answer."""
 
-    Attributes
-    ----------
-    residuals : ndarray, shape (k, 3)
-        In their own standard deviations.
-    scatter : ndarray, shape (3,)
-        What each axis scatters by, in the same; 1 where the filter knows its noise.
-    jacobian : ndarray, shape (k, 3, 8)
-        Of the residuals over the scatter.
-    by_motion : ndarray, shape (k, 3, 8)
-        What residuals may not go with: all of it, or what `motion` leaves of it.
-    """
-
-    residuals: Floats
-    scatter: Floats
-    jacobian: Floats
-    by_motion: Floats
+    residuals: Floats  # shape (k, 3), in their own standard deviations
+    scatter: Floats  # shape (3,): of each axis, in the same; 1 where the filter knows its noise
+    jacobian: Floats  # shape (k, 3, 8), of the residuals over the scatter
+    by_motion: Floats  # likewise: all of it, or what residuals may not go with, see `motion` and `considered`
 
     @property
     def scaled(self) -> Floats:
@@ -140,17 +118,10 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Fit:
-    """An answer, and the dives linearised there.
-
-    Attributes
-    ----------
-    values : ndarray, shape (count,)
-        Changes, in the order of `Unknowns`.
-    dives : tuple of Linearised
-    """
+    """An answer, and the dives linearised there."""
 
     unknowns: Unknowns
-    values: Floats
+    values: Floats  # shape (count,): changes, in the order of `Unknowns`
     dives: tuple[Linearised, ...]
 
     def of_dive(self, dive: int) -> Floats:
@@ -199,20 +170,15 @@ def scatter_of(residuals: Floats) -> Floats:
     return np.maximum(scatter, np.finfo(float).tiny)
 
 
-def fit(dives: Sequence[DiveInnovations], free: Mask, *, one_delay: bool = False, start: Floats | None = None) -> Fit:
-    """Find the changes under which the innovations of all dives are smallest.
-
-    Parameters
-    ----------
-    dives : sequence of DiveInnovations
-        At least one.
-    free : ndarray of bool, shape (8,)
-        What may change.
-    one_delay : bool
-        Whether all dives have the same.
-    start : ndarray, shape (count,), optional
-        Where to begin; left out, nothing has changed but for the delays.
-    """
+def fit(
+    dives: Sequence[DiveInnovations],
+    free: Mask,
+    *,
+    one_delay: bool = False,
+    start: Floats | None = None,
+    settled: float = SETTLED,
+) -> Fit:
+    """Find the changes under which the innovations of all dives are smallest."""
     unknowns = Unknowns(len(dives), one_delay, free)
     values = _with_delays(unknowns, dives) if start is None else np.where(unknowns.is_free, start, 0.0)
     damping = 1e-3
@@ -220,23 +186,32 @@ def fit(dives: Sequence[DiveInnovations], free: Mask, *, one_delay: bool = False
     for _ in steps("fitting the innovations", range(MOST_ROUNDS)):
         information = _total(unknowns, [near.information for near in linearised])
         gradient = _gradient(unknowns, linearised, values)
-        before = _cost(unknowns, dives, values, linearised)
+        before = _cost(unknowns, values, [near.scaled for near in linearised])
         while damping < LARGEST_DAMPING:
             step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
             step[~unknowns.is_free] = 0.0
             late = values[OWN - 1 :] + step[OWN - 1 :]
             step[OWN - 1 :] += np.clip(late, -LATEST_S, LATEST_S) - late
-            if _cost(unknowns, dives, values + step, linearised) <= before:
+            residuals = [dive.residuals(unknowns.of_dive(values + step, i)) for i, dive in enumerate(dives)]
+            scaled = [of_dive / near.scatter for of_dive, near in zip(residuals, linearised, strict=True)]
+            if _cost(unknowns, values + step, scaled) <= before:
                 break
             damping *= STEEPER
         else:
             break
         values, damping = values + step, damping * FLATTER
-        linearised = _linearised(unknowns, dives, values)
         sds = np.sqrt(np.diag(np.linalg.inv(information)))
-        if np.max(np.abs(step) / sds) < SETTLED:
-            break
+        if np.max(np.abs(step) / sds) < settled:
+            # So near, derivatives are the same.
+            return Fit(unknowns, values, tuple(map(_with_residuals, linearised, residuals)))
+        linearised = _linearised(unknowns, dives, values, residuals)
     return Fit(unknowns, values, linearised)
+
+
+def _with_residuals(near: Linearised, residuals: Floats) -> Linearised:
+    scatter = scatter_of(residuals)
+    jacobian = near.jacobian * (near.scatter / scatter)[:, None]
+    return Linearised(residuals, scatter, jacobian, jacobian)
 
 
 def _with_delays(unknowns: Unknowns, dives: Sequence[DiveInnovations]) -> Floats:
@@ -263,26 +238,22 @@ def delay_profile(dive: DiveInnovations, change: Floats, delays_s: Floats) -> Fl
     return np.array([robust_cost(of_one / scatter) for of_one in residuals])
 
 
-def _linearised(unknowns: Unknowns, dives: Sequence[DiveInnovations], values: Floats) -> tuple[Linearised, ...]:
+def _linearised(
+    unknowns: Unknowns, dives: Sequence[DiveInnovations], values: Floats, known: Sequence[Floats] | None = None
+) -> tuple[Linearised, ...]:
     found = []
     for i, dive in enumerate(dives):
         change = unknowns.of_dive(values, i)
-        residuals = dive.residuals(change)
+        residuals = dive.residuals(change) if known is None else known[i]
         scatter = scatter_of(residuals)
         jacobian = dive.jacobian(change, unknowns.free) / scatter[:, None]
         found.append(Linearised(residuals, scatter, jacobian, jacobian))
     return tuple(found)
 
 
-def _cost(
-    unknowns: Unknowns, dives: Sequence[DiveInnovations], values: Floats, linearised: Sequence[Linearised]
-) -> float:
-    """Return the cost of some values, each axis weighed by what it scattered by before."""
-    of_dives = (
-        robust_cost(dive.residuals(unknowns.of_dive(values, i)) / near.scatter)
-        for i, (dive, near) in enumerate(zip(dives, linearised, strict=True))
-    )
-    return float(sum(of_dives) + np.sum((values / unknowns.prior_sd) ** 2))
+def _cost(unknowns: Unknowns, values: Floats, scaled: Sequence[Floats]) -> float:
+    """Return the cost of some values with residuals over what each axis scattered by before."""
+    return float(sum(map(robust_cost, scaled)) + np.sum((values / unknowns.prior_sd) ** 2))
 
 
 def _total(unknowns: Unknowns, of_dives: Sequence[Floats]) -> Floats:

@@ -34,16 +34,7 @@ SEED: Final = 1
 
 
 def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations], noise_shares: Floats) -> Fit:
-    """Go from where innovations are smallest to where they do not go with the vehicle's motion.
-
-    Parameters
-    ----------
-    smallest : Fit
-    dives : sequence of DiveInnovations
-        Those that were fitted, in the same order.
-    noise_shares : ndarray, shape (n, 8)
-        By `noise_share`. A derivative that is mostly noise is left to its prior, and with it what it pulls at the rest.
-    """
+    """Go from where innovations are smallest to where they do not go with the vehicle's motion."""
     unknowns = smallest.unknowns
     here = replace(
         smallest,
@@ -69,12 +60,6 @@ def noise_share(found: Fit, dives: Sequence[DiveInnovations]) -> Floats:
     """Return the share of the squares of the derivatives that is noise of the IMU, dive by dive, shape (n, 8).
 
     A dive that lies still tells nothing, whatever the others do.
-
-    Parameters
-    ----------
-    found : Fit
-    dives : sequence of DiveInnovations
-        Those that were fitted, in the same order, with filters that take their IMUs to be as noisy as they are.
     """
     shares = np.zeros((len(dives), len(NAMES)))
     for i, (dive, near) in enumerate(zip(dives, found.dives, strict=True)):

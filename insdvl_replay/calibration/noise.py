@@ -14,6 +14,7 @@ from typing import Final, Literal
 import msgspec
 import numpy as np
 
+from insdvl_replay.calibration.certainty import newey_west
 from insdvl_replay.calibration.innovations import SKIPPED, DiveInnovations
 from insdvl_replay.calibration.rows import NoiseRow
 from insdvl_replay.core.config import Config
@@ -44,6 +45,21 @@ DIGITS: Final = 3
 """Of a noise; none is known so well, and further ones would differ from processor to processor."""
 LIKELIHOOD_DIGITS: Final = 2
 LEVELLINGS: Final = 3
+ALL_FREE: Final = np.ones(3)
+SCORE_STEP: Final = 0.2
+"""Of differences, in the logarithm of a noise."""
+RIDGE: Final = 1e-6
+"""Of the information on a logarithm: it is known to be below a thousand."""
+UNSURE: Final = 0.35
+"""Standard deviation of the logarithm of a noise from which it is not determined: two of them are a factor of two."""
+MOST_BY_ERRORS: Final = 0.1
+"""Share of the NIS that slow errors of beams and IMU explain, beyond which noise of the IMU is not told from them."""
+UNBOUNDED: Final = 3.0
+"""Standard deviation of the logarithm beyond which none is given."""
+CONTRADICTED: Final = 9.0
+"""Minus twice the log-likelihood by which a noise that is kept may be less likely: three standard deviations."""
+AS_IT_WAS: Final = "not determined by these dives, and stays as it was"
+AT_MOST: Final = "not determined by these dives: at most this, for what is configured contradicts them"
 OWN_NOISE: Final = "the baseline has noise of its own, which no other file can change"
 NO_GEOMETRY: Final = "nothing showed how the DVL is built in, and what is wrong there would be taken for noise"
 
@@ -75,15 +91,7 @@ def _with_noise(baseline: ResolvedFilter, noise: Mapping[str, float]) -> Resolve
 def fit_noise(dives: Sequence[DiveInnovations], changes: Sequence[Floats]) -> FittedNoise:
     """Find the noise under which the innovations of all dives together are likeliest.
 
-    A DVL that gives its beams may have the noise of one beam in place of one that is alike along all axes, if that is
-    likelier.
-
-    Parameters
-    ----------
-    dives : sequence of DiveInnovations
-        Of one vehicle.
-    changes : sequence of ndarray, shape (8,)
-        How the DVL is built in, dive by dive.
+    The DVL may have the noise of one beam in place of one that is alike along all axes, if that is likelier.
     """
     runs = _runs(dives, changes)
     searches = [_Search(dives[0].gated, before, runs) for before in _sayable(dives)]
@@ -94,19 +102,108 @@ def fit_noise(dives: Sequence[DiveInnovations], changes: Sequence[Floats]) -> Fi
     return FittedNoise(search.before, search.noise(found))
 
 
-def levelled(fitted: FittedNoise, dives: Sequence[DiveInnovations], changes: Sequence[Floats]) -> FittedNoise:
-    """Make all noise larger or smaller alike, until the innovations are as large as it says, as it is judged.
+def levelled(
+    fitted: FittedNoise, dives: Sequence[DiveInnovations], changes: Sequence[Floats], free: Floats = ALL_FREE
+) -> FittedNoise:
+    """Scale all noise that is free alike, until the mean NIS is its degrees of freedom.
 
-    What a gate keeps out is constant in the likelihood, and counts in the mean NIS. Parameters are those of
-    `fit_noise`; what is returned has `DIGITS`.
+    What a gate rejects is constant in the likelihood, and counts in the mean NIS. The result has `DIGITS`.
     """
     search = _Search(dives[0].gated, fitted.after, _runs(dives, changes))
     factor = 0.0
     for _ in range(LEVELLINGS):
-        sizes = np.concatenate([_sizes(of_dive) for of_dive in search.innovations(np.full(3, factor))])
+        sizes = np.concatenate([_sizes(of_dive) for of_dive in search.innovations(factor * free)])
         factor += 0.5 * float(np.log(np.mean(sizes)))
-    after = search.noise(np.full(3, factor))
-    return FittedNoise(fitted.before, {key: float(f"{value:.{DIGITS}g}") for key, value in after.items()})
+    after = {
+        key: float(f"{value:.{DIGITS}g}") if is_free else fitted.after[key]
+        for (key, value), is_free in zip(search.noise(factor * free).items(), free, strict=True)
+    }
+    return FittedNoise(fitted.before, after)
+
+
+def relative_sds(
+    fitted: FittedNoise, dives: Sequence[DiveInnovations], changes: Sequence[Floats], nis_by_errors: float = 0.0
+) -> Floats:
+    """Return the standard deviation of the logarithm of each noise, shape (3,).
+
+    The squares of the scores of the pings are the curvature of the likelihood; their sum scatters by their correlation.
+    Errors of beams and of the IMU change slowly and look like noise, which falls as the noise of the filter grows.
+    """
+    search = _Search(dives[0].gated, fitted.after, _runs(dives, changes))
+    beside = [search.innovations(sign * SCORE_STEP * axis) for axis in np.eye(3) for sign in (1.0, -1.0)]
+    information, scatter = RIDGE * np.eye(3), np.zeros((3, 3))
+    for i in range(len(dives)):
+        costs = np.array([_costs(innovations[i]) for innovations in beside])
+        scores = (costs[1::2] - costs[::2]).T / (4.0 * SCORE_STEP)
+        information += scores.T @ scores
+        scatter += newey_west(scores)
+    inverse = np.linalg.inv(information)
+    by_chance = np.sqrt(np.maximum(np.diag(inverse @ scatter @ inverse), np.diag(inverse)))
+    return np.asarray(np.hypot(by_chance, 0.5 * nis_by_errors * np.diag(inverse)))
+
+
+def judged_noise(
+    fitted: FittedNoise,
+    dives: Sequence[DiveInnovations],
+    changes: Sequence[Floats],
+    nis_by_errors: float,
+    config: Config,
+) -> tuple[FittedNoise, tuple[NoiseRow, ...]]:
+    """Propose the noise that the dives determine, and keep what is configured of the rest if they do not contradict it.
+
+    A noise that no sensor has shows that something else stands in all of them: then nothing is proposed.
+    """
+    own, search = config.filters[config.baseline], _Search(dives[0].gated, fitted.before, _runs(dives, changes))
+    sds = dict(zip(fitted.after, relative_sds(fitted, dives, changes, nis_by_errors), strict=True))
+    scatter = {key: max(_scatter(key, dive) for dive in dives) for key in fitted.after}
+    impossible = {key: beyond_the_sensor(key, value, scatter[key]) for key, value in fitted.after.items()}
+    drowned = nis_by_errors > MOST_BY_ERRORS * 3 * sum(dive.count for dive in dives)
+    told = dict.fromkeys(fitted.after, (Estimated.ESTIMATED, ""))
+    for key, value in fitted.after.items():
+        # The keys of a filter go before these of the common sections.
+        if any(getattr(own, name) is not None for name in ((key,) if key in INERTIAL else DVL)):
+            told[key] = Estimated.HELD, OWN_NOISE
+        elif impossible[key]:
+            told[key] = Estimated.DOUBTFUL, f"{value:g} {UNITS[key]} was found, which is {impossible[key]}"
+        elif any(impossible.values()) or not sds[key] < UNSURE or (drowned and key in INERTIAL):
+            told[key] = Estimated.NOT_DETERMINED, AS_IT_WAS
+    free = np.array([float(status == Estimated.ESTIMATED) for status, _ in told.values()])
+    of_each = zip(fitted.after.items(), free, strict=True)
+    kept = FittedNoise(
+        fitted.before, {key: value if is_free else fitted.before[key] for (key, value), is_free in of_each}
+    )
+    if not free.all() and not any(impossible.values()):
+        kept = levelled(kept, dives, changes, free)
+        is_bad = any(
+            beyond_the_sensor(key, value, scatter[key]) and value != fitted.before[key]
+            for key, value in kept.after.items()
+        )
+        if is_bad or search.likelihood(kept.after) > search.likelihood(fitted.after) + CONTRADICTED:
+            kept = fitted
+            limit = Estimated.NOT_DETERMINED, AT_MOST
+            told = {
+                key: limit if status == Estimated.NOT_DETERMINED else (status, why)
+                for key, (status, why) in told.items()
+            }
+    return kept, noise_rows(kept, told, {key: sd * fitted.after[key] for key, sd in sds.items() if sd < UNBOUNDED})
+
+
+def noise_rows(
+    noise: FittedNoise, told: Mapping[str, tuple[Estimated, str]], sds: Mapping[str, float]
+) -> tuple[NoiseRow, ...]:
+    """Lay out the noise, with what is told of each key and its standard deviation."""
+    return tuple(
+        NoiseRow(
+            key,
+            UNITS[key],
+            noise.before[key],
+            value,
+            float(f"{sds[key]:.2g}") if key in sds else None,
+            sensor_class(key, value) if key in INERTIAL else "",
+            *told[key],
+        )
+        for key, value in noise.after.items()
+    )
 
 
 def _runs(dives: Sequence[DiveInnovations], changes: Sequence[Floats]) -> list[Callable[[ResolvedFilter], Innovations]]:
@@ -118,7 +215,7 @@ def _sayable(dives: Sequence[DiveInnovations]) -> Iterator[dict[str, float]]:
     baseline = dives[0].filter
     before = noise_of(baseline)
     yield before
-    if baseline.dvl_noise.key != "beam_sd_mps" and all(dive.prepared.velocities.from_beams for dive in dives):
+    if baseline.dvl_noise.key != "beam_sd_mps":
         of_beam = baseline.beam_sd_mps(dives[0].prepared.velocities)
         yield {key: before[key] for key in INERTIAL} | {"beam_sd_mps": of_beam}
 
@@ -139,9 +236,15 @@ class _Search:
         tried = _with_noise(self.filter, self.noise(logarithms))
         return list(each(lambda run: run(tried), self.runs))
 
+    def likelihood(self, noise: Mapping[str, float]) -> float:
+        """Return minus twice the log-likelihood, but for a constant."""
+        tried = _with_noise(self.filter, noise)
+        total = sum(float(np.sum(_costs(of_dive))) for of_dive in each(lambda run: run(tried), self.runs))
+        return total if np.isfinite(total) else np.finfo(float).max
+
     def cost(self, logarithms: Floats) -> float:
-        likelihood = sum(_cost(of_dive) for of_dive in self.innovations(logarithms))
-        return round(likelihood + float(np.sum((logarithms / np.log(PRIOR_FACTOR)) ** 2)), LIKELIHOOD_DIGITS)
+        prior = float(np.sum((logarithms / np.log(PRIOR_FACTOR)) ** 2))
+        return round(self.likelihood(self.noise(logarithms)) + prior, LIKELIHOOD_DIGITS)
 
     def likeliest(self, start: Floats) -> Floats:
         from scipy.optimize import minimize  # a third of a second
@@ -161,49 +264,15 @@ def nis_per_dof(dive: DiveInnovations, change: Floats) -> float:
     return float(np.mean(_sizes(dive.runner(change)(dive.gated))))
 
 
-def _cost(innovations: Innovations) -> float:
-    """Return minus twice the log-likelihood, but for a constant."""
-    log_det = innovations.log_det[SKIPPED:-SKIPPED]
-    total = float(np.sum(log_det) + innovations.dof * np.sum(_sizes(innovations)))
-    return total if np.isfinite(total) else np.finfo(float).max
+def _costs(innovations: Innovations) -> Floats:
+    """Return minus twice the log-likelihood of each ping, but for a constant."""
+    return np.asarray(innovations.log_det[SKIPPED:-SKIPPED] + innovations.dof * _sizes(innovations))
 
 
 def _sizes(innovations: Innovations) -> Floats:
     """Return NIS over degrees of freedom, as much of each as counts."""
     weighted = (innovations.nis * innovations.weight)[SKIPPED:-SKIPPED]
     return np.asarray(weighted / innovations.dof)
-
-
-def noise_rows(
-    fitted: FittedNoise, dives: Sequence[DiveInnovations], config: Config, *, asked: bool, held: str = ""
-) -> Iterator[NoiseRow]:
-    """Lay out what is proposed of the noise, and whether it can be a sensor's.
-
-    Parameters
-    ----------
-    held : str
-        Why none of it is proposed; empty where it may be.
-    """
-    own = config.filters[config.baseline]
-    for key, value in fitted.after.items():
-        is_own = any(getattr(own, name) is not None for name in _hiding(key))
-        why_held = held or (OWN_NOISE if is_own else "")
-        proposed = Estimated.HELD if why_held else Estimated.ESTIMATED
-        scatter = max(_scatter(key, dive) for dive in dives)
-        yield NoiseRow(
-            key,
-            UNITS[key],
-            fitted.before[key],
-            value,
-            sensor_class(key, value) if key in INERTIAL else "",
-            proposed if asked else Estimated.NOT_ASKED,
-            why_held or beyond_the_sensor(key, value, scatter),
-        )
-
-
-def _hiding(key: str) -> tuple[str, ...]:
-    """Name the keys of a filter that go before this one of the common sections."""
-    return (key,) if key in INERTIAL else ("velocity_sd_mps", "beam_sd_mps")
 
 
 def _scatter(key: str, dive: DiveInnovations) -> float:
@@ -217,8 +286,8 @@ def _scatter(key: str, dive: DiveInnovations) -> float:
 def noise_doubts(rows: Sequence[NoiseRow]) -> Iterator[str]:
     """State which noise stands for something else than its sensor's."""
     for row in rows:
-        if row.status == Estimated.ESTIMATED and row.why:
+        if row.status == Estimated.DOUBTFUL:
             yield (
-                f"{row.parameter} = {row.after:g} is {row.why}: vibration, stamps that jitter, or what is left of "
-                f"geometry and time stands in it for the {CLASSES[row.parameter].name}' own"
+                f"{row.parameter}: {row.why}: vibration, stamps that jitter, or what is left of geometry and time "
+                f"stands in it for the {CLASSES[row.parameter].name}' own; it is not proposed"
             )

@@ -158,9 +158,13 @@ def _lines(
 
 def _noise_lines(rows: Iterable[NoiseRow]) -> Iterator[str]:
     for row in rows:
+        sd = "" if row.sd is None else f", sd {row.sd:.2g} {row.unit}"
+        of_class = f", class {row.sensor_class}" if row.sensor_class else ""
         if row.status == Estimated.ESTIMATED:
-            of_class = f", class {row.sensor_class}" if row.sensor_class else ""
-            yield f"# the innovations are likeliest with it; it was {row.before:.4g} {row.unit}{of_class}"
+            yield f"# the innovations are likeliest with it{sd}; it was {row.before:.4g} {row.unit}{of_class}"
+        elif row.status in (Estimated.NOT_DETERMINED, Estimated.DOUBTFUL):
+            yield f"# {row.parameter}: {row.why}; it was {row.before:.4g} {row.unit}"
+        if row.is_proposed:
             yield f"{row.parameter} = {toml_value(row.after)}"
 
 
@@ -187,7 +191,7 @@ def _in_words(row: ParameterRow) -> str:
     match row.status:
         case Estimated.NOT_ASKED:
             return f"{row.parameter}: not asked"
-        case Estimated.HELD:
+        case Estimated.HELD | Estimated.NOT_DETERMINED:
             return f"{row.parameter}: as it was; {row.why}"
         case Estimated.DOUBTFUL:
             return f"{row.parameter}: {row.change:+.4g} {row.unit} was found and is not proposed: {row.why}"

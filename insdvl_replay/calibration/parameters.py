@@ -18,29 +18,15 @@ from insdvl_replay.nav.dvl import DvlVelocities
 
 
 class Parameter(NamedTuple):
-    """One of the numbers.
-
-    Attributes
-    ----------
-    group : str
-        What ``--only`` calls it.
-    shown_as : float
-        Factor from SI to ``unit``.
-    prior_sd : float
-        How far the vehicle's papers may be off, SI.
-    step : float
-        Of central differences, SI: large enough that the log's own grain does not show.
-    shown_by : str
-        The manoeuvre without which nobody can tell.
-    """
+    """One of the numbers."""
 
     name: str
-    group: str
+    group: str  # what ``--only`` calls it
     unit: str
-    shown_as: float
-    prior_sd: float
-    step: float
-    shown_by: str
+    shown_as: float  # factor from SI to the unit
+    prior_sd: float  # how far the vehicle's papers may be off, SI
+    step: float  # of central differences, SI: large enough that the log's own grain does not show
+    shown_by: str  # the manoeuvre without which nobody can tell
 
 
 _SPEED: Final = "changes of speed, or turns at speed"
@@ -76,15 +62,7 @@ STEPS: Final = np.array([parameter.step for parameter in PARAMETERS])
 
 
 def moved_pings(velocities: DvlVelocities, change: Floats) -> DvlVelocities:
-    """Return what the DVL says if it were built in otherwise.
-
-    Parameters
-    ----------
-    velocities : DvlVelocities
-        As the configuration has them.
-    change : ndarray, shape (8,)
-        Of `PARAMETERS`, SI.
-    """
+    """Return what the DVL says if it were built in otherwise."""
     turn_b, scale = mat_from_vector(change[MOUNTING]), np.exp(change[SCALE])
     return replace(
         velocities,

@@ -101,13 +101,12 @@ class ReferenceFit:
         formal, correlated = (np.sqrt(of)[:count] for of in (np.diag(cov) + considered, correlated))
         if len(self.dives) < 2:
             unknown = np.full(count, np.nan)
-            return Certainty(SHARED_SD, formal, correlated, unknown, unknown, np.zeros(count))
+            return Certainty(SHARED_SD, formal, correlated, unknown, unknown, np.zeros(count), np.zeros(count))
         own, own_sd = zip(*(self._alone(i, near) for i, near in enumerate(self.dives)), strict=True)
         apart, n = np.array(own) - np.mean(own, axis=0), len(own)
         birge = np.sqrt(np.sum((apart / np.array(own_sd)) ** 2, axis=0) / (n - 1))
-        return Certainty(
-            SHARED_SD, formal, correlated, np.std(own, axis=0, ddof=1) / np.sqrt(n), birge, np.zeros(count)
-        )
+        between = np.std(own, axis=0, ddof=1) / np.sqrt(n)
+        return Certainty(SHARED_SD, formal, correlated, between, birge, np.zeros(count), np.zeros(count))
 
     def _alone(self, dive: int, near: Near) -> tuple[Floats, Floats]:
         """Return what one dive says by itself near the common answer, and its formal sds, shapes (15,)."""

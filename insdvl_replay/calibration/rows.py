@@ -21,7 +21,8 @@ class ParameterRow(Struct, frozen=True):
     )
     between_dives_sd: Annotated[Number, Meta(description="of the mean over dives; null of one dive")] = None
     beams_sd: Annotated[Number, Meta(description="what beams may be off by, each by 0.2 % and 1 mm/s")] = None
-    sd: Annotated[Number, Meta(description="the largest of the three with the beams', at most the prior's")] = None
+    imu_sd: Annotated[Number, Meta(description="what is left of IMU scale, 1500 ppm, and misalignment, 1 mrad")] = None
+    sd: Annotated[Number, Meta(description="the largest of the three with beams and IMU, at most the prior's")] = None
     signal_to_noise: Annotated[Number, Meta(description="prior's sd over that of the data")] = None
     birge: Annotated[Number, Meta(description="how much more dives differ than they should; 1 is expected")] = None
     status: Estimated = Estimated.HELD
@@ -34,10 +35,17 @@ class NoiseRow(Struct, frozen=True):
     parameter: Annotated[str, Meta(description="key of [noise] or [dvl]")]
     unit: str
     before: Annotated[float, Meta(description="what the configuration says")]
-    after: Annotated[float, Meta(description="under which the innovations are likeliest")]
+    after: Annotated[float, Meta(description="what is proposed; what is held and doubtful stays as before")]
+    sd: Annotated[Number, Meta(description="of what the innovations show; null where they do not bound it")]
     sensor_class: Annotated[str, Meta(description="best class of inertial sensors that may be so noisy; else empty")]
     status: Estimated
-    why: Annotated[str, Meta(description="why it cannot be the sensor's, or is not proposed; else empty")]
+    why: Annotated[str, Meta(description="why it is not proposed, or an upper limit; else empty")]
+
+    @property
+    def is_proposed(self) -> bool:
+        """Whether it is estimated, or a limit below what is configured."""
+        limit = self.status == Estimated.NOT_DETERMINED and self.after != self.before
+        return limit or self.status == Estimated.ESTIMATED
 
 
 class DiveRow(Struct, frozen=True):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from insdvl_replay.cli.options import (
+    AllowCode,
     AllowDamaged,
     Color,
     Colored,
@@ -78,6 +79,7 @@ def calibrate(
     ] = [],  # noqa: B006
     format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
     allow_damaged: AllowDamaged = False,
+    allow_code: AllowCode = False,
     one_dive: OneDive = False,
     force: Force = False,
     verbose: Verbose = 0,
@@ -112,7 +114,8 @@ def calibrate(
     from insdvl_replay.report.page import page
     from insdvl_replay.results.folder import require_replaceable_file
 
-    resolved, groups = load_config(preset, config, settings), _groups(only, reference=reference)
+    resolved = load_config(preset, config, settings, allow_code=allow_code)
+    groups = _groups(only, reference=reference)
     for file in (output, page_file):
         if file is not None:
             require_replaceable_file(file, force=force)

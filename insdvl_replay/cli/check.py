@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from insdvl_replay.cli.options import (
+    AllowCode,
     AllowDamaged,
     CheckFormat,
     Jobs,
@@ -41,6 +42,7 @@ def check(
     preset: Preset = None,
     settings: Settings = [],  # noqa: B006
     allow_damaged: AllowDamaged = False,
+    allow_code: AllowCode = False,
     format_: Annotated[CheckFormat, typer.Option("--format", help="How it is told.")] = CheckFormat.TEXT,
     output: Annotated[
         Path | None, typer.Option("--output", metavar="FILE", help="Write it here, and text to stdout.")
@@ -87,7 +89,7 @@ def check(
     options = CheckOptions(
         results, jobs, cluster, rerun, update, allow_damaged, histories, tuple(only), tuple(skip), _shard(shard)
     )
-    given = GivenSettings(preset, tuple(config), tuple(settings))
+    given = GivenSettings(preset, tuple(config), tuple(settings), allow_code)
     return check_dives(gates, dives, given, options, OutputOptions(format_, output, summary, verbose, quiet))
 
 

@@ -1,5 +1,6 @@
 """Replay dives on as many workers as wanted, print each result in the order of the logs, and go on when one fails."""
 
+import os
 import sys
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
@@ -47,42 +48,18 @@ OVERVIEWS: Final = {
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How dives are replayed, and what is printed.
-
-    Attributes
-    ----------
-    format : Format
-        Of what is printed.
-    tables : tuple of str
-        Those that are printed, by name; empty for what the format shows.
-    one_dive : bool
-        All logs are one dive; else each is one.
-    strict : bool
-        Warnings make the exit code 3.
-    force : bool
-        Results made from another log, other settings or another version may be replaced.
-    rerun : bool
-        Replay also what is unchanged.
-    jobs : int
-        Dives at the same time.
-    cluster : Cluster, optional
-        In place of this machine.
-    verbosity : int
-        1: print all tables and notes, not the screen and the warnings alone; 2: also where in the code an error arose.
-    quiet : bool
-        Print a line a dive, and errors.
-    """
+    """How dives are replayed, and what is printed."""
 
     format: Format
-    tables: tuple[str, ...]
-    one_dive: bool
-    strict: bool
-    force: bool
-    rerun: bool
-    jobs: int
-    cluster: Cluster | None
-    verbosity: int
-    quiet: bool
+    tables: tuple[str, ...]  # that are printed, by name; empty for what the format shows
+    one_dive: bool  # all logs are one dive; else each is one
+    strict: bool  # warnings make the exit code 3
+    force: bool  # results made from another log, other settings or another version may be replaced
+    rerun: bool  # replay also what is unchanged
+    jobs: int  # dives at the same time
+    cluster: Cluster | None  # in place of this machine
+    verbosity: int  # 1: print all tables and notes; 2: also where in the code an error arose
+    quiet: bool  # print a line a dive, and errors
 
     @property
     def talks(self) -> bool:
@@ -142,11 +119,16 @@ def outcomes(
     """Replay what has changed, and show the progress on a terminal."""
     known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
     changed = [dive for dive in dives if dive.target not in known]
-    workers = local_workers(max(1, min(jobs, len(changed)))) if cluster is None else cluster_workers(cluster)
+    if cluster is None:
+        runs_code = any(dive.options.config.code for dive in changed)
+        workers = local_workers(max(1, min(jobs, len(changed))), runs_code=runs_code)
+    else:
+        workers = cluster_workers(cluster)
+    waits_for = compiling() if changed else ""
     if not changed:
         yield from replay_jobs(dives, known, workers, after_dive=lambda _: None)
     elif len(changed) == 1:
-        with spinner(f"replaying {changed[0].name.name}{compiling()}"):
+        with spinner(f"replaying {changed[0].name.name}{waits_for}"):
             finished = list(replay_jobs(dives, known, workers, after_dive=lambda _: None))
         yield from finished
     else:
@@ -222,10 +204,14 @@ def _require_own_names(dives: Sequence[ReplayJob], output: Path, *, force: bool)
                 raise ConfigError(
                     f"{dive.name}: its results would bear the name of an overview", "rename it, or replay it alone"
                 )
-        require_replaceable_file(path, force=force or (path.is_file() and is_own(path.read_bytes())))
+        if os.path.lexists(path):
+            if path.is_symlink() or not path.is_file():
+                raise ConfigError(f"{path}: is no file of its own, and is not replaced", f"rm {path}")
+            require_replaceable_file(path, force=force or is_own(path.read_bytes()))
 
 
 def _summarise(reports: Sequence[Report | Failure], output: Path, *, quiet: bool) -> None:
+    output.mkdir(parents=True, exist_ok=True)
     for overview, (write, _) in OVERVIEWS.items():
         with result_file(output / overview, force=True) as file:
             file.write_bytes(write(reports))

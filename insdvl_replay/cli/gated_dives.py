@@ -66,6 +66,7 @@ class GivenSettings:
     preset: str | None
     config: tuple[Path, ...]
     settings: tuple[str, ...]
+    allow_code: bool
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ def _settings(gates: Gates, given: GivenSettings) -> Config:
                 found = f"{gates.path}: config names {file}, which is no file"
                 raise ConfigError(found, "paths are seen from the gate file")
         config = (file,)
-    return load_config(given.preset or gates.content.preset, config, given.settings)
+    return load_config(given.preset or gates.content.preset, config, given.settings, allow_code=given.allow_code)
 
 
 def _is_result(path: Path) -> bool:

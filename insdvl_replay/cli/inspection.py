@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insdvl_replay.cli.messages import log_failure, write_stdout
+from insdvl_replay.cli.messages import log_failure, log_to_stderr, write_stdout
 from insdvl_replay.cli.options import (
     Color,
     Colored,
@@ -69,7 +69,10 @@ def inspect(
 
     if propose is not None:
         require_replaceable_file(propose, force=force)
-    resolved, code = load_config(preset, config, settings), 0
+    given, code = load_config(preset, config, settings, allow_code=True), 0
+    if given.code:
+        log_to_stderr(f"info: inspect runs no code of the settings; it leaves out {', '.join(given.code)}")
+    resolved = given.without_code()
     found = find_dives(logs)
     dives = [found] if one_dive else [[dive] for dive in found]
     inventories: list[Inventory] = []
@@ -97,7 +100,6 @@ def _propose(
     target: Path, dives: "Sequence[Sequence[Path]]", config: "Config", *, allow_damaged: bool, force: bool
 ) -> None:
     """Write settings; what is left to a person is said on stderr too."""
-    from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.cli.screen import compiling, spinner
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.inspection.settings_file import settings_file

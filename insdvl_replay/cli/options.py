@@ -114,6 +114,9 @@ End = Annotated[float | None, typer.Option("--end", metavar="T", help="End here,
 AllowDamaged = Annotated[
     bool, typer.Option("--allow-damaged", help="Use what can be read of a damaged log; what is lost is said.")
 ]
+AllowCode = Annotated[
+    bool, typer.Option("--allow-code", help="Run the code that settings name (module:Class), with your rights.")
+]
 OneDive = Annotated[bool, typer.Option("--one-dive", help="Read all files as one dive, named after the first by name.")]
 Scenario = Annotated[
     str,

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from insdvl_replay.cli.options import (
+    AllowCode,
     AllowDamaged,
     ChosenTables,
     Color,
@@ -47,6 +48,7 @@ def run(
     format_: Annotated[Format, typer.Option("--format", help="How the tables are printed.")] = Format.TABLE,
     tables: ChosenTables = [],  # noqa: B006
     allow_damaged: AllowDamaged = False,
+    allow_code: AllowCode = False,
     one_dive: OneDive = False,
     control: Annotated[
         bool, typer.Option("--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log.")
@@ -95,7 +97,7 @@ def run(
 
         require_parquet()
     drawn = [] if starts is None else [f"evaluation.starts={starts}"]
-    resolved = load_config(preset, config, [*settings, *span_settings(start, end), *drawn])
+    resolved = load_config(preset, config, [*settings, *span_settings(start, end), *drawn], allow_code=allow_code)
     cluster = None if scheduler is None else Cluster(scheduler, scheduler_timeout)
     return replay_dives(
         logs,

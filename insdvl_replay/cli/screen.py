@@ -9,7 +9,8 @@ from typing import Literal
 
 from rich.console import Console, RenderableType
 
-from insdvl_replay.core.compiled import is_warm
+from insdvl_replay.cli.messages import log_to_stderr
+from insdvl_replay.core.compiled import is_warm, kept_nowhere
 from insdvl_replay.core.runtime import progress_listener, step_listener
 from insdvl_replay.report.document import Document
 from insdvl_replay.report.latex import as_latex
@@ -101,7 +102,13 @@ def steps_bar(text: str) -> Iterator[None]:
 
 
 def compiling() -> str:
-    """Report what a first run waits for, as the end of a sentence; nothing where the filter is compiled."""
+    """Report what a first run waits for, as the end of a sentence; nothing where the filter is compiled.
+
+    Where compiled code cannot be kept, each run waits for it, and a warning says why.
+    """
+    if reason := kept_nowhere():
+        text = f"warning: compiled code cannot be kept: {reason}. Each run compiles the filter, for some 20 s"
+        log_to_stderr(f"{text}; hint: INSDVL_REPLAY_CACHE=/a/folder/of/yours")
     return "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
 
 

@@ -153,7 +153,8 @@ def window(
     from insdvl_replay.results.folder import require_replaceable_folder, result_folder
     from insdvl_replay.studies.window import LEFT_OUT, save_window, study_window
 
-    resolved, target = load_config(preset, config, [*settings, *span_settings(start, end)]), output / "window"
+    given = [*settings, *span_settings(start, end)]
+    resolved, target = load_config(preset, config, given, allow_code=True).without_code(), output / "window"
     dives = find_dives(logs)
     require_replaceable_folder(target, force=force)
     with spinner("comparing accelerations"):
@@ -202,7 +203,7 @@ def observability(
     from insdvl_replay.results.folder import require_replaceable_folder, result_folder
     from insdvl_replay.studies.observability import save_observability, study_observability
 
-    resolved = load_config(preset, config, [*settings, *span_settings(start, end)])
+    resolved = load_config(preset, config, [*settings, *span_settings(start, end)], allow_code=True).without_code()
     target = output / f"observability-{dive_name(Path(dive))}"
     require_replaceable_folder(target, force=force)
     with spinner(f"stacking the measurements{compiling()}"):

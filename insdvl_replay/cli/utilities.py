@@ -165,7 +165,7 @@ def config(
     """
     from insdvl_replay.core.config_file import load_config, render_toml
 
-    write_stdout(render_toml(load_config(preset, file, settings)))
+    write_stdout(render_toml(load_config(preset, file, settings, allow_code=True)))
 
 
 def schema(
@@ -218,12 +218,12 @@ def compile_(verbose: Verbose = 0) -> None:
       insdvl-replay compile
       INSDVL_REPLAY_CACHE=/opt/insdvl-replay insdvl-replay compile
     """
-    from insdvl_replay.core.compiled import cache_folder, is_warm
+    from insdvl_replay.core.compiled import cache_folder, is_warm, kept_nowhere
 
     folder, start_s = cache_folder(), time.perf_counter()
     if folder is None:
         raise ConfigError(
-            "compiled code cannot be kept: its folder cannot be written, or others can write there, too",
+            f"compiled code cannot be kept: {kept_nowhere()}",
             "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile",
         )
     was_warm = is_warm()

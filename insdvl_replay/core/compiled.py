@@ -20,6 +20,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar, cast
@@ -36,10 +37,12 @@ _SOURCES: Final = (
     "logs/container/records.py",
     "logs/**/*_loops.py",
     "core/compiled.py",
-    "core/kept_code.py",
 )
 """Where compiled functions, what they are made of, and how they are compiled, stand."""
 
+
+_COMPILED_BYTES: Final = 1 << 20
+"""About as large is the filter's code."""
 
 # Nobody calls the compiled functions from C; the compiler need not make entries for it.
 _OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
@@ -69,7 +72,8 @@ def can_write(folder: Path) -> bool:
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=stat.S_IRWXU, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(_COMPILED_BYTES))  # a full disk lets files be made, too
             return True
     except OSError:
         return False
@@ -106,6 +110,37 @@ _FOLDER: Final = _cache_folder()
 _NUMBA_SETTINGS: Final = threading.Lock()
 
 
+def _kept(function: Callable[..., Any]) -> Any:
+    """Return numba's cache for a function. What it cannot read is compiled again; what it cannot write is not kept."""
+    from numba.core.caching import FunctionCache
+
+    class KeptCode(FunctionCache):
+        def load_overload(self: Any, sig: Any, target_context: Any) -> Any:
+            try:
+                return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            except Exception:  # a damaged pickle raises anything; without its index it is written again
+                with suppress(OSError):
+                    self.flush()
+                return None
+
+        def save_overload(self: Any, sig: Any, data: Any) -> None:
+            with suppress(OSError):
+                super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+
+    return KeptCode(function)  # type: ignore[no-untyped-call]
+
+
+def kept_nowhere() -> str:
+    """Say why compiled code cannot be kept; empty where it is."""
+    if _FOLDER is not None:
+        return ""
+    try:
+        folder = usual_folder().parent
+    except RuntimeError:
+        return "the user has no home folder"
+    return f"{folder} cannot be written" if not can_write(usual_folder()) else f"others can write to {folder}"
+
+
 def is_loaded() -> bool:
     """Return whether the compiler is loaded and switched on; else a few numbers are dealt with sooner without it."""
     settings = sys.modules.get("numba.core.config")
@@ -124,9 +159,7 @@ def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
         try:
             dispatcher = numba.njit(**_OPTIONS)(function)
             if _FOLDER is not None and not settings.DISABLE_JIT:
-                from insdvl_replay.core.kept_code import keep
-
-                keep(dispatcher, function)
+                dispatcher._cache = _kept(function)  # what `cache=True` does
             return cast(Callable[_P, _T], dispatcher)
         finally:
             settings.CACHE_DIR = before

@@ -61,6 +61,10 @@ class Dvl(Section, frozen=True):
     axes: Annotated[str | None, Comment(AXES)] = None
     stamp: Annotated[str | None, Comment(STAMP)] = None
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+    latency_of_dives_s: Annotated[
+        tuple[tuple[str, Latency], ...],
+        Comment('in place of latency_s, of dives whose clocks were set otherwise: [["dive_7", 0.03]]'),
+    ] = ()
     beam_tilt_deg: Annotated[
         Annotated[float, Meta(gt=0, lt=90)] | None, Comment("from the DVL's z axis; left out: by the message, else 30")
     ] = None
@@ -71,9 +75,10 @@ class Dvl(Section, frozen=True):
     lever_arm_m: Annotated[Vector, Comment("IMU to DVL, forward-starboard-down")] = (0.0, 0.0, 0.0)
     mounting_rpy_deg: Annotated[Vector, Comment("DVL to body, roll, pitch, heading")] = (0.0, 0.0, 0.0)
     scale: Annotated[Positive, Comment("measured over true velocity; readings are divided by it")] = 1.0
-    velocity_sd_mps: Annotated[Positive, Comment("noise of a velocity from all beams, each axis")] = 0.02
+    velocity_sd_mps: Annotated[Positive, Comment("noise of a velocity from all beams, alike on each axis")] = 0.02
     beam_sd_mps: Annotated[
-        Positive | None, Comment("noise of one beam; set, it goes before velocity_sd_mps where there are beams")
+        Positive | None,
+        Comment("noise of one beam, which by the beams' tilt is less down; set, it goes before velocity_sd_mps"),
     ] = None
     max_beam_residual_mps: Annotated[
         Positive | None, Comment("pings whose beams disagree by more are dropped; left out: none")
@@ -119,6 +124,8 @@ class Heading(Section, frozen=True):
         Annotated[float, Meta(ge=-180, le=180)], Comment("magnetic north from true north, clockwise, of a compass")
     ] = 0.0
     sd_deg: Annotated[Positive, Comment("noise of one reading")] = 2.0
+    bias_sd_deg: Annotated[Positive, Comment("of its slow error, for filters with the state heading_bias")] = 3.0
+    bias_time_s: Annotated[Annotated[float, Meta(ge=1)], Comment("in which that error is forgotten")] = 600.0
     level_sd_deg: Annotated[Positive, Comment("of its roll and pitch, each, where filters start from them")] = 0.5
     stamp: Annotated[str | None, Comment(STAMP)] = None
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
@@ -221,7 +228,7 @@ class Filter(Section, frozen=True):
     velocity_sd_mps: Annotated[
         Positive | None, Comment("goes before both keys of [dvl]; this and beam_sd_mps left out: from [dvl]")
     ] = None
-    beam_sd_mps: Annotated[Positive | None, Comment("where there are beams, goes before all others")] = None
+    beam_sd_mps: Annotated[Positive | None, Comment("goes before all others")] = None
     dvl_noise: Annotated[
         Literal["fixed", "adaptive", "student-t"],
         Comment("fixed | adaptive (by the innovations) | student-t (outliers are expected): R of velocity and beams"),
@@ -275,6 +282,10 @@ class Topic(Section, frozen=True):
 
     topic: Annotated[str, Comment("as the log names it")]
     values: Annotated[str, Comment("field path; of several numbers all paths, with commas between them")]
+    sensor: Annotated[
+        Literal["dvl", "depth", "heading", "position"] | None,
+        Comment("dvl | depth | heading | position: whose data it carries; absent wherever that sensor is held out"),
+    ] = None
     stamp: Annotated[str | None, Comment(STAMP)] = None
     latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
 
@@ -305,6 +316,26 @@ class Config(Section, frozen=True):
     def computed(self) -> dict[str, Filter]:
         """The filters that are run."""
         return {name: filter_ for name, filter_ in self.filters.items() if filter_.solution is None}
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """The user's code that filters name, as ``module:Class``."""
+        words = (word for filter_ in self.filters.values() for word in filter_.aiding if ":" in word)
+        return tuple(dict.fromkeys(words))
+
+    def without_code(self) -> "Config":
+        """Return the settings of those who run no code; a filter that is aided by nothing else is left out."""
+        kept = {
+            name: msgspec.structs.replace(filter_, aiding=tuple(word for word in filter_.aiding if ":" not in word))
+            for name, filter_ in self.filters.items()
+            if filter_.solution is not None or any(":" not in word for word in filter_.aiding)
+        }
+        return msgspec.structs.replace(self, filters=kept or _default_filters())
+
+    def of_dive(self, name: str) -> "Config":
+        """Return the settings of one dive: the latency of its DVL may be its own."""
+        latency_s = dict(self.dvl.latency_of_dives_s).get(name, self.dvl.latency_s)
+        return msgspec.structs.replace(self, dvl=msgspec.structs.replace(self.dvl, latency_s=latency_s))
 
     def without_solutions(self) -> "Config":
         """Return what those need who look at logs and baseline alone: no solution has to be there."""

@@ -13,7 +13,12 @@ from insdvl_replay.core.strict_toml import KeyPath, TomlSource
 
 LARGEST = 1e30
 """Nothing that is measured is larger, and powers of what is smaller are still numbers."""
-_TOLD_BY: Final = {"dvl_scale": DVL_AIDING, "dvl_yaw": DVL_AIDING, "depth_zero": ("depth",)}
+_TOLD_BY: Final = {
+    "dvl_scale": DVL_AIDING,
+    "dvl_yaw": DVL_AIDING,
+    "depth_zero": ("depth",),
+    "heading_bias": ("heading",),
+}
 """Words in a filter's aiding, or sensors that are withheld, by states of which nothing else tells."""
 
 
@@ -81,6 +86,24 @@ def check_filters(config: Config, layers: Sequence[TomlSource]) -> None:
             _check_filter(filter_, config.evaluation.withheld, f"filters.{name}", where)
         else:
             _check_solution(filter_, f"filters.{name}", where, is_baseline=name == config.baseline)
+
+
+def refuse_code(config: Config, layers: Sequence[TomlSource]) -> None:
+    """Refuse settings that name code to run.
+
+    Raises
+    ------
+    ConfigError
+    """
+    for name, filter_ in config.filters.items():
+        for place, word in enumerate(filter_.aiding):
+            if ":" in word:
+                path = ("filters", name, "aiding")
+                source = _said_last(layers, *path)
+                raise ConfigError(
+                    f"{source.where(*path, place)}: {source.key(*path, place)} names code: {word}",
+                    "`run`, `check` and `calibrate` take --allow-code, which runs it with your rights",
+                )
 
 
 def _said_last(layers: Sequence[TomlSource], *path: str) -> TomlSource:

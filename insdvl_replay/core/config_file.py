@@ -15,10 +15,10 @@ import msgspec
 from msgspec import Struct
 
 from insdvl_replay.core.config import Config, Filter, Topic
-from insdvl_replay.core.config_checks import check_filters, check_finite
-from insdvl_replay.core.config_navigation import Solution, key_of, spelled_out
+from insdvl_replay.core.config_checks import check_filters, check_finite, refuse_code
+from insdvl_replay.core.config_navigation import MOST_BYTES, Solution, key_of, spelled_out
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.plain_text import is_writable, visible
+from insdvl_replay.core.plain_text import is_writable, read_regular, visible
 from insdvl_replay.core.strict_toml import TomlSource, parse_toml, read_toml
 
 _HINT: Final = "`insdvl-replay config` prints every key with its kind and unit"
@@ -27,7 +27,11 @@ PRESETS = ("levy-klein", "fog", "tactical", "mems")
 
 
 def load_config(
-    preset: str | None = None, file: Path | Sequence[Path] | None = None, overrides: Sequence[str] = ()
+    preset: str | None = None,
+    file: Path | Sequence[Path] | None = None,
+    overrides: Sequence[str] = (),
+    *,
+    allow_code: bool = False,
 ) -> Config:
     """Resolve the settings: defaults < preset < file < overrides.
 
@@ -40,11 +44,14 @@ def load_config(
         keys change one setting each.
     overrides : sequence of str
         ``section.key=value`` with a TOML value; a bare word is taken as a string.
+    allow_code : bool
+        The settings may name code, as ``module:Class``. Nothing is imported here.
 
     Raises
     ------
     ConfigError
-        Unknown preset, unreadable file, unknown key (with the nearest known one), value of the wrong kind or range.
+        Unknown preset, unreadable file, unknown key (with the nearest known one), value of the wrong kind or range,
+        code that is not allowed.
     """
     layers = [_read_preset(preset or PRESETS[0])]
     settings = _overlaid(msgspec.to_builtins(Config()), layers[0])
@@ -61,6 +68,8 @@ def load_config(
     set_alone = [_parse_override(text) for text in overrides]
     config = _with_overrides(settings, set_alone)
     check_filters(config, [*layers, *set_alone])
+    if not allow_code:
+        refuse_code(config, [*layers, *set_alone])
     return _with_digests(config)
 
 
@@ -94,7 +103,7 @@ def _with_digests(config: Config) -> Config:
 
 def _with_digest(solution: Solution, key: str) -> Solution:
     try:
-        sha256 = hashlib.sha256(Path(solution.file or "").read_bytes()).hexdigest()
+        sha256 = hashlib.sha256(read_regular(Path(solution.file or ""), MOST_BYTES)).hexdigest()
     except OSError as error:
         raise ConfigError(
             f"{key}: {solution.file}: cannot be read: {error.strerror}", "a path counts from the settings' own folder"

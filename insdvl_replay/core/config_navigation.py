@@ -83,6 +83,8 @@ TOPIC_KEYS: Final = (
     "heading",
 )
 """Keys that name fields of a topic."""
+MOST_BYTES: Final = 1 << 28
+"""Of a file with a solution: two hours at 200 Hz have 160 MB."""
 
 
 def key_of(name: str) -> str:

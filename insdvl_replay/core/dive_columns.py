@@ -4,7 +4,7 @@ The logs room makes them from files, the sim room from nothing; the filters cann
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any, Final, TypeVar
@@ -121,7 +121,7 @@ class DvlColumns:
     beam_velocity_mps : ndarray, shape (m, beams), or None
         Velocity of the vehicle along each beam's unit vector (positive towards the seabed); NaN where the beam is lost.
     beam_vectors_d : ndarray, shape (beams, 3), or None
-        Unit vectors of the beams in d, from the instrument towards the seabed.
+        Unit vectors of the beams in d, from the instrument towards the seabed; left out beside velocities: a Janus's.
     velocity_d : ndarray, shape (m, 3), or None
         Velocity over ground in d, m/s, NaN where invalid; given when the instrument reports no beams.
     look_d : ndarray, shape (3,), or None
@@ -133,6 +133,11 @@ class DvlColumns:
     beam_vectors_d: Floats | None = None
     velocity_d: Floats | None = None
     look_d: Floats | None = None
+
+    def rows(self, keep: NDArray[np.bool_]) -> "DvlColumns":
+        """Keep some of the pings, chosen by a mask of shape (m,)."""
+        beams, velocity = (None if one is None else one[keep] for one in (self.beam_velocity_mps, self.velocity_d))
+        return replace(self, time_ns=self.time_ns[keep], beam_velocity_mps=beams, velocity_d=velocity)
 
 
 @dataclass(frozen=True)
@@ -240,6 +245,12 @@ class SolutionColumns:
     way_n: Floats | None
     cov_ns: TimeNs
     cov: Floats
+
+    def where(self, keep: Callable[[TimeNs], NDArray[np.bool_]]) -> "SolutionColumns":
+        """Keep the rows of some of the times, shape (k,), of which a mask says which."""
+        rows, of_cov = keep(self.motion.time_ns), keep(self.cov_ns)
+        way_n = None if self.way_n is None else self.way_n[rows]
+        return SolutionColumns(self.motion.rows(rows), way_n, self.cov_ns[of_cov], self.cov[of_cov])
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,12 @@ def dive_name(path: Path) -> str:
     whole = _whole(path)
     name = whole.name if whole.is_dir() else whole.stem
     # `..mcap` would bear the name of the folder that its result lies in, and `...mcap` that of the one above.
-    return name if name.strip(".") else whole.name.strip(".") or NAMELESS
+    return _writable(name if name.strip(".") else whole.name.strip(".") or NAMELESS)
+
+
+def _writable(name: str) -> str:
+    """Escape what is not UTF-8 in a name, so that it can be said that its dive cannot be used."""
+    return name.encode("utf-8", "backslashreplace").decode()
 
 
 def is_dive_name(name: str) -> bool:
@@ -104,7 +109,7 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
             break
         for place in again:
             lengths[place] += 1
-    names = ["_".join(parts[-length:]) for parts, length in zip(whole, lengths, strict=True)]
+    names = [_writable("_".join(parts[-length:])) for parts, length in zip(whole, lengths, strict=True)]
     if again := _repeated(names):
         both = " and ".join(str(paths[place]) for place in again if names[place] == names[again[0]])
         raise ConfigError(f"{both} would share the name {names[again[0]]}", "rename one of them")

@@ -20,14 +20,7 @@ LISTED: Final = 8
 class UserError(Exception):
     """One sentence with file, place and value, and a hint with something to copy.
 
-    Parameters
-    ----------
-    what : str
-        What is wrong, and which value was found.
-    hint : str
-        What to do about it.
-    *where : object
-        Where, from the outermost place inwards: a file, a topic. They begin the sentence.
+    What is wrong, with the value that was found, follows the places from the outermost inwards: a file, a topic.
     """
 
     exit_code = 2
@@ -144,24 +137,10 @@ def hint_for(name: str, known: Collection[str], *, within: str = "", most: int =
 
 @dataclass(frozen=True)
 class Note:
-    """A warning as data: what was dropped, assumed or found odd, how often, and since when.
+    """A warning as data: what was dropped, assumed or found odd, and how often."""
 
-    Attributes
-    ----------
-    code : str
-        Stable name for scripts, for example ``imu_gaps``.
-    text : str
-        One sentence for people, with values and units.
-    count : int
-        How many samples, messages or places it concerns.
-    severity : {'info', 'warning'}
-        A warning may change how far the tables are to be believed; ``--strict`` makes it an error.
-    hint : str
-        Which configuration key or command helps, if any does.
-    """
-
-    code: str
-    text: str
-    count: int = 1
+    code: str  # stable name for scripts, for example ``imu_gaps``
+    text: str  # one sentence for people, with values and units
+    count: int = 1  # samples, messages or places that it concerns
     severity: Severity = Severity.INFO
     hint: str = ""

@@ -46,6 +46,8 @@ class Innovations:
         standard deviations are those before.
     noise_factor : float
         By how much R is larger at the end than it is said to be, by the innovations; 1 but for adaptive noise.
+    holds_height : bool
+        It measures the velocity down, see `nav.local_earth.GravityHeight`.
     """
 
     measurement: str
@@ -63,6 +65,7 @@ class Innovations:
     reopen_after: int
     reopened: NDArray[np.bool_]
     noise_factor: float = 1.0
+    holds_height: bool = False
 
     @property
     def dof(self) -> int:
@@ -132,6 +135,9 @@ class History:
         Whether it is a solution that was read.
     is_turned : bool
         Whether the heading of a solution was laid on the baseline's, so that it does not err at first.
+    corrected : ndarray, shape (k, 3)
+        Sum of all corrections of the position up to each time, in the units of ``position``; no rows where the filter
+        makes none.
     """
 
     filter: str
@@ -150,6 +156,7 @@ class History:
     constants: Floats = field(default_factory=lambda: np.empty((0, 0)))
     is_read: bool = False
     is_turned: bool = False
+    corrected: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
     @property
     def believed(self) -> NDArray[np.bool_]:
@@ -160,6 +167,11 @@ class History:
     def estimates_position(self) -> bool:
         """Whether the position is among its states."""
         return len(self.states) >= POSITION.stop and self.states[POSITION.start].id == "dp_n"
+
+    @property
+    def dead_reckoned(self) -> Floats:
+        """The position with all corrections taken back, shape (k, 3): it moves by the velocity alone."""
+        return self.position - self.corrected if len(self.corrected) else self.position
 
     @property
     def reopened_ns(self) -> TimeNs:

@@ -8,6 +8,7 @@ escape that is seen. Escapes are for eyes: a backslash stays as it is, so they a
 import errno
 import os
 import re
+import stat
 import unicodedata
 from pathlib import Path
 from typing import Final
@@ -31,6 +32,17 @@ def read_text(path: Path) -> str:
     if len(data) > _MOST_BYTES:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
     return data.decode("utf-8-sig")
+
+
+def read_regular(path: Path, most_bytes: int) -> bytes:
+    """Read a file that others name. An OSError where it cannot be read, is no regular file, or has more bytes."""
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:  # a named pipe is not waited for
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "it is no regular file", str(path))
+        data = file.read(most_bytes + 1)
+    if len(data) > most_bytes:
+        raise OSError(errno.EFBIG, f"it has more than {most_bytes >> 20} MiB", str(path))
+    return data
 
 
 NaturalKey = tuple[tuple[bool, int, str], ...]

@@ -22,11 +22,13 @@ class PooledRow(Struct, frozen=True):
     value: Number
     ratio: Annotated[
         Number,
-        Column("Hodges-Lehmann estimate over the dives' ratios, and its exact 95 % interval.", "lower", primary=True),
+        Column(
+            "Geometric mean of the dives' ratios, and its 95 % interval over dives (Student's).", "lower", primary=True
+        ),
     ]
     low: Number
     high: Number
     dives: Annotated[int, Column("Dives that have a ratio, and those of them in which the candidate errs less.")]
     dives_won: int
-    p: Annotated[Number, Column("Of Wilcoxon's exact signed-rank test, two-sided.")]
+    p: Annotated[Number, Column("Two-sided, of a ratio of 1, by Student's t.")]
     word: str

@@ -96,10 +96,8 @@ def is_reserved(measurement: str) -> bool:
     return of_a_kind or measurement in MEASUREMENTS or measurement in AIDING
 
 
-DEPTH: Final = "depth_60s"
-"""Decides nothing: a pressure gauge tells it."""
 ACCURACY: Final = (
-    "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", DEPTH, "level", "heading"
+    "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "depth_60s", "level", "heading"
 )  # fmt: skip
 """Errors against the reference, the one that decides first."""
 DRIFT_QUANTITIES: Final = {
@@ -120,12 +118,21 @@ CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_
 _CONVERGENCE: Final = tuple(f"convergence_{name}" for name in CONVERGED)
 WITHHELD_QUANTITIES: Final = tuple(f"{WITHHELD}{name}" for name in SENSORS)
 """Differences from sensors that are withheld."""
-_NO_VOTE: Final = (DEPTH, f"{WITHHELD}depth")
+TRACK: Final = {
+    "position": ("m", "position_h", "rmse"),
+    "position_end": ("m", "position_h", "final"),
+    "position_pct": ("%", "position_h_pct", "rmse"),
+    "position_end_pct": ("%", "position_h_pct", "final"),
+    "depth": ("m", "depth", "rmse"),
+}
+"""Errors of the track of a whole dive, one sample each: unit, and row and column of the reference errors."""
+_NO_VOTE: Final = ("depth_60s", f"{WITHHELD}depth")
 DECIDING: Final = (*(name for name in (*ACCURACY, *_COASTING, *WITHHELD_QUANTITIES) if name not in _NO_VOTE),)
 """Quantities by which a candidate is better or worse."""
-DECIDING_TOGETHER: Final = (*DECIDING, *_CONVERGENCE)
-"""Those by which several dives decide. Of one dive, convergence knows how the starts scatter, but not the sensors."""
-EVIDENCE_QUANTITIES: Final = (*ACCURACY, *_COASTING, *WITHHELD_QUANTITIES, *_CONVERGENCE, "nis", "nees")
+DECIDING_TOGETHER: Final = (*DECIDING, "position", "position_end", "depth", *_CONVERGENCE)
+"""Those by which several dives decide. One dive is one sample of its track; and of the sensors, by which filters
+converge."""
+EVIDENCE_QUANTITIES: Final = (*ACCURACY, *TRACK, *_COASTING, *WITHHELD_QUANTITIES, *_CONVERGENCE, "nis", "nees")
 """Rows of evidence, each name once."""
 NAMES: Final = {
     "drift_30s": "drift in 30 s",
@@ -138,6 +145,11 @@ NAMES: Final = {
     "heading": "heading",
     **{f"coasting_{window}s": f"coasting {window} s" for window in COASTING_WINDOWS_S},
     **{name: name.replace("_", " ") for name in WITHHELD_QUANTITIES},
+    "position": "position",
+    "position_end": "position at the end",
+    "position_pct": "position of distance",
+    "position_end_pct": "end of distance",
+    "depth": "depth",
     "convergence_velocity": "velocity settled",
     "convergence_level": "level settled",
     "convergence_heading": "heading settled",

@@ -90,6 +90,13 @@ class ConvergenceRow(Struct, frozen=True):
         Number,
         Column("Time at which the baseline itself came to stay there, and a candidate does that changes nothing."),
     ] = None
+    nearest_approach_s: Annotated[
+        Number,
+        Column(
+            "When the candidate's standard deviation is nearest to the target: Levy and Klein's time.", better="lower"
+        ),
+    ] = None
+    nearest_approach_improvement_pct: Annotated[Number, Column(better="higher")] = None
 
 
 class ReferenceErrorRow(Struct, frozen=True):
@@ -206,19 +213,26 @@ class EvidenceRow(Struct, frozen=True):
 
     log: Annotated[str, Column("Dive, candidate, kind of evidence and quantity.")]
     filter: str
-    evidence: Annotated[str, Column("accuracy, coasting, withheld, convergence or honesty.")]
+    evidence: Annotated[str, Column("accuracy, coasting, withheld, track, convergence or honesty.")]
     quantity: Annotated[str, _EVIDENCE_QUANTITY]
     unit: Annotated[str, Column("Unit of the two values.")]
     baseline: Annotated[
         Number,
         Column(
-            "What the baseline and the candidate have: a root mean square, or the time of convergence.", better="lower"
+            "What the baseline and the candidate have on this dive, from its own start: a root mean square, a final "
+            "error, or the time of convergence from drawn starts.",
+            better="lower",
         ),
     ]
     value: Annotated[Number, Column(better="lower")]
     ratio: Annotated[
         Number,
-        Column("Candidate over baseline, and the interval that holds it with 95 %.", better="lower", primary=True),
+        Column(
+            "Candidate over baseline, of accuracy over all drawn starts, and its 95 % interval on this dive: other "
+            "dives may differ by more.",
+            better="lower",
+            primary=True,
+        ),
     ]
     low: Number
     high: Number
@@ -234,3 +248,5 @@ class EvidenceRow(Struct, frozen=True):
             best_first=(EvidenceWord.BETTER, EvidenceWord.EQUIVALENT, EvidenceWord.UNDECIDED, EvidenceWord.WORSE),
         ),
     ]
+    p: Annotated[Number, Column("Two-sided, of a ratio of 1, by Student's t: below 0.01 the row decides.")] = None
+    why: Annotated[str, Column("What keeps the row from deciding, if it is not the interval.")] = ""

@@ -82,6 +82,7 @@ MORE_STATES: Final[dict[str, tuple[State, ...]]] = {
     "dvl_scale": (State(0, "dvl_scale", "scale error of the DVL", "κ", "1", "%", 0.01),),
     "dvl_yaw": (State(0, "dvl_yaw", "yaw of the DVL's mounting", "ψ", "rad", "deg", DEG),),
     "depth_zero": (State(0, "depth_zero", "zero of the depth gauge", "d_0", "m", "m", 1.0),),
+    "heading_bias": (State(0, "heading_bias", "bias of the heading sensor", "b_ψ", "rad", "deg", DEG),),
 }
 """Blocks of states that a filter can have beside the twelve, in the order in which they follow them."""
 

@@ -31,31 +31,15 @@ _GOES_ON: Final = re.compile(r"^[^#]*,\s*$")
 
 @dataclass(frozen=True)
 class TomlSource:
-    """A file, preset or option that holds TOML, or one table of it, and how messages name what is in it.
+    """A file, preset or option that holds TOML, or one table of it, and how messages name what is in it."""
 
-    Attributes
-    ----------
-    name : str
-        With which every message begins.
-    hint : str
-        What to do about a wrong value.
-    text : str
-        Of the file; empty where lines are of no use.
-    at : tuple of str and int
-        Where the table stands; empty for the whole.
-    label : str
-        What messages call the table, in place of its path.
-    assigned : str
-        How a key gets its value there, with ``{}`` for both.
-    """
-
-    name: str
-    hint: str
+    name: str  # with which every message begins
+    hint: str  # what to do about a wrong value
     content: dict[str, Any] = field(default_factory=dict)
-    text: str = ""
-    at: KeyPath = ()
-    label: str = ""
-    assigned: str = "{} = {}"
+    text: str = ""  # of the file; empty where lines are of no use
+    at: KeyPath = ()  # where the table stands; empty for the whole
+    label: str = ""  # what messages call the table, in place of its path
+    assigned: str = "{} = {}"  # how a key gets its value there, with ``{}`` for both
 
     def says(self, *keys: str | int) -> bool:
         """Return whether a key, from the top, stands there."""

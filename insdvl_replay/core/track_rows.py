@@ -85,6 +85,11 @@ class DriftRow(Struct, frozen=True):
     worst: Annotated[Number, Column("The largest size.", better="lower")]
     worst_from_s: Annotated[Number, Column("Where it begins and ends, from the start; of the others than drift once.")]
     worst_to_s: Number
+    final: Annotated[Number, Column("The last size.", better="lower")] = None
+    distance_m: Annotated[Number, Column("Distance travelled to the last compared position.")] = None
+    final_of_distance_pct: Annotated[
+        Number, Column("Of the position: the final error in percent of that distance.", better="lower")
+    ] = None
 
 
 class JumpRow(Struct, frozen=True):

@@ -181,4 +181,6 @@ class Estimated(StrEnum):
     """The dives do not show it: it stays as it was, to the bit."""
     DOUBTFUL = "doubtful"
     """What was found cannot be right, and is not proposed."""
+    NOT_DETERMINED = "not determined"
+    """A noise that these dives do not tell to a factor of two."""
     NOT_ASKED = "not asked"

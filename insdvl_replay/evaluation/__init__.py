@@ -6,7 +6,7 @@ filters drift while the velocities are withheld from them, which needs no refere
 
 `evidence` holds each candidate against the baseline, piece by piece: `losses` against the reference (`drift` over
 segments, velocities along and across the track) from drawn starts, whose runs `drawn_errors` gathers; coasting; and
-`measured_convergence`. `paired_statistics` compares two filters' losses over one dive, `over_dives` over several, with
+`measured_convergence`. `paired_statistics` compares two filters' losses over one dive, and ratios over several, with
 intervals and a word; `pooled_evidence` does so for all pieces. `verdicts` puts the evidence in words, `sound_filters`
 says of which filters nothing is to be said. `coverage` says what the reference does not see, `row_changes` what a
 stored table's cells became.

@@ -5,7 +5,8 @@ do. Both are read where a filter has just used a ping: between pings the uncerta
 time would measure the time since the last ping. The end of the dive is its last ping.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from insdvl_replay.core.states import NINE, STATES, State
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import ImprovementStatus
 
+_Row = TypeVar("_Row", ImprovementRow, ConvergenceRow, ImprovementRow | ConvergenceRow)
 SAME_PCT = 0.05
 """A smaller change of a standard deviation is called ``same``; shown with one digit it would read 0.0 %."""
 
@@ -79,24 +81,29 @@ def _improvement_status(change_pct: float) -> ImprovementStatus:
 def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: str) -> float:
     """Average a table's improvement over the nine states without the velocity errors, as the paper does.
 
-    NaN of a candidate that does not tell all nine.
+    NaN for a candidate that lacks one of the nine.
     """
-    nine = {state.id for state in NINE}
-    rows = [row for row in table if row.filter == candidate and row.state in nine]
-    if len(rows) < len(nine) or any(row.status == ImprovementStatus.NOT_FINITE for row in rows):
+    rows = _nine(table, candidate)
+    if any(row.status == ImprovementStatus.NOT_FINITE for row in rows):
         return float("nan")
-    return float(np.mean(np.nan_to_num([finite(row.improvement_pct) for row in rows])))
+    return _mean([finite(row.improvement_pct) for row in rows])
 
 
 def unchanged_over_nine(table: Sequence[ConvergenceRow], candidate: str) -> float:
-    """Average over the same states how much sooner than at the end the baseline itself is as sure as it is then.
+    """Average over the same states the improvement of a candidate that changes nothing."""
+    rows = _nine(table, candidate)
+    return _mean([improvement_pct(finite(row.baseline_s), finite(row.unchanged_s)) for row in rows])
 
-    That much sooner is a candidate that changes nothing, by what the paper calls convergence. NaN of one that does not
-    tell all nine.
-    """
-    if not np.isfinite(mean_over_nine(table, candidate)):
-        return float("nan")
-    nine = {state.id for state in NINE}
-    rows = [row for row in table if row.filter == candidate and row.state in nine]
-    sooner_pct = [improvement_pct(finite(row.baseline_s), finite(row.unchanged_s)) for row in rows]
-    return float(np.mean(np.nan_to_num(sooner_pct)))
+
+def nearest_over_nine(table: Sequence[ConvergenceRow], candidate: str) -> float:
+    """Average over the same states the improvement by the nearest approach, see `convergence.nearest_approach_s`."""
+    return _mean([finite(row.nearest_approach_improvement_pct) for row in _nine(table, candidate)])
+
+
+def _nine(table: Iterable[_Row], candidate: str) -> list[_Row]:
+    return [row for row in table if row.filter == candidate and row.state in {state.id for state in NINE}]
+
+
+def _mean(improvements_pct: list[float]) -> float:
+    """Average over nine states, of which one that did not improve counts 0; NaN where one of them is missing."""
+    return float(np.mean(np.nan_to_num(improvements_pct))) if len(improvements_pct) == len(NINE) else float("nan")

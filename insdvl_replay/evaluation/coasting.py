@@ -5,7 +5,7 @@ prediction and measurement share these. It measures levels, accelerometer biases
 arm, time stamps and noise.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
@@ -13,11 +13,17 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs, seconds
 from insdvl_replay.core.history import History
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.track_rows import CoastingRow
+from insdvl_replay.evaluation.chi_square import chi_square_quantile
 from insdvl_replay.evaluation.coasting_windows import SHOWN_S, CoastingPlan, Windows
 from insdvl_replay.evaluation.reference import SHORTEST_M
 
 NAN: Final = float("nan")
+ALARM: Final = 2.0
+"""A smaller mean NIS per degree of freedom is no alarm: sigma is too small by less than 30 %."""
+SURELY: Final = 0.999
+"""So rarely is there an alarm by chance, of each filter and length."""
 
 
 class Ratio(Protocol):
@@ -42,67 +48,33 @@ RatioOfWindows = Callable[[Floats, Floats], Ratio]
 
 @dataclass(frozen=True)
 class Coast:
-    """One filter in one run: at the ping that it used last, and at those that were withheld.
+    """One filter in one run: at the ping that it used last, and at those that were withheld."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (k,)
-        From the last used ping on.
-    velocity_error_n : ndarray, shape (k, 3)
-        Predicted minus measured, at the DVL, m/s; zero at the last used ping.
-    drift_n : ndarray, shape (k, 3)
-        Its integral, m.
-    nis : ndarray, shape (k,)
-        Of each withheld ping; NaN at the last used one.
-    """
-
-    time_s: Floats
-    velocity_error_n: Floats
-    drift_n: Floats
-    nis: Floats
+    time_s: Floats  # (k,), from the last used ping on
+    velocity_error_n: Floats  # (k, 3), m/s, predicted minus measured at the DVL; zero at the last used ping
+    drift_n: Floats  # (k, 3), m, its integral
+    nis: Floats  # (k,), of each withheld ping; NaN at the last used one
 
 
 @dataclass(frozen=True)
 class Coasts:
-    """All runs of all filters of a dive.
-
-    Attributes
-    ----------
-    distance_m : ndarray, shape (m,)
-        Way up to each ping of the plan, by the DVL's velocities.
-    runs : dict of str to tuple of Coast
-        By filter, the first of which is the baseline; one for each of the plan's runs.
-    """
+    """All runs of all filters of a dive."""
 
     plan: CoastingPlan
-    distance_m: Floats
-    runs: Mapping[str, tuple[Coast, ...]]
+    distance_m: Floats  # (m,), travelled up to each ping of the plan, by the DVL's velocities
+    runs: Mapping[str, tuple[Coast, ...]]  # by filter, the baseline first; one for each of the plan's runs
 
 
 class DriftOverTime(NamedTuple):
-    """How the horizontal drift of a filter grows after the last velocity.
+    """How the horizontal drift of a filter grows after the last velocity: shape (k,), over the windows."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (k,)
-        From the last used ping on.
-    median_m, p95_m : ndarray, shape (k,)
-        Over the windows; NaN without any.
-    """
-
-    time_s: Floats
-    median_m: Floats
+    time_s: Floats  # from the last used ping on
+    median_m: Floats  # NaN without windows, as the next
     p95_m: Floats
 
 
 def coast_of(history: History) -> Coast:
-    """Turn the innovations of withheld velocities to n.
-
-    Parameters
-    ----------
-    history : History
-        From `nav.coasting.coast`: k rows, the first without an innovation.
-    """
+    """Turn the innovations of withheld velocities to n; the first row of the history has none."""
     innovations, *_ = history.innovations
     time_s = seconds(history.time_ns, history.time_ns[0])
     velocity_error_n, nis = np.zeros((len(time_s), 3)), np.full(len(time_s), np.nan)
@@ -113,19 +85,7 @@ def coast_of(history: History) -> Coast:
 
 
 def distance_along_m(time_ns: TimeNs, velocity_b: Floats) -> Floats:
-    """Integrate the speed that a DVL measures.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (m,)
-    velocity_b : ndarray, shape (m, 3)
-        m/s
-
-    Returns
-    -------
-    ndarray, shape (m,), m
-        From the first ping on.
-    """
+    """Integrate the speed that a DVL measures, m/s, from the first ping on."""
     return _integral(seconds(time_ns, time_ns[0]), np.linalg.norm(velocity_b, axis=1))
 
 
@@ -136,39 +96,16 @@ def _integral(time_s: Floats, rate: Floats) -> Floats:
 
 
 class WindowEnds(NamedTuple):
-    """What a filter has come to at the end of each window of one length.
+    """What a filter has come to at the end of each window of one length, shape (w,)."""
 
-    Attributes
-    ----------
-    drift_m, down_m : ndarray, shape (w,)
-        Horizontal drift, and vertical drift either way.
-    velocity_mps : ndarray, shape (w,)
-        Horizontal velocity error.
-    nis : ndarray, shape (w,)
-        Of the last withheld ping.
-    """
-
-    drift_m: Floats
-    down_m: Floats
-    velocity_mps: Floats
-    nis: Floats
+    drift_m: Floats  # horizontal
+    down_m: Floats  # either way
+    velocity_mps: Floats  # horizontal error
+    nis: Floats  # of the last withheld ping
 
 
 def coasting_table(log: str, coasts: Coasts, ratio_of_windows: RatioOfWindows) -> list[CoastingRow]:
-    """Set down how far each filter drifts in windows of each length.
-
-    Parameters
-    ----------
-    log : str
-        Name of the dive.
-    ratio_of_windows : callable
-        As `paired_statistics.windows_ratio`.
-
-    Returns
-    -------
-    list of CoastingRow
-        For each length that the dive has room for, the baseline and each candidate.
-    """
+    """State how far each filter drifts in windows of each length that the dive has room for."""
     with np.errstate(over="ignore", invalid="ignore"):
         return [row for windows in coasts.plan.judged for row in _rows(log, coasts, windows, ratio_of_windows)]
 
@@ -252,6 +189,24 @@ def _median(values: Floats) -> float:
 def _quantile(values: Floats, q: float) -> float:
     """Return a quantile, linear between values; NaN of none, and where one is not finite."""
     return float(np.quantile(values, q)) if len(values) and np.isfinite(values).all() else NAN
+
+
+def outage_alarm(rows: Sequence[CoastingRow], names: Collection[str]) -> str:
+    """Say where the withheld velocities show that the sigma of filters grows too slowly; nothing where it does not.
+
+    NIS at the ends of windows of one length are chi-square, and nearly independent. The length that is furthest above
+    its limit speaks.
+    """
+    excess = {
+        (row.window_s, row.filter): finite(row.nis_per_dof) / max(ALARM, chi_square_quantile(SURELY, dof) / dof)
+        for row in rows
+        if row.filter in names and (dof := 3 * row.windows) and finite(row.nis_per_dof) > ALARM
+    }
+    window_s, _ = max(excess, key=excess.__getitem__, default=("", ""))
+    if not window_s or max(excess.values()) <= 1.0:
+        return ""
+    sizes = [f"{row.filter} {row.nis_per_dof:.3g}" for row in rows if row.window_s == window_s and row.filter in names]
+    return f" NIS / dof after {window_s} s without DVL: {', '.join(sizes)}, expected 1: raise [noise]."
 
 
 def window_drifts(coasts: Coasts) -> dict[str, dict[str, Floats]]:

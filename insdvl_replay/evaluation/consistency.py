@@ -29,6 +29,8 @@ MANY_REJECTED = 0.1
 """A gate that rejects a larger share does not keep outliers out but the DVL."""
 CONTRADICTED: Final = 9.0
 """Median NIS over that of chi-square at which a sensor errs by three times what its settings say, or is misread."""
+SLOW: Final = 0.3
+"""Correlation of neighbouring headings from which their error is slow."""
 FEWEST_PAIRS: Final = 10
 """With fewer neighbours the word is ``too few``."""
 SMALL_AUTOCORRELATION: Final = 0.1
@@ -106,6 +108,8 @@ def _rows(
         correlation, dof = autocorrelation(part, compared), part.shape[1]
         if not withheld:
             mean = _judged(nis * weight, dof, len(nis))
+            if mean.word == Consistency.OVER_CAUTIOUS and measurement in SENSORS and repeats(*correlation):
+                mean = mean._replace(word=Consistency.TOO_FEW, why=Reason.ONE_SAMPLE)
         elif _is_told(history, measurement):
             own_sd = sensor_sd[measurement.removeprefix(WITHHELD)]
             mean = _judged_withheld(nis, part, (innovations.innovation / own_sd)[:, components])
@@ -211,7 +215,28 @@ def _judged_updates(history: History, innovations: Innovations) -> list[Note]:
         sizes = "check the units and sizes of [noise], [initial] and what aids it"
         hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
         return [Note("filter_not_finite", text, lost, Severity.WARNING, hint)]
-    return [*_rejection_notes(name, innovations), *_contradiction_notes(name, innovations)]
+    return [
+        *_rejection_notes(name, innovations),
+        *_contradiction_notes(name, innovations),
+        *_slow_heading_notes(history, innovations),
+    ]
+
+
+def _slow_heading_notes(history: History, innovations: Innovations) -> list[Note]:
+    """Warn of a heading whose error is slow: its innovations are small, since the filter follows the error."""
+    alike, limit = autocorrelation(innovations.standardised, innovations.used)
+    is_estimated = any(state.id == "heading_bias" for state in history.states)
+    if innovations.measurement != "heading" or is_estimated or alike < SLOW or not repeats(alike, limit):
+        return []
+    text = (
+        f"filter {history.filter} follows a slow error of the heading: neighbouring innovations have a correlation of "
+        f"{alike:.2f}, and its heading is less sure than it says"
+    )
+    hint = (
+        f'filters.{history.filter}.states = ["heading_bias"], with heading.bias_sd_deg and bias_time_s; a smaller '
+        "heading.sd_deg makes it worse"
+    )
+    return [Note("heading_slow_error", text, len(innovations.used), Severity.WARNING, hint)]
 
 
 def _gate_hint(name: str) -> str:
@@ -294,6 +319,11 @@ def autocorrelation(standardised: Floats, used: NDArray[np.bool_]) -> tuple[floa
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         value = np.sum(earlier * later) / np.sqrt(np.sum(earlier**2) * np.sum(later**2))
     return float(value), NORMAL_95 / float(np.sqrt(count))
+
+
+def repeats(value: float, limit: float) -> bool:
+    """Return whether innovations repeat themselves: what they hold is an error that stays, and no noise."""
+    return value > 0.0 and whiteness(value, limit) == Whiteness.CORRELATED
 
 
 def whiteness(value: float, limit: float) -> Whiteness:

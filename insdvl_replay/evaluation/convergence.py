@@ -19,21 +19,10 @@ NOT_MEASURED: Final[Mapping[str, Mapping[str, MeasuredConvergence]]] = MappingPr
 def convergence_table(
     log: str, histories: tuple[History, ...], measured: Mapping[str, Mapping[str, MeasuredConvergence]] = NOT_MEASURED
 ) -> list[ConvergenceRow]:
-    """State when each candidate became, and stayed, as sure as the baseline is at the end, in 12 states.
+    """State when each candidate became, and stayed, as sure as the baseline is at the end, and when it came nearest.
 
-    Of a solution that was read, in those of which it says how sure it is.
-
-    Parameters
-    ----------
-    log : str
-        Name of the dive.
-    histories : tuple of History
-        The first is the baseline.
-
-    Returns
-    -------
-    list of ConvergenceRow
-        Times are seconds from the start, the baseline's that of the last ping.
+    A recorded solution has rows for those of the 12 states whose standard deviations it gives. Times count from the
+    start; the baseline's time is its last ping.
     """
     baseline, *candidates = histories
     rows = []
@@ -49,7 +38,10 @@ def convergence_table(
             named = log, candidate.filter, state.id, state.unit
             predicted = target / state.factor, baseline_s, reached_s, faster_pct
             found = _measured(measured.get(candidate.filter, {}).get(state.id), state.factor)
-            rows.append(ConvergenceRow(*named, *predicted, status, *found, _stays_s(baseline, last, state.index)))
+            unchanged_s = _stays_s(baseline, last, state.index)
+            nearest_s = nearest_approach_s(time_s, candidate.sd[told, state.index], target)
+            nearest = nearest_s, improvement_pct(baseline_s, nearest_s)
+            rows.append(ConvergenceRow(*named, *predicted, status, *found, unchanged_s, *nearest))
     return rows
 
 
@@ -70,21 +62,20 @@ def _measured(found: MeasuredConvergence | None, factor: float) -> tuple[float, 
     return found.target / factor, found.baseline_s, found.candidate_s, found.status
 
 
+def nearest_approach_s(time_s: Floats, sd: Floats, target: float) -> float:
+    """Return the first time at which a standard deviation is nearest to a target; NaN where no distance is finite.
+
+    This is the convergence time of Levy and Klein. It is no arrival: the standard deviation may turn back there.
+    """
+    distance = np.abs(sd - target)
+    return float(time_s[np.nanargmin(distance)]) if np.isfinite(distance).any() else float("nan")
+
+
 def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float, ConvergenceStatus]:
     """Find the first time after which a standard deviation stays at or below a target.
 
-    Parameters
-    ----------
-    time_s, sd : ndarray, shape (k,)
-    target : float
-        In the unit of ``sd``.
-
-    Returns
-    -------
-    float
-        Interpolated between the samples, s; NaN unless reached.
-    ConvergenceStatus
-        ``reached``, ``at_start`` (never above the target) or ``never`` (above it, or not finite, at the end).
+    The time is interpolated between the samples, and NaN unless reached. ``at_start`` is never above the target;
+    ``never`` is above it, or not finite, at the end.
     """
     above = np.flatnonzero(~(sd <= target))
     if len(above) == 0:

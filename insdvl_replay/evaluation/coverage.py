@@ -30,20 +30,7 @@ Known = NDArray[np.bool_]
 
 
 def covered_share(time_ns: TimeNs, known: Known, start_ns: int, end_ns: int) -> float:
-    """Return the share of a span that lies between numbers that follow each other about as usual.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (r,)
-        In order.
-    known : ndarray of bool, shape (r,)
-        Which rows hold numbers.
-
-    Returns
-    -------
-    float
-        From 0 to 1.
-    """
+    """Return the share of a span, 0 to 1, that lies between numbers that follow each other about as usual."""
     steps_ns = np.diff(_inside(time_ns[known], start_ns, end_ns))
     if not steps_ns.size:
         return 0.0
@@ -52,30 +39,13 @@ def covered_share(time_ns: TimeNs, known: Known, start_ns: int, end_ns: int) -> 
 
 
 def reference_coverage_notes(reference: ReferenceColumns, start_ns: int, end_ns: int) -> tuple[Note, ...]:
-    """State which quantities of a reference cover too little of a replay.
-
-    Parameters
-    ----------
-    start_ns, end_ns : int
-        Of the replay.
-
-    Returns
-    -------
-    tuple of Note
-        One for all quantities that cover the same. What the reference never gives is not among them.
-    """
+    """State which quantities of a reference cover too little of a replay, of those that it gives at all."""
     known = {quantity: rows for quantity, rows in reference.known.items() if rows.any()}
     return tuple(_notes("reference", reference.time_ns, known, start_ns, end_ns))
 
 
 def truth_coverage_notes(truth: TruthColumns, start_ns: int, end_ns: int) -> tuple[Note, ...]:
-    """State which true biases cover too little of a replay.
-
-    Parameters
-    ----------
-    start_ns, end_ns : int
-        Of the replay.
-    """
+    """State which true biases cover too little of a replay."""
     biases = {"accelerometer biases": truth.accel_bias_b, "gyro biases": truth.gyro_bias_b}
     known = {quantity: np.asarray(np.isfinite(values).all(axis=1)) for quantity, values in biases.items()}
     return tuple(_notes("truth", truth.time_ns, known, start_ns, end_ns))
@@ -106,19 +76,9 @@ def _joined(names: list[str]) -> str:
 
 
 def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, ...]:
-    """State that a reference is too slow for the dive's turns, where it is.
+    """State that a reference is too slow for the dive's turns, where it is; any filter's history shows the motion.
 
-    Parameters
-    ----------
-    history : History
-        Any filter's; shows the motion at the pings, and at the reference's times inside the replay.
-    reference_ns : ndarray, shape (r,)
-        Times of the reference.
-
-    Returns
-    -------
-    tuple of Note
-        One, or none. It counts the intervals with more than `SMALL_TURN`, and is a warning above `LARGE_TURN`.
+    The note counts the intervals with more than `SMALL_TURN`, and is a warning above `LARGE_TURN`.
     """
     since, turn, change_mps = _since_last_sample(history, reference_ns)
     turning = turn > SMALL_TURN

@@ -14,23 +14,13 @@ from insdvl_replay.evaluation.state_errors import errors_at
 
 @dataclass(frozen=True)
 class RunFromStart:
-    """How far a filter is off in one run.
-
-    Attributes
-    ----------
-    time_s : ndarray, shape (k,)
-        The reference's times, from the start, which is not among them.
-    against_reference : ReferenceErrors
-        At these times.
-    error, sd : ndarray, shape (k, 12)
-        In its first twelve states, see `state_errors.StateErrors`, and what it believes of them.
-    """
+    """How far a filter is off in one run."""
 
     filter: str
-    time_s: Floats
+    time_s: Floats  # k times of the reference, from the start, which is not among them
     against_reference: ReferenceErrors
-    error: Floats
-    sd: Floats
+    error: Floats  # of its first twelve states, shape (k, 12), see `state_errors.StateErrors`
+    sd: Floats  # by the filter's covariance, shape (k, 12)
 
 
 def run_from_start(history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> RunFromStart:
@@ -47,33 +37,13 @@ def run_from_start(history: History, reference: ReferenceColumns, truth: TruthCo
 
 @dataclass(frozen=True)
 class DrawnErrors:
-    """The runs of one filter over the same dive from s starts, of which the first is the dive's own.
-
-    Attributes
-    ----------
-    time_s : ndarray, shape (k,)
-        The reference's times, from the start, which is not among them.
-    against_reference : tuple of ReferenceErrors
-        One for each start.
-    error : ndarray, shape (s, k, 12)
-        SI units, see `state_errors.StateErrors`. NaN where neither reference nor truth knows.
-    sd : ndarray, shape (k, 12)
-        What the filter believes of them, from its own start; from the others it hardly differs.
-    """
+    """The runs of one filter over the same dive from s starts, of which the first is the dive's own."""
 
     filter: str
-    time_s: Floats
-    against_reference: tuple[ReferenceErrors, ...]
-    error: Floats
-    sd: Floats
-
-    @property
-    def left_of_start(self) -> Floats:
-        """How far runs from drawn starts, one at least, are from the own at the end, rms in its sd; shape (12,)."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            apart = (self.error[1:, -1] - self.error[0, -1]) / self.sd[-1]
-            left: Floats = np.sqrt(np.mean(apart**2, axis=0))
-        return left
+    time_s: Floats  # k times of the reference, from the start, which is not among them
+    against_reference: tuple[ReferenceErrors, ...]  # one for each start
+    error: Floats  # shape (s, k, 12), see `state_errors.StateErrors`; NaN where neither reference nor truth knows
+    sd: Floats  # by the filter's covariance, shape (k, 12), from its own start; from the others it hardly differs
 
 
 def drawn_errors(runs: Sequence[RunFromStart]) -> DrawnErrors:
@@ -91,15 +61,7 @@ def errors_of_one_run(
 
 
 def side_by_side(drawn: DrawnErrors, one: DrawnErrors) -> tuple[DrawnErrors, DrawnErrors]:
-    """Lay the runs of a filter and the one run of another side by side.
-
-    Returns
-    -------
-    DrawnErrors
-        NaN where the one run says nothing.
-    DrawnErrors
-        The one run, as often as the other has starts.
-    """
+    """Lay the runs of a filter, NaN where the one run says nothing, next to that run, as often as there are starts."""
     run, starts = one.against_reference[0], len(drawn.error)
     known = tuple(errors.where_known(run) for errors in drawn.against_reference)
     before = replace(drawn, against_reference=known, error=np.where(np.isfinite(one.error), drawn.error, np.nan))
@@ -108,13 +70,10 @@ def side_by_side(drawn: DrawnErrors, one: DrawnErrors) -> tuple[DrawnErrors, Dra
 
 
 def squared_errors(drawn: DrawnErrors) -> dict[str, Floats]:
-    """Square the errors that measured comparisons are of.
+    """Square the errors that measured comparisons are of, by quantity, shape (s, k), SI units.
 
-    Returns
-    -------
-    dict of str to ndarray, shape (s, k)
-        ``position_h`` in m^2, ``velocity_h`` in m^2/s^2, ``level`` (the mean square of roll and pitch) in rad^2, and
-        each error state by its name, SI units. NaN where it is not known; what is never known is left out.
+    They are ``position_h``, ``velocity_h``, ``level`` (the mean square of roll and pitch), and each error state by its
+    name. NaN where it is not known; what is never known is left out.
     """
     position_m = np.stack([run.position_error_ned_m for run in drawn.against_reference])
     velocity_mps = np.stack([run.velocity_error_n for run in drawn.against_reference])

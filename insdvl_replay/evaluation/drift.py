@@ -32,49 +32,29 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Segments:
-    """Pairs of the compared times, the same for all filters of a dive.
-
-    Attributes
-    ----------
-    start_ns, end_ns : ndarray, shape (m,)
-    first, last : ndarray of int, shape (m,)
-        Rows of `ReferenceErrors` at the ends of each segment.
-    steps : int
-        How many following segments one overlaps with: the least block of `paired_statistics.paired_ratio`.
-    """
+    """m pairs of the compared times, the same for all filters of a dive."""
 
     start_ns: TimeNs
     end_ns: TimeNs
-    first: Indices
+    first: Indices  # rows of `ReferenceErrors` at the ends
     last: Indices
-    steps: int
+    steps: int  # following segments that one overlaps with: the least block of `paired_statistics.paired_ratio`
 
 
 @dataclass(frozen=True)
 class Drift:
-    """How much a filter's position error changes over each segment.
-
-    Attributes
-    ----------
-    horizontal_m : ndarray, shape (m,)
-        Length of the change of the horizontal error. NaN where the reference, or the filter, has no number.
-    down_m : ndarray, shape (m,)
-        Change of the error down, with its sign.
-    """
+    """How much a filter's position error changes over each segment. NaN where the reference or the filter has none."""
 
     segments: Segments
-    horizontal_m: Floats
-    down_m: Floats
+    horizontal_m: Floats  # length of the change
+    down_m: Floats  # with its sign
 
 
 @dataclass(frozen=True)
 class CourseErrors:
     """Horizontal velocity error along and across (to starboard of) the reference's course over ground.
 
-    Attributes
-    ----------
-    along_mps, across_mps : ndarray, shape (k,)
-        NaN where the reference has no velocity, or is slower than `SLOWEST_MPS`.
+    NaN where the reference has no velocity, or is slower than `SLOWEST_MPS`.
     """
 
     along_mps: Floats
@@ -82,37 +62,18 @@ class CourseErrors:
 
 
 def time_segments(time_ns: TimeNs, length_s: float = SEGMENT_S) -> Segments:
-    """Choose overlapping segments of a length in time.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-        Of the compared errors, in order.
-
-    Returns
-    -------
-    Segments
-        None across a hole of the reference that leaves no time near the end.
-    """
+    """Choose overlapping segments of a length in time; none where a hole of the reference is near the end."""
     return _segments(time_ns, seconds(time_ns, time_ns[0]) if len(time_ns) else np.empty(0), length_s)
 
 
 def distance_segments(time_ns: TimeNs, distance_m: Floats, length_m: float = SEGMENT_M) -> Segments:
-    """Choose overlapping segments of a length along the way.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-        Of the compared errors, in order.
-    distance_m : ndarray, shape (k,)
-        Travelled since the first of them, as `travelled.reference_distance_m` gives it.
-    """
+    """Choose overlapping segments of a length along the way, by the distance from `travelled.reference_distance_m`."""
     return _segments(time_ns, distance_m, length_m)
 
 
 def segment_drift(errors: ReferenceErrors, segments: Segments) -> Drift:
-    """Return what a filter's position error changes by over each segment."""
-    change_ned_m = errors.position_error_ned_m[segments.last] - errors.position_error_ned_m[segments.first]
+    """Return what a filter's position error changes by over each segment, between corrections of the position."""
+    change_ned_m = errors.drifting_ned_m[segments.last] - errors.drifting_ned_m[segments.first]
     return Drift(segments, np.hypot(change_ned_m[:, 0], change_ned_m[:, 1]), change_ned_m[:, 2])
 
 

@@ -19,7 +19,7 @@ from insdvl_replay.evaluation.drift import (
     segment_drift,
     time_segments,
 )
-from insdvl_replay.evaluation.reference import ReferenceErrors
+from insdvl_replay.evaluation.reference import SHORTEST_M, ReferenceErrors
 from insdvl_replay.evaluation.track_fit import filter_track_fit
 from insdvl_replay.evaluation.travelled import reference_distance_m
 
@@ -43,23 +43,9 @@ def drift_table(
     *,
     bridged_gaps: bool = False,
 ) -> list[DriftRow]:
-    """Set down how large the errors of each filter are.
+    """State how large the errors of each filter are: as many of `DRIFT_QUANTITIES` as the dive gives numbers for.
 
-    Parameters
-    ----------
-    log : str
-        Name of the dive.
-    errors : mapping of str to ReferenceErrors
-        By filter.
-    start_ns : int
-        From which the times of the worst are counted.
-    bridged_gaps : bool
-        Whether the filters went through long gaps of the IMU.
-
-    Returns
-    -------
-    list of DriftRow
-        For each filter as many of `DRIFT_QUANTITIES` as the reference and the length of the dive give numbers for.
+    The times of the worst count from ``start_ns``. ``bridged_gaps``: the filters went through long gaps of the IMU.
     """
     found = {name: _sizes(of_one, reference) for name, of_one in errors.items()}
     known = [
@@ -69,7 +55,9 @@ def drift_table(
         and any(np.isfinite(sizes[quantity].size).any() for sizes in found.values())
     ]
     return [
-        _row((log, name, quantity), sizes[quantity], start_ns) for name, sizes in found.items() for quantity in known
+        _row((log, name, quantity), sizes[quantity], start_ns, errors[name].distance_m)
+        for name, sizes in found.items()
+        for quantity in known
     ]
 
 
@@ -92,27 +80,26 @@ def _drift(errors: ReferenceErrors, segments: Segments) -> _Sizes:
     return _Sizes(segment_drift(errors, segments).horizontal_m, segments.start_ns, segments.end_ns)
 
 
-def _row(named: tuple[str, str, str], sizes: _Sizes, start_ns: int) -> DriftRow:
-    known, unit = np.flatnonzero(np.isfinite(sizes.size)), DRIFT_QUANTITIES[named[2]]
+def _row(named: tuple[str, str, str], sizes: _Sizes, start_ns: int, distance_m: float) -> DriftRow:
+    known, unit, nan = np.flatnonzero(np.isfinite(sizes.size)), DRIFT_QUANTITIES[named[2]], float("nan")
     if not len(known):
-        nan = float("nan")
-        return DriftRow(*named, unit, 0, nan, nan, nan, nan, nan, nan)
+        return DriftRow(*named, unit, 0, *[nan] * 9)
     size = sizes.size[known]
     p50, p95 = np.quantile(size, [0.5, 0.95]).tolist()
     with np.errstate(over="ignore"):
         rms = float(np.sqrt(np.mean(size**2)))
     worst = known[np.argmax(size)]
     from_s, to_s = ((int(ends_ns[worst]) - start_ns) / NS_PER_S for ends_ns in (sizes.from_ns, sizes.to_ns))
-    return DriftRow(*named, unit, len(known), p50, p95, rms, float(sizes.size[worst]), from_s, to_s)
+    final = float(size[-1])
+    final_pct = 100.0 * final / distance_m if named[2] == "position_h" and distance_m >= SHORTEST_M else nan
+    largest = float(sizes.size[worst]), from_s, to_s
+    return DriftRow(*named, unit, len(known), p50, p95, rms, *largest, final, distance_m, final_pct)
 
 
 def track_fit_table(log: str, errors: Mapping[str, ReferenceErrors], reference: ReferenceColumns) -> list[TrackFitRow]:
-    """Set down the scale and the turn that would lay each filter's track on the reference's.
+    """State the scale and the turn that would align each filter's track with the reference's.
 
-    Returns
-    -------
-    list of TrackFitRow
-        Two for each filter; none where no track of the reference is long enough.
+    There are no rows where no track of the reference is long enough.
     """
     return [row for name, of_one in errors.items() for row in _fit(log, name, of_one, reference)]
 

@@ -3,12 +3,11 @@
 Both filters ran on the same dive from the same starts, so that everything is paired. *Accuracy* is against the
 reference, *coasting* while the DVL is withheld, *withheld* by other sensors that no filter was told of, *convergence*
 from starts that err as much as the filters allow for, *honesty* whether innovations and errors are as large as a filter
-says; the last says nothing of gain or loss. The word of a piece is that of `paired_statistics.word_of`, and what
-`_corrected` leaves of it.
+says; the last says nothing of gain or loss. The word of a piece is that of `paired_statistics.word_of`.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -16,18 +15,15 @@ import numpy as np
 from msgspec.structs import replace
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.quantities import (
-    CONVERGED,
-)
+from insdvl_replay.core.quantities import CONVERGED, TRACK
 from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
-from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import EvidenceWord
-from insdvl_replay.evaluation.consistency import NORMAL_95
 from insdvl_replay.evaluation.honesty import honesty_rows
 from insdvl_replay.evaluation.losses import Losses
 from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
-from insdvl_replay.evaluation.over_dives import holm
 from insdvl_replay.evaluation.paired_statistics import (
+    FEWEST_EFFECTIVE,
+    STRETCHES,
     RatioInterval,
     paired_ratio,
     ratio_beside_starts,
@@ -37,30 +33,19 @@ from insdvl_replay.evaluation.paired_statistics import (
 
 SOONER: Final = 0.25
 """A smaller difference of convergence decides nothing: its interval is over starts, and the sensors err once a dive."""
+NOISE_OF_REFERENCE: Final = "mostly noise of the reference"
 NOISY: Final = 0.4
 """Share of a root mean square that is the noise of what it is taken against, above which likeness says nothing."""
-FAR: Final = 0.1
-"""Margin of all pieces but the first: of a dozen, one is often off by more than 5 % on one dive."""
-CHANCE: Final = 0.05
-"""Largest p, after Holm, with which a piece decides."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured of all filters of a dive, by filter.
+    """What was measured of all filters of a dive, by filter or candidate, then by quantity.
 
-    Attributes
-    ----------
-    losses : mapping of str to mapping of str to Losses
-        By filter and quantity of `quantities.ACCURACY`; empty without a reference.
-    coasting : mapping of str to mapping of str to ndarray
-        By filter and length of window the horizontal drifts, shape (n,), m.
-    convergence : mapping of str to mapping of str to MeasuredConvergence
-        By candidate and quantity.
-    withheld : mapping of str to mapping of str to Losses
-        By filter and quantity of `quantities.WITHHELD_QUANTITIES`; empty where no sensor is withheld.
-    beside : mapping of str to (mapping of str to Losses, mapping of str to Losses)
-        By candidate that is a solution that was read: the baseline's losses and its own, at the same instants.
+    ``losses`` are those against the reference, ``coasting`` the horizontal drifts, m, in windows of a length,
+    ``withheld`` the losses against sensors that are held out. ``beside`` holds the baseline's losses and those of a
+    solution that was read, at the same instants. ``track`` holds the baseline's error of the whole dive, and the
+    candidate's.
     """
 
     losses: Mapping[str, Mapping[str, Losses]]
@@ -68,6 +53,7 @@ class Measured:
     convergence: Mapping[str, Mapping[str, MeasuredConvergence]]
     withheld: Mapping[str, Mapping[str, Losses]]
     beside: Mapping[str, tuple[Mapping[str, Losses], Mapping[str, Losses]]] = field(default_factory=dict)
+    track: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 
 
 def evidence_table(
@@ -78,33 +64,16 @@ def evidence_table(
     consistency: Sequence[ConsistencyRow],
     credibility: Sequence[CredibilityRow],
 ) -> list[EvidenceRow]:
-    """Hold each candidate against the baseline, piece by piece.
-
-    Parameters
-    ----------
-    log : str
-        Name of the dive.
-    baseline : str
-        Name of the first filter.
-    candidates : sequence of str
-        Names of the others.
-
-    Returns
-    -------
-    list of EvidenceRow
-        For each candidate, the piece that decides first in front.
-    """
+    """Hold each candidate against the baseline, piece by piece; the piece that decides first is in front."""
     rows: list[EvidenceRow] = []
     for candidate in candidates:
         named = log, candidate
-        deciding = [
+        rows += [
             *_accuracy(named, measured, baseline),
             *_coasting(named, measured, baseline),
             *_withheld(named, measured, baseline),
             *_convergence(named, measured),
-        ]
-        rows += [
-            *_corrected(deciding),
+            *_track(named, measured),
             *honesty_rows(named, consistency, credibility, baseline, candidate in measured.beside),
         ]
     return rows
@@ -115,41 +84,13 @@ def without_words(rows: Sequence[EvidenceRow], not_judged: Collection[str]) -> l
     return [replace(row, word="") if row.filter in not_judged else row for row in rows]
 
 
+def nothing_better(rows: Iterable[EvidenceRow]) -> list[EvidenceRow]:
+    """Take the word *better* from evidence on a filter that a sensor surprises."""
+    return [replace(row, word=EvidenceWord.UNDECIDED) if row.word == EvidenceWord.BETTER else row for row in rows]
+
+
 _Named = tuple[str, str]
 """Dive and candidate."""
-
-
-def _corrected(rows: Sequence[EvidenceRow]) -> list[EvidenceRow]:
-    """Let better and worse stand where one of so many pieces is not so by chance, behind the first where it is far."""
-    adjusted = holm(np.array([_chance(row) for row in rows]))
-    return [
-        replace(row, word=EvidenceWord.UNDECIDED)
-        if _is_decided(row) and (p >= CHANCE or (place > 0 and not _is_far(row)))
-        else row
-        for place, (row, p) in enumerate(zip(rows, adjusted, strict=True))
-    ]
-
-
-def _is_far(row: EvidenceRow) -> bool:
-    return not 1.0 / (1.0 + FAR) < finite(row.ratio) < 1.0 + FAR
-
-
-def _is_decided(row: EvidenceRow) -> bool:
-    return row.word in (EvidenceWord.BETTER, EvidenceWord.WORSE)
-
-
-def _chance(row: EvidenceRow) -> float:
-    """Return the two-sided p of a ratio as the normal distribution has it that its interval is of; 1 where unknown.
-
-    The interval is Student's, whose tails are heavier: of few blocks or windows p is too small. Holm's correction, in
-    turn, allows for pieces that tell nothing of each other, and most tell the same. How often the words are right is
-    measured (`make judge`).
-    """
-    ratio, low, high = finite(row.ratio), finite(row.low), finite(row.high)
-    if not (ratio > 0.0 and 0.0 < low < high < math.inf):
-        return 1.0
-    sds = abs(math.log(ratio)) / (math.log(high / low) / (2.0 * NORMAL_95))
-    return math.erfc(sds / math.sqrt(2.0))
 
 
 def _accuracy(named: _Named, measured: Measured, baseline: str) -> Iterator[EvidenceRow]:
@@ -171,35 +112,48 @@ def _of_losses(
     evidence: str,
     befores: Mapping[str, Losses],
     afters: Mapping[str, Losses],
-    compare: Callable[[Losses, Losses], tuple[float, float, RatioInterval]],
+    compare: Callable[[Losses, Losses], RatioInterval],
 ) -> Iterator[EvidenceRow]:
+    of_drift: RatioInterval | None = None
     for quantity, before in ((quantity, losses) for quantity, losses in befores.items() if quantity in afters):
-        starts, windows = before.squared.shape
-        of_baseline, value, interval = compare(before, afters[quantity])
-        largest = max(of_baseline, value)
-        word = _word_above_noise(word_of(interval), before.floor / largest if largest else math.inf)
-        values = of_baseline, value, *_ends(interval)
-        yield EvidenceRow(*named, evidence, quantity, before.unit, *values, starts, windows, word)
+        (starts, windows), after = before.squared.shape, afters[quantity]
+        interval, largest = compare(before, after), max(_rms(before.squared), _rms(after.squared))
+        if quantity.startswith("drift"):
+            # Longer segments smear one stretch over its neighbours: the shortest ones tell for all.
+            of_drift = of_drift or interval
+            if of_drift.stretch is not None:
+                samples = min(interval.effective_samples, of_drift.effective_samples)
+                interval = interval._replace(effective_samples=samples, stretch=of_drift.stretch)
+        share = before.floor / largest if largest else math.inf
+        word = _word_above_noise(word_of(interval), share if interval.low < interval.high else 0.0)
+        own = [one.squared[0] if one.own is None else one.own for one in (before, after)]
+        known = np.isfinite(own[0]) & np.isfinite(own[1])
+        values = _rms(own[0][known]), _rms(own[1][known]), *_ends(interval)
+        why = _why(interval, before.span_s) or (NOISE_OF_REFERENCE if word != word_of(interval) else "")
+        yield EvidenceRow(*named, evidence, quantity, before.unit, *values, starts, windows, word, interval.p, why)
 
 
-def _from_same_starts(before: Losses, after: Losses) -> tuple[float, float, RatioInterval]:
-    """Compare the losses of two filters that ran from the same starts: values of both, and their ratio."""
-    interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
-    return _rms(before.squared), _rms(after.squared), interval
+def _why(interval: RatioInterval, span_s: tuple[float, float] = (0.0, 0.0)) -> str:
+    """Say why a row cannot decide: one stretch of the dive holds nearly all of the errors, or the samples are few."""
+    if interval.effective_samples >= FEWEST_EFFECTIVE:
+        return ""
+    if interval.stretch is None:
+        return f"fewer than {FEWEST_EFFECTIVE:.0f} effective samples"
+    stretch_s = (span_s[1] - span_s[0]) / STRETCHES
+    begun_s = span_s[0] + interval.stretch * stretch_s
+    return f"nearly all of it from {begun_s:.0f} to {begun_s + stretch_s:.0f} s, which is one sample"
 
 
-def _from_one_start(before: Losses, after: Losses) -> tuple[float, float, RatioInterval]:
-    """Compare a filter from its starts with a run that may have had any of them: usual values, and their ratio."""
+def _from_same_starts(before: Losses, after: Losses) -> RatioInterval:
+    """Compare the losses of two filters that ran from the same starts."""
+    return paired_ratio(before.squared, after.squared, least_block=before.least_block)
+
+
+def _from_one_start(before: Losses, after: Losses) -> RatioInterval:
+    """Compare a filter from its starts with a run that may have had any of them."""
     if len(before.squared) == 1:
         return _from_same_starts(before, after)
-    interval = ratio_beside_starts(before.squared, after.squared[0], least_block=before.least_block)
-    return _usual_rms(before.squared), _usual_rms(after.squared), interval
-
-
-def _usual_rms(squared: Floats) -> float:
-    """Return the geometric mean over starts of root mean squares, shape (s, k)."""
-    each = [_rms(of_start) for of_start in squared]
-    return math.exp(float(np.mean(np.log(each)))) if min(each) > 0.0 else _rms(squared)
+    return ratio_beside_starts(before.squared, after.squared[0], least_block=before.least_block)
 
 
 def _word_above_noise(word: EvidenceWord, share: float) -> EvidenceWord:
@@ -215,20 +169,29 @@ def _coasting(named: _Named, measured: Measured, baseline: str) -> Iterator[Evid
             continue
         interval = windows_ratio(before, after)
         values = _rms(before**2), _rms(after**2)
-        quantity, word = f"coasting_{window}", word_of(interval)
-        yield EvidenceRow(*named, "coasting", quantity, "m", *values, *_ends(interval), 1, len(before), word)
+        quantity, word, why = f"coasting_{window}", word_of(interval), _why(interval)
+        ends = *values, *_ends(interval)
+        yield EvidenceRow(*named, "coasting", quantity, "m", *ends, 1, len(before), word, interval.p, why)
+
+
+def _track(named: _Named, measured: Measured) -> Iterator[EvidenceRow]:
+    """Compare the errors of the whole track from the dive's own start: one sample, which decides nothing alone."""
+    for quantity, (before, after) in measured.track.get(named[1], {}).items():
+        ratio = after / before if before > 0.0 else math.nan
+        values, unit = (before, after, ratio, math.nan, math.nan, 1.0), TRACK[quantity][0]
+        yield EvidenceRow(*named, "track", quantity, unit, *values, 1, 0, EvidenceWord.UNDECIDED)
 
 
 def _convergence(named: _Named, measured: Measured) -> Iterator[EvidenceRow]:
     converged = measured.convergence.get(named[1], {})
     for quantity, name in CONVERGED.items():
         if (found := converged.get(name)) is not None:
-            ends = found.ratio, found.low, found.high, found.low90, found.high90
-            interval = RatioInterval(*ends, float(found.starts))
+            interval = RatioInterval(found.ratio, found.low, found.high, found.low90, found.high90, float(found.starts))
             values = found.baseline_s, found.candidate_s
             word = _word_of_convergence(interval)
             name = f"convergence_{quantity}"
-            yield EvidenceRow(*named, "convergence", name, "s", *values, *_ends(interval), found.starts, 0, word)
+            ends = _ends(interval)
+            yield EvidenceRow(*named, "convergence", name, "s", *values, *ends, found.starts, 0, word, interval.p)
 
 
 def _word_of_convergence(interval: RatioInterval) -> EvidenceWord:

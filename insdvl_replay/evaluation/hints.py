@@ -12,6 +12,7 @@ from insdvl_replay.core.quantities import AXES, axis_of
 from insdvl_replay.core.states import DEG, PHI
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.tables import Tables
+from insdvl_replay.evaluation.consistency import repeats
 
 APART: Final = 5.0
 """Times by which the NIS of one axis is above another's: what a DVL is built in otherwise does not reach all alike."""
@@ -117,9 +118,21 @@ def _track_off(tables: Tables, baseline: str, heading_sd_deg: float) -> Iterator
         yield Note("track_off", text, len(off), hint=_CALIBRATE)
 
 
+def is_noise_far_off(tables: Tables, baseline: str) -> bool:
+    """Return whether the size of the innovations tells that the noise is set far off.
+
+    Small ones that repeat themselves do not: they are an error that stays, which less noise would make worse.
+    """
+    row = next((row for row in tables.consistency if (row.filter, row.measurement) == (baseline, "velocity")), None)
+    if row is None or row.mean_nis is None:
+        return False
+    size = row.mean_nis / row.dof
+    return size > MOST or (size < LEAST and not repeats(finite(row.autocorrelation), finite(row.autocorrelation_limit)))
+
+
 def _noise_far_off(tables: Tables, baseline: str) -> Iterator[Note]:
-    size = _nis_per_dof(tables, baseline).get("velocity")
-    if size is not None and (size < LEAST or size > MOST):
+    if is_noise_far_off(tables, baseline):
+        size = _nis_per_dof(tables, baseline)["velocity"]
         text = (
             f"the innovations of {baseline} are far {'smaller' if size < LEAST else 'larger'} than it says: mean NIS / "
             f"dof of velocity is {size:.2g}, 1 is expected"

@@ -24,7 +24,8 @@ def honesty_rows(
     """Compare how far the mean NIS, and the mean NEES, is from what each filter expects.
 
     Of the baseline's measurements, and of the groups of states, the gravest stands for a filter; beside a solution that
-    was read, of the groups of which that tells.
+    was read, of the groups of which that tells. Of the candidate's further sensors those count in which it is
+    over-confident.
     """
     of_both = {row.measurement for row in consistency if row.filter == baseline}
     told = {row.quantity for row in credibility if row.filter == named[1]}
@@ -33,7 +34,7 @@ def honesty_rows(
         "nis": [
             (row.filter, _Size(_mean(row.mean_nis, row.dof), row.verdict))
             for row in consistency
-            if is_used(row.measurement) and row.measurement in of_both
+            if is_used(row.measurement) and (row.measurement in of_both or row.verdict == Consistency.OVER_CONFIDENT)
         ],
         "nees": [
             (row.filter, _Size(_mean(row.mean_nees, row.dof), row.verdict))

@@ -1,7 +1,7 @@
 """Filters that ran side by side, compared with the reference and with each other: all tables of a dive."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -10,8 +10,12 @@ from msgspec.structs import replace
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
+from insdvl_replay.core.quantities import IS_REFERENCE, TRACK
+from insdvl_replay.core.rows import ReferenceErrorRow
+from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.core.track_rows import DriftRow, JumpRow, TrackFitRow
+from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.evaluation.believed import improvement_table
 from insdvl_replay.evaluation.coasting import Coasts, coasting_table, window_drifts
 from insdvl_replay.evaluation.consistency import consistency_table
@@ -20,15 +24,15 @@ from insdvl_replay.evaluation.coverage import reference_coverage_notes, referenc
 from insdvl_replay.evaluation.credibility import credibility_table
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors, errors_of_one_run
 from insdvl_replay.evaluation.drift_table import drift_table, track_fit_table
-from insdvl_replay.evaluation.evidence import Measured, evidence_table, without_words
+from insdvl_replay.evaluation.evidence import Measured, evidence_table, nothing_better, without_words
 from insdvl_replay.evaluation.losses import Losses, ReferenceNoise, losses_beside, losses_of, without_heading
 from insdvl_replay.evaluation.measured_convergence import measured_convergences
 from insdvl_replay.evaluation.paired_statistics import windows_ratio
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
-from insdvl_replay.evaluation.sound_filters import not_to_be_judged
+from insdvl_replay.evaluation.sound_filters import not_to_be_judged, surprised
 from insdvl_replay.evaluation.state_errors import state_errors
 from insdvl_replay.evaluation.verdicts import verdicts
-from insdvl_replay.evaluation.withheld import withheld_losses
+from insdvl_replay.evaluation.withheld import withheld_losses, withheld_track
 
 MOST_COVARIANCES: Final = 20_000
 """So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times."""
@@ -92,6 +96,7 @@ def tables_of_filters(
     names = [history.filter for history in histories]
     convergence = {of_one.filter: measured_convergences(drawn[0], of_one) for of_one in drawn[1:]}
     consistency = consistency_table(dive.name, histories, sensor_sd)
+    reference_error = reference_error_table(dive.name, histories, errors, bridged_gaps=bridged_gaps)
     credibility = credibility_table(dive.name, names, in_states)
     measured = Measured(
         _losses(dive, drawn, noise, bridged_gaps=bridged_gaps),
@@ -99,11 +104,12 @@ def tables_of_filters(
         convergence,
         {history.filter: withheld_losses(history, sensor_sd) for history in histories},
         _losses_beside(dive, drawn, histories, noise, bridged_gaps=bridged_gaps),
+        {history.filter: _track(histories[0], history, reference_error) for history in histories[1:]},
     )
     return errors, Tables(
         improvement_table(dive.name, histories),
         convergence_table(dive.name, histories, convergence),
-        reference_error_table(dive.name, histories, errors, bridged_gaps=bridged_gaps),
+        reference_error,
         consistency,
         credibility,
         evidence_table(dive.name, names[0], names[1:], measured, consistency, credibility),
@@ -111,6 +117,24 @@ def tables_of_filters(
         *_drift(dive, errors, start_ns, bridged_gaps=bridged_gaps),
         jumps,
     )
+
+
+def _track(baseline: History, candidate: History, rows: Sequence[ReferenceErrorRow]) -> dict[str, tuple[float, float]]:
+    """Return the errors of both tracks, by the reference where it covers the dive, else by fixes and depths held out.
+
+    There are none of a solution that was read: only the baseline starts with the heading of the reference.
+    """
+    known = {
+        row.quantity: row for row in rows if row.filter == candidate.filter and row.status == ReferenceStatus.COMPARED
+    }
+    tracks, found = [withheld_track(history) for history in (baseline, candidate)], {}
+    for quantity, (_, name, column) in () if candidate.is_read else TRACK.items():
+        if name in known:
+            before, after = (getattr(known[name], key) for key in (f"baseline_{column}", column))
+            found[quantity] = abs(finite(before)), abs(finite(after))
+        elif all(quantity in track for track in tracks):
+            found[quantity] = tracks[0][quantity], tracks[1][quantity]
+    return found
 
 
 def _drift(
@@ -161,7 +185,12 @@ def with_solutions(drawn: Sequence[DrawnErrors], histories: Iterable[History], d
 
 
 def judged_candidates(
-    histories: tuple[History, ...], tables: Tables, notes: Sequence[Note], *, independent: bool
+    histories: tuple[History, ...],
+    errors: Mapping[str, ReferenceErrors],
+    tables: Tables,
+    notes: Sequence[Note],
+    *,
+    independent: bool,
 ) -> tuple[Tables, dict[str, Candidate]]:
     """Judge each candidate by the evidence in the tables.
 
@@ -169,6 +198,8 @@ def judged_candidates(
     ----------
     histories : tuple of History
         The first is the baseline.
+    errors : mapping of str to ReferenceErrors
+        By filter; empty without a reference.
     notes : sequence of Note
         Of the dive.
     independent : bool
@@ -182,9 +213,21 @@ def judged_candidates(
         What there is to say of each, by name.
     """
     baseline, *candidates = (history.filter for history in histories)
-    unsound = not_to_be_judged(histories, tables, notes)
-    tables = replace(tables, evidence=without_words(tables.evidence, unsound))
+    unsound = not_to_be_judged(histories, errors, tables, notes)
+    evidence = []
+    for name in candidates:
+        is_told_depth = _is_told_depth({baseline, name}, histories, notes)
+        left_out = "depth" if is_told_depth else ""
+        rows = [row for row in tables.evidence if row.filter == name and row.quantity != left_out]
+        evidence += nothing_better(rows) if surprised(name, tables.consistency) else rows
+    tables = replace(tables, evidence=without_words(evidence, unsound))
     return tables, verdicts(tables, baseline, candidates, unsound, independent=independent)
+
+
+def _is_told_depth(names: Collection[str], histories: Iterable[History], notes: Iterable[Note]) -> bool:
+    """Return whether any of the filters is aided by the depth that the reference is made of."""
+    told = (one.measurement for history in histories if history.filter in names for one in history.innovations)
+    return any(note.code == f"depth{IS_REFERENCE}" for note in notes) and "depth" in told
 
 
 def reference_notes(

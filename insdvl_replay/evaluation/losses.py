@@ -43,42 +43,29 @@ class ReferenceNoise(NamedTuple):
 
 
 class Losses(NamedTuple):
-    """Squared errors of one filter in one quantity.
-
-    Attributes
-    ----------
-    squared : ndarray, shape (s, k)
-        Of s starts at k times or stretches, in the unit squared.
-    least_block : int
-        So many neighbours share what they are made of.
-    floor : float
-        Root mean square up to which the reference itself may err.
-    """
+    """Squared errors of one filter in one quantity."""
 
     unit: str
-    squared: Floats
-    least_block: int
-    floor: float
+    squared: Floats  # of s starts at k times or stretches, shape (s, k), in the unit squared
+    least_block: int  # so many neighbours share what they are made of
+    floor: float  # root mean square up to which the reference itself may err
+    own: Floats | None = None  # from the dive's own start, shape (k,); None where that is the first of the s
+    span_s: tuple[float, float] = (0.0, 0.0)  # first and last time, seconds from the start
 
 
 def losses_of(
     drawn: DrawnErrors, reference: ReferenceColumns, noise: ReferenceNoise, *, bridged_gaps: bool
 ) -> dict[str, Losses]:
-    """Square the errors of one filter.
+    """Square the errors of one filter, by quantity of `quantities.ACCURACY`, in its order.
 
-    Parameters
-    ----------
-    bridged_gaps : bool
-        Whether the filters went through long gaps of the IMU, in which nothing tells where the vehicle went.
-
-    Returns
-    -------
-    dict of str to Losses
-        By quantity of `quantities.ACCURACY`, in its order. What the reference knows for less than
-        `coverage.WELL_COVERED` of the runs is left out.
+    What the reference knows for less than `coverage.WELL_COVERED` of the runs is left out; and so are positions after
+    long gaps of the IMU, in which nothing tells where the vehicle went.
     """
     found = dict(_losses(drawn, reference, noise, bridged_gaps=bridged_gaps))
-    return {quantity: losses for quantity, losses in found.items() if losses.squared.shape[1] > 1}
+    span_s = tuple(drawn.time_s[[0, -1]].tolist()) if len(drawn.time_s) else (0.0, 0.0)
+    return {
+        quantity: of_one._replace(span_s=span_s) for quantity, of_one in found.items() if of_one.squared.shape[1] > 1
+    }
 
 
 def losses_beside(
@@ -86,19 +73,9 @@ def losses_beside(
 ) -> tuple[dict[str, Losses], dict[str, Losses]]:
     """Square the errors of a filter, and of a run that has one start, where and when both have any.
 
-    Parameters
-    ----------
-    drawn : DrawnErrors
-        Of the filter.
-    one : DrawnErrors
-        Of the one run.
-
-    Returns
-    -------
-    tuple of dict of str to Losses
-        Of both, with the same quantities, times and number of starts; the reference has to cover the filter's runs,
-        the one run may be as short as it is. Levels and headings are left out: those of the filter are what is left of
-        the errors that it was started with, and the one run has none of them.
+    Both get the same quantities, times and number of starts. The reference has to cover the filter's runs; the one run
+    may be as short as it is. Levels and headings are left out: those of the filter are what is left of the errors that
+    it was started with, and the one run has none of them.
     """
     before, after = (
         dict(_losses(of_one, reference, noise, bridged_gaps=bridged_gaps, covered=drawn))
@@ -146,9 +123,9 @@ def _losses(
         down_m = np.stack([segment_drift(errors, segments).down_m for errors in runs])
         yield "depth_60s", Losses("m", down_m**2, segments.steps, ROOT_2 * noise.position_m)
     if len(drawn.error) >= FEWEST_STARTS and _is_covered(whole, whole.error[0, :, PHI]):
-        squared = (drawn.error[1:, :, PHI] / DEG) ** 2
-        yield "level", Losses("deg", squared[..., :2].mean(axis=-1), 1, noise.attitude_deg)
-        yield "heading", Losses("deg", squared[..., 2], 1, noise.attitude_deg)
+        squared = (drawn.error[:, :, PHI] / DEG) ** 2
+        for quantity, square in ("level", squared[..., :2].mean(axis=-1)), ("heading", squared[..., 2]):
+            yield quantity, Losses("deg", square[1:], 1, noise.attitude_deg, square[0])
 
 
 def _is_covered(drawn: DrawnErrors, columns: Floats) -> bool:

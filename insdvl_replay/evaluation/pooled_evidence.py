@@ -13,8 +13,12 @@ from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import EvidenceWord, Judgement
 from insdvl_replay.evaluation.honesty import HONESTY
-from insdvl_replay.evaluation.over_dives import Pooled, pooled_ratio
-from insdvl_replay.evaluation.paired_statistics import FEWEST_EFFECTIVE, word_of
+from insdvl_replay.evaluation.paired_statistics import (
+    RatioInterval,
+    dives_ratio,
+    what_settles,
+    word_of,
+)
 from insdvl_replay.evaluation.verdicts import (
     AGAINST,
     changed,
@@ -26,8 +30,8 @@ from insdvl_replay.evaluation.verdicts import (
 
 EVERY_DIVE: Final = "*"
 """Stands in place of a dive's name."""
-OF_FIRST, OF_OTHERS = 0.05, 0.01
-"""Largest p with which the first piece of evidence decides, and each behind it: all of eight dives agree."""
+FEWEST_DIVES: Final = 3
+"""Fewer dives decide nothing."""
 
 
 def pooled_evidence(candidate: str, dives: Sequence[Sequence[EvidenceRow]]) -> list[PooledRow]:
@@ -41,13 +45,9 @@ def pooled_evidence(candidate: str, dives: Sequence[Sequence[EvidenceRow]]) -> l
     Returns
     -------
     list of PooledRow
-        The piece that decides first in front; the others need a smaller p, since one of many decides by chance.
+        The piece that decides first in front.
     """
-    found = [(rows, pooled_ratio(_log_ratios(rows))) for rows in _by_quantity(dives)]
-    return [
-        _row(candidate, rows, pooled, _word(rows, pooled, OF_OTHERS if place else OF_FIRST))
-        for place, (rows, pooled) in enumerate(found)
-    ]
+    return [_row(candidate, rows) for rows in _by_quantity(dives)]
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,10 @@ def pooled_sentence(pooled: PooledCandidate) -> str:
     if judgement == Judgement.NOT_JUDGED:
         found = f"it is judged in {dives}; settle the others first"
         return f"{pooled.name} is NOT JUDGED against {pooled.baseline}: {found}."
-    named = "; ".join(_in_words(row) for row in spoken_of(judgement, pooled.rows, DECIDING_TOGETHER))
-    found = named or "there is nothing to measure it by"
+    spoken = spoken_of(judgement, pooled.rows, DECIDING_TOGETHER)
+    found = "; ".join(map(_in_words, spoken)) or "there is nothing to measure it by"
+    if judgement == Judgement.UNDECIDED and spoken and (needed := _what_settles(spoken[0])):
+        found += f"; {needed}"
     left = left_undecided(judgement, pooled.rows, DECIDING_TOGETHER)
     return f"{pooled.name} {AGAINST[judgement]} {pooled.baseline} over {dives}: {found}{left}."
 
@@ -97,14 +99,15 @@ def _in_words(row: PooledRow) -> str:
     interval = interval_in_words(row.ratio, row.low, row.high)
     won = "sooner" if row.evidence == "convergence" else "smaller"
     return (
-        f"{changed(row.quantity, finite(row.ratio))} ({interval_name(row)}: {interval}; {won} in "
+        f"{changed(row.quantity, finite(row.ratio))} (95 % over dives: {interval}; {won} in "
         f"{row.dives_won} of {row.dives} dives, p = {finite(row.p):.2g})"
     )
 
 
-def interval_name(row: PooledRow) -> str:
-    """Say what low and high are: of fewer than six dives not even the range holds the ratio with 95 %."""
-    return "95 %" if row.dives >= FEWEST_EFFECTIVE else "range"
+def _what_settles(row: PooledRow) -> str:
+    ends = finite(row.ratio), finite(row.low), finite(row.high)
+    interval = RatioInterval(*ends, *ends[1:], float(row.dives), row.dives - 1.0)
+    return what_settles(interval, row.dives)
 
 
 def pooled_judgement(rows: Sequence[PooledRow], dives: int, judged: int) -> Judgement:
@@ -125,22 +128,19 @@ def _log_ratios(rows: Sequence[EvidenceRow]) -> Floats:
         return np.asarray(np.log([finite(row.ratio) for row in rows]))
 
 
-def _word(rows: Sequence[EvidenceRow], pooled: Pooled, largest_p: float) -> EvidenceWord:
-    if any((row.baseline is None) != (row.value is None) for row in rows):
-        # One of the filters never settled on some dive: the dives with a ratio are those where it did.
-        return EvidenceWord.UNDECIDED
-    word = word_of(pooled.interval)
-    decided = word in (EvidenceWord.BETTER, EvidenceWord.WORSE)
-    return EvidenceWord.UNDECIDED if decided and not pooled.p < largest_p else word
-
-
 def _median(values: Sequence[float]) -> float:
     known = [value for value in values if np.isfinite(value)]
     return float(np.median(known)) if known else float("nan")
 
 
-def _row(candidate: str, rows: Sequence[EvidenceRow], pooled: Pooled, word: EvidenceWord) -> PooledRow:
-    first = rows[0]
+def _row(candidate: str, rows: Sequence[EvidenceRow]) -> PooledRow:
+    first, logs = rows[0], _log_ratios(rows)
+    interval = dives_ratio(logs)
+    word = word_of(interval, FEWEST_DIVES)
+    if any((row.baseline is None) != (row.value is None) for row in rows):
+        # One of the filters never settled on some dive: the dives with a ratio are those where it did.
+        word = EvidenceWord.UNDECIDED
     baseline, value = (_median([finite(getattr(row, name)) for row in rows]) for name in ("baseline", "value"))
-    ends = pooled.ratio, pooled.low, pooled.high, pooled.dives, pooled.won, pooled.p
+    dives, won = int(np.isfinite(logs).sum()), int((logs < 0.0).sum())
+    ends = interval.ratio, interval.low, interval.high, dives, won, interval.p
     return PooledRow(EVERY_DIVE, candidate, first.evidence, first.quantity, first.unit, baseline, value, *ends, word)

@@ -39,6 +39,8 @@ class ReferenceErrors:
     distance_m : float
         Horizontal distance travelled from the start to the last compared position, see
         `travelled.compared_distance_m`.
+    dead_reckoned_error_ned_m : ndarray, shape (k, 3), or None
+        As ``position_error_ned_m``, with all corrections of the position taken back; None where there are none.
     """
 
     time_ns: TimeNs
@@ -46,6 +48,13 @@ class ReferenceErrors:
     velocity_error_n: Floats
     attitude_error_rad: Floats
     distance_m: float
+    dead_reckoned_error_ned_m: Floats | None = None
+
+    @property
+    def drifting_ned_m(self) -> Floats:
+        """The position error that only the velocity changes: a correction of the position is no drift."""
+        dead_reckoned = self.dead_reckoned_error_ned_m
+        return self.position_error_ned_m if dead_reckoned is None else dead_reckoned
 
     def where_known(self, other: "ReferenceErrors") -> "ReferenceErrors":
         """Keep what another filter's errors have a number for at the same times, too; else NaN, as far as both go."""
@@ -55,6 +64,7 @@ class ReferenceErrors:
             velocity_error_n=np.where(np.isfinite(other.velocity_error_n), self.velocity_error_n, np.nan),
             attitude_error_rad=np.where(np.isfinite(other.attitude_error_rad), self.attitude_error_rad, np.nan),
             distance_m=min(self.distance_m, other.distance_m),
+            dead_reckoned_error_ned_m=np.where(np.isfinite(other.position_error_ned_m), self.drifting_ned_m, np.nan),
         )
 
 
@@ -83,6 +93,7 @@ def reference_errors(history: History, reference: ReferenceColumns, baseline: Hi
         history.velocity_n[ours] - reference.velocity_n[theirs],
         attitude_error(history.mat_nb[ours], reference.mat_nb[theirs]),
         compared_distance_m(reference, baseline or history, time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]),
+        north_east_down_m(history.dead_reckoned[ours], truth) if len(history.corrected) else None,
     )
 
 

@@ -21,21 +21,24 @@ class Sensors:
     ----------
     worst : mapping of str to float
         The worst white noise of each class, in SI units, best class first.
+    least : float
+        Less than the best sensors have.
     """
 
     name: str
     worst: Mapping[str, float]
+    least: float
 
 
 CLASSES: Final[Mapping[str, Sensors]] = MappingProxyType(
     {
-        # Servo accelerometers have some 10 ug/sqrt(Hz), good micromechanical ones 100; cheap ones reach 1000.
-        "accel_white_mps_rts": Sensors("accelerometers", {"fog": 5e-4, "tactical": 1.8e-3, "mems": 1e-2}),
+        # Servo accelerometers have 1 to 10 ug/sqrt(Hz), good micromechanical ones 100; cheap ones reach 1000.
+        "accel_white_mps_rts": Sensors("accelerometers", {"fog": 5e-4, "tactical": 1.8e-3, "mems": 1e-2}, 1e-5),
         # Navigators have 0.003 deg/sqrt(h) or less, tactical gyros 0.15; the cheapest reach 0.05 deg/s/sqrt(Hz).
-        "gyro_white_rad_rts": Sensors("gyros", {"fog": 1e-5, "tactical": 6e-5, "mems": 1e-3}),
+        "gyro_white_rad_rts": Sensors("gyros", {"fog": 1e-5, "tactical": 6e-5, "mems": 1e-3}, 1e-8),
         # From 3 mm/s of a ping at 1 MHz to 3 cm/s at 150 kHz, which reaches furthest.
-        "velocity_sd_mps": Sensors("DVLs", {"DVL": 0.1}),
-        "beam_sd_mps": Sensors("DVLs", {"DVL": 0.1}),
+        "velocity_sd_mps": Sensors("DVLs", {"DVL": 0.1}, 3e-4),
+        "beam_sd_mps": Sensors("DVLs", {"DVL": 0.1}, 3e-4),
     }
 )
 """By the key of the settings; names of classes as of the presets."""
@@ -108,4 +111,6 @@ def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
         reasons.append(f"{noise / scatter:.0f} times what the readings scatter by ({scatter:.2g})")
     if noise > worst and noise > RESTLESS * scatter:
         reasons.append(f"more than any {sensors.name} have ({worst:g})")
+    if noise < sensors.least:
+        reasons.append(f"less than any {sensors.name} have ({sensors.least:g})")
     return " and ".join(reasons)

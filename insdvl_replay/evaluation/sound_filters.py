@@ -1,21 +1,25 @@
 """Filters of which nothing is said: dead ones, and those set so wrong that gain or loss would be an accident."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from insdvl_replay.core.dive_columns import NS_PER_S
+from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import IS_REFERENCE, is_beam, is_used
-from insdvl_replay.core.rows import ConsistencyRow, ReferenceErrorRow
+from insdvl_replay.core.rows import ConsistencyRow
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.tables import Tables
-from insdvl_replay.core.words import ReferenceStatus
+from insdvl_replay.core.words import Judgement, ReferenceStatus
+from insdvl_replay.evaluation.coasting_windows import OUTAGE
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, refusals
+from insdvl_replay.evaluation.evidence import nothing_better
+from insdvl_replay.evaluation.reference import ReferenceErrors
+from insdvl_replay.evaluation.verdicts import judgement_of
 
 MANY_REOPENED: Final = 0.01
 """Share of the pings; each comes after several that were rejected."""
@@ -24,7 +28,7 @@ FEW: Final = 2
 LARGEST_NIS_PER_DOF: Final = 10.0
 """Innovations three times as large as a filter says come from what it does not know of: axes, units, clocks."""
 FARTHEST_PCT: Final = 20.0
-"""Of the distance; dead reckoning by a DVL without any INS drifts less."""
+"""Of the distance, while the DVL is there; dead reckoning by a DVL without any INS drifts less."""
 CONTRADICTIONS: Final = (
     "beam_contradiction",
     "dvl_contradiction",
@@ -39,13 +43,17 @@ CONTRADICTIONS: Final = (
 """Notes on columns that cannot all be right."""
 
 
-def not_to_be_judged(histories: tuple[History, ...], tables: Tables, notes: Sequence[Note]) -> dict[str, str]:
+def not_to_be_judged(
+    histories: tuple[History, ...], errors: Mapping[str, ReferenceErrors], tables: Tables, notes: Sequence[Note]
+) -> dict[str, str]:
     """Find the candidates of which nothing can be said beside the baseline.
 
     Parameters
     ----------
     histories : tuple of History
         The first is the baseline.
+    errors : mapping of str to ReferenceErrors
+        By filter; empty without a reference.
     notes : sequence of Note
         Of the dive: where its columns contradict each other, no filter is judged.
 
@@ -53,19 +61,26 @@ def not_to_be_judged(histories: tuple[History, ...], tables: Tables, notes: Sequ
     -------
     dict of str to str
         By candidate what is wrong with it or the baseline, or with both; those that are sound are left out. That one of
-        the two alone is surprised by the dive, or far off, is for the evidence to say.
+        the two alone is far off is for the evidence to say, and so is a surprised baseline. A candidate whose own
+        innovations are far too large is worse or is not judged.
     """
     baseline, *candidates = (history.filter for history in histories)
     unfit = _told_the_reference(histories, notes) | dead_filters(histories)
     contradicted = "; ".join(_contradictions(notes))
-    misled = misled_filters([baseline, *candidates], tables.consistency, tables.reference_error)
-    found = {}
+    misled = {
+        history.filter: found
+        for history in histories
+        if (found := surprised(history.filter, tables.consistency) or far_off(history, histories[0], errors, tables))
+    }
+    unsound = {}
     for candidate in candidates:
         pair = baseline, candidate
         wrong = [unfit[name] for name in pair if name in unfit]
         wrong += [misled[name] for name in pair] if misled.keys() >= set(pair) else []
-        found[candidate] = contradicted or " and ".join(wrong)
-    return {candidate: wrong for candidate, wrong in found.items() if wrong}
+        left = nothing_better(row for row in tables.evidence if row.filter == candidate)
+        too_large = "" if judgement_of(left) == Judgement.WORSE else surprised(candidate, tables.consistency)
+        unsound[candidate] = contradicted or " and ".join(wrong) or too_large
+    return {candidate: reason for candidate, reason in unsound.items() if reason}
 
 
 def _told_the_reference(histories: tuple[History, ...], notes: Iterable[Note]) -> dict[str, str]:
@@ -104,26 +119,12 @@ def dead_filters(histories: tuple[History, ...]) -> dict[str, str]:
     return {name: wrong for name, wrong in found.items() if wrong}
 
 
-def misled_filters(
-    names: Sequence[str], consistency: Sequence[ConsistencyRow], reference_error: Sequence[ReferenceErrorRow]
-) -> dict[str, str]:
-    """Find the filters, the baseline first, whose innovations or errors are those of wrong settings, and what is wrong.
-
-    Returns
-    -------
-    dict of str to str
-        By name; those that are sound are left out.
-    """
-    off_pct = _position_pct(names[0], reference_error)
-    found = {name: _surprised(name, consistency) or _far_off(name, off_pct.get(name, 0.0)) for name in names}
-    return {name: wrong for name, wrong in found.items() if wrong}
-
-
 def _contradictions(notes: Iterable[Note]) -> list[str]:
     return [note.text for note in notes if note.code in CONTRADICTIONS and note.severity == "warning"]
 
 
-def _surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
+def surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
+    """Name a sensor whose innovations are far larger than the filter that it aids expects; empty if there is none."""
     for row in rows:
         if row.filter == name and is_used(row.measurement) and finite(row.mean_nis) > LARGEST_NIS_PER_DOF * row.dof:
             mean_nis = finite(row.mean_nis)
@@ -131,15 +132,35 @@ def _surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
     return ""
 
 
-def _position_pct(baseline: str, rows: Sequence[ReferenceErrorRow]) -> dict[str, float]:
-    """Return the horizontal position error of each filter in percent of the distance, where it is known."""
-    known = [row for row in rows if row.quantity == "position_h_pct" and row.status == ReferenceStatus.COMPARED]
-    of_baseline = dict.fromkeys([baseline], finite(known[0].baseline_rmse)) if known else {}
-    return of_baseline | {row.filter: finite(row.rmse) for row in known}
+def far_off(history: History, baseline: History, errors: Mapping[str, ReferenceErrors], tables: Tables) -> str:
+    """Find a filter that goes astray while the DVL is there: what it gains without is nobody's mistake.
+
+    If the DVL is silent for more than half of the time, all of the error counts.
+    """
+    rows = [row for row in tables.reference_error if row.quantity == "position_h_pct"]
+    if history.filter not in errors or not any(row.status == ReferenceStatus.COMPARED for row in rows):
+        return ""
+    found, ping_ns = errors[history.filter], _ping_ns(baseline)
+    known = np.isfinite(found.position_error_ned_m[:, :2]).all(axis=1)
+    time_ns = np.append(baseline.time_ns[0], found.time_ns[known])
+    steps_m = np.diff(found.position_error_ned_m[known, :2], axis=0, prepend=[[0.0, 0.0]])
+    if len(ping_ns) > 1:
+        seen_ns = np.unique(np.concatenate([time_ns[:1], ping_ns, time_ns[-1:]]))
+        begins = np.flatnonzero(np.diff(seen_ns) > OUTAGE * np.median(np.diff(ping_ns)))
+        # A step of the reference is in an outage that ends after it begins and begins before it ends.
+        ended = np.searchsorted(seen_ns[begins + 1], time_ns[:-1], "right")
+        silent = ended < np.searchsorted(seen_ns[begins], time_ns[1:], "left")
+        if 2 * np.diff(time_ns)[silent].sum() <= time_ns[-1] - time_ns[0]:
+            steps_m[silent] = 0.0
+    square_m2 = np.sum(np.cumsum(steps_m, axis=0) ** 2) / max(len(steps_m), 1)
+    error_pct = 100.0 * np.sqrt(square_m2) / found.distance_m if found.distance_m > 0.0 else 0.0
+    return f"{history.filter} is off by {error_pct:.3g} % of the distance" if error_pct > FARTHEST_PCT else ""
 
 
-def _far_off(name: str, error_pct: float) -> str:
-    return f"{name} is off by {error_pct:.3g} % of the distance" if error_pct > FARTHEST_PCT else ""
+def _ping_ns(history: History) -> TimeNs:
+    """Return the times at which velocities or beams aid a filter."""
+    times = [one.time_ns for one in history.innovations if one.measurement == "velocity" or is_beam(one.measurement)]
+    return np.unique(np.concatenate(times)) if times else np.empty(0, np.int64)
 
 
 def _not_finite(history: History) -> str:

@@ -11,14 +11,24 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.quantities import ALL_CREDIBILITY_GROUPS, DECIDING, NAMES, VERDICTS_BEST_FIRST, is_used
+from insdvl_replay.core.quantities import (
+    ALL_CREDIBILITY_GROUPS,
+    DECIDING,
+    NAMES,
+    VERDICTS_BEST_FIRST,
+    is_beam,
+    is_used,
+)
 from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
+from insdvl_replay.core.sensors import DVL_AIDING
 from insdvl_replay.core.states import NINE
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
-from insdvl_replay.evaluation.believed import mean_over_nine, unchanged_over_nine
+from insdvl_replay.evaluation.believed import mean_over_nine, nearest_over_nine, unchanged_over_nine
+from insdvl_replay.evaluation.coasting import outage_alarm
 from insdvl_replay.evaluation.honesty import HONESTY
+from insdvl_replay.evaluation.paired_statistics import RatioInterval, what_settles
 
 NOTABLE_PCT: Final = 5.0
 """A smaller gain is not spoken of as one that somebody believes in."""
@@ -148,6 +158,7 @@ def _verdict(tables: Tables, baseline: str, candidate: str, unsound: Mapping[str
         credibility=credibility_of(tables.credibility, candidate),
         belief=belief,
         mean_convergence_unchanged_pct=unchanged_over_nine(tables.convergence, candidate),
+        mean_nearest_approach_improvement_pct=nearest_over_nine(tables.convergence, candidate),
     )
 
 
@@ -164,8 +175,19 @@ AGAINST: Final = {
 def _measured(candidate: str, baseline: str, judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
     """State what was measured, by the pieces of evidence that decided, or those that could have."""
     named = "; ".join(map(_in_words, spoken_of(judgement, evidence))) or "there is nothing to measure it by"
-    left = left_undecided(judgement, evidence)
+    left = left_undecided(judgement, evidence) or _what_settles(judgement, evidence)
     return f"{candidate} {AGAINST[judgement]} {baseline}: {named}{left}{_on_honesty(judgement, evidence)}"
+
+
+def _what_settles(judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
+    """Say what would decide an undecided dive, by the first piece of evidence that is not about a single stretch."""
+    rows = [row for row in evidence if row.quantity in DECIDING and not row.why]
+    if judgement != Judgement.UNDECIDED or not rows:
+        return ""
+    ends = finite(rows[0].ratio), finite(rows[0].low), finite(rows[0].high)
+    samples = finite(rows[0].effective_samples)
+    needed = what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), 1)
+    return f"; {needed}" if needed else ""
 
 
 def left_undecided(judgement: Judgement, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
@@ -212,7 +234,9 @@ def _in_words(row: EvidenceRow) -> str:
     if not np.isfinite(ratio):
         return changed(row.quantity, ratio)
     values = f"{finite(row.baseline):.3g} {row.unit}, now {finite(row.value):.3g} {row.unit}"
-    return f"{changed(row.quantity, ratio)} ({values}; 95 %: {interval_in_words(row.ratio, row.low, row.high)})"
+    interval = interval_in_words(row.ratio, row.low, row.high)
+    why = f"; {row.why}" if row.why else ""
+    return f"{changed(row.quantity, ratio)} (this dive: {values}; 95 % on this dive: {interval}{why})"
 
 
 def _on_honesty(judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
@@ -294,10 +318,23 @@ def _where(table: Sequence[CredibilityRow], name: str, credibility: str) -> str:
 
 
 def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
-    """State whether innovations and errors of a candidate, and of the baseline, are as large as each says."""
+    """State whether errors, innovations and NIS without DVL of candidate and baseline are as large as each says.
+
+    A candidate that is aided by a sensor beside the DVL has the NIS of each of its sensors in the sentence.
+    """
+    return f"{_on_trust(tables, candidate, baseline)}{outage_alarm(tables.coasting, (baseline, candidate))}"
+
+
+def _on_trust(tables: Tables, candidate: str, baseline: str) -> str:
     trust, of_baseline = _trust(tables, candidate), _trust(tables, baseline)
     if trust == Consistency.NOT_TOLD:
         return f"{candidate} does not say how sure it is, {baseline} is {of_baseline}."
     if trust != of_baseline:
-        return f"{candidate} is {trust}, {baseline} {of_baseline}."
-    return "Too few updates to judge either." if trust == Consistency.TOO_FEW else f"Both filters are {trust}."
+        sentence = f"{candidate} is {trust}, {baseline} {of_baseline}."
+    else:
+        sentence = "Too few updates to judge either." if trust == Consistency.TOO_FEW else f"Both filters are {trust}."
+    used = [row for row in tables.consistency if row.filter == candidate and is_used(row.measurement)]
+    if all(row.measurement in DVL_AIDING or is_beam(row.measurement) for row in used):
+        return sentence
+    sizes = ", ".join(f"{row.measurement} {finite(row.mean_nis) / row.dof:.3g}" for row in used)
+    return f"{sentence} NIS / dof of {candidate}: {sizes}."

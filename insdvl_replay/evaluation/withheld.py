@@ -17,44 +17,49 @@ from insdvl_replay.core.quantities import WITHHELD
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.drift import STEP_S, time_segments
 from insdvl_replay.evaluation.losses import Losses
+from insdvl_replay.geometry.frames import north_east_down_m
 
 
 def withheld_losses(history: History, noise_sd: Mapping[str, Floats]) -> dict[str, Losses]:
-    """Square what a filter and the withheld sensors differ by.
+    """Square what a filter and the withheld sensors differ by, by quantity of `quantities.WITHHELD_QUANTITIES`.
 
-    Parameters
-    ----------
-    noise_sd : mapping of str to ndarray, shape (s,)
-        Of the components of one reading of each sensor of `core.sensors`, by its name: m, or of a heading rad. The
-        first stands for all that are compared.
-
-    Returns
-    -------
-    dict of str to Losses
-        By quantity of `quantities.WITHHELD_QUANTITIES`; what has no two values is left out.
+    The noise is that of the components of one reading, by the sensor's name, SI; the first stands for all. What has no
+    two values is left out.
     """
     found = {}
     for innovations in history.innovations:
         name = innovations.measurement.removeprefix(WITHHELD)
         if innovations.is_withheld and name in _LOSSES:
-            found[innovations.measurement] = _LOSSES[name](innovations, float(noise_sd[name][0]))
+            found[innovations.measurement] = _LOSSES[name](history, innovations, float(noise_sd[name][0]))
     return {quantity: losses for quantity, losses in found.items() if losses.squared.shape[1] > 1}
 
 
-def _depth(innovations: Innovations, sd_m: float) -> Losses:
-    return _drift(innovations, 1, sd_m)
+def withheld_track(history: History) -> dict[str, float]:
+    """Return by how much the track of a filter differs from withheld fixes and depths: the rms and the last, m.
+
+    Readings of a few seconds are averaged.
+    """
+    found: dict[str, float] = {}
+    for innovations in history.innovations:
+        name = innovations.measurement.removeprefix(WITHHELD)
+        if innovations.is_withheld and name in _ALONG and len(innovations.time_ns):
+            _, apart_m, _ = _averaged(innovations.time_ns, innovations.innovation[:, : len(_ALONG[name])])
+            off_m = np.linalg.norm(apart_m, axis=1)
+            found |= {name: float(np.sqrt(np.mean(off_m**2))), f"{name}_end": float(off_m[-1])}
+    return found
 
 
-def _position(innovations: Innovations, sd_m: float) -> Losses:
-    return _drift(innovations, 2, sd_m)
-
-
-def _drift(innovations: Innovations, components: int, sd_m: float) -> Losses:
-    """Square by how much differences in the first components change over segments; both ends are the sensor's."""
-    time_ns, apart_m, together = _averaged(innovations.time_ns, innovations.innovation[:, :components])
+def _drift(history: History, innovations: Innovations, sd_m: float) -> Losses:
+    """Square by how much differences change over segments, between corrections; both ends are the sensor's."""
+    along = _ALONG[innovations.measurement.removeprefix(WITHHELD)]
+    apart_m = innovations.innovation[:, : len(along)]
+    if len(history.corrected):
+        rows = np.searchsorted(history.time_ns, innovations.time_ns, side="right") - 1
+        apart_m = apart_m - north_east_down_m(history.position[rows], history.dead_reckoned[rows])[:, along]
+    time_ns, apart_m, together = _averaged(innovations.time_ns, apart_m)
     segments = time_segments(time_ns)
     change_m = apart_m[segments.last] - apart_m[segments.first]
-    floor_m = math.sqrt(2.0 * components / together) * sd_m
+    floor_m = math.sqrt(2.0 * len(along) / together) * sd_m
     return Losses("m", np.sum(change_m**2, axis=1)[None], segments.steps, floor_m)
 
 
@@ -70,12 +75,14 @@ def _averaged(time_ns: TimeNs, values: Floats) -> tuple[TimeNs, Floats, float]:
     )
 
 
-def _heading(innovations: Innovations, sd_rad: float) -> Losses:
+def _heading(_: History, innovations: Innovations, sd_rad: float) -> Losses:
     return Losses("deg", (innovations.innovation.T / DEG) ** 2, 1, sd_rad / DEG)
 
 
-_LOSSES: Final[dict[str, Callable[[Innovations, float], Losses]]] = {
-    "depth": _depth,
+_LOSSES: Final[dict[str, Callable[[History, Innovations, float], Losses]]] = {
+    "depth": _drift,
     "heading": _heading,
-    "position": _position,
+    "position": _drift,
 }
+_ALONG: Final = {"depth": [2], "position": [0, 1]}
+"""Sensors that tell of the track, and along which axes of n."""

@@ -18,7 +18,7 @@ from insdvl_replay.core.words import Judgement as Word
 from insdvl_replay.gates.gate_file import Gates
 from insdvl_replay.gates.judged_cells import gate_findings, gated_rows
 from insdvl_replay.gates.model import EVERY_DIVE, LOG, POOLED, TRAJECTORY, CheckResult, Finding, Gate, Judgement
-from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE, result_file
+from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE, read_file, result_file
 from insdvl_replay.results.json_report import Report, as_json
 from insdvl_replay.results.stored_results import read_results
 
@@ -279,10 +279,11 @@ def write_baselines(gates: Gates, dives: Sequence[Checked]) -> list[Path]:
         its_gates.append(gate)
     for path, (dive, its_gates) in written.items():
         assert isinstance(dive.result, StoredReport)
+        path.parent.mkdir(parents=True, exist_ok=True)
         with result_file(path, force=True) as file:
             if its_gates[0].table == TRAJECTORY:
                 assert dive.folder is not None
-                file.write_bytes((dive.folder / TRAJECTORY_FILE).read_bytes())
+                file.write_bytes(read_file(dive.folder / TRAJECTORY_FILE))
             else:
                 file.write_bytes(_encoded(dive.result, its_gates))
     return list(written)

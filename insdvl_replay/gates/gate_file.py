@@ -25,17 +25,11 @@ EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct
 
 @dataclass(frozen=True)
 class Gates:
-    """A gate file that was read.
-
-    Attributes
-    ----------
-    lines : tuple of int
-        Where each gate begins; 0 if that is not known.
-    """
+    """A gate file that was read."""
 
     path: Path
     content: GateFile
-    lines: tuple[int, ...]
+    lines: tuple[int, ...]  # where each gate begins; 0 if that is not known
 
     def where(self, gate: Gate) -> str:
         """Name a gate and its place, for messages."""

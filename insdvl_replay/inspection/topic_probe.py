@@ -15,7 +15,8 @@ from insdvl_replay.core.states import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.recording import Recording
 from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.fields import NUMBER, Kinds, check_encoding, open_reader, split_paths
+from insdvl_replay.logs.encoding.decoded_fields import DecodedFields
+from insdvl_replay.logs.encoding.fields import NUMBER, FieldReader, Kinds, check_encoding, open_reader, split_paths
 from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES
 
 _FAMILIES: Final = (
@@ -224,7 +225,7 @@ def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
     # Read one by one, since one field that is not what it seems would spoil the others.
     paths = [*vector_paths(reader.known), *scalar_paths(reader.known)][: _MOST_WORK // max(len(reader.known), 1)]
     for path in paths:
-        values = _values(channel, path, blocks)
+        values = _values(reader, channel, path, blocks)
         finite = values[np.isfinite(values).all(axis=1)]
         sizes = np.linalg.norm(finite, axis=1)
         if len(finite) and values.shape[1] in _WIDTHS:
@@ -240,9 +241,9 @@ def _first_of(block: Block) -> Block:
     return block.part(slice(max(1, min(_MESSAGES, within))))
 
 
-def _values(channel: LogChannel, path: str, blocks: Sequence[Block]) -> Floats:
+def _values(seen: FieldReader, channel: LogChannel, path: str, blocks: Sequence[Block]) -> Floats:
     paths = split_paths(path)
-    reader = open_reader(channel, paths)
+    reader = seen.of(paths) if isinstance(seen, DecodedFields) else open_reader(channel, paths)
     parts = []
     for block in blocks:
         columns = reader.columns(block)

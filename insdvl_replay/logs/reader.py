@@ -55,7 +55,8 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     import insdvl_replay.logs.container.record_loops  # noqa: F401  all records are walked here: with the compiled loops
 
     log = open_recording(path, allow_damaged=allow_damaged)
-    place = str(log.path)
+    place, name = str(log.path), dive_name(log.path)
+    config = config.of_dive(name)
     findings = find_roles(place, log.channels, config)
     for error in filter(None, (finding.error for finding in findings)):
         raise error
@@ -72,7 +73,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         *loss_notes(tables),
         *stamp_notes(tables),
     ]
-    name, channels = dive_name(log.path), _channels(log.channels, sources)
+    channels = _channels(log.channels, sources)
     del log  # its file was mapped, and decoding needs the room
     columns = RoleColumns(place, config)
     notes += columns.clock_notes([table.clock() for table in tables])

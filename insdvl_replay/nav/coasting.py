@@ -11,7 +11,6 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.history import History
-from insdvl_replay.core.quantities import is_beam
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.local_earth import HOLD_AFTER_S
@@ -29,41 +28,36 @@ def coast(
     measurements: tuple[Measurement, ...],
     lever_arm_b: Floats,
     more_states: Collection[str] = (),
+    heading_bias_rate_hz: float = 0.0,
 ) -> History:
     """Let a filter go on from a ping with none of the next ones, accelerations neither; other sensors still aid it.
 
     Parameters
     ----------
     history : History
-        Of the filter with every ping; it holds P at the start of the window.
+        Of the filter with every ping; ValueError if it does not hold P at the start of the window.
     timeline : Timeline
-        That of the history.
+        With the readings of the measurements.
     window_ns : tuple of int
         Times of the ping that is used last, and of the last one that is withheld.
-    noise_density : ndarray, shape (12,)
-        As the history was made with.
     measurements : tuple of Measurement
         The velocity, prepared for every ping of the dive, and those that do not come from the DVL.
-    lever_arm_b : ndarray, shape (3,)
-        IMU to DVL, m.
-    more_states : collection of str
-        As the history was made with.
+    noise_density, lever_arm_b, more_states, heading_bias_rate_hz
+        As the history was made with, see `filter.run_filter`.
 
     Returns
     -------
     History
         At the start of the window and at each withheld ping. Its first innovations are those of the withheld pings,
         none of which is used; NIS is by the true R.
-
-    Raises
-    ------
-    ValueError
-        The history does not hold P there.
     """
     window, start = between_pings(timeline, *window_ns), restart(history, window_ns[0])
     velocity, *others = (one.rows(_inside(timeline, one.sensor, *window_ns)) for one in measurements)
     told = (withheld(velocity), *(one for one in others if one.available.any()))
-    return run_filter(history.filter, window, start, noise_density, told, lever_arm_b, more_states=more_states)
+    return run_filter(
+        history.filter, window, start, noise_density, told, lever_arm_b,
+        more_states=more_states, heading_bias_rate_hz=heading_bias_rate_hz,
+    )  # fmt: skip
 
 
 def _inside(timeline: Timeline, sensor: int, start_ns: int, end_ns: int) -> slice:
@@ -98,7 +92,7 @@ def restart(history: History, time_ns: int) -> Start:
 
 def _height_drift_m(history: History, until_ns: int) -> float:
     """Sum up by what the height has moved while that of gravity was held, see `local_earth.GravityHeight`."""
-    holding = [one for one in history.innovations if one.measurement == "velocity" or is_beam(one.measurement)]
+    holding = [one for one in history.innovations if one.holds_height]
     aided_ns = np.unique(np.concatenate([history.time_ns[:1], *(one.time_ns[one.used] for one in holding)]))
     aided_ns = aided_ns[aided_ns <= until_ns]
     held_ns = aided_ns[:-1] + int(HOLD_AFTER_S * NS_PER_S)

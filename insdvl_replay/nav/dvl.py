@@ -7,7 +7,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, TimeNs
-from insdvl_replay.geometry.beams import DvlMounting, solve_beams, whole_ping_cov
+from insdvl_replay.geometry.beams import DvlMounting, beam_vectors, solve_beams, whole_ping_cov
 
 
 @dataclass(frozen=True)
@@ -21,11 +21,10 @@ class DvlVelocities:
     velocity_b : ndarray, shape (m, 3)
         ``C_d^b v_d``, m/s.
     unit_cov_b : ndarray, shape (m, 3, 3)
-        Covariance for noise of unit variance: of one beam where ``from_beams``, else of each axis.
+        Covariance for noise of unit variance of each beam. Of a DVL that reports velocities nobody knows which beams
+        were lost: all pings are as with all beams.
     full_unit_cov_b : ndarray, shape (3, 3)
         The same for a ping with all beams.
-    from_beams : bool
-        Whether the velocities were solved from beams.
     beams_used : ndarray of int, shape (m,)
         3 or 4 for beams; 0 where the DVL reports velocities.
     residual_mps : ndarray, shape (m,)
@@ -40,7 +39,6 @@ class DvlVelocities:
     velocity_b: Floats
     unit_cov_b: Floats
     full_unit_cov_b: Floats
-    from_beams: bool
     beams_used: NDArray[np.int64]
     residual_mps: Floats
     pings_without_velocity: int
@@ -116,13 +114,14 @@ def dvl_velocities(
         Usable pings only, with the others counted.
     """
     if dvl.velocity_d is not None:
-        velocity_d, full_unit_cov_d, from_beams = dvl.velocity_d, np.eye(3), False
-        unit_cov_d = np.broadcast_to(np.eye(3), (len(velocity_d), 3, 3))
+        velocity_d = dvl.velocity_d
+        full_unit_cov_d = whole_ping_cov(beam_vectors() if dvl.beam_vectors_d is None else dvl.beam_vectors_d)
+        unit_cov_d = np.broadcast_to(full_unit_cov_d, (len(velocity_d), 3, 3))
         residual_mps = np.full(len(velocity_d), np.nan)
         beams_used = np.zeros(len(velocity_d), dtype=np.int64)
     elif dvl.beam_velocity_mps is not None and dvl.beam_vectors_d is not None:
         velocity_d, unit_cov_d, residual_mps = solve_beams(dvl.beam_velocity_mps, dvl.beam_vectors_d)
-        full_unit_cov_d, from_beams = whole_ping_cov(dvl.beam_vectors_d), True
+        full_unit_cov_d = whole_ping_cov(dvl.beam_vectors_d)
         beams_used = np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
     else:
         raise ValueError("a DVL gives beams with their vectors, or velocities")
@@ -135,7 +134,6 @@ def dvl_velocities(
         velocity_b=mounting.velocity_b(velocity_d[keep]),
         unit_cov_b=mounting.mat_bd @ unit_cov_d[keep] @ mounting.mat_bd.T,
         full_unit_cov_b=mounting.mat_bd @ full_unit_cov_d @ mounting.mat_bd.T,
-        from_beams=from_beams,
         beams_used=beams_used[keep],
         residual_mps=residual_mps[keep] / mounting.scale,
         pings_without_velocity=int(np.sum(~solved)),

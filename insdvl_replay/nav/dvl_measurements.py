@@ -14,21 +14,22 @@ from insdvl_replay.nav.timeline import BEAMS, PINGS
 def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, of_one_beam: bool = False) -> Floats:
     """Return the covariance of each DVL velocity.
 
-    Noise of one beam goes through the least squares. Else each axis of a velocity from all beams has ``sd_mps``, and a
-    velocity from fewer beams is worse by as much as the least squares says.
+    Noise of one beam goes through the least squares: with four beams, tilted by ``a`` from z, the variances in d are
+    ``1 / (2 sin^2 a)``, the same again, and ``1 / (4 cos^2 a)`` times a beam's. Else each axis of a velocity from all
+    beams has ``sd_mps``, and a velocity from fewer beams is worse by as much as the least squares says.
 
     Parameters
     ----------
     velocities : DvlVelocities
         m pings.
     of_one_beam : bool
-        Whether the noise is that of a beam; of velocities that come from beams alone.
+        Whether the noise is that of a beam.
 
     Returns
     -------
     ndarray, shape (m, 3, 3), m^2/s^2
     """
-    if of_one_beam or not velocities.from_beams:
+    if of_one_beam:
         return sd_mps**2 * velocities.unit_cov_b
     values, vectors = np.linalg.eigh(velocities.full_unit_cov_b)
     whiten = vectors / np.sqrt(values) @ vectors.T
@@ -65,6 +66,7 @@ def velocity_measurement(velocities: DvlVelocities, cov_b: Floats, gate: float, 
         velocity_weights=np.zeros((m, 1)),
         interval_weights=np.zeros((m, 0)),
         axes=("x", "y", "z"),
+        holds_height=True,
     )
 
 
@@ -103,6 +105,7 @@ def beam_measurements(dvl: DvlBeams, sd_mps: float, gate: float, reopen_after: i
                 reopen_after=reopen_after,
                 direction_b=dvl.directions_b[beam],
                 goes_on=beam < beams - 1,
+                holds_height=True,
             )
         )
     return tuple(found)

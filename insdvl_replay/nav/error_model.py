@@ -88,6 +88,14 @@ def propagate_cov(P: Floats, motion: Motion, noise_density: tuple[float, ...], d
 
 
 @inlined
+def fade(P: Floats, row: int, kept: float) -> None:
+    """Let a state that is a Gauss-Markov process forget its value but for a share, in its row and column of P."""
+    for i in range(P.shape[0]):
+        P[row, i] *= kept
+        P[i, row] *= kept
+
+
+@inlined
 def over(motion: Motion, dt: float) -> Motion:
     """Return what a motion comes to in an interval; since F is linear in it, the F of that is ``F dt``."""
     return Motion(

@@ -3,6 +3,7 @@
 One loop for every filter. What a filter is aided by is the tuple of its measurements.
 """
 
+import math
 from collections.abc import Collection
 from typing import NamedTuple
 
@@ -13,11 +14,11 @@ from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import states_with
 from insdvl_replay.nav.correction import correct, note_used
-from insdvl_replay.nav.error_model import add_noise, propagate_cov
+from insdvl_replay.nav.error_model import add_noise, fade, propagate_cov
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import DEPTH, InsAtPing
 from insdvl_replay.nav.local_earth import GravityHeight, Place, followed, gravity_at, place_about, place_at
-from insdvl_replay.nav.measurements import BEAM, VELOCITY, Measurement, Stack, stacked
+from insdvl_replay.nav.measurements import BEAM, Measurement, Stack, stacked
 from insdvl_replay.nav.own_measurement import Predicts
 from insdvl_replay.nav.position_error import position_growth, propagate_position_cov
 from insdvl_replay.nav.state_layout import StateLayout, layout_of
@@ -60,6 +61,7 @@ def run_filter(
     lever_arm_b: Floats,
     *,
     more_states: Collection[str] = (),
+    heading_bias_rate_hz: float = 0.0,
     cov_ns: TimeNs | None = None,
 ) -> History:
     """Run one filter over a dive.
@@ -72,27 +74,29 @@ def run_filter(
         Nodes with readings, pings and what to record.
     start : Start
         State and uncertainty at the first node, of n states.
-    noise_density : ndarray, shape (12,)
-        From `error_model.noise_density`.
+    noise_density : ndarray, shape (12,) or (n,)
+        From `error_model.noise_density`, and that of the states beside the twelve; left out, they have none.
     measurements : tuple of Measurement
         Applied in this order where several are made at one time. At least one.
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
     more_states : collection of str
-        Names in `states.MORE_STATES`. They have no process noise.
+        Names in `states.MORE_STATES`.
+    heading_bias_rate_hz : float
+        One over the time in which the bias of the heading is forgotten, of a filter that estimates it.
     cov_ns : ndarray, shape (c,), optional
         Recorded times at which the history keeps all of P, not only its diagonal; others are ignored.
     """
     keep_cov = np.isin(timeline.event_ns[timeline.record >= 0], () if cov_ns is None else cov_ns)
     states, stack = states_with(more_states), stacked(measurements)
-    records, updates = new_records(keep_cov, len(states), len(start.constants)), new_updates(*stack.values.shape)
+    layout, arm_b, updates = layout_of(more_states), vector(lever_arm_b), new_updates(*stack.values.shape)
+    records = new_records(keep_cov, len(states), len(start.constants), corrects_position=layout.position >= 0)
     state, matrices = _state_at(start), new_matrices(start, max(3, stack.values.shape[2]))
     memory = _Memory(*np.zeros((3, int(timeline.ping.max()) + 1, 3)))
     density = (*noise_density.tolist(), *[0.0] * (len(states) - len(noise_density)))
-    layout, arm_b = layout_of(more_states), vector(lever_arm_b)
     own = min((one.predict for one in measurements if one.predict is not None), key=is_compiled, default=None)
     run = _run if own is None or is_compiled(own) else plain(_run)
-    run(timeline, state, matrices, density, layout, stack, own, arm_b, memory, records, updates)
+    run(timeline, state, matrices, density, layout, heading_bias_rate_hz, stack, own, arm_b, memory, records, updates)
     return history_of(name, timeline, states, measurements, records, updates)
 
 
@@ -113,6 +117,7 @@ def _run(
     matrices: Matrices,
     noise_density: tuple[float, ...],
     layout: StateLayout,
+    heading_bias_rate_hz: float,
     measurements: Stack,
     own: Predicts | None,
     lever_arm_b: Vector,
@@ -121,10 +126,10 @@ def _run(
     updates: Updates,
 ) -> None:
     """Walk the time line. This is the whole filter."""
-    P, P_by_row, velocity_after_b = matrices.P, matrices.P_by_row, (0.0, 0.0, 0.0)
+    P, P_by_row, velocity_after_b, corrected = matrices.P, matrices.P_by_row, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     place, before = place_at(state.position[0], state.position[2]), first_node(timeline)
     gravity = GravityHeight(state.position[2], 0.0, before.time_s)
-    write_record(state, matrices.constants, P, records, timeline.record[before.event])
+    write_record(state, corrected, matrices.constants, P, records, timeline.record[before.event])
     while not is_last(timeline, before):
         now = next_node(timeline, before)
         dt = now.time_s - before.time_s
@@ -137,6 +142,10 @@ def _run(
         if layout.position >= 0:
             growth = position_growth(state, motion, place, dt)
             propagate_position_cov(P_by_row, noise_density, layout.position, growth)
+        if layout.heading_bias >= 0:
+            kept = math.exp(-heading_bias_rate_hz * dt)
+            fade(P, layout.heading_bias, kept)
+            matrices.constants[layout.heading_bias - layout.constants] *= kept
         propagate_cov(P_by_row, motion, noise_density, dt)
         gap = timeline.gap[before.event]
         if gap >= 0:
@@ -145,17 +154,18 @@ def _run(
         if not is_event(timeline, now):
             continue
 
-        ping, unaided_b = timeline.rows[PINGS, now.event], _velocity_b(state)
+        ping, unaided_b, predicted = timeline.rows[PINGS, now.event], _velocity_b(state), state.position
         if ping >= 0:
             _note_motion(state, memory, ping, now.angular_rate_b, motion, velocity_after_b)
         carried = (now.angular_rate_b, now.specific_force_b, gravity_here, lever_arm_b)
         state, gravity = _meet_readings(
             timeline, now, state, motion, place, gravity, carried, layout, measurements, own, memory, matrices, updates
         )
+        corrected = add(corrected, subtract(state.position, predicted))
         velocity_after_b = _velocity_b(state) if ping >= 0 else _corrected_b(velocity_after_b, state, unaided_b)
         row = timeline.record[now.event]
         if row >= 0:
-            write_record(state, matrices.constants, P, records, row)
+            write_record(state, corrected, matrices.constants, P, records, row)
 
 
 @inlined
@@ -201,7 +211,7 @@ def _meet_readings(
         if estimated:
             note_used(updates, last, time_s)
             state = correct(state, matrices.constants, matrices.P, matrices.dx, layout, place)
-            gravity = _aided(gravity, measurements.kind[last], state.position[2], time_s)
+            gravity = _aided(gravity, measurements, last, state.position[2], time_s)
         estimated, is_again, refused_square, first = False, False, 0.0, m
     return state, gravity
 
@@ -213,11 +223,11 @@ def _corrected_b(velocity_after_b: Vector, state: NavState, unaided_b: Vector) -
 
 
 @inlined
-def _aided(gravity: GravityHeight, kind: int, height_m: float, time_s: float) -> GravityHeight:
+def _aided(gravity: GravityHeight, measurements: Stack, m: int, height_m: float, time_s: float) -> GravityHeight:
     """Note that a velocity was used, which holds the height, or a height itself, after which none is drifted."""
-    if kind == DEPTH:
+    if measurements.kind[m] == DEPTH:
         return GravityHeight(height_m, 0.0, time_s)
-    return GravityHeight(gravity.height_m, gravity.drift_m, time_s) if kind in (VELOCITY, BEAM) else gravity
+    return GravityHeight(gravity.height_m, gravity.drift_m, time_s) if measurements.holds_height[m] else gravity
 
 
 @inlined

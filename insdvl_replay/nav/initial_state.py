@@ -28,6 +28,8 @@ class Start:
         Biases that are known beforehand, m/s^2 and rad/s; zero unless given.
     constants : ndarray, shape (c,)
         Of the sensors, that have states of their own.
+    is_heading_sensed : bool
+        The heading is that of the sensor, and has its bias.
     """
 
     position: Floats
@@ -37,6 +39,7 @@ class Start:
     accel_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
     gyro_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
     constants: Floats = field(default_factory=lambda: np.zeros(0))
+    is_heading_sensed: bool = False
 
     @property
     def sd(self) -> Floats:
@@ -44,8 +47,8 @@ class Start:
         return np.sqrt(np.diagonal(self.cov))
 
 
-def with_more_states(start: Start, more_sd: Floats, constants: int) -> Start:
-    """Let a start be of more states, which hang together with no other.
+def with_more_states(start: Start, more_sd: Floats, constants: int, *, heading_bias: bool = False) -> Start:
+    """Let a start be of more states, independent of all others but for the bias of a heading that was the sensor's.
 
     Parameters
     ----------
@@ -53,11 +56,18 @@ def with_more_states(start: Start, more_sd: Floats, constants: int) -> Start:
         Their standard deviations.
     constants : int
         How many of them are constants of the sensors, which are taken to be zero.
+    heading_bias : bool
+        Whether the last of them is that bias.
     """
     if not len(more_sd):
         return start
     n, cov = len(start.cov), np.diag(np.concatenate([start.sd, more_sd]) ** 2)
     cov[:n, :n] = start.cov
+    if heading_bias and start.is_heading_sensed:
+        by_heading = np.append(start.cov[:, PHI.stop - 1] / start.cov[PHI.stop - 1, PHI.stop - 1], 1.0)
+        rows = [*range(n), len(cov) - 1]
+        cov[len(cov) - 1, len(cov) - 1] = 0.0
+        cov[np.ix_(rows, rows)] += more_sd[-1] ** 2 * np.outer(by_heading, by_heading)
     return replace(start, cov=cov, constants=np.zeros(constants))
 
 

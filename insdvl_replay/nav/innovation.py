@@ -9,8 +9,8 @@ windowed      z = slope of the INS over the window - a_dvl   H = [ -[w x]C' | C'
 beam          z = b' (C' v + w_eb x l) - y                    H = b' [ C' | C'[v x] | 0 | -[l x] ]
 depth         z = -h + (C l)_d + d_0 - d                     H = [ 0 | (C l)_e, -(C l)_n, 0 | 0 | 0 | 0, 0, 1 | -1 ]
 fix           z = p - p_fix + C l                            H = [ 0 | -[C l x] | 0 | 0 | I ]
-heading       z = atan2(c_e, c_n) - psi                      H = [ 0 | -tan c_n, -tan c_e, 1 | 0 | 0 ], c = C e_x, tan =
-                                                                 c_d / (c_n^2 + c_e^2)
+heading       z = atan2(c_e, c_n) + b - psi                  H = [ 0 | -tan c_n, -tan c_e, 1 | 0 | 0 | -1 ], c = C e_x,
+                                                                 tan = c_d / (c_n^2 + c_e^2)
 
 The slope of a body-frame velocity is ``f + C' g - w x v_b``; ``published`` is the paper's model, without w x v_b.
 ``windowed`` predicts the same weighted sum of velocities that the DVL's slope is, from what the mechanisation alone has
@@ -234,7 +234,7 @@ def _linearise_sensor(
     if measurements.kind[m] == DEPTH:
         z[0] = _predict_depth(ins, arm_n, layout, H) - reading[0]
     elif measurements.kind[m] == HEADING:
-        z[0] = nearest_turn(_predict_heading(ins, H) - reading[0])
+        z[0] = nearest_turn(_predict_heading(ins, layout, H) - reading[0])
     else:
         _linearise_fix(ins, reading, arm_n, layout, z, H)
 
@@ -252,12 +252,15 @@ def _predict_depth(ins: InsAtPing, arm_n: Vector, layout: StateLayout, H: Floats
 
 
 @inlined
-def _predict_heading(ins: InsAtPing, H: Floats) -> float:
-    """Return where the bow points, atan2(c_e, c_n) of C's first column c, and write its Jacobian."""
+def _predict_heading(ins: InsAtPing, layout: StateLayout, H: Floats) -> float:
+    """Return where the bow points by a biased sensor, atan2(c_e, c_n) + b of C's first column c, and its Jacobian."""
     north, east, down = ins.mat_nb[0][0], ins.mat_nb[1][0], ins.mat_nb[2][0]
     steep = down / (north * north + east * east)
     H[0, 3], H[0, 4], H[0, 5] = -steep * north, -steep * east, 1.0
-    return math.atan2(east, north)
+    bias = 0.0
+    if layout.heading_bias >= 0:
+        H[0, layout.heading_bias], bias = -1.0, ins.constants[layout.heading_bias - layout.constants]
+    return math.atan2(east, north) + bias
 
 
 @inlined

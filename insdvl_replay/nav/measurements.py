@@ -67,6 +67,8 @@ class Measurement:
         The next measurement is of the same reading: the state is corrected by both together.
     axes : tuple of str
         Names of the components; none of a measurement that has one.
+    holds_height : bool
+        It measures the velocity down: gravity follows the INS's height while it is used, see `local_earth`.
     """
 
     name: str
@@ -87,6 +89,7 @@ class Measurement:
     goes_on: bool = False
     predict: Predicts | None = None
     axes: tuple[str, ...] = ()
+    holds_height: bool = False
 
     @property
     def size(self) -> int:
@@ -122,6 +125,7 @@ class Stack(NamedTuple):
     direction_b: Floats
     noise: NDArray[np.int64]
     goes_on: NDArray[np.bool_]
+    holds_height: NDArray[np.bool_]
     gate: Floats
     reopen_after: NDArray[np.int64]
 
@@ -158,6 +162,7 @@ def stacked(measurements: Sequence[Measurement]) -> Stack:
         direction_b=np.stack([one.direction_b for one in measurements]),
         noise=np.array([one.noise for one in measurements]),
         goes_on=np.array([one.goes_on for one in measurements]),
+        holds_height=np.array([one.holds_height for one in measurements]),
         gate=np.array([one.gate for one in measurements]),
         reopen_after=np.array([one.reopen_after for one in measurements]),
     )

@@ -72,7 +72,10 @@ class OwnMeasurement:
     unit: str = ""
 
     def readings(self, dive: Dive) -> OwnReadings:
-        """Return the readings of a dive: of its columns, of ``dive.topics``, or of a file of your own."""
+        """Return the readings of a dive: of its columns, of ``dive.topics``, or of a file of your own.
+
+        It is called again on dives without the pings of an outage; what is held out of the filters is in none of them.
+        """
         raise NotImplementedError
 
     @staticmethod
@@ -98,13 +101,7 @@ class OwnMeasurement:
 
 
 def load_own_measurement(word: str) -> OwnMeasurement:
-    """Import a measurement by ``module:Class``.
-
-    Raises
-    ------
-    ValueError
-        It cannot be imported, or is none; the text says why.
-    """
+    """Import a measurement by ``module:Class``; ValueError where that cannot be, or is none, says why."""
     module, _, name = word.partition(":")
     try:
         imported: Any = importlib.import_module(module)
@@ -162,12 +159,7 @@ def compiled_prediction(predict: Predict) -> Predict | None:
 def joined(predictions: Sequence[Predict], *, compiled: bool) -> Predicts:
     """Make one function of all predictions, so that the filter is the same code for any number of them.
 
-    Parameters
-    ----------
-    predictions : sequence of callable
-        At least one.
-    compiled : bool
-        All are from `compiled_prediction`, and so is what is made of them; else it runs as it is.
+    Where all are from `compiled_prediction`, so is what is made of them; else it runs as it is.
     """
     import numba
     from numba import types
@@ -206,13 +198,7 @@ def _first_of(predict: Predict, others: Predicts) -> Predicts:
 
 
 def checked_readings(readings: OwnReadings) -> OwnReadings:
-    """Require what the filter relies on.
-
-    Raises
-    ------
-    ValueError
-        The text says what is wrong.
-    """
+    """Require what the filter relies on; ValueError says what is wrong."""
     time_ns, values = np.asarray(readings.time_ns), _numbers("values", readings.values)
     if values.ndim != 2 or not 1 <= values.shape[1] <= 4 or time_ns.shape != values.shape[:1]:
         shapes = f"{time_ns.shape} and {values.shape}"

@@ -17,7 +17,8 @@ class StateLayout(NamedTuple):
     """The first row of each block of `states.MORE_STATES`, `ABSENT` where a filter does without.
 
     Those behind the position are constants of the sensors: nothing lets them grow, and what is found of them is added
-    to what they are taken to be, as with biases. The first of them has the row ``constants``, or would have it.
+    to what they are taken to be, as with biases. The first of them has the row ``constants``, or would have it. The
+    bias of the heading is among them, but fades.
     """
 
     constants: int
@@ -25,6 +26,7 @@ class StateLayout(NamedTuple):
     dvl_scale: int
     dvl_yaw: int
     depth_zero: int
+    heading_bias: int
 
 
 def layout_of(more: Collection[str]) -> StateLayout:

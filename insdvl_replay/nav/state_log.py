@@ -14,13 +14,17 @@ from insdvl_replay.geometry.rotation import wrap_angle
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.strapdown import NavState
 from insdvl_replay.nav.timeline import Timeline
-from insdvl_replay.nav.vector_algebra import write_row_matrix, write_row_vector
+from insdvl_replay.nav.vector_algebra import Vector, write_row_matrix, write_row_vector
 
 
 class Records(NamedTuple):
-    """The navigation state at the recorded events, and P at some: ``cov_row`` is its row in ``cov``, -1 for none."""
+    """The navigation state at the recorded events, and P at some: ``cov_row`` is its row in ``cov``, -1 for none.
+
+    ``corrected`` is the sum of all corrections of the position; it has no rows where no filter makes any.
+    """
 
     position: Floats
+    corrected: Floats
     velocity_n: Floats
     mat_nb: Floats
     accel_bias_b: Floats
@@ -55,11 +59,12 @@ class Updates(NamedTuple):
     noise_var: Floats
 
 
-def new_records(keep_cov: NDArray[np.bool_], states: int, constants: int) -> Records:
+def new_records(keep_cov: NDArray[np.bool_], states: int, constants: int, *, corrects_position: bool) -> Records:
     """Make room for the states at recorded events, with all of P at those that are to keep it."""
     rows = len(keep_cov)
     return Records(
         position=np.empty((rows, 3)),
+        corrected=np.empty((rows if corrects_position else 0, 3)),
         velocity_n=np.empty((rows, 3)),
         mat_nb=np.empty((rows, 3, 3)),
         accel_bias_b=np.empty((rows, 3)),
@@ -91,9 +96,11 @@ def new_updates(measurements: int, readings: int, size: int) -> Updates:
 
 
 @inlined
-def write_record(state: NavState, constants: Floats, P: Floats, records: Records, row: int) -> None:
+def write_record(state: NavState, corrected: Vector, constants: Floats, P: Floats, records: Records, row: int) -> None:
     """Write down the navigation state and what its covariance P says, as a row."""
     write_row_vector(state.position, records.position, row)
+    if row < len(records.corrected):
+        write_row_vector(corrected, records.corrected, row)
     write_row_vector(state.velocity_n, records.velocity_n, row)
     write_row_matrix(state.mat_nb, records.mat_nb, row)
     write_row_vector(state.accel_bias_b, records.accel_bias_b, row)
@@ -169,6 +176,7 @@ def history_of(
                 reopened=updates.reopened[m, rows],
                 log_det=updates.log_det[m, rows],
                 noise_factor=float(updates.noise_factor[m]),
+                holds_height=measurement.holds_height,
             )
         )
     records.position[:, 1] = wrap_angle(records.position[:, 1])
@@ -189,4 +197,5 @@ def history_of(
         cov=records.cov,
         innovations=tuple(innovations),
         constants=records.constants,
+        corrected=records.corrected,
     )

@@ -65,8 +65,10 @@ class ResolvedFilter:
         Sensors of whose readings it is not told, but by which it is judged.
     measurement_noise : int
         How R of velocity and beams is taken, see `nav.measurement_noise`.
-    more_sd : ndarray, shape (n - 12,)
-        Standard deviations of these states at the start, SI units.
+    more_sd, more_density : ndarray, shape (n - 12,)
+        Standard deviations of these states at the start, and the density of their process noise, SI units.
+    heading_bias_rate_hz : float
+        See `filter.run_filter`.
     """
 
     name: str
@@ -80,6 +82,8 @@ class ResolvedFilter:
     withheld: tuple[str, ...]
     measurement_noise: int
     more_sd: Floats
+    more_density: Floats
+    heading_bias_rate_hz: float
 
     def gate(self, size: int) -> float:
         """Return the largest NIS of so many components that is used; infinite where every innovation is."""
@@ -95,8 +99,8 @@ class ResolvedFilter:
 
     @property
     def noise_density(self) -> Floats:
-        """Process noise, shape (12,), see `error_model.noise_density`."""
-        return noise_density(**msgspec.structs.asdict(self.inertial_noise))
+        """Process noise, shape (n,), see `error_model.noise_density`."""
+        return np.concatenate([noise_density(**msgspec.structs.asdict(self.inertial_noise)), self.more_density])
 
     def sensor_noise(self, velocities: DvlVelocities) -> SensorNoise:
         """Return the noise with which the level is found."""
@@ -180,26 +184,31 @@ class ResolvedFilter:
         )
 
 
-def resolve_filter(name: str, filter_: Filter, config: Config, *, from_beams: bool) -> ResolvedFilter:
+def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter:
     """Resolve what a filter takes from the sections that all filters share.
 
     Of the DVL's noise, what the filter names itself, under either key, goes before ``[dvl]``. Where one of the two
-    names both, the beams' goes first. Velocities that are not solved from beams have no noise of beams, so that there
-    ``beam_sd_mps`` says nothing.
+    names both, the beams' goes first.
     """
     own = {key: getattr(filter_, key) for key in Noise.__struct_fields__}
+    states, rate_hz = _states(filter_, config.evaluation.withheld), 1.0 / config.heading.bias_time_s
+    more_sd = np.concatenate([np.empty(0), *(MORE_SD[block](config) for block in states)])
+    fades = np.array([block == "heading_bias" for block in states for _ in MORE_STATES[block]], dtype=np.float64)
     return ResolvedFilter(
         name,
         filter_.aiding,
-        _dvl_noise(filter_, config, from_beams),
+        _dvl_noise(filter_, config),
         msgspec.structs.replace(config.noise, **{key: value for key, value in own.items() if value is not None}),
         filter_.gate_probability,
         filter_.gate_reopen_after,
         filter_.acceleration or Acceleration(),
-        states := _states(filter_, config.evaluation.withheld),
+        states,
         config.evaluation.withheld,
         MEASUREMENT_NOISE[filter_.dvl_noise],
-        np.concatenate([np.empty(0), *(MORE_SD[block](config) for block in states)]),
+        more_sd,
+        # A Gauss-Markov process keeps its variance where its noise has the density 2 sd^2 / time.
+        2.0 * rate_hz * fades * more_sd**2,
+        rate_hz,
     )
 
 
@@ -218,15 +227,14 @@ MORE_SD: Final[dict[str, Callable[[Config], Floats]]] = {
     "dvl_scale": lambda config: np.array([0.01 * config.initial.dvl_scale_sd_pct]),
     "dvl_yaw": lambda config: np.array([DEG * config.initial.dvl_yaw_sd_deg]),
     "depth_zero": lambda config: np.array([UNKNOWN_M if config.depth.surface_height_m is None else KNOWN_M]),
+    "heading_bias": lambda config: np.array([DEG * config.heading.bias_sd_deg]),
 }
 """Standard deviations of the blocks of `states.MORE_STATES` at the start, SI units."""
 
 
-def resolve_filters(config: Config, *, from_beams: bool) -> tuple[ResolvedFilter, ...]:
+def resolve_filters(config: Config) -> tuple[ResolvedFilter, ...]:
     """Resolve all filters of a configuration that are run, the baseline first; see `resolve_filter`."""
-    return tuple(
-        resolve_filter(name, filter_, config, from_beams=from_beams) for name, filter_ in config.computed.items()
-    )
+    return tuple(resolve_filter(name, filter_, config) for name, filter_ in config.computed.items())
 
 
 def dvl_mounting(config: Config) -> DvlMounting:
@@ -234,9 +242,9 @@ def dvl_mounting(config: Config) -> DvlMounting:
     return DvlMounting.of(config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale)
 
 
-def _dvl_noise(filter_: Filter, config: Config, from_beams: bool) -> DvlNoise:
+def _dvl_noise(filter_: Filter, config: Config) -> DvlNoise:
     for named in (filter_, config.dvl):
-        if from_beams and named.beam_sd_mps is not None:
+        if named.beam_sd_mps is not None:
             return DvlNoise("beam_sd_mps", named.beam_sd_mps)
         if named.velocity_sd_mps is not None:
             return DvlNoise("velocity_sd_mps", named.velocity_sd_mps)

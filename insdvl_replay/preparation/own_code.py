@@ -5,7 +5,7 @@ Compiled code neither raises nor looks whether a column of H exists: what is wro
 
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, TypeVar
 
 import numpy as np
@@ -25,8 +25,8 @@ SHOWN: Final = "docs/own_measurement.md shows one"
 _PREDICT: Final = "predict(ins, z, H)"
 _OUTSIDE: Final = ("math domain error", "expected ")
 """So begin the errors of `math` outside a function's domain, up to Python 3.13 and from 3.14 on."""
-POSITION: Final = 12
-"""Its first column in H, of a filter that estimates it."""
+DOWN, POSITION = 2, 12
+"""Columns of H: the velocity down, and the first of the position, of a filter that estimates it."""
 _STEPS: Final = (1e-5, 1e-6, 1e-5, 1e-7, 0.01)
 """Of velocity m/s, misalignment rad, specific force m/s^2, angular rate rad/s and position m: far above what is rounded
 off, far below what bends."""
@@ -38,13 +38,7 @@ _T = TypeVar("_T")
 
 
 def called(word: str, own: OwnMeasurement, what: str, call: Callable[[], _T], hint: str) -> _T:
-    """Call code of the user's; what it raises is an error of the settings that name it, with file and line.
-
-    Raises
-    ------
-    ConfigError
-        It raises.
-    """
+    """Call code of the user's; what it raises becomes a ConfigError with file and line."""
     try:
         return call()
     except UserError:
@@ -61,16 +55,12 @@ def _line(own: OwnMeasurement, error: BaseException) -> str:
     return f" in line {lines[-1]} of {file}" if lines else ""
 
 
-def asked_readings(word: str, own: OwnMeasurement, dive: Dive) -> OwnReadings:
-    """Ask for the readings of a dive.
-
-    Raises
-    ------
-    ConfigError
-        The code raises, or gives something else.
-    """
+def asked_readings(word: str, own: OwnMeasurement, dive: Dive, held_out: Sequence[str]) -> OwnReadings:
+    """Return the readings of a dive; ConfigError where the code raises, or gives something else."""
     topics = f"dive.topics has {listed(sorted(dive.topics))}" if dive.topics else "dive.topics is empty"
     hint = f"{topics}; a section [topics.NAME] adds one"
+    if held_out:
+        hint += f"; the {listed(held_out)} is held out (evaluation.withheld), with all that may be made of it"
     readings = called(word, own, "readings(self, dive)", lambda: own.readings(dive), hint)
     if not isinstance(readings, OwnReadings):
         raise ConfigError(f"{word}: readings(self, dive) gives {type(readings).__name__}, not OwnReadings", SHOWN)
@@ -98,24 +88,12 @@ def uncompiled_prediction(word: str, own: OwnMeasurement, hint: str = SHOWN) -> 
 
 def tried_prediction(
     word: str, own: OwnMeasurement, size: int, filter_: ResolvedFilter, start: Start
-) -> tuple[Note, ...]:
-    """Predict once where a filter starts, and hold H against differences of z.
+) -> tuple[bool, tuple[Note, ...]]:
+    """Predict a reading once where a filter starts, and return whether it measures the velocity down, by half or more.
 
-    Parameters
-    ----------
-    size : int
-        Components of a reading.
-
-    Returns
-    -------
-    tuple of Note
-        A warning where H says something else than z, in an entry that is not zero, or is all zero, and where one
-        component is not written. None where z is no number at the start, as a direction is none at rest.
-
-    Raises
-    ------
-    ConfigError
-        The code raises, as where it writes a column that the filter does not have.
+    A warning says where H contradicts z in an entry that is not zero, or is all zero, and where one component is not
+    written. There is none where z is no number at the start, as a direction is none at rest. ConfigError where the code
+    raises, as where it writes a column that the filter does not have.
     """
     count = len(states_with(filter_.states))
     lacks = "" if "position" in filter_.states else '; states = ["position"] gives it columns 12 to 14'
@@ -125,9 +103,10 @@ def tried_prediction(
     with np.errstate(all="ignore"):
         predict(_ins(start, np.zeros(15)), z, jacobian)
         if not np.isfinite(z).all():
-            return ()
+            return False, ()
         differences = _differences(predict, size, count, start, "position" in filter_.states)
-    return tuple(_notes(word, z, jacobian, differences, filter_))
+    holds_height = bool(np.any(np.abs(jacobian[:, DOWN]) > 0.5))
+    return holds_height, tuple(_notes(word, z, jacobian, differences, filter_))
 
 
 def _differences(predict: Predict, size: int, count: int, start: Start, has_position: bool) -> Floats:

@@ -85,20 +85,8 @@ class Prepared:
 def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
     """Move the reference of a dive to the IMU, where the filters are, and turn its attitude to the IMU's axes.
 
-    Parameters
-    ----------
-    dive : Dive
-        As it was read.
-
-    Returns
-    -------
-    Dive
-        As `prepare_dive` takes it. A reference without any number is none.
-
-    Raises
-    ------
-    ConfigError
-        The reference is of another point than the IMU, and gives no attitude to say where that is.
+    A reference without any number is none. ConfigError where it is of another point than the IMU, and gives no attitude
+    to say where that is.
     """
     if dive.reference is None:
         return dive
@@ -114,21 +102,10 @@ def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
 
 
 def prepare_dive(dive: Dive, config: Config) -> Prepared:
-    """Do everything that comes before the filters: solve the pings, find the span, and align.
+    """Do everything that comes before the filters of a dive from `with_reference_at_imu`: pings, span, and alignment.
 
-    Parameters
-    ----------
-    dive : Dive
-        From `with_reference_at_imu`.
-
-    Raises
-    ------
-    LogError
-        Nothing to replay in the span, or no reference to start from.
-    ConfigError
-        The settings do not fit the dive.
-    ValueError
-        The dive is what a replay keeps of it, the times of its IMU without the readings.
+    LogError where there is nothing to replay in the span, or no reference to start from; ConfigError where the settings
+    do not fit the dive; ValueError where it is what a replay keeps of it, without the readings of the IMU.
     """
     if len(dive.imu.specific_force_b) != len(dive.imu.time_ns):
         raise ValueError(f"{dive.name}: the readings of its IMU were let go; read the log anew")
@@ -140,7 +117,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         start_ns, end_ns, gap_notes = apply_gap_policy(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
         sensed = started_by_sensors(config, dive.sensors, dive.reference, start_ns, end_ns)
         config = sensed.config
-        filters = resolve_filters(config, from_beams=velocities.from_beams)
+        filters = resolve_filters(config)
         noise = filters[0].sensor_noise(velocities)
         alignment = align(
             dive.imu,
@@ -159,7 +136,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
             dive.sensors, config, alignment.start, alignment.start_ns, end_ns, sensed.told_ns
         )
         own, own_notes = prepare_own_measurements(
-            dive, filters, len(sensors), alignment.start, alignment.start_ns, end_ns
+            dive, config, filters, len(sensors), alignment.start, alignment.start_ns, end_ns
         )
     inside = velocities.within(alignment.start_ns, end_ns)
     by_beams = any("beams" in filter_.aiding for filter_ in filters)

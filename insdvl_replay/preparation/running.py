@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import begin, each, return_freed_memory
@@ -23,11 +24,15 @@ from insdvl_replay.nav.coasting import coast
 from insdvl_replay.nav.drawn_starts import drawn_starts
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.initial_state import Start, with_more_states
+from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
+from insdvl_replay.preparation.own_measurements import Outage, in_outages
 from insdvl_replay.preparation.prepared import Prepared
 
 T = TypeVar("T")
+_Group = tuple[Sequence[Outage], dict[str, Measurement], Timeline]
+"""Outages, with the sensors and the time line of all of them."""
 
 WORTH_A_THREAD = 20_000
 """IMU samples from which filters run beside each other; with fewer, to start threads takes what it saves."""
@@ -38,22 +43,7 @@ MOST_DRAWN_TIMES = 5_000
 
 
 def run_filters(prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
-    """Run every filter over a prepared dive.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        From `prepared.prepare_dive`.
-    timeline : Timeline
-        From `prepared_timeline`.
-    cov_ns : ndarray, shape (c,), optional
-        Times of the reference at which the histories keep all of P.
-
-    Returns
-    -------
-    tuple of History
-        In the order of the configuration, without solutions that are read.
-    """
+    """Run every filter of a dive, in the order of the configuration; histories keep all of P at times, shape (c,)."""
     begin("running the filters")
     return_freed_memory()
     run = partial(run_one, prepared=prepared, timeline=timeline, cov_ns=cov_ns)
@@ -75,11 +65,14 @@ def run_one(
     history = run_filter(
         filter_.name,
         timeline,
-        with_more_states(prepared.alignment.start, filter_.more_sd, filter_.constants),
+        with_more_states(
+            prepared.alignment.start, filter_.more_sd, filter_.constants, heading_bias="heading_bias" in filter_.states
+        ),
         filter_.noise_density,
         filter_.measurements(prepared.velocities, prepared.mounting, prepared.gaps, prepared.sensors, prepared.beams),
         prepared.mounting.lever_arm_b,
         more_states=filter_.states,
+        heading_bias_rate_hz=filter_.heading_bias_rate_hz,
         cov_ns=cov_ns,
     )
     if prepared.beams is None or "beams" not in filter_.aiding:
@@ -104,67 +97,60 @@ def prepared_timeline(dive: Dive, prepared: Prepared) -> Timeline:
 
 
 def coasting_plan(prepared: Prepared) -> CoastingPlan:
-    """Lay the windows in which velocities are withheld into a prepared dive.
-
-    Its ``start_ns`` are times at which `run_filters` has to keep all of P for `coasting_of`.
-    """
+    """Lay the windows without velocities into a dive; `run_filters` has to keep all of P at its ``start_ns``."""
     return plan_coasting(
         prepared.velocities.time_ns, prepared.gaps.overlap, prepared.alignment.start_ns, prepared.end_ns
     )
 
 
-def coasting_of(prepared: Prepared, timeline: Timeline, histories: tuple[History, ...], plan: CoastingPlan) -> Coasts:
-    """Let every filter coast through the windows of a plan.
+def coasting_of(
+    dive: Dive,
+    config: Config,
+    prepared: Prepared,
+    timeline: Timeline,
+    histories: tuple[History, ...],
+    plan: CoastingPlan,
+) -> Coasts:
+    """Let every filter coast through the windows of a plan, from its history, which holds P at their starts.
 
-    Parameters
-    ----------
-    timeline : Timeline
-        From `prepared_timeline`.
-    histories : tuple of History
-        From `run_filters`, in the order of the filters, with P at the plan's ``start_ns``.
+    User code is given the dive without the pings of each window.
     """
     begin("coasting without velocities")
-    coasts = partial(_coasts_of_one, prepared=prepared, timeline=timeline, plan=plan)
+    groups = list[_Group]()
+    for outages, sensors in in_outages(dive, config, prepared.sensors, tuple(plan.windows_ns)):
+        is_whole = sensors is prepared.sensors
+        lines = timeline if is_whole else prepared_timeline(dive, replace(prepared, sensors=sensors))
+        groups.append((outages, sensors, lines))
+    coasts = partial(_coasts_of_one, prepared=prepared, groups=groups, plan=plan)
     runs = _side_by_side(timeline, coasts, prepared.filters, histories)
     distance_m = distance_along_m(prepared.velocities.time_ns, prepared.velocities.velocity_b)
     return Coasts(plan, distance_m, {history.filter: of_one for history, of_one in zip(histories, runs, strict=True)})
 
 
 def _coasts_of_one(
-    filter_: ResolvedFilter, history: History, *, prepared: Prepared, timeline: Timeline, plan: CoastingPlan
+    filter_: ResolvedFilter, history: History, *, prepared: Prepared, groups: Sequence[_Group], plan: CoastingPlan
 ) -> tuple[Coast, ...]:
     by_velocity = replace(filter_, aiding=("velocity",), withheld=())
-    measured = prepared.velocities, prepared.mounting, prepared.gaps
+    measured, found = (prepared.velocities, prepared.mounting, prepared.gaps), dict[tuple[int, int], Coast]()
     (velocity,) = by_velocity.measurements(*measured)
-    still_told = [
-        one for one in filter_.measurements(*measured, prepared.sensors, prepared.beams) if one.sensor >= FIRST_OTHER
-    ]
-    run_on = partial(
-        coast, history, timeline, noise_density=filter_.noise_density, measurements=(velocity, *still_told),
-        lever_arm_b=prepared.mounting.lever_arm_b, more_states=filter_.states,
-    )  # fmt: skip
-    return tuple(coast_of(run_on(window)) for window in plan.windows_ns)
+    for outages, sensors, timeline in groups:
+        aiding = filter_.measurements(*measured, sensors, prepared.beams)
+        run_on = partial(
+            coast, history, timeline, noise_density=filter_.noise_density,
+            measurements=(velocity, *(one for one in aiding if one.sensor >= FIRST_OTHER)),
+            lever_arm_b=prepared.mounting.lever_arm_b, more_states=filter_.states,
+            heading_bias_rate_hz=filter_.heading_bias_rate_hz,
+        )  # fmt: skip
+        found |= {window: coast_of(run_on(window)) for window in outages}
+    return tuple(found[window] for window in plan.windows_ns)
 
 
 def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int = 0) -> tuple[DrawnErrors, ...]:
     """Run every filter from the dive's own start and from others that err as P0 says, and keep their true errors.
 
-    Parameters
-    ----------
-    dive : Dive
-        As `run_filters` takes it, with a reference.
-    prepared : Prepared
-        From `prepared.prepare_dive`.
-    count : int
-        Starts, the dive's own among them.
-    seed : int
-        Of the draws, beside the size of the dive: the same for all filters, and others for other dives.
-
-    Returns
-    -------
-    tuple of DrawnErrors
-        In the order of the configuration. They end where the runs together have `MOST_DRAWN_SAMPLES`, and are of
-        evenly chosen times of a reference that has more than `MOST_DRAWN_TIMES`.
+    The ``count`` of starts includes the dive's own. All filters have the same draws, and other dives have others. The
+    errors end where the runs together have `MOST_DRAWN_SAMPLES`, and are of evenly chosen times of a reference that has
+    more than `MOST_DRAWN_TIMES`.
     """
     begin("running the filters from drawn starts")
     starts = drawn_starts(prepared.alignment.start, count, (*_sizes(dive, prepared), seed))

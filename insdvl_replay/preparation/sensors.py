@@ -52,29 +52,10 @@ def prepare_sensors(
     end_ns: int,
     told_ns: Mapping[str, int] = NOTHING_TOLD,
 ) -> tuple[dict[str, Measurement], tuple[Note, ...]]:
-    """Prepare the sensors that were read.
+    """Prepare the sensors of a dive, without a gate; LogError where one has no reading in the span.
 
-    Parameters
-    ----------
-    sensors : mapping of str to SensorColumns
-        Of the dive.
-    start : Start
-        Where the filters start.
-    start_ns, end_ns : int
-        Span of the replay.
-    told_ns : mapping of str to int
-        Times of the readings that the start is made of, by sensor: they tell nothing more.
-
-    Returns
-    -------
-    dict of str to Measurement
-        By name, without a gate; the rows of a time line from `timeline.FIRST_OTHER` on are theirs, in this order.
-    tuple of Note
-
-    Raises
-    ------
-    LogError
-        A sensor has no reading in the span.
+    The rows of a time line from `timeline.FIRST_OTHER` on are theirs, in this order. The start is made of their
+    readings at ``told_ns``, which are not used again.
     """
     found, notes = dict[str, Measurement](), list[Note]()
     for row, (name, columns) in enumerate(sensors.items(), start=FIRST_OTHER):

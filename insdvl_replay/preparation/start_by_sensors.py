@@ -33,6 +33,8 @@ class SensedStart:
     notes : tuple of Note
     told_ns : mapping of str to int
         Times of the readings that this start is made of, by sensor: a filter that is aided by them knows them already.
+    is_heading : bool
+        Whether its heading is the sensor's.
     fix : ndarray, shape (3,), or None
         That its position is, of the antenna; its height is NaN where it has none, and the configured one counts.
     """
@@ -42,10 +44,12 @@ class SensedStart:
     mat_nb: Floats | None
     notes: tuple[Note, ...]
     told_ns: Mapping[str, int]
+    is_heading: bool
     fix: Floats | None
 
     def at_imu(self, start: Start) -> Start:
         """Move a start from the antenna, whose fix its position is, to the IMU; a configured height stays."""
+        start = replace(start, is_heading_sensed=self.is_heading)
         if self.fix is None:
             return start
         arm_n = start.mat_nb @ np.array(self.config.position.lever_arm_m)
@@ -74,21 +78,23 @@ def started_by_sensors(
     LogError
         The attitude is to be a sensor's, which gives none in the span; or the heading, which is silent at the start.
     """
-    initial, notes, mat_nb, fix = config.initial, list[Note](), None, None
+    initial, notes, mat_nb, fix, is_heading = config.initial, list[Note](), None, None, False
     told_ns = dict[str, int]()
     posed = initial.source == "reference" and reference is not None and reference.has_attitude
     if initial.source == BY_SENSOR:
+        is_heading = not isinstance(initial.heading_deg, float | int)
         start_ns, mat_nb = _attitude(initial, sensors["heading"], start_ns, end_ns, notes)
         initial = _no_surer(initial, config.heading)
     elif not posed and "heading" in sensors and initial.heading_deg in (None, BY_SENSOR):
         initial = _with_heading(initial, sensors["heading"], config.heading.sd_deg, start_ns, notes)
-        told_ns["heading"] = _nearest_ns(sensors["heading"], start_ns)
+        told_ns["heading"], is_heading = _nearest_ns(sensors["heading"], start_ns), True
     located = reference is not None and reference.has_position
     if not located and "position" in sensors and initial.latitude_deg is None:
         fix, away_s = _nearest(sensors["position"], start_ns)
         initial = _with_position(initial, fix, away_s, config.position.sd_m, notes)
         told_ns["position"] = _nearest_ns(sensors["position"], start_ns)
-    return SensedStart(msgspec.structs.replace(config, initial=initial), start_ns, mat_nb, tuple(notes), told_ns, fix)
+    config = msgspec.structs.replace(config, initial=initial)
+    return SensedStart(config, start_ns, mat_nb, tuple(notes), told_ns, is_heading, fix)
 
 
 def _attitude(

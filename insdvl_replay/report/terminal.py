@@ -105,6 +105,8 @@ class _Fitting:
         spare = self.table.spare
         for count in range(len(spare) + 1):
             grid = _table(_without(self.table, spare[:count]))
+            if count == len(spare):
+                break  # to measure it takes as long as to print it
             needed = Measurement.get(console, options.update(max_width=_ANY_WIDTH), grid).maximum
             if needed - self.table.folds <= options.max_width:
                 break

@@ -38,7 +38,14 @@ from insdvl_replay.report.page import page
 from insdvl_replay.report.plots.panel import Figure, Panel
 from insdvl_replay.results.dive_tables import EVIDENCE, TONES, evidence_tables, filter_tables, glance_table
 from insdvl_replay.results.json_report import Report
-from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference, reference_tables, track_fit_line
+from insdvl_replay.results.reference_tables import (
+    NO_REFERENCE,
+    SPECIFIED,
+    has_reference,
+    headline_table,
+    reference_tables,
+    track_fit_line,
+)
 
 _LOUD: Final = (Judgement.WORSE, Judgement.NOT_JUDGED)
 _MEASURED_BY: Final = {"phi_n": "level", "phi_e": "level", "phi_d": "heading"}
@@ -72,6 +79,7 @@ def dive_document(
         Only(PRINTED, (Title(heading(report)),)),
         Only(PAGE, (Title(_replayed(report)),)),
         *(Callout(candidate.verdict, TONES.get(candidate.improvement, "")) for candidate in report.filters.values()),
+        *headline_table(report, "This run: position error and drift without DVL", SPECIFIED),
         *first,
         Only(PAGE, tuple(of_candidates)),
         *track_fit_line(report),
@@ -154,7 +162,8 @@ def closing_lines(report: Report) -> tuple[str, ...]:
         f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (believed by the filter's "
         f"own covariance; see {trust}), "
         f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner "
-        f"({percent(means.mean_convergence_unchanged_pct)} without any change)"
+        f"({percent(means.mean_convergence_unchanged_pct)} without any change; by the nearest approach "
+        f"{percent(means.mean_nearest_approach_improvement_pct)})"
         for name, means in report.filters.items()
         if means.improvement != Judgement.NOT_JUDGED
     )

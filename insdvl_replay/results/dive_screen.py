@@ -12,7 +12,7 @@ from insdvl_replay.core.rows import ConsistencyRow, EvidenceRow
 from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement
-from insdvl_replay.evaluation.hints import LEAST, MOST
+from insdvl_replay.evaluation.hints import is_noise_far_off
 from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
 from insdvl_replay.report.document import (
@@ -31,10 +31,10 @@ from insdvl_replay.report.document import (
 )
 from insdvl_replay.results.dive_tables import TENFOLD, TONES, word_in_table
 from insdvl_replay.results.json_report import Report
-from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference, track_fit_line
+from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference, headline_table, track_fit_line
 
 LOUD: Final = (Judgement.BETTER, Judgement.WORSE, Judgement.MIXED, Judgement.NOT_JUDGED)
-MOST_ROWS: Final = {1: 10, 2: 3}
+MOST_ROWS: Final = {1: 7, 2: 1}
 """Pieces of evidence that are shown of each candidate, by how many there are."""
 _CHOSEN: Final = ("velocity_along", "convergence_level", "nis")
 """Pieces that are shown beside the first of each kind, and those that decided."""
@@ -52,8 +52,10 @@ def dive_screen(report: Report, page: str) -> list[Part]:
     words = [part for name in report.filters for part in _of_candidate(report, name)] if few else _many(report)
     return [
         Title(facts(report)),
+        *headline_table(report),
         *words,
-        Sentences((*track_fit_line(report), *(() if has_reference(report) else (NO_REFERENCE,)))),
+        *track_fit_line(report),
+        *(() if has_reference(report) else (NO_REFERENCE,)),
         Code(f"all tables{_and_notes(report)}: -v   page: {page}", ""),
     ]
 
@@ -118,16 +120,18 @@ def _of_candidate(report: Report, name: str) -> Iterator[Part]:
     rows = _chosen([row for row in of_candidate if row.evidence != HONESTY], MOST_ROWS[len(report.filters)])
     if rows:
         yield _evidence(report.baseline, name, rows)
-    yield f"{trust_sentence(report.tables, name, report.baseline)}{_sizes(report.baseline, of_candidate)}"
+    yield f"{trust_sentence(report.tables, name, report.baseline)}{_sizes(report, of_candidate)}"
 
 
-def _sizes(baseline: str, rows: Sequence[EvidenceRow]) -> str:
+def _sizes(report: Report, rows: Sequence[EvidenceRow]) -> str:
     """State how large the innovations are beside what is expected of them, behind the sentence on trust."""
     nis = next((row for row in rows if row.quantity == "nis"), None)
     if nis is None:
         return ""
-    sizes = f" {NAMES[nis.quantity]}: {baseline} {value_text(nis.baseline)}, {nis.filter} {value_text(nis.value)}"
-    return f"{sizes}{'.' if LEAST <= finite(nis.baseline) <= MOST else ': --control fits the noise.'}"
+    sizes = (
+        f" {NAMES[nis.quantity]}: {report.baseline} {value_text(nis.baseline)}, {nis.filter} {value_text(nis.value)}"
+    )
+    return f"{sizes}{': --control fits the noise.' if is_noise_far_off(report.tables, report.baseline) else '.'}"
 
 
 def _word_on(report: Report, name: str) -> Callout:
@@ -179,11 +183,12 @@ def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> DisplayT
         (baseline, "r", lambda row: value_text(row.baseline)),
         (name, "r", lambda row: value_text(row.value)),
         ("ratio", "r", lambda row: ratio_text(row.ratio)),
-        ("95 %", "r", lambda row: MISSING if row.ratio is None else interval_text(row.low, row.high)),
+        ("on this dive", "r", lambda row: MISSING if row.ratio is None else interval_text(row.low, row.high)),
         ("n", "r", lambda row: decimal(row.effective_samples, 0)),
+        ("p", "r", lambda row: decimal(row.p, 3).removeprefix("0")),
         ("", "l", word_in_table),
     ]
-    return table_of("", rows, columns, spare=(6, 2, 3, 1, 5))
+    return table_of("", rows, columns, spare=(6, 2, 3, 1, 5, 7))
 
 
 def _many(report: Report) -> list[Part]:
@@ -193,12 +198,12 @@ def _many(report: Report) -> list[Part]:
         (f"against {report.baseline}", "l", lambda one: shouted(one[1].improvement)),
         ("by", "l", lambda one: MISSING if one[2] is None else NAMES[one[2].quantity]),
         ("ratio", "r", lambda one: MISSING if one[2] is None else ratio_text(one[2].ratio)),
-        ("95 %", "r", lambda one: MISSING if one[2] is None else interval_text(one[2].low, one[2].high)),
+        ("on this dive", "r", lambda one: MISSING if one[2] is None else interval_text(one[2].low, one[2].high)),
         ("believed", "r", lambda one: percent(_believed_pct(one[1]))),
         ("", "l", lambda one: "" if one[1].improvement == Judgement.NOT_JUDGED else one[1].belief),
     ]
     rows = [(name, candidate, _speaking(report, name)) for name, candidate in report.filters.items()]
-    return [table_of("", rows, columns, spare=(4, 5, 6, 2))]
+    return [Sentences(()), table_of("", rows, columns, spare=(4, 5, 6, 2))]
 
 
 def _believed_pct(candidate: Candidate) -> Number:

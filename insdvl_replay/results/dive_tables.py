@@ -128,6 +128,8 @@ def _evidence(report: Report, name: str, rows: Sequence[EvidenceRow]) -> Iterato
             ("low", "r", lambda row: _ratio(row.low)),
             ("high", "r", lambda row: _ratio(row.high)),
             ("n", "r", lambda row: decimal(row.effective_samples, 0)),
+            ("p", "r", lambda row: decimal(row.p, 4)),
+            ("why", "l", lambda row: row.why),
         ]
         title = f"{EVIDENCE}, {name} against {baseline}"
         yield table_of(title, rows, columns, _how_measured(rows, is_read=is_read(report, name)))
@@ -159,8 +161,8 @@ def pooled_table(pooled: PooledCandidate) -> DisplayTable:
         f"All dives together: {pooled.name} against {pooled.baseline}",
         pooled.rows,
         columns,
-        "Hodges-Lehmann ratio over the dives, where it lies with 95 %, and Wilcoxon's exact p; of fewer than six dives "
-        "the range, and no word",
+        "geometric mean of the dives' ratios, its 95 % interval over dives, and p, both by Student's t, each dive one "
+        "sample; three dives are the fewest that decide",
     )
 
 
@@ -181,14 +183,14 @@ def _how_measured(rows: Sequence[EvidenceRow], *, is_read: bool) -> str:
             f"{begun}; n: independent values that the interval rests on; of NEES the ratio is of how far it is from 1"
         )
     drawn = (
-        f"from {starts} starts, drawn from what the filters say of theirs"
+        f"values: of this dive from its own start; ratio of accuracy: from {starts} starts, drawn from what filters say"
         if starts > 1
         else "from one start, without error: what aiding gains from errors of the start is not seen (--starts 16)"
     )
     return (
-        f"{drawn}; low to high: where the ratio lies with 95 %, and words allow for the number of rows, those in "
-        "brackets have no vote; n: independent values that the interval rests on; the ratio of NIS and of NEES is of "
-        "how far they are from 1"
+        f"{drawn}; low to high: 95 % interval on this dive, other dives may differ by more; p below 0.01 decides, rows "
+        "in brackets have no vote; n: independent values that the interval rests on; the ratio of NIS and of NEES is "
+        "of how far they are from 1"
     )
 
 
@@ -233,12 +235,16 @@ def _convergence(baseline: str, name: str, rows: Sequence[ConvergenceRow]) -> It
             ("state", "l", lambda row: row_label(row.state)),
             ("unit", "l", lambda row: row.unit),
             ("target", "r", lambda row: number(row.target_sd)),
-            (f"{baseline}\n[s]", "r", lambda row: number(row.baseline_s)),
             (f"{name}\n[s]", "r", lambda row: number(row.reached_s)),
             ("sooner", "r", lambda row: percent(row.improvement_pct)),
             ("status", "l", lambda row: row.status.replace("_", " ")),
+            ("nearest\n[s]", "r", lambda row: number(row.nearest_approach_s)),
+            ("sooner", "r", lambda row: percent(row.nearest_approach_improvement_pct)),
         ]
-        yield table_of(f"Convergence: when {name} is as sure as {baseline} is at the end", rows, columns)
+        end_s = number(rows[0].baseline_s)
+        footnote = f"{baseline} ends at {end_s} s. nearest: when the sigma of {name} is nearest to the target, the "
+        footnote += "time of Levy and Klein. It may turn back there."
+        yield table_of(f"Convergence: when {name} is as sure as {baseline} is at the end", rows, columns, footnote)
 
 
 def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]) -> Iterator[DisplayTable]:

@@ -13,7 +13,7 @@ from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import GateStatus, Judgement, Severity
 from insdvl_replay.evaluation.honesty import HONESTY
-from insdvl_replay.evaluation.pooled_evidence import PooledCandidate, interval_name
+from insdvl_replay.evaluation.pooled_evidence import PooledCandidate
 from insdvl_replay.evaluation.verdicts import spoken_of
 from insdvl_replay.report.document import (
     MISSING,
@@ -78,14 +78,12 @@ def _warnings(outcomes: Sequence[Outcome]) -> Iterator[str]:
 
 
 def _pooled(pooled: Sequence[PooledCandidate]) -> Iterator[Part]:
-    names = dict.fromkeys(_of(one, interval_name) for one in pooled)
-    intervals = " or ".join(name for name in names if name != MISSING) or "95 %"
     columns: list[Column[PooledCandidate]] = [
         (f"against {' or '.join(dict.fromkeys(one.baseline for one in pooled))}", "l", lambda one: one.name),
         ("all dives", "l", lambda one: shouted(one.judgement)),
         ("by", "l", lambda one: _of(one, lambda row: NAMES[row.quantity])),
         ("ratio", "r", lambda one: _of(one, lambda row: ratio_text(row.ratio))),
-        (intervals, "r", lambda one: _of(one, lambda row: interval_text(row.low, row.high))),
+        ("over dives", "r", lambda one: _of(one, lambda row: interval_text(row.low, row.high))),
         ("won", "r", lambda one: _of(one, lambda row: f"{row.dives_won}/{row.dives}")),
         ("p", "r", lambda one: _of(one, lambda row: f"{finite(row.p):.2g}")),
     ]
@@ -131,7 +129,7 @@ def _dives(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
         heading = "ratio" if len(names) == 1 else name
         columns.append((heading, "r", _text_of(name, lambda row: ratio_text(row.ratio))))
         if len(names) == 1:
-            columns.append(("95 %", "r", _text_of(name, lambda row: interval_text(row.low, row.high))))
+            columns.append(("on this dive", "r", _text_of(name, lambda row: interval_text(row.low, row.high))))
         columns.append(("", "l", partial(_word, name=name)))
     left_out = len(dives) - len(shown)
     footnote = f"failed, and the {WORST} with the largest ratio; {left_out} more: see the page" if left_out else ""

@@ -12,6 +12,7 @@ from typing import Any, Final
 import msgspec
 
 from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.plain_text import read_regular
 from insdvl_replay.core.tables import TABLES
 from insdvl_replay.results.workspace import (
     NAME_A_FILE,
@@ -27,6 +28,8 @@ REPORT: Final = "report.json"
 """The file that holds the list."""
 NOT_JSON: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 """Raised where bytes are decoded that are no JSON of ours: cut, of other letters, or nested without end."""
+_MOST_BYTES: Final = 1 << 30
+"""Of a file of a result that is read into memory: reports of long dives have some MB."""
 _TIME_OF_DAY: Final = ("started_at", "elapsed_s")
 
 
@@ -40,24 +43,26 @@ def list_files(folder: Path) -> None:
 
 
 def damaged_files(folder: Path) -> list[str]:
-    """Name the files of a result that are not as they were written, or not there; every byte is read.
-
-    Parameters
-    ----------
-    folder : Path
-        A result.
-
-    Returns
-    -------
-    list of str
-        Empty if all are whole. The report alone if it lists no files.
-    """
-    content = msgspec.json.decode((folder / REPORT).read_bytes())
+    """Name the files of a result that are not as they were written, or not there; the report alone if it lists none."""
+    content = msgspec.json.decode(read_file(folder / REPORT))
     files: dict[str, str] = dict(content.get("files", {}))
     of_report = files.pop(REPORT, "")
     damaged = [name for name, digest in files.items() if not _is_whole(folder / name, digest)]
     content["files"] = files
     return damaged if _digest_of_report(content) == of_report else [REPORT, *damaged]
+
+
+def result_digest(folder: Path) -> str:
+    """Return the SHA-256 by which a result is known, without the time of day; empty where there is none."""
+    try:
+        return msgspec.json.decode(read_file(folder / REPORT), type=_Label).files.get(REPORT, "")
+    except (OSError, *NOT_JSON):
+        return ""
+
+
+def read_file(path: Path) -> bytes:
+    """Read a file of a result; see `read_regular`."""
+    return read_regular(path, _MOST_BYTES)
 
 
 def _is_whole(path: Path, digest: str) -> bool:
@@ -115,7 +120,7 @@ def trajectory_file(name: str) -> str:
 
 
 @contextmanager
-def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
+def result_folder(target: Path, *, force: bool = False, before: str | None = None) -> Iterator[Path]:
     """Return a new folder to write into, which becomes the target when the block ends without an exception.
 
     On any exception, an interruption included, nothing of it remains, and an older result stays as it was. The report
@@ -127,6 +132,8 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
         The result folder. Folders above it are made.
     force : bool
         Replace an older result.
+    before : str, optional
+        The `result_digest` of the older result that may be replaced; left out: of any.
 
     Yields
     ------
@@ -136,7 +143,8 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
     Raises
     ------
     ConfigError
-        The target exists and must not be replaced, or the disk refuses.
+        The target exists and must not be replaced, another run has written a different result there meanwhile, or the
+        disk refuses.
     """
     clear_leftovers(target.parent)  # an older result may lie in them
     require_replaceable_folder(target, force=force)
@@ -144,9 +152,22 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
         yield workspace / NEW
         list_files(workspace / NEW)
         require_replaceable_folder(target, force=force)
+        # What is moved aside first cannot change any more. If it is not replaced, the workspace puts it back.
         if target.exists():
             target.rename(workspace / OLD)
-        (workspace / NEW).rename(target)
+        may_replace = before is None or result_digest(workspace / OLD) in (before, result_digest(workspace / NEW))
+        try:
+            if may_replace:
+                (workspace / NEW).rename(target)
+        except OSError:
+            if not target.exists():
+                raise
+            may_replace = False
+        if not may_replace:
+            raise ConfigError(
+                f"{target}: another run has written a different result there meanwhile, which stays",
+                "choose another folder with -o, or run it again",
+            )
 
 
 @contextmanager
@@ -156,8 +177,8 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
     Parameters
     ----------
     target : Path
-        The file, or a link to it, which stays. Folders above it are made. What is no file, as a device or a named pipe,
-        is never replaced: the bytes are written to it.
+        The file, or a link to it, which stays. What is no file, as a device or a named pipe, is never replaced: the
+        bytes are written to it.
     force : bool
         Replace an older file.
 
@@ -169,8 +190,8 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
     Raises
     ------
     ConfigError
-        The target exists and must not be replaced, is a folder, a disk or a link that leads nowhere, or the disk
-        refuses.
+        The target exists and must not be replaced, is a folder, a disk or a link that leads nowhere, its folder is not
+        there, or the disk refuses.
     """
     require_replaceable_file(target, force=force)
     file = replaceable_file(target)
@@ -228,7 +249,7 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
     A report that was damaged does not list them: a folder with all files of a dive's result is one nevertheless.
     """
     try:
-        label = msgspec.json.decode((folder / COMPLETE).read_bytes(), type=_Label)
+        label = msgspec.json.decode(read_file(folder / COMPLETE), type=_Label)
     except (OSError, *NOT_JSON):
         label = _Label(tool={})
     if label.tool.get("name") == TOOL:

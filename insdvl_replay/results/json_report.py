@@ -1,9 +1,12 @@
 """The report: one result as data, saved as report.json, read back, and the source of everything that is shown."""
 
+import hashlib
 import platform
+import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
 import msgspec
@@ -63,6 +66,13 @@ def this_tool() -> Tool:
     return Tool(sources=sources_digest())
 
 
+class CodeFile(Struct, frozen=True):
+    """A file of the user's code that was run."""
+
+    file: str
+    sha256: str
+
+
 class Report(Struct, frozen=True):
     """The result of one replay."""
 
@@ -74,6 +84,7 @@ class Report(Struct, frozen=True):
     tables: Tables
     notes: Annotated[list[Note], Meta(description="what was dropped, assumed or found odd")]
     config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
+    code: Annotated[dict[str, CodeFile], Meta(description="the user's code that was run, by its word in aiding")] = {}
     files: Files = {}
 
 
@@ -97,7 +108,14 @@ def build_report(
         tables=_without_nan(tables, Tables),
         notes=list(notes),
         config=msgspec.to_builtins(config),
+        code={word: _code_file(word) for word in config.code},
     )
+
+
+def _code_file(word: str) -> CodeFile:
+    """Name the file from which a replay of this process has imported the code."""
+    file = getattr(sys.modules.get(word.partition(":")[0]), "__file__", None) or ""
+    return CodeFile(file, hashlib.sha256(Path(file).read_bytes()).hexdigest() if Path(file).is_file() else "")
 
 
 @cache

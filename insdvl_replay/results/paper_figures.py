@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -79,13 +80,15 @@ def draw_figure(kind: str, drawn: Drawn, path: Path, *, width_mm: float) -> None
                 else:
                     axis.set_visible(False)
             axes.flat[0].legend(frameon=False)
-            figure.savefig(path, dpi=300, metadata=_undated(path))
+            data = BytesIO()  # the writer of PDF loses the reason where a disk is full
+            figure.savefig(data, format=path.suffix[1:], dpi=300, metadata=_undated(path))
         except (RuntimeError, FileNotFoundError, OSError) as error:
             if path.suffix != ".pgf":
                 raise
             raise ConfigError("--format pgf needs LaTeX, which is not there", "--format pdf needs nothing") from error
         finally:
             plt.close(figure)
+    path.write_bytes(data.getvalue())
 
 
 def _undated(path: Path) -> dict[str, Any] | None:

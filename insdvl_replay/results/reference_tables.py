@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from insdvl_replay.core.quantities import NAMES
-from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.table_layout import Number, finite
 from insdvl_replay.core.track_rows import DriftRow, JumpRow, TrackFitRow
 from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.report.document import MISSING, Column, DisplayTable, decimal, number, row_label, table_of
@@ -14,6 +14,11 @@ NO_REFERENCE: Final = (
     "There is no reference: how far the filters are off, how fast they really converge, whether their errors are as "
     "large as they say, and whether they gain what they believe cannot be told."
 )
+SPECIFIED: Final = (
+    "Of distance: the final horizontal error. CEP50 and CEP95: half and 95 % of the horizontal errors of this run are "
+    "smaller. Without DVL: median drift over the windows of the outage test, by the withheld velocities."
+)
+"""What the numbers of the headline are."""
 _SIGN: Final = "\N{PLUS-MINUS SIGN}"
 _FEWEST_DIGITS, _MOST_DIGITS = 2, 5
 
@@ -37,6 +42,34 @@ def _with_sd(row: TrackFitRow) -> str:
     digits = next((n for n in range(_FEWEST_DIGITS, _MOST_DIGITS) if finite(row.fitted_sd) >= 10.0**-n), _FEWEST_DIGITS)
     sd = "" if row.fitted_sd is None else f" {_SIGN} {row.fitted_sd:.{digits}f}"
     return f"{finite(row.fitted):+.{digits}f}{sd}"
+
+
+def headline_table(report: Report, title: str = "", footnote: str = "") -> Iterator[DisplayTable]:
+    """Lay out what INS/DVL systems are specified by, a line for each filter: this run's own errors, where known."""
+    position = {row.filter: row for row in report.tables.drift if row.quantity == "position_h"}
+    outages = {(row.window_s, row.filter): row.drift_median_m for row in report.tables.coasting if row.windows}
+    tested = {window_s for window_s, _ in outages}
+    windows_s = [window_s for window_s in ("60", "120") if window_s in tested] or sorted(tested)[:1]
+    header = ["this run", *(("of distance", "CEP50", "CEP95", "end") if position else ())]
+    header += [f"{window_s} s{'' if i else ' without DVL'}" for i, window_s in enumerate(windows_s)]
+    rows = []
+    for name in (report.baseline, *report.filters):
+        row = position.get(name)
+        errors = [MISSING] * 4 if row is None else [_of_distance(row), *map(_metres, (row.p50, row.p95, row.final))]
+        drifts = [_metres(outages.get((window_s, name))) for window_s in windows_s]
+        rows.append((name, *(errors if position else ()), *drifts))
+    if len(header) > 1:
+        spare = tuple(range(len(header) - 1, 1, -1))
+        yield DisplayTable(title, tuple(header), f"l{'r' * (len(header) - 1)}", tuple(rows), footnote, spare=spare)
+
+
+def _of_distance(row: DriftRow) -> str:
+    known = row.final_of_distance_pct is not None
+    return f"{row.final_of_distance_pct:.2f} % of {row.distance_m:.0f} m" if known else MISSING
+
+
+def _metres(value: Number) -> str:
+    return MISSING if value is None else f"{value:.3g} m" if value < 1000.0 else f"{value:.0f} m"
 
 
 def reference_tables(report: Report) -> list[DisplayTable]:

@@ -11,7 +11,7 @@ from insdvl_replay import __version__
 from insdvl_replay.core.errors import ConfigError, Note, ResultError, looked_for
 from insdvl_replay.core.stored_report import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES
-from insdvl_replay.results.folder import COMPLETE, NOT_JSON
+from insdvl_replay.results.folder import COMPLETE, NOT_JSON, read_file
 
 _Kind = TypeVar("_Kind")
 
@@ -119,7 +119,7 @@ def _refuse(error: OSError) -> NoReturn:
 def _read_report(file: Path, kind: type[_Kind]) -> _Kind | None:
     """Read one report; None for that of a study."""
     try:
-        data = file.read_bytes()
+        data = read_file(file)
         label = msgspec.json.decode(data, type=_Label)
         if label.study is not None:
             return None

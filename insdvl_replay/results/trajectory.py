@@ -7,6 +7,7 @@ times, columns).
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from zipfile import BadZipFile
@@ -19,6 +20,7 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG, STATES
 from insdvl_replay.core.trajectory_columns import COLUMNS, GROUPS
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat
+from insdvl_replay.results.folder import read_file
 
 if TYPE_CHECKING:
     # Only their types are needed, and whoever reads a trajectory must not wait for the filters.
@@ -165,7 +167,7 @@ def write_trajectory(path: Path, trajectory: Trajectory) -> None:
 def read_trajectory(path: Path) -> Trajectory | None:
     """Read a trajectory; None if there is none, or what is there is none of this version."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        with np.load(BytesIO(read_file(path)), allow_pickle=False) as stored:
             if tuple(stored["columns"].tolist()) != COLUMNS:
                 return None
             curves = {name.removeprefix(_CURVE): stored[name] for name in stored.files if name.startswith(_CURVE)}

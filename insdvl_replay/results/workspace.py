@@ -1,16 +1,11 @@
-"""Hidden folders in which results are written aside, and what becomes of those of killed runs.
+"""Hidden folders in which results are written aside, and what becomes of those of killed runs."""
 
-A run holds a lock in its folder, which the system lets go when the run ends, however it ends: unlike the number of a
-process this is true for containers and for machines that share a disk. A folder whose lock is free is nobody's.
-"""
-
-import errno
-import fcntl
 import os
 import re
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -33,7 +28,7 @@ def replaceable_file(target: Path) -> Path | None:
     Raises
     ------
     ConfigError
-        A folder, a disk, or a link that leads nowhere.
+        A folder, a disk, a link that leads nowhere, or a name in a folder that is not there.
     """
     try:
         mode = target.stat().st_mode
@@ -41,6 +36,9 @@ def replaceable_file(target: Path) -> Path | None:
         if target.is_symlink():
             leads = target.readlink()
             raise ConfigError(f"{target}: is a link to {leads}, which is not there", f"rm {target}") from None
+        if not target.parent.is_dir():
+            folder = target.parent
+            raise ConfigError(f"{target}: there is no folder {folder}", f"mkdir -p {folder}") from None
         return target
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written: {error.strerror}", NAME_A_FILE) from error
@@ -69,15 +67,14 @@ def _descriptor(target: Path) -> int | None:
         target = folder / target.readlink()
 
 
-NEW: Final = "new"
+NEW: Final = "insdvl-replay.new"
 """What is written, inside a workspace."""
-OLD: Final = "old"
+OLD: Final = "insdvl-replay.old"
 """The older result, while the new one takes its place."""
-LOCK: Final = "insdvl-replay.lock"
 
 _WORKSPACE: Final = re.compile(r"\.(?P<target>.+)-[a-z0-9_]{8}", re.DOTALL)
-_NO_LOCKS: Final = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
-"""How a file system says that it knows no locks."""
+_LEFT_FOR_S: Final = 86_400.0
+"""What nobody has changed for a day was left by a killed run."""
 
 
 @contextmanager
@@ -90,12 +87,13 @@ def workspace_beside(target: Path) -> Iterator[Path]:
         made = [parent for parent in target.parents if not parent.exists()]
         target.parent.mkdir(parents=True, exist_ok=True)
         clear_leftovers(target.parent)
-        workspace, lock = _new_workspace(target)
+        workspace = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
         try:
             (workspace / NEW).mkdir()
             yield workspace
         finally:
-            _leave(workspace, target, lock)
+            _put_back(workspace, target)
+            shutil.rmtree(workspace, ignore_errors=True)
             for parent in made:
                 with suppress(OSError):  # no longer empty, or never made
                     parent.rmdir()
@@ -106,78 +104,23 @@ def workspace_beside(target: Path) -> Iterator[Path]:
 
 
 def clear_leftovers(folder: Path) -> None:
-    """Remove the workspaces of killed runs, and put back the older results that they had moved aside.
-
-    Parameters
-    ----------
-    folder : Path
-        In which results lie. Nothing that a living run holds is touched, nor what this program did not make.
-    """
+    """Put back the older results that killed runs had moved aside, and remove their workspaces after a day."""
     with suppress(OSError):  # it is not there, or may not be read
         for entry in list(os.scandir(folder)):
             match = _WORKSPACE.fullmatch(entry.name)
             if match and entry.is_dir(follow_symlinks=False):
-                _clear(Path(entry.path), folder / match["target"])
+                with suppress(OSError):
+                    _clear(Path(entry.path), folder / match["target"])
 
 
 def _clear(workspace: Path, target: Path) -> None:
-    with suppress(OSError):  # no lock in it, or one of somebody else
-        lock = _hold(workspace / LOCK, os.O_RDWR)
-        if lock is not None:
-            _leave(workspace, target, lock)
+    if {path.name for path in workspace.iterdir()} <= {NEW, OLD}:  # else it is somebody else's
+        _put_back(workspace, target)
+        if time.time() - workspace.stat().st_mtime > _LEFT_FOR_S:
+            shutil.rmtree(workspace, ignore_errors=True)
 
 
-def _new_workspace(target: Path) -> tuple[Path, int | None]:
-    """Make a workspace and hold its lock; None where the file system has no locks, and nobody clears it."""
-    while True:
-        workspace = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-        try:
-            lock = _hold(workspace / LOCK, os.O_RDWR | os.O_CREAT)
-        except OSError as error:
-            (workspace / LOCK).unlink(missing_ok=True)
-            if error.errno in _NO_LOCKS:
-                return workspace, None
-            workspace.rmdir()
-            raise
-        if lock is not None:  # else it was cleared before it was locked
-            return workspace, lock
-
-
-def _hold(path: Path, flags: int) -> int | None:
-    """Hold a lock until its descriptor is closed; None if somebody else does, or has removed its file."""
-    try:
-        lock = os.open(path, flags, 0o600)
-    except FileNotFoundError:
-        return None
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.path.samestat(os.fstat(lock), path.stat()):
-            return lock
-    except (BlockingIOError, FileNotFoundError):
-        pass
-    except OSError:
-        os.close(lock)
-        raise
-    os.close(lock)
-    return None
-
-
-def _leave(workspace: Path, target: Path, lock: int | None) -> None:
-    try:
-        _close(workspace, target)
-    finally:  # an interruption may come while it is removed
-        try:
-            _close(workspace, target)
-        finally:
-            if lock is not None:
-                os.close(lock)
-                with suppress(OSError):  # NFS keeps a removed file in its folder while somebody has it open
-                    workspace.rmdir()
-
-
-def _close(workspace: Path, target: Path) -> None:
-    """Put the older result back if nothing took its place, and remove the workspace, its lock last."""
+def _put_back(workspace: Path, target: Path) -> None:
+    """Put the older result back if nothing took its place."""
     if os.path.lexists(workspace / OLD) and not os.path.lexists(target):
         (workspace / OLD).rename(target)
-    for part in (NEW, OLD, "."):
-        shutil.rmtree(workspace / part, ignore_errors=True)

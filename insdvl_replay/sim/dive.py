@@ -35,7 +35,7 @@ from insdvl_replay.sim.sensor_errors import (
     beam_vectors_d,
 )
 from insdvl_replay.sim.sensors import SIMULATED, SensorErrors, add_sensor_errors
-from insdvl_replay.sim.trajectories import SCENARIOS, sine_and_cosine
+from insdvl_replay.sim.trajectories import SCENARIOS, Scenario, sine_and_cosine
 
 START_NS: Final = 1_704_067_200_000_000_000
 """Time of the first IMU sample of every dive, 2024-01-01T00:00:00Z."""
@@ -132,7 +132,7 @@ def late_and_long(dive: Dive, delay_s: float, scale: float) -> Dive:
 
 
 def exact_dive(
-    scenario: str,
+    scenario: str | Scenario,
     *,
     duration_s: float | None = None,
     imu_rate_hz: float = 100.0,
@@ -149,8 +149,8 @@ def exact_dive(
 
     Parameters
     ----------
-    scenario : str
-        A name in `trajectories.SCENARIOS`.
+    scenario : str or Scenario
+        A name in `trajectories.SCENARIOS`, or anything with the functions of a scenario.
     duration_s : float, optional
         Cuts the scenario, or lets the vehicle go straight on; left out: the scenario's own.
     imu_rate_hz, dvl_rate_hz, reference_rate_hz : float
@@ -173,7 +173,7 @@ def exact_dive(
     ConfigError
         Unknown scenario, or a number that cannot be.
     """
-    way = named("scenario", scenario, SCENARIOS)
+    way = named("scenario", scenario, SCENARIOS) if isinstance(scenario, str) else scenario
     end_s = way.duration_s if duration_s is None else duration_s
     check_duration(end_s)
     rates_hz = {"IMU": imu_rate_hz, "DVL": dvl_rate_hz, "reference": reference_rate_hz, **sensor_rates_hz}
@@ -190,7 +190,7 @@ def exact_dive(
     reference = _reference(trajectory, np.append(START_NS, ping_ns) if reference_at_pings else own_ns)
     unbiased = np.zeros_like(reference.velocity_n)
     return Dive(
-        name=scenario,
+        name=scenario if isinstance(scenario, str) else way.about,
         imu=_imu(trajectory, _grid_ns(0.0, imu_rate_hz, end_s)),
         dvl=_dvl(trajectory, ping_ns, lever_arm_m, mounting_rpy_deg, spans),
         reference=reference,

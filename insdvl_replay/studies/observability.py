@@ -245,14 +245,14 @@ def _nominal(dive: Dive, start: Prepared, earth_rate: bool) -> tuple[History, No
     timeline = prepared_timeline(replace(dive, reference=None), start)
     baseline = replace(start.filters[0], gate_probability=NO_GATE)
     nominal = run_one(baseline, start, timeline)
-    return nominal, nominal_pings(timeline, nominal, baseline.noise_density, earth_rate=earth_rate)
+    return nominal, nominal_pings(timeline, nominal, baseline.noise_density[: len(STATES)], earth_rate=earth_rate)
 
 
 def _measurements(start: Prepared, config: Config) -> dict[str, Measurement]:
     """Prepare each measurement alone."""
     prepared = {}
     for name, single in _single_aidings(config).items():
-        resolved = resolve_filter(name, single, config, from_beams=start.velocities.from_beams)
+        resolved = resolve_filter(name, single, config)
         (prepared[name],) = resolved.measurements(start.velocities, start.mounting, start.gaps)
     return prepared
 

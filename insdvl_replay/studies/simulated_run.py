@@ -72,7 +72,7 @@ def make_setup(
 
 def matched_errors(config: Config) -> tuple[ImuErrors, DvlErrors]:
     """Return sensor errors by the first filter's Q, R and initial uncertainty."""
-    baseline, sd = resolve_filters(config, from_beams=True)[0], initial_sd(config.initial)
+    baseline, sd = resolve_filters(config)[0], initial_sd(config.initial)
     imu_errors = ImuErrors(
         accel_bias_sd_mps2=sd[BA][0],
         gyro_bias_sd_radps=sd[BG][0],
@@ -95,7 +95,7 @@ def simulated_run(setup: MonteCarloSetup, seed: int) -> tuple[RunErrors, ...]:
     start_ns, end_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
     mounting = replace(dvl_mounting(config), scale=1.0)
     velocities = dvl_velocities(dive.dvl, mounting, config.dvl.max_beam_residual_mps or np.inf)
-    filters = resolve_filters(config, from_beams=velocities.from_beams)
+    filters = resolve_filters(config)
     alignment = Alignment(start_ns, drawn_start(setup, seed), ())
     sensors, _ = prepare_sensors(dive.sensors, config, alignment.start, start_ns, end_ns)
     start = Prepared(velocities, alignment, end_ns, NO_GAPS, mounting, filters, None, sensors, ())

@@ -2,7 +2,9 @@
 
 import csv
 import gc
+import hashlib
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -23,6 +25,7 @@ from msgspec.structs import replace
 from recorded_parts import write_part
 
 import insdvl_replay
+from insdvl_replay.batch import dive_paths
 from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest, plan_jobs, replay_into, replay_jobs
 from insdvl_replay.batch.known_results import known_reports
@@ -36,6 +39,7 @@ from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.results.json_report import decode_report, encode_report
 from insdvl_replay.sim.dive import simulate_dive
 
+pytestmark = pytest.mark.all_starts
 TOOL = [sys.executable, "-m", "insdvl_replay"]
 CLUSTER = """
 import sys
@@ -81,8 +85,9 @@ def run(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 def bytes_of(output: Path) -> dict[str, bytes]:
-    """Every file below a folder, without the one block that may differ."""
+    """Every file of a result, without the block that may differ. What a killed worker leaves is hidden."""
     files = {str(path.relative_to(output)): path.read_bytes() for path in output.rglob("*") if path.is_file()}
+    files = {name: data for name, data in files.items() if not name.startswith(".")}
     for name, data in files.items():
         if name.endswith("report.json"):
             files[name] = json.dumps({**json.loads(data), "tool": None}).encode()
@@ -248,17 +253,66 @@ class Down(OwnMeasurement):
 """
 
 
+@pytest.mark.nightly
 def test_code_of_ones_own_that_was_changed_is_run_again(archive: Path, tmp_path: Path) -> None:
     """The settings are the same, and what they name is not."""
     noise = {}
     for sd in (0.1, 0.2):
         (tmp_path / "mine.py").write_text(OWN.replace("SD", str(sd)))
         aiding = 'filters.mine.aiding=["velocity","mine:Down"]'
-        done = run(archive / "dive_1.mcap", "-o", "out", "--set", aiding, "--starts", "1", cwd=tmp_path)
+        done = run(archive / "dive_1.mcap", "-o", "out", "--set", aiding, "--starts", "1", "--allow-code", cwd=tmp_path)
         assert "wrote out/dive_1" in done.stderr
+        code = json.loads((tmp_path / "out" / "dive_1" / "report.json").read_text())["code"]
+        digest = hashlib.sha256((tmp_path / "mine.py").read_bytes()).hexdigest()
+        assert code == {"mine:Down": {"file": str(tmp_path / "mine.py"), "sha256": digest}}
         with (tmp_path / "out" / "dive_1" / "consistency.csv").open() as stream:
             (noise[sd],) = (float(row["mean_nis"]) for row in csv.DictReader(stream) if row["measurement"] == "down")
     assert noise[0.2] < 0.5 * noise[0.1]
+
+
+def test_one_bad_name_stops_no_archive(archive: Path, tmp_path: Path) -> None:
+    shutil.copy(archive / "dive_1.mcap", tmp_path / "dive.mcap")
+    (tmp_path / os.fsdecode(b"bad\xff.mcap")).touch()
+    (tmp_path / "locked").mkdir()
+    found = find_dives([str(tmp_path)])
+    assert [path.name.encode(errors="replace") for path in found] == [b"bad?.mcap", b"dive.mcap"]
+    assert run_command_line(["run", *map(str, found), "-o", str(tmp_path / "out"), "--starts", "1"]) == 3
+    assert (tmp_path / "out" / "dive" / "report.json").is_file()
+    assert "its name is not UTF-8" in (tmp_path / "out" / "summary.csv").read_text()
+
+
+def test_a_folder_that_may_not_be_read_is_a_dive_that_cannot(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scanned = os.scandir
+
+    def scandir(path: Path | str) -> Any:
+        if Path(path).name == "trip":
+            raise PermissionError(13, "Permission denied", str(path))
+        return scanned(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    assert tree / "trip" in find_dives(["."], tree)
+    assert tree / "trip" in find_dives(["**/*.mcap"], tree)
+
+
+@pytest.mark.parametrize("name", ["/proc/**", "/proc/**/*.mcap", "/proc", "/sys/**/x.bag"])
+def test_folders_without_files_are_not_walked_through(name: str) -> None:
+    with pytest.raises(ConfigError, match="no dive is found there"):
+        find_dives([name])
+
+
+@pytest.mark.parametrize("name", [".", "**/*.mcap"])
+def test_links_between_folders_end(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of eight folders leads to all: there are more ways through them than anybody can go."""
+    folders = [tmp_path / f"{number}" for number in range(8)]
+    for folder in folders:
+        folder.mkdir()
+        (folder / "dive.mcap").touch()
+        for other in folders:
+            (folder / f"to_{other.name}").symlink_to(other)
+    assert len(find_dives([name], tmp_path)) == len(folders)
+    monkeypatch.setattr(dive_paths, "_MOST_FOLDERS", 5)
+    with pytest.raises(ConfigError, match="there are more than 5 folders below it"):
+        find_dives([name], tmp_path)
 
 
 @pytest.mark.parametrize("name", ["*.bag", "none?.mcap", "empty", "empty.txt"])
@@ -440,6 +494,21 @@ def test_a_file_that_bears_an_overviews_name_is_left_alone(name: str, archive: P
     assert f"out/{name}: exists" in done.stderr
 
 
+@pytest.mark.parametrize("name", ["summary.csv", "evidence.csv", "index.html"])
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_no_link_or_pipe_that_bears_an_overviews_name_is_written_to(
+    name: str, kind: str, archive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    if kind == "link":
+        (tmp_path / name).symlink_to("thesis.tex")
+    else:
+        os.mkfifo(tmp_path / name)
+    assert run_command_line(["run", str(archive), "-o", str(tmp_path), "--force"]) == 2
+    assert f"{name}: is no file of its own, and is not replaced; hint: rm " in capsys.readouterr().err
+    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
 # --- Workers.
 
 
@@ -477,14 +546,14 @@ def test_processes_beside_each_other_take_one_core_each(monkeypatch: pytest.Monk
     assert dict(do_each(threads_with_numpy, [0, 1], local_workers(2))) == {0: 1, 1: 1}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_items_of_a_dead_worker_are_tried_again(tmp_path: Path) -> None:
     items = [tmp_path / name for name in ("a", "b", "c.deadly", "d", "e", "f")]
     outcomes = dict(do_each(die_at_first, items, local_workers(2)))
     assert outcomes == {place: item.name for place, item in enumerate(items)}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_only_the_item_that_kills_its_workers_is_lost() -> None:
     items = ["a", "b", "deadly", "c", "d", "e"]
     outcomes = dict(do_each(die_always, items, local_workers(2)))
@@ -492,6 +561,7 @@ def test_only_the_item_that_kills_its_workers_is_lost() -> None:
     assert outcomes == {place: item for place, item in enumerate(items) if item != "deadly"}
 
 
+@pytest.mark.nightly
 def test_a_dive_that_kills_its_workers_is_told_by_name(archive: Path, tmp_path: Path) -> None:
     class Deadly(Executor):
         def submit(self, *_: object) -> NoReturn:
@@ -510,7 +580,6 @@ def test_a_dive_that_kills_its_workers_is_told_by_name(archive: Path, tmp_path: 
     assert isinstance(second.result, LogError)
 
 
-@pytest.mark.slow
 def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_path: Path) -> None:
     done = run(archive, "-o", "out", "--jobs", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -520,7 +589,7 @@ def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_
     assert again.stdout == done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: Path) -> None:
     command = [*TOOL, "run", str(archive), "-o", "out", "--jobs", "2"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -532,7 +601,7 @@ def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: P
     assert bytes_of(tmp_path / "out") == bytes_of(results)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_interrupted_run_goes_on_where_it_stopped(archive: Path, results: Path, tmp_path: Path) -> None:
     command = [*TOOL, "run", str(archive), "-o", "out", "--jobs", "2"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -551,7 +620,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(archive: Path, results: Pat
     assert bytes_of(tmp_path / "out") == bytes_of(results)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_cluster_writes_the_bytes_of_one_process(
     archive: Path, results: Path, tmp_path: Path, cluster: tuple[str, subprocess.Popen[str]]
 ) -> None:
@@ -560,7 +629,7 @@ def test_a_cluster_writes_the_bytes_of_one_process(
     assert bytes_of(tmp_path / "out") == bytes_of(results)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_killed_worker_of_a_cluster_loses_nothing(
     archive: Path, results: Path, tmp_path: Path, cluster: tuple[str, subprocess.Popen[str]]
 ) -> None:
@@ -575,7 +644,7 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(
     assert bytes_of(tmp_path / "out") == bytes_of(results)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_cluster_that_is_not_there_is_an_error(archive: Path, tmp_path: Path) -> None:
     done = run(archive, "-o", "out", "--scheduler", "tcp://127.0.0.1:9", cwd=tmp_path)
     assert done.returncode == 2

@@ -1,7 +1,6 @@
 """Work whose parent, cluster or scheduler is gone comes to an end."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -13,7 +12,7 @@ import psutil
 import pytest
 
 from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_jobs
-from insdvl_replay.batch.workers import Pool, Workers, _InThisProcess, _signals_held
+from insdvl_replay.batch.workers import Pool, Workers, _InThisProcess
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import write_dive
@@ -44,7 +43,7 @@ asyncio.run(serve())
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     script = tmp_path / "parent.py"
     script.write_text(PARENT)
@@ -84,19 +83,7 @@ def started(log: Path, address: str, timeout_s: float) -> subprocess.Popen[str]:
     return subprocess.Popen(command, cwd=log.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def test_a_signal_waits_until_processes_are_started() -> None:
-    obeyed = []
-    before = signal.signal(signal.SIGTERM, lambda *_: obeyed.append("SIGTERM"))
-    try:
-        with _signals_held():
-            signal.raise_signal(signal.SIGTERM)
-            assert obeyed == []
-        assert obeyed == ["SIGTERM"]
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_cluster_without_workers_is_told(log: Path, scheduler: tuple[str, psutil.Process]) -> None:
     process = started(log, scheduler[0], 1.0)
     _, told = process.communicate(timeout=60)
@@ -107,7 +94,7 @@ def test_a_cluster_without_workers_is_told(log: Path, scheduler: tuple[str, psut
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("end", "sentence"), [("suspend", "does not answer"), ("kill", "cannot be reached")])
 def test_a_scheduler_that_goes_is_told(
     log: Path, scheduler: tuple[str, psutil.Process], end: str, sentence: str
@@ -125,7 +112,7 @@ def test_a_scheduler_that_goes_is_told(
     assert sentence in told
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_scheduler_that_never_answers_is_told(log: Path, scheduler: tuple[str, psutil.Process]) -> None:
     address, of_scheduler = scheduler
     of_scheduler.suspend()

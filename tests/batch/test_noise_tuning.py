@@ -23,6 +23,7 @@ from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 
+SNAPIR = tuple(Path(__file__).parents[2] / "examples" / name for name in ("snapir.toml", "paper_noise.toml"))
 TRUE = {"accel_white_mps_rts": 3e-3, "gyro_white_rad_rts": 2e-5, "beam_sd_mps": 0.006}
 WRONG = Config(
     noise=Noise(accel_white_mps_rts=0.05, gyro_white_rad_rts=1e-6),
@@ -62,7 +63,6 @@ def test_likelihood_is_that_of_normal_innovations() -> None:
     assert log_likelihood(innovations) == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.slow
 def test_fit_finds_the_noise_that_the_dive_was_made_with(dive: Dive) -> None:
     config, (note,) = with_tuned_baseline(dive, WRONG)
     tuned = config.filters["tuned"]
@@ -115,7 +115,7 @@ def warnings(notes: tuple[Note, ...]) -> list[Note]:
     return [note for note in notes if note.severity == "warning"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("preset", ["levy-klein", "own"])
 @pytest.mark.parametrize("grade", GRADES)
 def test_simulated_imus_are_fitted_within_their_class(grade: str, preset: str) -> None:
@@ -139,9 +139,9 @@ def test_what_a_wrong_lever_arm_does_is_not_called_noise_of_a_sensor(dive: Dive)
     assert "dvl.lever_arm_m" in note.hint
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(snapir: Path, tmp_path: Path) -> None:
-    config = load_config(file=Path(__file__).parents[2] / "examples" / "snapir.toml")
+    config = load_config(file=SNAPIR)
     for run in ("02", "05", "12"):
         replay = replay_with_tuned_baseline(snapir / f"snapir_{run}.mcap", config)
         rows = frame(replay.tables.consistency).set_index(["filter", "measurement"])
@@ -154,20 +154,20 @@ def test_control_makes_real_dives_consistent_and_its_settings_repeat_it(snapir: 
     assert frame(again.tables.consistency).equals(frame(replay.tables.consistency))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("wrong", "suspect"),
     [
         ((), ""),
         (("dvl.mounting_rpy_deg=[0.0, 0.0, 20.0]",), "gyro_white_rad_rts = "),
         (("dvl.lever_arm_m=[5.0, 0.0, 0.0]",), "gyro_white_rad_rts = "),
-        (("dvl.latency_s=0.5",), "accel_white_mps_rts = "),
+        (('dvl.latency_of_dives_s=[["snapir_02", 0.5]]',), "accel_white_mps_rts = "),
     ],
 )
 def test_wrong_geometry_of_a_real_dive_is_not_called_noise_of_a_sensor(
     snapir: Path, wrong: tuple[str, ...], suspect: str
 ) -> None:
-    config = load_config(file=Path(__file__).parents[2] / "examples" / "snapir.toml", overrides=wrong)
+    config = load_config(file=SNAPIR, overrides=wrong)
     notes = warnings(with_tuned_baseline(read_dive(snapir / "snapir_02.mcap", config), config)[1])
     assert [note.code for note in notes] == (["control_out_of_class"] if suspect else [])
     assert all(suspect in note.text for note in notes)

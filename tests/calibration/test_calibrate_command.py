@@ -156,8 +156,14 @@ main()
 """
 
 
-@pytest.mark.parametrize("where", ["fit.robust_cost", "output.toml_value", "figures.delay_profile"])
-@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "where",
+    [
+        "output.toml_value",
+        *(pytest.param(one, marks=pytest.mark.nightly) for one in ("fit.robust_cost", "figures.delay_profile")),
+    ],
+)
+@pytest.mark.parametrize("signal_", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
 def test_an_interruption_leaves_nothing(signal_: signal.Signals, where: str, dives: Path, tmp_path: Path) -> None:
     """While it is fitted, and while the page and the settings are made."""
     module, _, name = where.partition(".")

@@ -25,8 +25,10 @@ from scipy.stats import norm
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
 from insdvl_replay.calibration.certainty import certainty_of, mean_change, newey_west
+from insdvl_replay.calibration.considered import BEAM_ERRORS, beside_imu_errors
 from insdvl_replay.calibration.dives import AXES, held_out_row, likeliest_mounting, possible_axes, read_dive
-from insdvl_replay.calibration.fit import fit
+from insdvl_replay.calibration.fit import Fit, Linearised, Unknowns, fit
+from insdvl_replay.calibration.noise import UNSURE, FittedNoise, judged_noise, noise_of, relative_sds
 from insdvl_replay.calibration.output import calibration_toml
 from insdvl_replay.calibration.parameters import ALL_GROUPS, ARM, DELAY, MOUNTING, NAMES, PARAMETERS
 from insdvl_replay.cli import run_command_line
@@ -35,7 +37,7 @@ from insdvl_replay.core.dive_columns import DvlColumns
 from insdvl_replay.core.table_layout import finite
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
-from insdvl_replay.sim.dive import exact_dive
+from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
 
 MAKEFILE = Path(__file__).parents[2] / "Makefile"
@@ -43,6 +45,9 @@ SHARED = Path(__file__).parents[3] / "shared" / "data"
 SNAPIR = Path(__file__).parents[2] / "examples" / "snapir.toml"
 BLUEYE, UFMIL = SNAPIR.with_name("blueye_x3.toml"), SNAPIR.with_name("ufmil.toml")
 ALL = np.ones(len(NAMES), dtype=np.bool_)
+QUIET = load_config(
+    "fog", overrides=["noise.accel_white_mps_rts=1e-4", "noise.gyro_white_rad_rts=3e-7", "dvl.beam_sd_mps=0.0042"]
+)
 SEEDS = range(7000, 7020)
 
 
@@ -54,17 +59,18 @@ def status(found: Calibration) -> dict[str, Estimated]:
     return {row.parameter: row.status for row in found.rows}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("scenario", ["figure-eight", "calibration"])
 @pytest.mark.parametrize("beams", [DvlErrors(), WHITE], ids=["beams as makers say", "perfect beams"])
 def test_errors_are_as_large_as_is_said(beams: DvlErrors, scenario: str) -> None:
-    """Of what is proposed. Of perfect beams, whose errors would hide whether the noise is weighed rightly, the standard
-    deviations are those without what beams may be off by.
+    """Of what is proposed. The IMU has no errors of scale, and some beams have none: the standard deviations are those
+    without them, which would hide whether the noise is weighed rightly.
     """
     errors = []
     for seed in SEEDS:
         found = calibrated(built_in_otherwise(scenario, seed, beams))
-        sd = certainty_of(found.fit).sd if beams is WHITE else si([finite(row.sd) for row in found.rows])
+        of_beams = 0.0 if beams is WHITE else si([finite(row.beams_sd) for row in found.rows])
+        sd = np.hypot(certainty_of(found.fit).sd, of_beams)
         estimated = np.array([row.status == Estimated.ESTIMATED for row in found.rows])
         assert (found.change[~estimated] == 0.0).all()
         errors.append(np.where(estimated, found.change - TRUTH, np.nan) / sd)
@@ -81,7 +87,7 @@ def si(values: list[float]) -> np.ndarray:
     return np.array(values) / shown(np.ones(len(NAMES)))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("grade", ["fog", "tactical", "mems"])
 def test_noise_of_healthy_sensors_is_found(grade: str) -> None:
     """From the preset, whose noise is up to 50 times theirs; that of the gyros as far as these dives show it.
@@ -103,7 +109,9 @@ def test_a_straight_line_tells_no_noise_to_be_applied() -> None:
     held, alone = calibrated(straight, only=("arm", "noise")), calibrated(straight, only=("noise",))
     assert {row.status for row in held.noise_rows} == {Estimated.HELD}
     assert not held.proposes_noise
-    assert {row.status for row in alone.noise_rows} == {Estimated.ESTIMATED}
+    of_noise = {row.parameter: row for row in alone.noise_rows}
+    assert of_noise["beam_sd_mps"].status == Estimated.ESTIMATED
+    assert alone.proposes_noise
     assert alone.after == alone.before
 
 
@@ -113,10 +121,71 @@ def test_noise_that_the_baseline_has_of_its_own_is_not_proposed() -> None:
     found = calibrated(built_in_otherwise("calibration", 1, duration_s=150.0, config=config), only=("arm", "noise"))
     told = {row.parameter: row.status for row in found.noise_rows}
     assert told["gyro_white_rad_rts"] == Estimated.HELD
-    assert told["accel_white_mps_rts"] == Estimated.ESTIMATED
+    assert told["accel_white_mps_rts"] != Estimated.HELD
     assert "gyro_white_rad_rts =" not in calibration_toml(found, [0])
 
 
+def test_noise_of_a_dvl_alone_is_as_sure_as_so_many_normal_numbers_make_it() -> None:
+    """Beside an IMU that is far less noisy: the logarithm of a standard deviation has 1 / (2 n) as variance."""
+    dive = as_read(add_errors(exact_dive("static", duration_s=150.0), GRADES["fog"], WHITE, 1), QUIET).innovations()
+    before = noise_of(dive.filter)
+    sds = relative_sds(FittedNoise(before, before), [dive], [np.zeros(len(NAMES))])
+    assert sds[2] == pytest.approx((2.0 * 3.0 * dive.count) ** -0.5, rel=0.25)
+    assert sds[0] > UNSURE
+    assert sds[1] > UNSURE
+
+
+def test_slow_errors_that_explain_innovations_leave_noise_undetermined() -> None:
+    dive = as_read(add_errors(exact_dive("static", duration_s=60.0), GRADES["fog"], WHITE, 1), QUIET).innovations()
+    before = noise_of(dive.filter)
+    noise, none = FittedNoise(before, before), np.zeros(len(NAMES))
+    sure, unsure = (relative_sds(noise, [dive], [none], nis) for nis in (0.0, 30.0))
+    assert (unsure > sure).all()
+    _, rows = judged_noise(noise, [dive], [none], 30.0, QUIET)
+    told = {row.parameter: (row.status, row.after) for row in rows}
+    assert told["accel_white_mps_rts"] == (Estimated.NOT_DETERMINED, before["accel_white_mps_rts"])
+    assert told["beam_sd_mps"][0] == Estimated.ESTIMATED
+
+
+def test_noise_that_no_sensor_has_is_not_written() -> None:
+    """A DVL without noise."""
+    found = calibrated(as_read(exact_dive("calibration", duration_s=60.0)), only=("noise",))
+    assert Estimated.DOUBTFUL in {row.status for row in found.noise_rows}
+    assert not found.proposes_noise
+    assert all(row.after == row.before for row in found.noise_rows)
+    text = calibration_toml(found, [0])
+    assert "less than any" in text
+    assert not re.search("^(beam|velocity|accel|gyro)", text, re.MULTILINE)
+
+
+def test_a_derivative_that_looks_like_an_error_of_the_imu_keeps_what_its_prior_leaves() -> None:
+    """Of k rows with weights of 1 alike in both the information is k, beside the 1 of the prior."""
+    alike = np.ones((8, 3, 1))
+    effects = np.zeros((8, 3, BEAM_ERRORS + 18))
+    effects[:, :, BEAM_ERRORS : BEAM_ERRORS + 1] = alike
+    near = Linearised(np.zeros((8, 3)), np.ones(3), alike, alike)
+    fitted = Fit(Unknowns(1, one_delay=True, free=ALL), np.zeros(8), (near,))
+    (left,) = beside_imu_errors(fitted, [effects]).dives
+    np.testing.assert_allclose(left.by_motion, alike / (24.0 + 1.0))
+
+
+def test_errors_of_the_imu_count_in_the_standard_deviations() -> None:
+    """Scales of 1500 ppm and axes 1 mrad off."""
+    exact = exact_dive("calibration", duration_s=150.0, lever_arm_m=ARM_M)
+    off = np.eye(3) + np.array([[1.5e-3, 1e-3, -1e-3], [1e-3, -1.5e-3, 1e-3], [-1e-3, 1e-3, 1.5e-3]])
+    imu = replace(
+        exact.imu, specific_force_b=exact.imu.specific_force_b @ off.T, angular_rate_b=exact.imu.angular_rate_b @ off
+    )
+    dive = add_errors(replace(exact, imu=imu), GRADES["tactical"], DvlErrors(), 1)
+    found = calibrated(as_read(dive, load_config("tactical")), only=("arm", "delay", "noise"))
+    for row, truth in zip(found.rows[ARM], ARM_M, strict=True):
+        assert abs(finite(row.change) - truth) < 3.0 * finite(row.sd)
+        assert finite(row.sd) ** 2 >= finite(row.imu_sd) ** 2 + finite(row.formal_sd) ** 2
+    surer = certainty_of(found.fit).sd[ARM][1:]
+    assert (np.array([finite(row.sd) for row in found.rows[ARM][1:]]) > 1.2 * surer).all()
+
+
+@pytest.mark.nightly
 def test_wild_pings_do_not_make_the_noise_larger(eight: ReadDive) -> None:
     """The baseline's gate keeps them out; without it they would be the noise."""
     beams = eight.dive.dvl.beam_velocity_mps
@@ -149,14 +218,14 @@ def test_what_was_put_in_is_found(found: Calibration) -> None:
 
 
 def test_a_straight_line_moves_nothing_to_the_bit() -> None:
-    for seed in range(3):
-        held = calibrated(built_in_otherwise("straight", seed))
-        assert held.estimated == ()
-        assert held.after == held.before
-        assert not held.change.any()
-        assert set(status(held).values()) == {Estimated.HELD}
+    held = calibrated(built_in_otherwise("straight", 0))
+    assert held.estimated == ()
+    assert held.after == held.before
+    assert not held.change.any()
+    assert set(status(held).values()) == {Estimated.HELD}
 
 
+@pytest.mark.nightly
 def test_turns_alone_show_the_arm_in_their_plane_and_not_along_their_axis() -> None:
     found = calibrated(built_in_otherwise("lawnmower", 1), only=("arm",))
     assert status(found) == {
@@ -168,7 +237,7 @@ def test_turns_alone_show_the_arm_in_their_plane_and_not_along_their_axis() -> N
     assert found.after.lever_arm_m[2] == found.before.lever_arm_m[2]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_turns_alone_beside_errors_of_single_beams_err_as_much_as_is_said() -> None:
     """Beams that are off by 1 mm/s and 0.2 % say of a slow vehicle that its DVL is turned: that is held."""
     errors: dict[str, list[float]] = {}
@@ -195,6 +264,7 @@ def test_a_few_wild_pings_hardly_move_it(eight: ReadDive) -> None:
     assert moved.max() < 1.0, dict(zip(NAMES, moved, strict=True))
 
 
+@pytest.mark.nightly
 def test_several_dives_share_a_vehicle_and_each_has_its_delay(eight: ReadDive) -> None:
     other = built_in_otherwise("figure-eight", 4)
     later = replace(
@@ -213,6 +283,7 @@ def test_several_dives_share_a_vehicle_and_each_has_its_delay(eight: ReadDive) -
     assert calibrated(eight).rows[ARM.start].between_dives_sd is None
 
 
+@pytest.mark.nightly
 def test_a_dvl_turned_by_a_right_angle_is_found_or_refused_and_never_believed() -> None:
     turned = built_in_otherwise("figure-eight", 6, yaw_deg=90.0)
     astray = calibrated(turned)
@@ -227,7 +298,7 @@ def test_a_dvl_turned_by_a_right_angle_is_found_or_refused_and_never_believed() 
     assert found.after.lever_arm_m[:2] == pytest.approx(ARM_M[:2], abs=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_dive_that_hardly_rolls_does_not_lay_the_dvl_on_its_back() -> None:
     """Turned about its course by half a turn a DVL says the same of a vehicle that stays level, but for noise."""
     for seed in range(6000, 6005):
@@ -293,20 +364,19 @@ def test_parameters_have_groups_that_can_be_asked_for() -> None:
 # --- Real dives.
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_dives_of_snapir_tell_the_arm_that_others_confirm(snapir: Path) -> None:
     """From the arm of another point, 1.8 m off: four dives tell it, and four others confirm it.
 
-    The mounting is that of a fit with the noise of the preset, but for the pitch: that has 0.15 deg, and the noise of
-    the dives -0.03 deg, two of the sds that are said away.
+    The mounting is that of the example, within some of the sds that are said.
     """
     config = load_config("fog", SNAPIR, ["dvl.lever_arm_m=[-1.834,0,0.3]", "dvl.mounting_rpy_deg=[0,0,0]"])
     dives = {
         name: read_dive(snapir / f"snapir_{name}.mcap", config) for name in ("01", "02", "05", "08", "07", "09", "11")
     }
     found = calibrated(*(dives[name] for name in ("01", "02", "05", "08")))
-    assert found.after.lever_arm_m == pytest.approx((-0.071, -0.015, 0.205), abs=0.02)
-    assert found.after.mounting_rpy_deg == pytest.approx((-0.19, 0.15, -0.29), abs=0.2)
+    assert found.after.lever_arm_m == pytest.approx((-0.076, -0.011, 0.199), abs=0.02)
+    assert found.after.mounting_rpy_deg == pytest.approx((-0.12, 0.01, -0.27), abs=0.1)
     assert max(finite(row.birge) for row in found.rows if row.parameter.startswith("arm")) < 3.0
     others = [held_out_row(dives[name], found.change) for name in ("07", "09", "11")]
     for row in others:
@@ -315,7 +385,7 @@ def test_dives_of_snapir_tell_the_arm_that_others_confirm(snapir: Path) -> None:
     assert np.median(drifts[:, 0] / drifts[:, 1]) > 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("dive", ["auto_square", "gnss_challenging"])
 def test_dives_of_blueye_tell_the_documented_arm_and_how_late_it_is(blueye: Path, dive: str) -> None:
     """The arm of the vehicle's description, from an arm of zero and no delay."""
@@ -325,7 +395,7 @@ def test_dives_of_blueye_tell_the_documented_arm_and_how_late_it_is(blueye: Path
     assert 0.10 < found.after.latency_s < 0.16
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("dive", ["run_1", "run_2"])
 def test_dives_of_ufmil_tell_that_the_dvl_is_turned_by_a_right_angle(ufmil: Path, dive: str) -> None:
     config = load_config(file=UFMIL, overrides=["dvl.mounting_rpy_deg=[0,0,0]"])
@@ -338,7 +408,7 @@ def test_dives_of_ufmil_tell_that_the_dvl_is_turned_by_a_right_angle(ufmil: Path
     assert 0.06 < found.after.latency_s < 0.10
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("example", "dives"), [("snapir", "snapir"), ("blueye_x3", "blueye_x3"), ("ufmil", "ufmil")])
 def test_examples_are_what_their_target_makes(example: str, dives: str, tmp_path: Path) -> None:
     """As `make calibrated` does it, and near the numbers with which the examples are replayed."""
@@ -349,12 +419,18 @@ def test_examples_are_what_their_target_makes(example: str, dives: str, tmp_path
     assert unknown is not None
     (recipe,) = (recipe for recipe in recipes if f"-c examples/{example}.toml" in recipe)
     made = tmp_path / "made.toml"
-    recipe = recipe.replace("$(UNKNOWN)", unknown[1]).replace("$(DATA)", str(SHARED))
+    quiet = " ".join(f"$(DATA)/snapir/snapir_{run}.mcap" for run in ("01", "02", "05", "07", "08", "12"))
+    recipe = recipe.replace("$(UNKNOWN)", unknown[1]).replace("$(QUIET)", quiet).replace("$(DATA)", str(SHARED))
     recipe = recipe.replace(f"examples/calibrated/{example}.toml", str(made))
     recipe = recipe.replace("-c examples/", f"-c {SNAPIR.parent}/")
     assert run_command_line(shlex.split(recipe)) == 0
     kept = SNAPIR.parent / "calibrated" / f"{example}.toml"
     assert made.read_text("utf-8") == kept.read_text("utf-8")
-    calibrated_dvl, dvl = load_config(file=kept).dvl, load_config(file=SNAPIR.with_name(f"{example}.toml")).dvl
-    if any(dvl.lever_arm_m):
-        assert dvl.lever_arm_m == pytest.approx(calibrated_dvl.lever_arm_m, abs=0.04)
+    found, used = load_config(file=kept).dvl, load_config(file=SNAPIR.with_name(f"{example}.toml")).dvl
+    assert used.lever_arm_m == pytest.approx(found.lever_arm_m, abs=1e-3)
+    assert used.mounting_rpy_deg == pytest.approx(found.mounting_rpy_deg, abs=1e-3)
+    assert used.latency_s == pytest.approx(found.latency_s, abs=1e-3)
+    if example != "blueye_x3":  # its scale is the track's, its noise the stamps'
+        assert used.scale == pytest.approx(found.scale, abs=1e-4)
+        # All dives of the Snapir together are noisier than the six that tell its geometry.
+        assert (used.beam_sd_mps or 0.0) == pytest.approx(found.beam_sd_mps or 0.0, rel=0.15)

@@ -55,6 +55,7 @@ def test_pictures_show_what_the_tables_say(found: Calibration, dives: list[ReadD
         np.testing.assert_allclose((bars.y[::3] + bars.y[1::3]) / 2.0, values.y)
 
 
+@pytest.mark.nightly
 def test_one_dive_differs_from_none_and_many_are_not_all_drawn(found: Calibration, dives: list[ReadDive]) -> None:
     alone = calibrate([dives[0].innovations()], dives[0].config)
     assert [figure.title for figure in drawn(alone, dives[:1]).values()] == [
@@ -94,7 +95,7 @@ def test_a_page_is_written_and_never_over_another(tmp_path: Path, capsys: pytest
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dive.mcap", "found.html"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(PROGRAM is None, reason="needs Chromium (make extras)")
 def test_a_browser_shows_it_whole(found: Calibration, dives: list[ReadDive], tmp_path: Path) -> None:
     html = tmp_path / "page.html"

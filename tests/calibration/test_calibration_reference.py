@@ -98,7 +98,7 @@ def found() -> Calibration:
     return calibrated(beside("figure-eight", 1))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("velocity", [True, False])
 def test_errors_are_as_large_as_is_said(velocity: bool) -> None:
     """With velocities, and by positions alone, which see turns of the arm and the way.
@@ -119,6 +119,7 @@ def test_errors_are_as_large_as_is_said(velocity: bool) -> None:
     assert np.abs(in_the_mean).max() < 3.5, dict(zip(PUT_IN, in_the_mean, strict=True))
 
 
+@pytest.mark.nightly
 def test_perfect_sensors_show_what_was_put_in_although_the_start_is_the_references(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -211,6 +212,7 @@ def test_what_reference_and_baseline_differ_by_has_its_closed_form() -> None:
     assert np.abs(compared.values[compared.family == ATTITUDE]).max() < 1e-4
 
 
+@pytest.mark.nightly
 def test_dives_together_are_surer_and_their_scatter_is_told(found: Calibration) -> None:
     second = beside("figure-eight", 2)
     both, other = calibrated(beside("figure-eight", 1), second), calibrated(second)
@@ -235,6 +237,7 @@ def test_a_dependent_reference_is_doubted_and_none_is_an_error() -> None:
         calibrated(replace(read, as_read=None))
 
 
+@pytest.mark.nightly
 def test_a_clock_that_is_off_by_more_than_is_looked_for_is_not_proposed() -> None:
     read = beside("figure-eight", 2)
     assert read.as_read is not None

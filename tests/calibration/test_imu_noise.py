@@ -58,8 +58,18 @@ def errors_over_sds(found: Calibration, truth: np.ndarray) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("grade", GRADE_NAMES)
-@pytest.mark.parametrize("scenario", ["static", "straight"])
+@pytest.mark.parametrize(
+    ("scenario", "grade"),
+    [
+        ("straight", "tactical"),
+        *(
+            pytest.param(scenario, grade, marks=pytest.mark.nightly)
+            for scenario in ("static", "straight")
+            for grade in GRADE_NAMES
+            if (scenario, grade) != ("straight", "tactical")
+        ),
+    ],
+)
 def test_a_vehicle_that_does_not_turn_tells_neither_delay_nor_arm(scenario: str, grade: str) -> None:
     found = calibrated(as_configured(scenario, grade, 1, 200.0))
     assert not proposed(found)
@@ -96,7 +106,7 @@ def test_the_share_of_noise_is_known_of_a_vehicle_that_lies_still_and_of_quiet_s
     assert not shares[~seen].any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("grade", GRADE_NAMES)
 @pytest.mark.parametrize("scenario", ["static", "straight"])
 def test_no_such_dive_of_ten_does(scenario: str, grade: str) -> None:
@@ -118,7 +128,8 @@ def test_dives_that_lie_still_take_nothing_from_one_that_shows_how_the_dvl_is_bu
     ]
     dives = [read.innovations() for read in (moving, *still)]
     found = calibrate(dives, config)
-    assert {"mounting_z", "arm_x", "arm_y", "arm_z"} <= proposed(found)
+    # What the IMU's own scale and axes may do to the yaw is not known beside one that is ten times as noisy.
+    assert {"arm_x", "arm_y", "arm_z", *(["mounting_z"] if times == 1.0 else [])} <= proposed(found)
     assert np.nanmax(np.abs(errors_over_sds(found, BUILT_IN))) < 3.5
     assert not [doubt for doubt in found.doubts if "the dives differ" in doubt]
     assert [found.fit.of_dive(i)[DELAY] for i in (1, 2)] == [0.0, 0.0]
@@ -150,7 +161,7 @@ def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm() -> None:
     assert found.after.lever_arm_m[:2] == pytest.approx((0.3, -0.1), abs=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("grade", ["tactical", "mems"])
 @pytest.mark.parametrize(
     ("scenario", "duration_s"), [("figure-eight", None), ("calibration", None), ("lawnmower", 600.0)]

@@ -18,8 +18,8 @@ DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--starts K", "--format <table|json|csv|md|latex>", "--table NAME",
-        "--allow-damaged", "--one-dive", "--control", "--tum", "--history <csv|parquet>", "--strict", "--jobs N",
-        "--scheduler ADDR", "--scheduler-patience S",
+        "--allow-damaged", "--allow-code", "--one-dive", "--control", "--tum", "--history <csv|parquet>", "--strict",
+        "--jobs N", "--scheduler ADDR", "--scheduler-patience S",
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
     ],
     "compare": [
@@ -30,7 +30,7 @@ DOCUMENTED = {
     ],
     "check": [
         "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--preset NAME",
-        "--set KEY=VALUE", "--allow-damaged",
+        "--set KEY=VALUE", "--allow-damaged", "--allow-code",
         "--format <text|md|json|junit|github>", "--output FILE", "--summary-file FILE", "--only GATE",
         "--skip GATE", "--shard I/N", "--keep-histories", "--jobs N", "--scheduler ADDR", "--scheduler-patience S",
         "--rerun", "-v, --verbose", "-q, --quiet", "-h, --help",
@@ -43,8 +43,8 @@ DOCUMENTED = {
     "calibrate": [
         "LOG...", "-o, --output FILE", "--page FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
         "--only NAMES", "--reference", "--delays <each|one>", "--mounting <known|unknown>", "--hold-out SHARE|DIVE",
-        "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose",
-        "--color <auto|always|never>", "-h, --help",
+        "--format <table|json|csv|md|latex>", "--allow-damaged", "--allow-code", "--one-dive", "--force",
+        "-v, --verbose", "--color <auto|always|never>", "-h, --help",
     ],
     "figure": [
         "RESULT", "KIND", "-o, --output FILE", "--format <pdf|svg|png|pgf>", "--width MM", "--states NAMES", "--force",
@@ -81,11 +81,6 @@ disk.save_replay = save_half
 sys.argv = ["insdvl-replay", *sys.argv[1:]]
 main()
 """
-
-
-def tool(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from insdvl_replay.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -161,13 +156,14 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"insdvl-replay {__version__}\n"
 
 
+@pytest.mark.all_starts
 def test_run_writes_the_folder_and_keeps_results_apart_from_talk(result: tuple[Path, str, str]) -> None:
     folder, out, err = result
     for name in ("improvement.csv", "convergence.csv", "reference_error.csv", "consistency.csv", "report.json",
                  "replay.mcap", "config.toml", "run.log"):  # fmt: skip
         assert (folder / name).stat().st_size > 0, name
     assert re.match(
-        r"straight: [0-9]+ s, [0-9]+ velocities, 0 rejected, reference 5 Hz, 16 starts\n\naided against baseline: ", out
+        r"straight: [0-9]+ s, [0-9]+ velocities, 0 rejected, reference 5 Hz, 16 starts\nthis run +of distance ", out
     )
     assert out.endswith(f": -v   page: {folder}/report.html\n")
     assert "…" not in out
@@ -283,17 +279,24 @@ def test_strict_turns_warnings_into_exit_3_and_keeps_the_result(dive: Path, tmp_
     ],
 )
 def test_wrong_uses_end_with_a_code_a_reason_and_a_hint(
-    arguments: Sequence[str], code: int, reason: str, hint: str, dive: Path, tmp_path: Path
+    arguments: Sequence[str],
+    code: int,
+    reason: str,
+    hint: str,
+    dive: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "text.mcap").write_text("this is no log")
     (tmp_path / "taken" / "straight").mkdir(parents=True)
     (tmp_path / "taken" / "straight" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
     before = sorted(tmp_path.rglob("*"))
-    done = tool(*[dive if word == "DIVE" else word for word in arguments], cwd=tmp_path)
-    assert done.returncode == code, done.stderr
-    assert done.stdout == ""
-    assert "Traceback" not in done.stderr
-    (line,) = done.stderr.strip().split("\n")
+    assert run_command_line([str(dive) if word == "DIVE" else word for word in arguments]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.strip().split("\n")
     error, said = line.split("; hint: ")
     assert error.startswith("error: ")
     assert reason in error
@@ -342,8 +345,8 @@ main()
 """
 
 
-@pytest.mark.parametrize("signal_", ["SIGINT", "SIGTERM"])
-@pytest.mark.parametrize("module", ["cli.app", "cli.dives", "nav.filter"])
+@pytest.mark.parametrize("signal_", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("module", ["cli.app", pytest.param("cli.dives", marks=pytest.mark.nightly), "nav.filter"])
 @pytest.mark.parametrize("raised", ['raise SyntaxError("from inside the compiler")', "raise"])
 def test_an_import_that_fails_since_it_is_interrupted_is_an_interruption(
     module: str, signal_: str, raised: str, dive: Path, tmp_path: Path
@@ -378,7 +381,7 @@ def test_an_interruption_after_all_is_done_changes_nothing(signal_: str) -> None
     assert result.stdout == f"insdvl-replay {__version__}\n"
 
 
-@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("signal_", [pytest.param(signal.SIGINT, marks=pytest.mark.nightly), signal.SIGTERM])
 def test_an_interruption_leaves_nothing_half_written(signal_: signal.Signals, dive: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", WITH_STAND_IN, "run", str(dive), "-o", "out"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -452,7 +455,10 @@ def test_schema_prints_message_definitions(capsys: pytest.CaptureFixture[str]) -
         (">&- 2>&-", ""),
     ],
 )
-@pytest.mark.parametrize("command", ["--help", "config", "run {log} -o {out}"])
+@pytest.mark.parametrize(
+    "command",
+    ["--help", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("config", "run {log} -o {out}"))],
+)
 def test_streams_that_are_full_or_closed_end_the_speaking_but_not_the_work(
     command: str, redirection: str, reason: str, tmp_path: Path
 ) -> None:

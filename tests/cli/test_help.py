@@ -81,7 +81,7 @@ def test_every_command_has_two_examples_of_itself() -> None:
         assert len(own) >= 2, f"{name}: {text}"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "example"), EXAMPLES, ids=[line for _, line in EXAMPLES])
 def test_example_runs_as_it_stands(
     name: str, example: str, workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -105,11 +105,11 @@ def test_example_runs_as_it_stands(
     ("typed", "offered"),
     [
         ("insdvl-replay si", ["simulate"]),
-        ("insdvl-replay run --pre", ["--preset"]),
+        pytest.param("insdvl-replay run --pre", ["--preset"], marks=pytest.mark.nightly),
         ("insdvl-replay run --preset t", ["tactical"]),
-        ("insdvl-replay simulate s", ["straight", "static"]),
-        ("insdvl-replay simulate straight --imu f", ["fog"]),
-        ("insdvl-replay run --format m", ["md"]),
+        pytest.param("insdvl-replay simulate s", ["straight", "static"], marks=pytest.mark.nightly),
+        pytest.param("insdvl-replay simulate straight --imu f", ["fog"], marks=pytest.mark.nightly),
+        pytest.param("insdvl-replay run --format m", ["md"], marks=pytest.mark.nightly),
     ],
 )
 def test_the_shell_completes(typed: str, offered: list[str]) -> None:

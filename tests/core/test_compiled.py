@@ -12,6 +12,7 @@ from pathlib import Path
 import numba
 import pytest
 
+from insdvl_replay.cli.screen import compiling
 from insdvl_replay.core import compiled
 
 PROCESSES = 4
@@ -35,7 +36,7 @@ def test_what_is_inlined_divides_as_numpy_does_and_is_python_where_python_calls_
         ratio(1.0, 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_processes_that_start_at_once_compile_side_by_side_and_agree(tmp_path: Path) -> None:
     log = str(SAMPLES / "straight.mcap")
     runs = [started(tmp_path / "cache", "run", log, "-o", str(tmp_path / f"{i}")) for i in range(PROCESSES)]
@@ -48,7 +49,7 @@ def test_processes_that_start_at_once_compile_side_by_side_and_agree(tmp_path: P
     assert again.communicate()[0].startswith("was compiled already: ")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_compile_says_where_the_code_lies_and_how_long_it_took(tmp_path: Path) -> None:
     """Loops that go over the records of a log alone are not the filter."""
     started(tmp_path, "inspect", "--deep", str(SAMPLES / "straight.mcap")).communicate()
@@ -65,6 +66,21 @@ def test_compile_without_a_place_for_the_code_is_a_users_mistake(tmp_path: Path)
     assert process.returncode == 2
     assert "cannot be written" in errors
     assert "INSDVL_REPLAY_CACHE=" in errors
+
+
+def test_where_code_cannot_be_kept_a_run_warns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert compiling() == "" or "warning" not in capsys.readouterr().err
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("INSDVL_REPLAY_CACHE", str(tmp_path / "file"))
+    monkeypatch.setattr(compiled, "_FOLDER", compiled._cache_folder())
+    compiling()
+    said = capsys.readouterr().err
+    assert said.startswith(
+        f"warning: compiled code cannot be kept: {tmp_path}/file cannot be written. Each run compiles"
+    )
+    assert "INSDVL_REPLAY_CACHE=" in said
 
 
 def test_code_in_a_folder_that_cannot_be_written_is_used_from_a_copy(
@@ -116,19 +132,18 @@ def cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:50])
 
 
-def garble(path: Path) -> None:
-    data = bytearray(path.read_bytes())
-    data[-20] ^= 1
-    path.write_bytes(data)
-
-
 def empty(path: Path) -> None:
     path.write_bytes(b"")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("damage", [cut, garble, empty, Path.unlink])
-@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize(
+    ("which", "damage"),
+    [
+        (1, cut),
+        *(pytest.param(0, damage, marks=pytest.mark.nightly) for damage in (cut, empty, Path.unlink)),
+        *(pytest.param(1, damage, marks=pytest.mark.nightly) for damage in (empty, Path.unlink)),
+    ],
+)
 def test_damaged_code_is_compiled_again_and_mended(damage: Callable[[Path], None], which: int, tmp_path: Path) -> None:
     cache, script = tmp_path / "cache", tmp_path / "script.py"
     assert squares(cache, script)[0] == 0
@@ -139,7 +154,6 @@ def test_damaged_code_is_compiled_again_and_mended(damage: Callable[[Path], None
     assert squares(cache, script)[0] == 1
 
 
-@pytest.mark.slow
 def test_a_full_disk_costs_the_time_to_compile(tmp_path: Path) -> None:
     """No file can be larger than nothing."""
     script = tmp_path / "script.py"

@@ -217,7 +217,7 @@ def test_a_mistyped_word_is_told_the_nearest_one(tmp_path: Path) -> None:
         ("dvl.velocity_noise=0.01", "dvl.velocity_sd_mps"),  # by letters dvl.velocity_unit
         ("dvl.noise=0.01", "dvl.beam_sd_mps or dvl.velocity_sd_mps"),
         ("dvl.velocity_unti='m/s'", "dvl.velocity_unit"),
-        ("dvl.delay_s=0.1", "dvl.latency_s"),
+        ("dvl.delay_s=0.1", "dvl.latency_s or dvl.latency_of_dives_s"),
         ("imu.gyro_noise=1e-3", "noise.gyro_white_rad_rts"),
         ("dvl.starts=4", "evaluation.starts"),
         ("filters.aided.window=4", "filters.aided.acceleration.window"),

@@ -48,6 +48,7 @@ OF_MORE = {
 """Rows of filters with more states, or more sensors."""
 
 
+@pytest.mark.all_starts
 def test_a_replay_has_the_rows_that_its_layouts_name() -> None:
     """On 200 s there are windows of 30 s alone, and no two stretches of 300 s."""
     replay = replay_dive(simulate_dive("straight", seed=1, duration_s=200.0), Config())

@@ -11,8 +11,14 @@ from frames import frame
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import NINE, STATES
-from insdvl_replay.evaluation.believed import improvement_pct, improvement_table, mean_over_nine, unchanged_over_nine
-from insdvl_replay.evaluation.convergence import convergence_table, time_to_stay_below
+from insdvl_replay.evaluation.believed import (
+    improvement_pct,
+    improvement_table,
+    mean_over_nine,
+    nearest_over_nine,
+    unchanged_over_nine,
+)
+from insdvl_replay.evaluation.convergence import convergence_table, nearest_approach_s, time_to_stay_below
 
 SECOND = 1_000_000_000
 PAPER_S = 424
@@ -138,6 +144,7 @@ def test_convergence_counts_seconds_from_the_start() -> None:
     assert table.columns.tolist() == [
         "log", "filter", "state", "unit", "target_sd", "baseline_s", "reached_s", "improvement_pct", "status",
         "measured_target", "measured_baseline_s", "measured_s", "measured_status", "unchanged_s",
+        "nearest_approach_s", "nearest_approach_improvement_pct",
     ]  # fmt: skip
     for state in STATES:
         found = row(table, state.id)
@@ -169,6 +176,39 @@ def test_a_candidate_that_changes_nothing_is_as_much_sooner_as_the_baseline_itse
     assert [row.unchanged_s for row in rows] == pytest.approx([2.0] * len(rows))
     assert mean_over_nine(rows, "same") == unchanged_over_nine(rows, "same") == pytest.approx(50.0)
     assert mean_over_nine(rows, "aided") > unchanged_over_nine(rows, "aided") == pytest.approx(50.0)
+
+
+# --- The nearest approach.
+
+
+def test_nearest_approach_has_the_closed_form() -> None:
+    """A hyperbola a/t is nearest to b where it crosses it, at a/b; a hill below the target, where it is highest."""
+    time_s = np.linspace(0.0, 400.0, 4001)
+    falling = 500.0 / np.maximum(time_s, 0.1)
+    hill = 8.5 - 1e-5 * (time_s - 96.0) ** 2
+    assert nearest_approach_s(time_s, falling, 2.0) == pytest.approx(250.0, abs=1e-9)
+    assert nearest_approach_s(time_s, hill, 9.0) == pytest.approx(96.0, abs=1e-9)
+    assert time_to_stay_below(time_s, hill, 9.0)[1] == "at_start"
+
+
+def test_nearest_approach_passes_over_what_is_not_finite() -> None:
+    assert nearest_approach_s(np.arange(4.0), np.array([np.nan, np.inf, 4.0, 3.0]), 5.0) == 2.0
+    assert np.isnan(nearest_approach_s(np.arange(2.0), np.full(2, np.nan), 5.0))
+    assert np.isnan(nearest_approach_s(np.arange(2.0), np.ones(2), np.nan))
+
+
+def test_mean_of_the_nearest_approaches_is_over_the_nine_states() -> None:
+    """Each state passes the baseline's last value after its own number of the ten seconds; velocities are left out."""
+    times_s = np.arange(11.0)
+    baseline = history("baseline", np.linspace(3.0, 2.0, 11))
+    aided = np.repeat((12.0 - times_s)[:, None], 12, axis=1)
+    for k, state in enumerate(NINE):
+        aided[:, state.index] = 2.0 + np.abs(times_s - k)
+    rows = convergence_table("dive", (baseline, history("aided", aided), history("same", baseline.sd)))
+    found = {row.state: row for row in rows if row.filter == "aided"}
+    assert [found[state.id].nearest_approach_s for state in NINE] == list(range(9))
+    assert nearest_over_nine(rows, "aided") == pytest.approx(60.0)
+    assert nearest_over_nine(rows, "same") == pytest.approx(0.0, abs=1e-12)
 
 
 # --- The mean over nine states.

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.history import History, Innovations
@@ -16,6 +17,7 @@ from insdvl_replay.evaluation.coasting import (
     coasting_table,
     distance_along_m,
     drift_over_time,
+    outage_alarm,
 )
 from insdvl_replay.evaluation.coasting_windows import CoastingPlan, plan_coasting
 from insdvl_replay.evaluation.curves import coasting_curves
@@ -203,6 +205,31 @@ def test_rows_say_how_far_a_filter_drifts() -> None:
     assert np.isnan([row.ratio_to_baseline, row.ratio_low, row.ratio_high, row.windows_won_pct]).all()
     aided = rows["aided", "120"]
     assert (aided.ratio_to_baseline, aided.windows_won_pct) == (pytest.approx(0.5), 100.0)
+
+
+@pytest.mark.parametrize("dof", [3, 30])
+def test_alarm_is_rare_by_chance_and_sure_where_sigma_is_a_third_of_the_error(dof: int) -> None:
+    """Of consistent filters NIS per dof is chi-square; with a third of the true noise it is nine times that."""
+    rng, row = np.random.default_rng(11), rows_of(coasts_that_drift(baseline=0.001))["baseline", "60"]
+    nis_per_dof = rng.chisquare(dof, 3000) / dof
+
+    def rate(factor: float) -> float:
+        rows = (replace(row, windows=dof // 3, nis_per_dof=factor * size) for size in nis_per_dof)
+        return float(np.mean([bool(outage_alarm([one], ["baseline"])) for one in rows]))
+
+    assert rate(1.0) < 0.003
+    assert rate(9.0) > (0.99 if dof > 3 else 0.6)
+
+
+def test_alarm_names_both_filters_and_the_length_that_is_furthest_off() -> None:
+    rows = [
+        replace(row, nis_per_dof={"30": 1.1, "60": 8.94, "120": 6.0}[window_s] / (1.0 if name == "aided" else 8.0))
+        for (name, window_s), row in rows_of(coasts_that_drift(baseline=0.001, aided=0.001)).items()
+    ]
+    said = " NIS / dof after 60 s without DVL: baseline 1.12, aided 8.94, expected 1: raise [noise]."
+    assert outage_alarm(rows, ("baseline", "aided")) == said
+    assert not outage_alarm(rows, ("baseline",))
+    assert not outage_alarm([replace(row, nis_per_dof=None) for row in rows], ("baseline", "aided"))
 
 
 def test_filters_are_paired_by_window() -> None:

@@ -69,6 +69,17 @@ def test_error_that_stays_is_no_drift() -> None:
     assert not segment_drift(errors, time_segments(errors.time_ns)).horizontal_m.any()
 
 
+def test_correction_of_the_position_is_no_drift() -> None:
+    """Half of the error is taken out halfway; the positions of the vehicle move on as before."""
+    dead_reckoned = growing(400, (0.03, -0.04, 0.01))
+    corrected = dead_reckoned - np.where(np.arange(400)[:, None] < 200, 0.0, 0.5 * dead_reckoned[200])
+    errors = replace(errors_of(corrected), dead_reckoned_error_ned_m=dead_reckoned)
+    drift = segment_drift(errors, time_segments(errors.time_ns))
+    np.testing.assert_allclose(drift.horizontal_m, 3.0, atol=1e-9)
+    blind = errors.where_known(replace(errors, position_error_ned_m=np.where(corrected > 0.0, np.nan, corrected)))
+    np.testing.assert_array_equal(np.isnan(blind.drifting_ned_m), np.isnan(blind.position_error_ned_m))
+
+
 def test_random_walk_drifts_by_the_root_of_the_time() -> None:
     walk = np.cumsum(0.1 * np.random.default_rng(1).standard_normal((40_000, 3)), axis=0)
     drift = segment_drift(errors_of(walk), time_segments(errors_of(walk).time_ns))
@@ -207,6 +218,18 @@ def test_circles_of_a_normal_error_have_the_radii_of_rayleigh() -> None:
     assert row.rms == pytest.approx(2.0 * np.sqrt(2.0), rel=0.02)
     largest_m = np.hypot(position_m[:, 0], position_m[:, 1])
     assert (row.samples, row.worst, row.worst_from_s) == (20_000, largest_m.max(), float(np.argmax(largest_m) + 1))
+
+
+def test_final_error_is_in_percent_of_the_distance_travelled() -> None:
+    reference = going(400, np.array([0.0, 2.0, 0.0]))
+    steady = replace(errors_of(growing(400, (0.003, -0.004, 0.1))), distance_m=800.0)
+    rows = table(reference, baseline=steady, aided=replace(steady, distance_m=9.9))
+    row, moored = (row_of(rows, name, "position_h") for name in ("baseline", "aided"))
+    assert (row.final, row.distance_m) == (pytest.approx(2.0), 800.0)
+    assert row.final_of_distance_pct == pytest.approx(0.25)
+    assert moored.final == row.final
+    assert np.isnan(moored.final_of_distance_pct), "percent of less than 10 m says nothing"
+    assert np.isnan(row_of(rows, "baseline", "drift_60s").final_of_distance_pct)
 
 
 def test_each_filter_has_a_row_of_each_quantity_that_is_known() -> None:

@@ -84,6 +84,7 @@ def test_times_that_the_reference_lacks_are_left_out() -> None:
     assert measured_convergence(*squares, TIME_S).ratio == pytest.approx(every.ratio, rel=1e-3)
 
 
+@pytest.mark.nightly
 def test_interval_covers_the_ratio_of_all_starts() -> None:
     """Two ways to fall, each drawn for each start, and noise; squares that are as expected have the true ratio."""
     time_s, rng = np.arange(1.0, 401.0, 2.0), np.random.default_rng(5)

@@ -10,7 +10,7 @@ DIVES = 60
 LEAST = 0.85
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("preset", ["tactical", "mems"])
 def test_intervals_of_mean_nees_hold_the_truth(preset: str) -> None:
     dives = list(matched_dives(preset, DIVES))

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import t as student_t
+from scipy.stats import ttest_1samp
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.words import EvidenceWord
@@ -12,8 +14,10 @@ from insdvl_replay.evaluation.effective_samples import block_length, samples_in_
 from insdvl_replay.evaluation.paired_statistics import (
     NOTHING,
     RatioInterval,
+    dives_ratio,
     paired_ratio,
     ratio_beside_starts,
+    what_settles,
     windows_ratio,
     word_of,
 )
@@ -86,6 +90,7 @@ def test_block_length_keeps_to_its_bounds() -> None:
 # --- Paired losses.
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("rho", "n", "least"), [(0.0, 60, 0.92), (0.5, 120, 0.91), (0.9, 60, 0.87), (0.9, 300, 0.88), (0.9, 500, 0.89)]
 )
@@ -97,6 +102,7 @@ def test_interval_holds_what_is_true_about_as_often_as_it_says(rho: float, n: in
     assert least - 0.07 <= np.mean([interval.low90 <= 1.0 <= interval.high90 for interval in intervals]) <= 0.95
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("n", [73, 150])
 def test_interval_over_overlapping_segments_holds_what_is_true(n: int) -> None:
     pairs = zip(*segment_pairs(np.random.default_rng(6), 400, n, 12), strict=True)
@@ -196,6 +202,7 @@ def started(rng: np.random.Generator, runs: int, starts: int, n: int) -> tuple[F
     return (drawn[0] + drawn[1]) ** 2, (drawn[0] + drawn[2]) ** 2
 
 
+@pytest.mark.nightly
 def test_interval_over_drawn_starts_holds_what_is_true() -> None:
     pairs = zip(*started(np.random.default_rng(12), 300, 16, 60), strict=True)
     intervals = [paired_ratio(*pair) for pair in pairs]
@@ -212,6 +219,7 @@ def test_one_start_alone_is_the_same_with_and_without_an_axis() -> None:
 # --- Windows.
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("windows", "least"), [(6, 0.92), (10, 0.91), (19, 0.91), (20, 0.91), (60, 0.93)])
 def test_ratio_over_windows_holds_what_is_true(windows: int, least: float) -> None:
     """Of horizontal drifts, whose two components are normal."""
@@ -241,6 +249,8 @@ def test_windows_ratio_is_that_of_root_mean_squares() -> None:
 
 @dataclass(frozen=True)
 class Case:
+    """A ratio with the half width of its interval of 95 %, which is that of a normal distribution."""
+
     ratio: float
     half: float
     effective: float
@@ -253,6 +263,8 @@ class Case:
         Case(0.80, 0.10, 20.0, EvidenceWord.BETTER),
         Case(0.80, 0.10, 5.9, EvidenceWord.UNDECIDED),
         Case(0.80, 0.30, 20.0, EvidenceWord.UNDECIDED),
+        Case(0.80, 0.18, 20.0, EvidenceWord.UNDECIDED),
+        Case(0.13, 1.5, 20.0, EvidenceWord.BETTER),
         Case(0.90, 0.001, 20.0, EvidenceWord.BETTER),
         Case(0.97, 0.001, 20.0, EvidenceWord.EQUIVALENT),
         Case(0.96, 0.03, 20.0, EvidenceWord.UNDECIDED),
@@ -267,6 +279,83 @@ def test_word(case: Case) -> None:
     ratio, half = case.ratio, case.half
     ends = ratio * np.exp([-half, half, -0.8 * half, 0.8 * half])
     assert word_of(RatioInterval(ratio, *ends.tolist(), case.effective)) == case.word
+
+
+@pytest.mark.parametrize("freedom", [1.0, 5.0, 30.0, np.inf])
+def test_p_is_students_of_the_interval(freedom: float) -> None:
+    tails = student_t.ppf([0.975, 0.95], freedom) * 0.1
+    ends = 0.8 * np.exp([-tails[0], tails[0], -tails[1], tails[1]])
+    found = RatioInterval(0.8, *ends.tolist(), 20.0, freedom)
+    assert found.log_sd == pytest.approx(0.1, rel=1e-5)
+    assert found.p == pytest.approx(2.0 * student_t.sf(abs(np.log(0.8)) / 0.1, freedom), rel=1e-4)
+    assert np.isnan(NOTHING.p)
+
+
+# --- One stretch is one sample.
+
+
+def with_one_stretch(larger: float, share: float = 0.125) -> tuple[Floats, Floats]:
+    """Squared errors of equal filters, in a share of the dive so many times larger."""
+    baseline, candidate = (losses[0] for losses in alike_pairs(np.random.default_rng(19), 0.3, 1, 800))
+    sizes = np.ones(800)
+    sizes[400 : 400 + round(800 * share)] = larger
+    return sizes * baseline, sizes * candidate
+
+
+def test_errors_of_one_stretch_count_as_one_sample() -> None:
+    """Of eight sums 1, ..., 1, L Kish's number is (7 + L)^2 / (7 + L^2)."""
+    found = paired_ratio(*with_one_stretch(1000.0))
+    assert found.effective_samples == pytest.approx(1007.0**2 / (7.0 + 1000.0**2), rel=0.01)
+    assert found.stretch == 4
+    assert word_of(found._replace(ratio=0.5)) == EvidenceWord.UNDECIDED
+    even = paired_ratio(*with_one_stretch(1.0))
+    assert even.stretch is None
+    assert even.effective_samples > 50.0
+
+
+def test_errors_of_two_stretches_count_as_two_samples() -> None:
+    assert paired_ratio(*with_one_stretch(1000.0, 0.25)).effective_samples == pytest.approx(2.0, rel=0.05)
+    assert paired_ratio(*with_one_stretch(1000.0, 0.5)).stretch is None
+
+
+# --- Several dives.
+
+
+@pytest.mark.parametrize("dives", [2, 3, 8, 13])
+def test_interval_and_p_over_dives_are_those_of_scipy(dives: int) -> None:
+    log_ratios = np.random.default_rng(dives).normal(-0.3, 0.2, dives)
+    found, expected = dives_ratio(log_ratios), ttest_1samp(log_ratios, 0.0)
+    assert found.p == pytest.approx(expected.pvalue, rel=1e-9)
+    for ends, level in (((found.low, found.high), 0.95), ((found.low90, found.high90), 0.9)):
+        assert np.log(ends) == pytest.approx([*expected.confidence_interval(level)], rel=1e-9)
+    assert found.ratio == pytest.approx(np.exp(log_ratios.mean()))
+
+
+def test_three_dives_that_agree_are_the_fewest_that_decide() -> None:
+    log_ratios = np.log([0.70, 0.71, 0.72])
+    assert word_of(dives_ratio(log_ratios), 3) == EvidenceWord.BETTER
+    assert word_of(dives_ratio(-log_ratios), 3) == EvidenceWord.WORSE
+    assert word_of(dives_ratio(log_ratios[:2]), 3) == EvidenceWord.UNDECIDED
+    assert word_of(dives_ratio(np.log([0.5, 0.7, 0.9])), 3) == EvidenceWord.UNDECIDED
+
+
+def test_dives_without_a_number_are_left_out_and_equal_dives_are_equivalent() -> None:
+    log_ratios = np.array([-0.3, np.nan, -0.1, np.inf])
+    assert dives_ratio(log_ratios) == dives_ratio(log_ratios[[0, 2]])
+    equal = dives_ratio(np.zeros(8))
+    assert (equal.ratio, equal.low, equal.high, equal.p) == (1.0, 1.0, 1.0, 1.0)
+    assert word_of(equal, 3) == EvidenceWord.EQUIVALENT
+    one, none = dives_ratio(np.array([-0.3])), dives_ratio(np.array([np.nan]))
+    assert (one.ratio, one.effective_samples, none.effective_samples) == (np.exp(-0.3), 1.0, 0.0)
+    assert word_of(one, 3) == word_of(none, 3) == EvidenceWord.UNDECIDED
+
+
+def test_what_settles_is_the_number_of_dives_that_find_ten_percent() -> None:
+    """Ratios with a standard deviation of 0.12 over dives: (2.8 * 0.12 / ln 1.1)^2 is 12.4."""
+    logs = 0.12 * np.array([-1.0, 0.0, 1.0])
+    assert what_settles(dives_ratio(logs), 3) == "about 13 dives like these would settle 10 %"
+    assert what_settles(dives_ratio(0.1 * logs), 3) == "", "three are enough"
+    assert what_settles(NOTHING, 3) == ""
 
 
 def test_same_seed_draws_the_same() -> None:
@@ -288,6 +377,7 @@ def test_no_more_independent_values_than_the_interval_has_freedom() -> None:
 # --- One run beside runs from many starts.
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("scatter", [0.0, 0.3, 1.0])
 def test_one_run_among_those_of_drawn_starts_is_held_as_often_as_said(scatter: float) -> None:
     """Seventeen runs, alike but for what each start makes of its errors: which of them is the one is an accident.
@@ -312,3 +402,14 @@ def test_one_run_is_compared_in_the_mean_of_logarithms() -> None:
     width = np.log(2.0) * np.sqrt(1.0 + 1.0 / 3.0)
     assert np.log(interval.high / interval.ratio) == pytest.approx(4.303 * width, rel=0.02)
     assert ratio_beside_starts(np.vstack([base, base]), np.full(400, np.nan)) == NOTHING
+
+
+def test_interval_of_independent_pairs_is_students() -> None:
+    """To first order: a logarithm of a ratio scatters as the difference of what each loss is of its mean."""
+    n, rng = 400, np.random.default_rng(31)
+    baseline_sq, candidate_sq = rng.standard_normal((2, n)) ** 2
+    found = paired_ratio(baseline_sq, candidate_sq, is_correlated=False)
+    apart = 0.5 * (candidate_sq / candidate_sq.mean() - baseline_sq / baseline_sq.mean())
+    for ends, quantile in (((found.low, found.high), 0.975), ((found.low90, found.high90), 0.95)):
+        expected = student_t.isf(1.0 - quantile, n - 1) * apart.std(ddof=1) / np.sqrt(n)
+        assert 0.5 * np.log(ends[1] / ends[0]) == pytest.approx(expected, rel=0.1)

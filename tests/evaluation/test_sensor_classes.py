@@ -79,6 +79,8 @@ def test_classes_stand_best_first_and_bear_the_keys_of_a_filter() -> None:
         ("velocity_sd_mps", 0.09, 0.0, ""),
         ("beam_sd_mps", 0.11, 0.0, "more than any DVLs have (0.1)"),
         (GYRO, 2e-4, np.nan, ""),
+        ("beam_sd_mps", 8.92e-6, 0.0, "less than any DVLs have (0.0003)"),
+        (ACCEL, 1.3e-6, 1e-3, "less than any accelerometers have (1e-05)"),
     ],
 )
 def test_noise_beyond_its_sensor(key: str, noise: float, scatter: float, expected: str) -> None:

@@ -149,8 +149,9 @@ def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(unsound: str, wo
 def test_sentence_holds_the_numbers_that_it_was_judged_by() -> None:
     sentence = judged(["worse"], 40.0, (1.75, 1.5, 2.0), of_aided="over-confident", honesty="worse").verdict
     assert sentence.startswith(
-        "aided is WORSE than baseline: drift in 30 s 75.0 % larger (2 m, now 3.5 m; 95 %: +50.0 to +100.0 %); "
-        "and it is less honest. It believes in 40.0 % smaller errors, and that is NOT borne out. "
+        "aided is WORSE than baseline: drift in 30 s 75.0 % larger (this dive: 2 m, now 3.5 m; "
+        "95 % on this dive: +50.0 to +100.0 %); and it is less honest. It believes in 40.0 % smaller errors, and that "
+        "is NOT borne out. "
     )
 
 

@@ -504,7 +504,7 @@ def test_table_is_printed_with_settings_that_can_be_copied(unknown: Path, capsys
     assert inspect_log(unknown, load_config()).configuration.rstrip("\n") in out
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_two_million_messages_are_surveyed_in_a_second(tmp_path: Path) -> None:
     count = 2_000_000
     time_ns = np.arange(count, dtype=np.int64) * 2_500_000

@@ -50,7 +50,7 @@ def word(report: Path) -> str:
 @pytest.mark.parametrize(
     ("name", "typed_in", "mounting_rpy_deg"),
     [
-        ("blueye_x3/auto_square.mcap", (), (0.0, 0.0, 0.0)),
+        pytest.param("blueye_x3/auto_square.mcap", (), (0.0, 0.0, 0.0), marks=pytest.mark.nightly),
         ("ufmil/run_1.mcap", ("--set", "initial.latitude_deg=29.65"), (0.0, 0.0, 90.0)),
     ],
 )
@@ -73,6 +73,7 @@ def real(name: str) -> Path:
     return DATA / name
 
 
+@pytest.mark.nightly
 def test_numbers_are_near_those_that_a_person_found(tmp_path: Path) -> None:
     config = loaded(real("blueye_x3/auto_square.mcap"), tmp_path)
     by_hand = load_config(file=Path(__file__).parents[2] / "examples/blueye_x3.toml")
@@ -81,6 +82,7 @@ def test_numbers_are_near_those_that_a_person_found(tmp_path: Path) -> None:
     assert config.initial.heading_deg == "fit"
 
 
+@pytest.mark.nightly
 def test_unit_and_scale_of_an_imu_that_is_wrong_are_found_and_another_one_is_preferred(tmp_path: Path) -> None:
     """Its gyros show 1 / 1.6645 of the truth, and its accelerometers m/s^2 where the type says g."""
     log = real("blueye_x3/grid_gyro_scale_wrong.mcap")
@@ -93,7 +95,7 @@ def test_unit_and_scale_of_an_imu_that_is_wrong_are_found_and_another_one_is_pre
 # --- Simulated ones, of which the truth is known.
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "put_in", [(), ("--lever-arm", "0.3,-0.1,0.2", "--mounting", "0,0,1.5", "--dvl-delay", "0.12")]
 )
@@ -131,7 +133,16 @@ def turned_dvl(dive: Dive, rpy_deg: tuple[float, float, float]) -> Dive:
     return replace(dive, dvl=replace(dive.dvl, velocity_d=velocity_d))
 
 
-@pytest.mark.parametrize("rpy_deg", [(0.0, 0.0, 90.0), (0.0, 0.0, -90.0), (180.0, 0.0, 90.0), (0.0, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    "rpy_deg",
+    [
+        (0.0, 0.0, 90.0),
+        *(
+            pytest.param(one, marks=pytest.mark.nightly)
+            for one in ((0.0, 0.0, -90.0), (180.0, 0.0, 90.0), (0.0, 0.0, 0.0))
+        ),
+    ],
+)
 def test_mounting_is_told_by_the_innovations(
     rpy_deg: tuple[float, float, float], turning: Dive, tmp_path: Path
 ) -> None:
@@ -166,7 +177,13 @@ def test_axes_units_and_mounting_are_found_together(turning: Dive, tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    "write", [unknown_logs.nested_cdr, unknown_logs.bare_json, unknown_logs.nameless_json, unknown_logs.protobuf]
+    "write",
+    [
+        unknown_logs.nested_cdr,
+        unknown_logs.nameless_json,
+        pytest.param(unknown_logs.bare_json, marks=pytest.mark.nightly),
+        pytest.param(unknown_logs.protobuf, marks=pytest.mark.nightly),
+    ],
 )
 def test_file_is_readable_even_where_the_log_is_not(
     write: Callable[[Path, Dive], None], turning: Dive, tmp_path: Path
@@ -198,6 +215,7 @@ def positions_alone(dive: Dive) -> Dive:
     return replace(dive, reference=replace(dive.reference, **nothing))
 
 
+@pytest.mark.nightly
 def test_heading_at_the_start_is_that_under_which_the_tracks_agree(tmp_path: Path) -> None:
     """A reference of positions alone, and a vehicle that starts neither north nor along an axis."""
     log = tmp_path / "log.mcap"

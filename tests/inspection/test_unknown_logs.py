@@ -18,6 +18,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.tables import Tables
 from insdvl_replay.inspection.survey import inspect_log
+from insdvl_replay.inspection.topic_probe import Candidate
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.encoding.fields import check_path
 from insdvl_replay.replay import replay_log
@@ -191,3 +192,12 @@ def test_of_many_fields_those_named_alike_are_listed() -> None:
         check_path("gyro", known, "acme/msg/Imu")
     assert "the nearest one is 'gyro_rate'" in raised.value.hint
     assert "gyro_rate (float64) and 77 more" in raised.value.hint
+
+
+@pytest.mark.parametrize(
+    ("size", "unit"), [(9.8, "m/s2"), (1.01, "g"), (990.0, "mg"), (3.0, ""), (0.0, "")], ids=lambda value: str(value)
+)
+def test_a_vector_of_the_size_of_gravity_has_a_unit(size: float, unit: str) -> None:
+    median = np.array([0.0, 0.0, -size])
+    assert Candidate("a", median, size, size).force_unit == unit
+    assert Candidate("a[*]", median, size, size).force_unit == "", "beams"

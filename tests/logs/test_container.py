@@ -107,6 +107,22 @@ def test_records_of_other_kinds_are_passed_over_and_said(path: Path) -> None:
     assert [note.code for note in log.notes] == ["unknown_records"]
 
 
+def test_records_of_other_kinds_between_messages_make_no_chunks(path: Path) -> None:
+    data = small_log("no chunks, no checksums")
+    foreign, header_end = b"\xf0" + (4).to_bytes(8, "little") + b"mine", 8 + 9 + int.from_bytes(data[9:17], "little")
+    parts, place = [data[:header_end]], header_end
+    while data[place] != 0x0F:
+        stop = place + 9 + int.from_bytes(data[place + 1 : place + 9], "little")
+        parts += [data[place:stop], foreign]
+        place = stop
+    path.write_bytes(_without_summary(b"".join(parts) + data[place:]))
+    log = open_recording(path)
+    assert set(messages(log)) == true_messages()
+    assert [note.count for note in log.notes] == [len(parts) // 2]
+    (part,) = log.parts
+    assert len(part._index.chunks) < 5  # type: ignore[attr-defined]
+
+
 def _without_summary(data: bytes) -> bytes:
     """Leave the summary out, whose places are no longer right."""
     start = data.rindex(b"\x0f" + (4).to_bytes(8, "little")) + 13

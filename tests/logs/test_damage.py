@@ -434,7 +434,7 @@ def forget_peak() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seed", "count"), [(1, 140), *(pytest.param(seed, 620, marks=pytest.mark.slow) for seed in (2, 3, 4))]
+    ("seed", "count"), [(1, 140), *(pytest.param(seed, 620, marks=pytest.mark.nightly) for seed in (2, 3, 4))]
 )
 def test_no_mutation_brings_a_traceback_a_hang_or_silent_change(seed: int, count: int, tmp_path: Path) -> None:
     rng, path = np.random.default_rng(seed), tmp_path / "dive.mcap"

@@ -109,6 +109,15 @@ def test_unknown_path_names_the_nearest_field(path: str) -> None:
         columns(random_messages(2), "label")
 
 
+def test_a_reader_of_other_fields_looks_at_no_message_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    block = block_of([b'{"a": 1, "b": {"c": [2, 3]}}', b'{"a": 4, "b": {"c": [5, 6]}}'])
+    first = JsonReader("", b"", ())
+    first.columns(block)
+    monkeypatch.setattr(JsonReader, "learn", None)
+    assert first.of(["b.c[1]"]).columns(block)["b.c[1]"].tolist() == [[3], [6]]
+    assert first.of(["a"]).columns(block)["a"].tolist() == [[1], [4]]
+
+
 def test_what_is_no_json_is_refused() -> None:
     with pytest.raises(LogError, match=r"a message of 10 bytes is neither JSON nor JSON5") as raised:
         columns([b'{"v": 1 2}'], "v")

@@ -331,10 +331,11 @@ OWN_WAY = ("snapir_11", "snapir_12")
 """Dives whose reference does not go as far by its velocity as by its positions."""
 
 
+@pytest.mark.nightly
 @needs_data
 @pytest.mark.parametrize(
     "name",
-    ["snapir_01", *(pytest.param(f"snapir_{run:02d}", marks=pytest.mark.slow) for run in (2, 5, 7, 8, 9, 11, 12))],
+    ["snapir_01", *(pytest.param(f"snapir_{run:02d}", marks=pytest.mark.nightly) for run in (2, 5, 7, 8, 9, 11, 12))],
 )
 def test_real_dive_agrees_with_the_official_decoder(name: str) -> None:
     path = DATA / "snapir" / f"{name}.mcap"

@@ -19,6 +19,8 @@ from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 LOGS = sorted(path for path in DATA.rglob("*.mcap") if not {"mcap_conformance", "ros1"} & set(path.parts))
+ONE_OF_EACH = ("snapir_01", "run_1", "car_left_back_json", "no_messages", "evo_nav2_turtlebot")
+"""A log of each encoding and program."""
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the real logs in ../shared/data are not here")
 
@@ -65,8 +67,13 @@ def compare(block: Block, columns: Columns, decode: Callable[[bytes], Any], ever
     return compared
 
 
-@pytest.mark.parametrize("every", [pytest.param(5, marks=pytest.mark.slow, id="many"), pytest.param(97, id="few")])
-@pytest.mark.parametrize("path", LOGS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    ("path", "every"),
+    [
+        *(pytest.param(path, 5, marks=pytest.mark.nightly, id=f"{path.stem}-many") for path in LOGS),
+        *(pytest.param(path, 197, id=f"{path.stem}-few") for path in LOGS if path.stem in ONE_OF_EACH),
+    ],
+)
 def test_fields_equal_those_of_the_official_decoders(path: Path, every: int) -> None:
     log = open_recording(path)
     compared = 0

@@ -232,7 +232,7 @@ LIKE = message(0, 1, 0, b"")
 
 
 @pytest.mark.parametrize("inside", [bytes(1), SMALL, LIKE], ids=["zeros", "others", "alike"])
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_small_bag_cannot_ask_for_much(inside: bytes, tmp_path: Path) -> None:
     """Chunks that bz2 packs ten thousand times; together they open to no more than a log of their size may hold."""
     one = chunk(inside * ((16 << 20) // len(inside)), "bz2")

@@ -16,7 +16,8 @@ TYPES = sorted(file.stem for file in (PACKAGE / "msg").glob("*.msg"))
 TABLES = {
     "ImprovementRow": "log,filter,state,unit,baseline_sd,sd,improvement_pct,status",
     "ConvergenceRow": "log,filter,state,unit,target_sd,baseline_s,reached_s,improvement_pct,status,"
-    "measured_target,measured_baseline_s,measured_s,measured_status,unchanged_s",
+    "measured_target,measured_baseline_s,measured_s,measured_status,unchanged_s,"
+    "nearest_approach_s,nearest_approach_improvement_pct",
     "ReferenceErrorRow": "log,filter,quantity,unit,baseline_rmse,rmse,improvement_pct,baseline_final,final,samples,"
     "status",
     "ConsistencyRow": "log,filter,measurement,dof,used,rejected,mean_nis,low,high,verdict,autocorrelation,"
@@ -24,7 +25,7 @@ TABLES = {
     "CredibilityRow": "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,"
     "effective_samples,why",
     "EvidenceRow": "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,"
-    "word",
+    "word,p,why",
     "CoastingRow": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
     "end_velocity_mps,vertical_median_m,ratio_to_baseline,ratio_low,ratio_high,windows_won_pct,nis_per_dof",
 }

@@ -1,5 +1,6 @@
 """Solutions of the vehicle's own, as rosbags writes their messages and as TUM files hold them."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +9,14 @@ import pytest
 from rosbag_messages import START_NS, header, imu_messages, write_log, xyz
 from scipy.spatial.transform import Rotation
 
+from insdvl_replay.core import config_file
 from insdvl_replay.core.config import Clocks, Config, Filter
+from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.config_navigation import Solution
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns
-from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.columns import tum as tum_file
 from insdvl_replay.logs.columns.tables import Sampled
 from insdvl_replay.logs.columns.tum import read_tum
 
@@ -217,7 +221,10 @@ def test_a_tum_file_keeps_every_nanosecond_and_is_sorted(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("1.0 2 3", "line 2 is no pose: '1.0 2 3'"),
+        ("1.0 2 3", "line 2 is no pose: it needs 8 numbers"),
+        ("secret", "line 2 is no pose: it needs 8 numbers"),
+        ("1e99999999 0 0 0 0 0 0 1", "line 2 is no pose"),
+        ("inf 0 0 0 0 0 0 1", "line 2 is no pose"),
         ("1.0 0 0 0 0 0 zero 1", "line 2 is no pose"),
         ("nan 0 0 0 0 0 0 1", "line 2 is no pose"),
         ("1e30 0 0 0 0 0 0 1", "line 2 is no pose"),
@@ -229,6 +236,32 @@ def test_a_line_that_is_no_pose_is_told_with_its_number(line: str, message: str,
         read_tum(file, Solution(file=str(file)), "filters.b.solution")
     assert message in caught.value.message
     assert "time x y z" in caught.value.hint
+
+
+def test_a_file_without_a_number_is_refused(tmp_path: Path) -> None:
+    file = tum(tmp_path, "1.0 nan nan nan nan nan nan nan", "2.0 nan nan nan nan nan nan nan")
+    with pytest.raises(LogError, match="has no number in any of its 2 poses"):
+        read_tum(file, Solution(file=str(file)), "filters.b.solution")
+
+
+@pytest.mark.parametrize("kind", ["device", "pipe", "folder", "large"])
+def test_a_solution_is_a_regular_file_of_some_size(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device has no end, and a named pipe is waited for."""
+    file = tmp_path / "solution.tum"
+    if kind == "device":
+        file.symlink_to("/dev/zero")
+    elif kind == "pipe":
+        os.mkfifo(file)
+    elif kind == "folder":
+        file.mkdir()
+    else:
+        file.write_text("0.5 0 0 0 0 0 0 1\n")
+        monkeypatch.setattr(tum_file, "MOST_BYTES", 10)
+        monkeypatch.setattr(config_file, "MOST_BYTES", 10)
+    with pytest.raises(LogError, match="cannot be read: "):
+        read_tum(file, Solution(file=str(file)), "filters.b.solution")
+    with pytest.raises(ConfigError, match="cannot be read: "):
+        load_config(overrides=[f"filters.b.solution={str(file)!r}"])
 
 
 def test_a_file_without_poses_or_that_has_changed_is_refused(tmp_path: Path) -> None:

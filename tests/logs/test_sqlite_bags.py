@@ -242,6 +242,7 @@ def test_an_sqlite_file_is_known_by_its_bytes_not_by_its_name(part: Path, whole:
     assert not isinstance(raised.value, UnusableFileError)
 
 
+@pytest.mark.nightly
 def test_real_dives_give_the_columns_of_their_mcap(snapir: Path, tmp_path: Path) -> None:
     log = snapir / "snapir_05.mcap"
     expected = read_dive(log, Config())

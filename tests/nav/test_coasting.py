@@ -16,6 +16,8 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.evaluation.coasting import Coast, coast_of
 from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.nav.coasting import coast, restart
+from insdvl_replay.nav.dvl import DvlBeams
+from insdvl_replay.nav.dvl_measurements import beam_measurements
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.timeline import Timeline
@@ -143,6 +145,7 @@ def test_heading_shows_by_the_earths_rate_alone(flight: Flight) -> None:
     assert drift_m < 0.2 * 2.0 * T * angle, "a fifth of what it does to the position"
 
 
+@pytest.mark.nightly
 def test_white_noise_of_the_accelerometers_walks(flight: Flight) -> None:
     density, rng = 1e-3, np.random.default_rng(1)
     expected_m = density * np.sqrt(T**3 / 3.0)
@@ -158,6 +161,7 @@ def test_white_noise_of_the_accelerometers_walks(flight: Flight) -> None:
     assert np.sqrt(np.mean(drifts_n**2)) == pytest.approx(expected_m, rel=0.02)
 
 
+@pytest.mark.nightly
 def test_noise_of_the_dvl_that_measures_is_the_floor(flight: Flight) -> None:
     sd_mps, rng = 0.005, np.random.default_rng(2)
     expected_m = sd_mps * np.sqrt(T / DVL_HZ)
@@ -248,22 +252,27 @@ def test_gravity_is_taken_where_the_filter_took_it_after_an_outage() -> None:
     assert_same_coast(dive, config, 1000.0, 60.0)
 
 
-def test_any_beam_holds_the_height_as_a_velocity_does(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also the fifth of a DVL, after an outage of all of them."""
+@pytest.mark.parametrize("holds_height", [True, False])
+def test_what_measures_the_velocity_down_holds_the_height(
+    flight: Flight, monkeypatch: pytest.MonkeyPatch, holds_height: bool
+) -> None:
+    """After an outage its height has drifted; without a measurement of it nothing says by how much."""
     monkeypatch.setattr("insdvl_replay.nav.coasting.HOLD_AFTER_S", 10.0)
     rising = replace(flight.history, position=flight.history.position + np.arange(len(flight.history.time_ns))[:, None])
     (velocity,) = flight.history.innovations
     velocity = replace(
         velocity,
         used=velocity.used & ((velocity.time_ns < flight.ping_ns[10]) | (velocity.time_ns > flight.ping_ns[50])),
+        holds_height=holds_height,
     )
-    heights_m = [
-        restart(replace(rising, innovations=(replace(velocity, measurement=name),)), int(flight.ping_ns[TO])).position[
-            2
-        ]
-        for name in ("velocity", "beam_5")
-    ]
-    assert heights_m[0] == heights_m[1] < rising.position[np.searchsorted(rising.time_ns, flight.ping_ns[TO]), 2]
+    height_m = restart(replace(rising, innovations=(velocity,)), int(flight.ping_ns[TO])).position[2]
+    own_m = rising.position[np.searchsorted(rising.time_ns, flight.ping_ns[TO]), 2]
+    assert (height_m < own_m) == holds_height
+
+
+def test_every_beam_holds_the_height() -> None:
+    beams = DvlBeams(np.arange(3), np.ones((3, 5)), np.eye(3)[[0, 1, 2, 2, 2]])
+    assert [one.holds_height for one in beam_measurements(beams, 0.01, np.inf, 0)] == [True] * 5
 
 
 def test_history_without_p_cannot_be_gone_on_from(flight: Flight) -> None:
@@ -274,7 +283,7 @@ def test_history_without_p_cannot_be_gone_on_from(flight: Flight) -> None:
 # What NIS says
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nis_of_the_last_withheld_ping_is_that_of_a_filter_that_knows_its_noise() -> None:
     """Windows of one dive share its biases; of many dives, sums of NIS are chi-square."""
     noise = Noise(accel_white_mps_rts=5e-3, gyro_white_rad_rts=4.4e-5)
@@ -286,7 +295,7 @@ def test_nis_of_the_last_withheld_ping_is_that_of_a_filter_that_knows_its_noise(
         start = prepare_dive(dive, config)
         timeline, plan = prepared_timeline(dive, start), coasting_plan(start)
         histories = run_filters(start, timeline, cov_ns=plan.start_ns)
-        runs = coasting_of(start, timeline, histories, plan).runs["baseline"]
+        runs = coasting_of(dive, config, start, timeline, histories, plan).runs["baseline"]
         nis.append(runs[-1].nis[-1])
     low, high = chi2.ppf([0.005, 0.995], 3 * len(nis)) / (3 * len(nis))
     assert low < np.mean(nis) / 3.0 < high
@@ -294,12 +303,13 @@ def test_nis_of_the_last_withheld_ping_is_that_of_a_filter_that_knows_its_noise(
 
 def test_windows_on_a_long_dive_run_in_threads_and_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     dive = simulate_dive("figure-eight", seed=4, duration_s=230.0, imu_rate_hz=20.0)
-    start = prepare_dive(dive, Config())
+    config = Config()
+    start = prepare_dive(dive, config)
     timeline, plan = prepared_timeline(dive, start), coasting_plan(start)
     histories = run_filters(start, timeline, cov_ns=plan.start_ns)
-    in_turn = coasting_of(start, timeline, histories, plan)
+    in_turn = coasting_of(dive, config, start, timeline, histories, plan)
     monkeypatch.setattr("insdvl_replay.preparation.running.WORTH_A_THREAD", 0)
-    threaded = coasting_of(start, timeline, histories, plan)
+    threaded = coasting_of(dive, config, start, timeline, histories, plan)
     assert list(threaded.runs) == [filter_.name for filter_ in start.filters]
     for name, runs in in_turn.runs.items():
         for one, other in zip(runs, threaded.runs[name], strict=True):

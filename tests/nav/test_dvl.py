@@ -173,8 +173,8 @@ def test_dvl_that_reports_velocities_is_taken_at_its_word() -> None:
     solved = dvl_velocities(DvlColumns(SECOND * np.arange(3), velocity_d=velocity_d), DvlMounting(mat_bd=turn))
     assert solved.time_ns.tolist() == [0, 2 * SECOND]
     np.testing.assert_allclose(solved.velocity_b, np.tile([0.3, 1.2, 0.1], (2, 1)), atol=1e-15)
-    np.testing.assert_allclose(solved.unit_cov_b, np.tile(np.eye(3), (2, 1, 1)), atol=1e-15)
-    assert not solved.from_beams
+    janus = np.diag([2.0, 2.0, 1.0 / 3.0])  # at 30 deg, which is turned about its own axis
+    np.testing.assert_allclose(solved.unit_cov_b, np.tile(janus, (2, 1, 1)), atol=1e-14)
     assert solved.beams_used.tolist() == [0, 0]
     assert solved.pings_without_velocity == 1
 

@@ -133,6 +133,7 @@ def test_twice_as_many_readings_say_the_same() -> None:
         np.testing.assert_allclose(after.velocity_n, before.velocity_n, rtol=0.0, atol=1e-4)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("imu_rate_hz", [50.0, 100.0, 200.0, 400.0])
 def test_every_usual_rate_is_replayed_and_more_pings_say_more(imu_rate_hz: float) -> None:
     replays = [

@@ -111,29 +111,34 @@ def mean_interval(dof: int, count: int) -> tuple[float, float]:
     return float(tails.ppf(0.025)) / count, float(tails.ppf(0.975)) / count
 
 
+@pytest.mark.nightly
 def test_baseline_is_as_good_as_it_says(consistency: Consistency) -> None:
     low, high = mean_interval(12, RUNS)
     assert (consistency.nees["baseline"] > low).all()
     assert (consistency.nees["baseline"] < high).all()
 
 
+@pytest.mark.nightly
 def test_baselines_innovations_are_as_large_as_it_says(consistency: Consistency) -> None:
     low, high = mean_interval(3, consistency.pings)
     assert low < consistency.nis["baseline"] < high
 
 
+@pytest.mark.nightly
 def test_published_acceleration_makes_the_filter_believe_too_much(consistency: Consistency) -> None:
     _, high = mean_interval(12, RUNS)
     assert (consistency.nees["published"] > 3.0 * high).all(), "white noise of one sample taken for the window's"
     assert consistency.nees["published"][2:].min() > 100.0 * high, "in a turn it leaves out w x v"
 
 
+@pytest.mark.nightly
 def test_windowed_acceleration_believes_too_much_for_using_velocities_twice(consistency: Consistency) -> None:
     _, high = mean_interval(12, RUNS)
     assert (consistency.nees["windowed"] > high).all()
     assert (consistency.nees["windowed"] < 3.0 * high).all()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("preset", "start_s", "end_s", "end_of_dive_s", "highest"),
     [
@@ -170,6 +175,7 @@ def replace_filters(config: Config, filters: dict[str, Filter]) -> Config:
     return msgspec.structs.replace(config, filters=filters)
 
 
+@pytest.mark.nightly
 def test_heading_is_as_sure_as_it_says_where_corrections_are_as_large_as_the_velocity() -> None:
     """The paper's noise moves a lawnmower's 0.17 m/s by as much between two pings, and a correction moves it back."""
     config = Config(filters={"baseline": Filter(aiding=("velocity",))})

@@ -7,6 +7,7 @@ from inspect import isfunction
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.history import History
@@ -28,6 +29,7 @@ def save(path: Path) -> None:
     np.savez(path, **columns)
 
 
+@pytest.mark.nightly
 def test_plain_python_gives_what_the_compiled_filter_gives(tmp_path: Path) -> None:
     path = tmp_path / "uncompiled.npz"
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}

@@ -174,6 +174,7 @@ def test_error_through_an_unseen_turn_stays_inside_three_sigma(turning: Dive) ->
     assert sigmas["blind"] > 20.0
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("pings_too", [False, True])
 def test_hour_without_an_imu_is_never_confident(pings_too: bool) -> None:
     """Of a vehicle that all but drifts, as the settings say."""

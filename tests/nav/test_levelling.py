@@ -59,7 +59,7 @@ def exact(motion: str, **options: float) -> Dive:
 
 def levelled(dive: Dive, config: Config) -> Alignment:
     velocities = dvl_velocities(dive.dvl)
-    noise = resolve_filters(config, from_beams=velocities.from_beams)[0].sensor_noise(velocities)
+    noise = resolve_filters(config)[0].sensor_noise(velocities)
     end_ns = int(dive.imu.time_ns[-1])
     return align(dive.imu, velocities, noise, None, config.initial, np.array(ARM), START_NS, end_ns)
 
@@ -150,6 +150,7 @@ def test_known_biases_do_not_tilt_the_level() -> None:
 # --- As uncertain as it says.
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("preset", ["fog", "mems"])
 def test_levels_scatter_as_they_say(motion: str, preset: str) -> None:
@@ -252,6 +253,7 @@ def test_note_tells_the_level_and_its_uncertainty() -> None:
 ARMS = ["dvl.lever_arm_m=[-0.071,-0.015,0.205]", "reference.lever_arm_m=[1.763,0.018,0.111]"]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("run", ["07", "09"])
 def test_real_dives_are_levelled_as_their_reference_is_wherever_they_are_started(snapir: Path, run: str) -> None:
     """In turns and on straight legs: the mean force alone errs by 1.2 and 4 deg in the mean square."""
@@ -282,6 +284,7 @@ def test_matrix_of_a_rotation_vector_is_its_exponential(vector: tuple[float, flo
     )
 
 
+@pytest.mark.nightly
 def test_filter_is_nearly_as_sure_as_it_says_after_a_levelled_start() -> None:
     """The window's pings make the level and aid the filter again: it is somewhat too sure at first, not by much."""
     config = load_config("fog", overrides=["initial.source='level'", "initial.heading_deg=30"])

@@ -128,7 +128,7 @@ class Ins:
 def test_windowed_prediction_is_the_slope_of_what_the_ins_adds_and_its_jacobian_holds_over_a_window() -> None:
     times_s = np.array([0.0, 0.01, 0.025, 0.03])
     velocities = DvlVelocities(
-        np.round(times_s * 1e9).astype(np.int64), np.zeros((4, 3)), np.tile(np.eye(3), (4, 1, 1)), np.eye(3), False,
+        np.round(times_s * 1e9).astype(np.int64), np.zeros((4, 3)), np.tile(np.eye(3), (4, 1, 1)), np.eye(3),
         np.zeros(4, dtype=np.int64), np.full(4, np.nan), 0, 0,
     )  # fmt: skip
     windowed = acceleration_measurement(
@@ -162,7 +162,7 @@ def test_velocity_noise_is_isotropic_with_all_beams_and_worse_with_three() -> No
     beams = np.zeros((2, 4))
     beams[1, 2] = np.nan
     velocity, shape, residual = solve_beams(beams, vectors)
-    velocities = DvlVelocities(np.arange(2), velocity, shape, shape[0], True, np.array([4, 3]), residual, 0, 0)
+    velocities = DvlVelocities(np.arange(2), velocity, shape, shape[0], np.array([4, 3]), residual, 0, 0)
     full, three = velocity_cov(velocities, 0.02)
     np.testing.assert_allclose(full, 0.02**2 * np.eye(3), atol=1e-12)
     assert (np.linalg.eigvalsh(three) >= 0.02**2 * (1 - 1e-9)).all()
@@ -172,7 +172,7 @@ def test_velocity_noise_is_isotropic_with_all_beams_and_worse_with_three() -> No
 def test_acceleration_noise_comes_from_the_dvl_and_the_accelerometer() -> None:
     m, s, white = 6, 0.01, 0.002
     velocities = DvlVelocities(
-        np.arange(m) * 1_000_000_000, np.zeros((m, 3)), np.tile(np.eye(3), (m, 1, 1)), np.eye(3), False,
+        np.arange(m) * 1_000_000_000, np.zeros((m, 3)), np.tile(np.eye(3), (m, 1, 1)), np.eye(3),
         np.zeros(m, dtype=np.int64), np.full(m, np.nan), 0, 0,
     )  # fmt: skip
     made = acceleration_measurement(

@@ -19,8 +19,8 @@ POSITION = (0.57, 0.6, -20.0)
 VELOCITY_N = np.array([0.9, -0.4, 0.1])
 MAT_NB = Rotation.from_euler("ZYX", [2.0, -0.3, 0.25]).as_matrix()
 ARM_B = np.array([-1.8, -0.3, 0.2])
-LAYOUT, STATES = layout_of(("position", "dvl_scale", "dvl_yaw")), 17
-SCALE, YAW = 0.03, 0.2
+LAYOUT, STATES = layout_of(("position", "dvl_scale", "dvl_yaw", "heading_bias")), 18
+SCALE, YAW, BIAS = 0.03, 0.2, 0.1
 
 
 def ins_off_by(dx: Floats) -> InsAtPing:
@@ -39,7 +39,7 @@ def ins_off_by(dx: Floats) -> InsAtPing:
         (0.0, 0.0, 0.0),
         place,
         (0.0, 0.0, 0.0),
-        np.array([SCALE, YAW]) - dx[15:],
+        np.array([SCALE, YAW, BIAS]) - dx[15:],
     )
 
 
@@ -96,7 +96,7 @@ def test_jacobian_of_a_velocity_whose_scale_and_yaw_are_estimated() -> None:
 
 
 def test_headings_on_both_sides_of_south_are_near_each_other() -> None:
-    z, _ = linearised(HEADING, np.array([2.0 - 2.0 * np.pi + 0.01]), np.zeros(STATES))
+    z, _ = linearised(HEADING, np.array([2.0 - 2.0 * np.pi + BIAS + 0.01]), np.zeros(STATES))
     assert z[0] == pytest.approx(-0.01, abs=1e-9)
 
 

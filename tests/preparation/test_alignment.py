@@ -45,7 +45,7 @@ def aligned(
     lever_arm_m: Vector = (0.0, 0.0, 0.0),
 ) -> Alignment:
     velocities, config = dvl_velocities(dive.dvl), Config()
-    noise = resolve_filters(config, from_beams=velocities.from_beams)[0].sensor_noise(velocities)
+    noise = resolve_filters(config)[0].sensor_noise(velocities)
     start_ns, end_ns = START_NS + round(start_s * SECOND), int(dive.imu.time_ns[-1])
     return align(dive.imu, velocities, noise, reference, initial, np.array(lever_arm_m), start_ns, end_ns)
 

@@ -190,6 +190,7 @@ def test_a_heading_in_numbers_goes_before_that_of_the_sensor() -> None:
     assert (north_deg, east_deg, down_deg) == pytest.approx((SD_DEG, SD_DEG, 0.1))
 
 
+@pytest.mark.nightly
 def test_a_start_is_off_by_what_it_says() -> None:
     """The squares of 200 starts' three misalignments over their variances: their mean is 1 within 4 of its sd."""
     squares = []

@@ -9,7 +9,8 @@ import pytest
 from insdvl_replay.batch.noise_tuning import with_tuned_baseline
 from insdvl_replay.core.config import Config, Dvl, Filter, Noise
 from insdvl_replay.core.dive_columns import Dive
-from insdvl_replay.geometry.beams import DvlMounting
+from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.beams import DvlMounting, beam_vectors
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
 from insdvl_replay.replay import replay_dive
@@ -18,19 +19,19 @@ from insdvl_replay.studies.simulated_run import matched_errors
 
 BEAM, VELOCITY = "beam_sd_mps", "velocity_sd_mps"
 
-# What [dvl] names, what the filter names, and what holds with beams and without, by the digits of each value:
-# 1 and 2 stand in [dvl], 3 and 4 in the filter.
+# What [dvl] names, what the filter names, and what holds. The digits say where a value is from: 1 and 2 are [dvl]'s, 3
+# and 4 the filter's.
 TABLE = [
-    ({VELOCITY: 0.1}, {}, (VELOCITY, 0.1), (VELOCITY, 0.1)),
-    ({VELOCITY: 0.1}, {VELOCITY: 0.3}, (VELOCITY, 0.3), (VELOCITY, 0.3)),
-    ({VELOCITY: 0.1}, {BEAM: 0.4}, (BEAM, 0.4), (VELOCITY, 0.1)),
-    ({VELOCITY: 0.1}, {VELOCITY: 0.3, BEAM: 0.4}, (BEAM, 0.4), (VELOCITY, 0.3)),
-    ({VELOCITY: 0.1, BEAM: 0.2}, {}, (BEAM, 0.2), (VELOCITY, 0.1)),
-    ({VELOCITY: 0.1, BEAM: 0.2}, {VELOCITY: 0.3}, (VELOCITY, 0.3), (VELOCITY, 0.3)),
-    ({VELOCITY: 0.1, BEAM: 0.2}, {BEAM: 0.4}, (BEAM, 0.4), (VELOCITY, 0.1)),
-    ({VELOCITY: 0.1, BEAM: 0.2}, {VELOCITY: 0.3, BEAM: 0.4}, (BEAM, 0.4), (VELOCITY, 0.3)),
+    ({VELOCITY: 0.1}, {}, (VELOCITY, 0.1)),
+    ({VELOCITY: 0.1}, {VELOCITY: 0.3}, (VELOCITY, 0.3)),
+    ({VELOCITY: 0.1}, {BEAM: 0.4}, (BEAM, 0.4)),
+    ({VELOCITY: 0.1}, {VELOCITY: 0.3, BEAM: 0.4}, (BEAM, 0.4)),
+    ({VELOCITY: 0.1, BEAM: 0.2}, {}, (BEAM, 0.2)),
+    ({VELOCITY: 0.1, BEAM: 0.2}, {VELOCITY: 0.3}, (VELOCITY, 0.3)),
+    ({VELOCITY: 0.1, BEAM: 0.2}, {BEAM: 0.4}, (BEAM, 0.4)),
+    ({VELOCITY: 0.1, BEAM: 0.2}, {VELOCITY: 0.3, BEAM: 0.4}, (BEAM, 0.4)),
 ]
-COMBINATIONS = pytest.mark.parametrize(("common", "own", "with_beams", "without"), TABLE)
+COMBINATIONS = pytest.mark.parametrize(("common", "own", "expected"), TABLE)
 Named = dict[str, float]
 Expected = tuple[str, float]
 
@@ -40,8 +41,8 @@ def configured(common: Named, own: Named) -> tuple[Config, Filter]:
     return Config(dvl=Dvl(**common), filters={"baseline": filter_}), filter_
 
 
-def resolved(filter_: Filter, config: Config, *, from_beams: bool = True) -> ResolvedFilter:
-    return resolve_filter("baseline", filter_, config, from_beams=from_beams)
+def resolved(filter_: Filter, config: Config) -> ResolvedFilter:
+    return resolve_filter("baseline", filter_, config)
 
 
 @pytest.fixture(scope="module")
@@ -63,34 +64,42 @@ def reports_velocities(dive: Dive) -> Dive:
 
 
 @COMBINATIONS
-def test_the_filters_own_noise_goes_before_the_common_one(
-    common: Named, own: Named, with_beams: Expected, without: Expected
-) -> None:
+def test_the_filters_own_noise_goes_before_the_common_one(common: Named, own: Named, expected: Expected) -> None:
     config, filter_ = configured(common, own)
-    assert resolved(filter_, config, from_beams=True).dvl_noise == with_beams
-    assert resolved(filter_, config, from_beams=False).dvl_noise == without
+    assert resolved(filter_, config).dvl_noise == expected
 
 
 @COMBINATIONS
 def test_the_filter_is_given_what_was_resolved(
-    dive: Dive, from_beams: DvlVelocities, common: Named, own: Named, with_beams: Expected, without: Expected
+    dive: Dive, from_beams: DvlVelocities, common: Named, own: Named, expected: Expected
 ) -> None:
+    """A DVL that keeps its beams to itself has the noise that those of a Janus at 30 deg have."""
     config, filter_ = configured(common, own)
-    (measurement,) = resolved(filter_, config).measurements(from_beams, DvlMounting())
-    shape = {BEAM: from_beams.full_unit_cov_b, VELOCITY: np.eye(3)}
-    key, sd_mps = with_beams
-    np.testing.assert_allclose(measurement.cov[0], sd_mps**2 * shape[key], rtol=0.0, atol=1e-12)
-    plain = dvl_velocities(reports_velocities(dive).dvl)
-    (measurement,) = resolved(filter_, config, from_beams=False).measurements(plain, DvlMounting())
-    np.testing.assert_allclose(measurement.cov[0], without[1] ** 2 * np.eye(3), rtol=0.0, atol=1e-12)
+    shape = {BEAM: np.diag([2.0, 2.0, 1.0 / 3.0]), VELOCITY: np.eye(3)}
+    key, sd_mps = expected
+    for velocities in (from_beams, dvl_velocities(reports_velocities(dive).dvl)):
+        (measurement,) = resolved(filter_, config).measurements(velocities, DvlMounting())
+        np.testing.assert_allclose(measurement.cov[0], sd_mps**2 * shape[key], rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("tilt_deg", [20.0, 30.0])
+def test_noise_of_a_beam_is_turned_with_the_mounting(dive: Dive, tilt_deg: float) -> None:
+    """Along the axes of the DVL a beam's variance times 1 / (2 sin^2), twice, and 1 / (4 cos^2) of the tilt."""
+    reported = replace(reports_velocities(dive).dvl, beam_vectors_d=beam_vectors(tilt_deg))
+    mounting = DvlMounting.of((0.0, 0.0, 0.0), (90.0, 0.0, 0.0), 1.0)
+    (measurement,) = resolved(*configured({BEAM: 0.01}, {})[::-1]).measurements(
+        dvl_velocities(reported, mounting), mounting
+    )
+    sine, cosine = np.sin(tilt_deg * DEG), np.cos(tilt_deg * DEG)
+    across, down = 1.0 / (2.0 * sine**2), 1.0 / (4.0 * cosine**2)
+    expected = 1e-4 * np.diag([across, down, across])
+    np.testing.assert_allclose(measurement.cov, np.broadcast_to(expected, measurement.cov.shape), atol=1e-16)
 
 
 @COMBINATIONS
-def test_simulated_sensors_err_as_the_filter_is_told(
-    common: Named, own: Named, with_beams: Expected, without: Expected
-) -> None:
+def test_simulated_sensors_err_as_the_filter_is_told(common: Named, own: Named, expected: Expected) -> None:
     """What the drawn noise scatters by, against R of the filter that it is drawn for."""
-    del with_beams, without
+    del expected
     config, filter_ = configured(common, own)
     errors = matched_errors(config)[1]
     exact = exact_dive("straight", duration_s=4000.0, imu_rate_hz=2.0).dvl
@@ -110,17 +119,17 @@ def test_the_control_fits_the_noise_that_the_baseline_has(
     monkeypatch: pytest.MonkeyPatch,
     common: Named,
     own: Named,
-    with_beams: Expected,
-    without: Expected,
+    expected: Expected,
 ) -> None:
     """A search that may not leave its start ends there."""
     for edge in ("LOWEST", "HIGHEST"):
         monkeypatch.setattr(f"insdvl_replay.batch.noise_tuning.{edge}", 1.0)
     config, _ = configured(common, own)
-    for from_one, (key, sd_mps) in ((dive, with_beams), (reports_velocities(dive), without)):
+    key, sd_mps = expected
+    for from_one in (dive, reports_velocities(dive)):
         tuned = with_tuned_baseline(from_one, config)[0].filters["tuned"]
         assert getattr(tuned, key) == pytest.approx(sd_mps)
-        found = resolved(tuned, config, from_beams=from_one is dive)
+        found = resolved(tuned, config)
         assert found.dvl_noise == (key, pytest.approx(sd_mps))
         assert found.noise_density == pytest.approx(resolved(config.filters["baseline"], config).noise_density)
 

@@ -32,7 +32,7 @@ def row(name: str, printed: str) -> list[int]:
     return [int(cell) for cell in line.strip("| ").split("|")[1:]]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_damaged_logs_end_in_a_sentence_or_in_tables_that_say_what_is_lost() -> None:
     found = attacked("mutate", "--short", "--seed", "1000", "--count", str(MUTANTS), "--jobs", "1")
     assert found.returncode == 0, found.stdout + found.stderr

@@ -268,7 +268,6 @@ def test_every_page_of_the_site_can_be_reached(tmp_path: Path) -> None:
             assert re.match(r"[a-z]+:", target) or (path.parent / target).is_file(), (path.name, target)
 
 
-@pytest.mark.slow
 def test_the_site_is_built_strictly(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="needs mkdocs")
     site.gather(tmp_path / "build" / "pages")

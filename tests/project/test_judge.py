@@ -5,7 +5,17 @@ from collections import Counter
 import judge
 import numpy as np
 import pytest
-from judge import QUESTIONS, Judged, JudgedDive, judged_candidates, judged_dives, page, rates
+from judge import (
+    QUESTIONS,
+    SEA_QUESTIONS,
+    Judged,
+    JudgedDive,
+    judged_candidates,
+    judged_dives,
+    page,
+    rates,
+    sea_rates,
+)
 from true_errors import Ratio, mean_squares, true_ratio, truth
 from worlds import WORLDS, made_dive
 
@@ -21,7 +31,7 @@ def number_of(name: str) -> int:
     return next(number for number, world in enumerate(WORLDS) if world.name == name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_baseline_that_hardly_trusts_its_dvl_is_beaten_and_a_dead_one_is_not_judged() -> None:
     tasks = [(number_of(name), dive) for name in (CAUTIOUS, DEAD) for dive in range(DIVES)]
     better, dead = judged_candidates(list(judged_dives(tasks, jobs=1)), "reference")
@@ -34,7 +44,7 @@ def test_a_baseline_that_hardly_trusts_its_dvl_is_beaten_and_a_dead_one_is_not_j
 
 def test_the_same_dive_of_a_world_is_made_again_and_another_differs() -> None:
     number = number_of("a gate against 1 % of outliers")
-    first, again, other = (made_dive(number, seed).dvl.beam_velocity_mps for seed in (1, 1, 2))
+    first, again, other = (made_dive(number, seed)[0].dvl.beam_velocity_mps for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
 
@@ -80,9 +90,37 @@ def test_whole_groups_of_eight_dives_are_pooled(monkeypatch: pytest.MonkeyPatch)
     assert found.words == Counter(better=20)
 
 
+def of_words(name: str, kind: str, words: Counter[str], pooled: Counter[str]) -> Judged:
+    return Judged(name, kind, {}, words, pooled, "", words, is_far=kind != "B", is_copy="copy" in name)
+
+
+def test_words_at_sea_are_wrong_where_the_truth_is_another() -> None:
+    gain = of_words("sea: gain", "A", Counter(better=6, worse=1, equivalent=1, undecided=2), Counter(better=1))
+    alike = of_words("sea: alike", "B", Counter(better=1, equivalent=9), Counter(mixed=1))
+    copy = of_words("sea: copy", "B", Counter(equivalent=10), Counter(undecided=1))
+    rows = dict(zip((question.asks for question in SEA_QUESTIONS), sea_rates([gain, alike, copy]), strict=True))
+    assert "| 60.0 % (6 of 10) | at least 45 % |" in rows["gains of 10 % or more, said better"]
+    assert "| 10.0 % (1 of 10) | at most 1 % |" in rows["truly better or worse, said the opposite"]
+    assert "| 5.0 % (1 of 20) | at most 2 % |" in rows["truly the same, said better or worse"]
+    assert "| 10.0 % (3 of 30) |" in rows["all, wrong words"]
+    assert rows["copies, said equivalent"].endswith("| 0.0 % (0 of 1) | at least 95 % |")
+
+
+def test_a_dive_at_sea_is_made_again_and_no_other_has_its_motion() -> None:
+    number = number_of("sea: MEMS in waves, 200 s")
+    (first, exact), (again, _), (_, other_exact) = (made_dive(number, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.imu.specific_force_b, again.imu.specific_force_b)
+    assert first.reference is not None
+    assert exact.reference is not None
+    assert other_exact.reference is not None
+    assert np.ptp(exact.reference.velocity_n - other_exact.reference.velocity_n) > 1.0
+    off_mps = first.reference.velocity_n - exact.reference.velocity_n
+    assert 0.003 < off_mps.std() < 0.008
+
+
 def test_words_are_counted_in_the_class_that_is_true() -> None:
-    right = Judged("a", "A?", {}, Counter(better=45, worse=15), Counter(better=7), "")
-    dead = Judged("d", "D", {}, Counter({"not judged": 50, "better": 10}), Counter({"not judged": 7}), "")
+    right = of_words("a", "A?", Counter(better=45, worse=15), Counter(better=7))
+    dead = of_words("d", "D", Counter({"not judged": 50, "better": 10}), Counter({"not judged": 7}))
     rows = dict(zip((question.asks for question in QUESTIONS), rates([right, dead]), strict=True))
     assert "| 75.0 % (45 of 60) | at least 60 % | 100.0 % (7 of 7) |" in rows["truly better, said better"]
     assert "| 25.0 % (15 of 60) |" in rows["truly better, said worse"]

@@ -21,7 +21,7 @@ def test_each_thing_that_is_missing_has_a_line() -> None:
     assert left_out([]) == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("workers", ["0", "1"])
 def test_where_there_is_neither_browser_nor_node_the_last_lines_say_so(workers: str, tmp_path: Path) -> None:
     tests = [

@@ -21,12 +21,12 @@ def found(snapir: Path) -> reproduction.Findings:
     return reproduction.find(snapir)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_page_is_what_the_program_gives(found: reproduction.Findings) -> None:
     assert reproduction.written(found) == reproduction.PAGE.read_text("utf-8"), "run `make reproduce`"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_page_shows_every_picture_and_each_is_there(found: reproduction.Findings) -> None:
     shown = set(re.findall(r"\]\((docs/\w+\.svg)\)", reproduction.PAGE.read_text("utf-8")))
     assert shown == {*pictures.PICTURES, *reproduction.drawn(found)}
@@ -44,6 +44,7 @@ def test_published_figures_are_the_papers(paper: Path) -> None:
     assert reproduction.PUBLISHED.read_text("utf-8") == (paper / "straight.csv").read_text("utf-8")
 
 
+@pytest.mark.nightly
 def test_reasons_given_for_the_rows_that_disagree_hold() -> None:
     text = reproduction.PAGE.read_text("utf-8")
     phi_n = STATES[3]

@@ -4,6 +4,8 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}\b")
 
@@ -41,6 +43,20 @@ def test_the_lock_has_all_that_the_program_needs_each_with_digests() -> None:
     needed = {plain(re.split(r"[\[<>=!~ ;]", one)[0]) for one in project["dependencies"]}
     assert needed <= locked().keys()
     assert all(digests for _, digests in locked().values())
+
+
+@pytest.mark.parametrize("file", ["action.yml", "examples/ci/Dockerfile"])
+def test_what_installs_takes_packages_by_their_digests_alone(file: str) -> None:
+    text = (ROOT / file).read_text("utf-8")
+    installs = re.findall(r"pip install .*", text)
+    assert len(installs) == 1
+    assert re.search(r"pip install --require-hashes --only-binary :all: -r \S*requirements\.lock", installs[0])
+
+
+def test_the_base_image_can_be_pinned_by_digest() -> None:
+    text = (ROOT / "examples" / "ci" / "Dockerfile").read_text("utf-8")
+    assert re.findall(r"^FROM (.+)", text, re.MULTILINE) == ["${BASE}"]
+    assert "--build-arg BASE=python:3.12-slim@sha256:" in text
 
 
 def test_the_steps_of_the_example_job_are_pinned_by_commit() -> None:

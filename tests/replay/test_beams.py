@@ -68,6 +68,7 @@ def test_with_all_beams_the_posterior_is_that_of_the_velocity() -> None:
     np.testing.assert_allclose(by_beams.mat_nb, by_velocity.mat_nb, rtol=0.0, atol=1e-10)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("states", [(), ("dvl_scale",)])
 def test_beside_fixes_and_a_depth_the_posterior_is_that_of_the_velocity_beside_them(states: tuple[str, ...]) -> None:
     """What a fix has said of the position is not left in the Jacobian of the beams after it."""
@@ -135,6 +136,7 @@ def horizontal_drift_m(replay: Replay, name: str) -> float:
     return float(np.hypot(*moved_m[0]))
 
 
+@pytest.mark.nightly
 def test_two_beams_are_better_than_none_and_worse_than_all() -> None:
     """Over 60 s, rms of eight dives."""
     every = range(4)
@@ -220,7 +222,7 @@ def test_pings_that_are_lost_are_in_a_row_though_one_beam_is_dead() -> None:
     assert not len(by_beams.reopened_ns)
 
 
-@pytest.mark.parametrize("beam", range(4))
+@pytest.mark.parametrize("beam", [0, *(pytest.param(beam, marks=pytest.mark.nightly) for beam in (1, 2, 3))])
 def test_whichever_beam_errs_the_filter_that_refuses_it_is_judged(beam: int) -> None:
     dive = simulated(7)
     assert dive.dvl.beam_velocity_mps is not None

@@ -60,7 +60,7 @@ def test_beams_add_up_to_the_velocity_beside_them(replay: Replay) -> None:
     path = DATA / "auto_square.mcap"
     settings = {"topic": "blueye.protocol.DvlVelocityTel"}
     by_velocity = read_dive(
-        path, Config(imu=Imu(topic="blueye.protocol.Imu2Tel"), dvl=Dvl(kind="velocity", latency_s=0.135, **settings))
+        path, Config(imu=Imu(topic="blueye.protocol.Imu2Tel"), dvl=Dvl(kind="velocity", latency_s=0.138, **settings))
     )
     beams, vectors_d = replay.dive.dvl.beam_velocity_mps, replay.dive.dvl.beam_vectors_d
     assert beams is not None

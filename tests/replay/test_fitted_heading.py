@@ -53,7 +53,7 @@ def truth() -> Dive:
     return exact_dive("calibration")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_heading_and_bias_err_as_much_as_is_said(truth: Dive) -> None:
     assert truth.reference is not None
     start_deg, config = heading_deg(truth.reference.mat_nb[0]), load_config("mems", overrides=[FIT])

@@ -101,6 +101,7 @@ CALLS = {"ByZero": itertools.count(), "Elsewhere": itertools.count()}
 """How often they were called: no compiler knows that."""
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("word", ["OutsideAtTheStart", "Infinite"])
 def test_a_prediction_that_has_no_number_at_the_start_is_let_pass(dive: Dive, word: str) -> None:
     """Compiled code goes on, with readings that are not used, also where no gate refuses them."""

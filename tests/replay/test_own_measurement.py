@@ -137,6 +137,7 @@ def assert_same(history: History, expected: History) -> None:
         np.testing.assert_allclose(own.nis, built_in.nis, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("words", "own", "end_s"),
     [
@@ -187,6 +188,7 @@ def test_a_jacobian_that_contradicts_its_prediction_is_told(gauged: Dive, word: 
     assert found == ([] if text is None else [text.format(word, "filters.mine starts")])
 
 
+@pytest.mark.nightly
 def test_several_are_judged_each_by_its_name(gauged: Dive) -> None:
     replay = replay_dive(gauged, aided(baseline=("velocity",), both=("velocity", DEEP, BOW), one=(BOW, "velocity")))
     for name, readings in (("deep", 800), ("bow", 200)):
@@ -197,6 +199,7 @@ def test_several_are_judged_each_by_its_name(gauged: Dive) -> None:
     assert not [note for note in replay.notes if note.code == "own_measurement_plain"]
 
 
+@pytest.mark.nightly
 def test_a_filter_beside_one_that_cannot_be_compiled_is(gauged: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
     ran_plain = []
     monkeypatch.setattr("insdvl_replay.nav.filter.plain", lambda run: ran_plain.append(run) or plain(run))
@@ -233,6 +236,7 @@ def test_components_have_rows_and_no_vote(gauged: Dive) -> None:
     assert [row for row in of_mine if is_used(row)] == ["deep_twice"]
 
 
+@pytest.mark.nightly
 def test_two_of_one_name_stand_in_two_filters(gauged: Dive) -> None:
     words = {"baseline": ("velocity",), "mine": ("own_sensors:Speed",), "other": ("own_sensors:OtherSpeed",)}
     replay = replay_dive(gauged, aided(20.0, **words))
@@ -295,6 +299,7 @@ def ranged(**changes: object) -> Config:
     return Config(evaluation=Evaluation(starts=1), position=Position(), **(settings | changes))  # type: ignore[arg-type]
 
 
+@pytest.mark.nightly
 def test_a_topic_of_the_log_aids_by_a_class_of_ones_own(tmp_path: Path) -> None:
     replay = replay_log(dive_with_a_beacon(tmp_path), ranged())
     met = next(one for one in replay.histories[1].innovations if one.measurement == "range")

@@ -16,7 +16,7 @@ from processors import PROCESSORS, Processor
 
 from insdvl_replay.cli import run_command_line
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 PROJECT = Path(__file__).parents[2]
 FOLDERS = (PROJECT / "sample_logs", PROJECT / "examples" / "archive" / "dives")

@@ -46,7 +46,7 @@ def test_fixes_that_are_withheld_say_what_the_reference_says() -> None:
     assert withheld.windows > 20
     assert withheld.baseline == pytest.approx(against.baseline, rel=0.25)
     assert [note.code for note in replay.notes if note.code.endswith("_is_reference")] == ["position_is_reference"]
-    assert replay.verdicts["more"].improvement == "undecided"
+    assert replay.verdicts["more"].improvement == "equivalent"
     depth = next(one for one in replay.histories[2].innovations if one.measurement == "depth")
     assert depth.used.all()
     assert np.sqrt(np.mean(depth.innovation**2)) < 0.05
@@ -114,7 +114,7 @@ def test_the_ahrs_of_the_subjugator_is_as_level_as_gravity_says(run: str) -> Non
     starts_deg = {name: np.rad2deg(rpy_from_mat(replay.histories[0].mat_nb[0])) for name, replay in replays.items()}
     np.testing.assert_allclose(starts_deg["mounted"], starts_deg["level"], atol=0.15)
     ratios = [replays[name].tables.consistency[0].mean_nis for name in ("mounted", "level")]
-    assert ratios[0] == pytest.approx(ratios[1], rel=0.01)
+    assert ratios[0] == pytest.approx(ratios[1], rel=0.02)
 
 
 @pytest.mark.parametrize(("dive", "stuck"), [("x_1", 678), ("rotation_z_1", 936)])

@@ -98,6 +98,7 @@ def peak_of(work: Callable[[], Any]) -> int:
         tracemalloc.stop()
 
 
+@pytest.mark.nightly
 def test_a_solution_takes_little_memory_beyond_its_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Time, way, velocity and attitude of each message are kept, 128 bytes; of covariances, 216 more, some alone.
 

@@ -11,8 +11,6 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
-pytestmark = pytest.mark.slow
-
 
 def tables(log: Path, output: Path) -> dict[str, bytes]:
     assert run_command_line(["run", str(log), "-o", str(output), "--set", "evaluation.starts=1"]) == 0
@@ -43,6 +41,7 @@ def test_every_kind_of_log_gives_the_tables_of_its_mcap(tmp_path: Path) -> None:
         assert tables(one, tmp_path / f"found_{number}") == expected, one
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("number", ["01", "02", "05", "07", "08", "09", "11", "12"])
 def test_real_dives_give_the_tables_of_their_mcap(number: str, snapir: Path, tmp_path: Path) -> None:
     log = snapir / f"snapir_{number}.mcap"
@@ -52,6 +51,7 @@ def test_real_dives_give_the_tables_of_their_mcap(number: str, snapir: Path, tmp
         assert tables(bag, tmp_path / f"found_{humble}") == expected
 
 
+@pytest.mark.nightly
 def test_a_recorded_bag_leads_to_a_drift_below_a_hundredth_of_the_way_as_its_mcap_does(
     ros1: Path, tmp_path: Path
 ) -> None:

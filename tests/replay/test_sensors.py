@@ -165,6 +165,7 @@ def test_fixes_that_are_none_are_not_called_wrong_numbers(tmp_path: Path) -> Non
     assert text.startswith("position: 10 messages hold no position; dropped")
 
 
+@pytest.mark.nightly
 def test_a_heading_of_one_degree_holds_a_vehicle_of_small_sensors_for_an_hour() -> None:
     dive = simulated(seed=3, duration_s=3600.0, heading=SensorErrors(1.0, 1.0))
     replay = replay_dive(dive, config("heading", heading=Heading(sd_deg=1.0), noise=MEMS.noise, initial=MEMS.initial))
@@ -191,6 +192,7 @@ def test_an_imu_that_has_no_orientation_gives_no_heading(tmp_path: Path) -> None
         read_dive(tmp_path / "dive.mcap", config("heading"))
 
 
+@pytest.mark.nightly
 def test_fixes_hold_the_position_and_are_read_as_they_were_simulated(tmp_path: Path) -> None:
     dive = simulated(duration_s=1500.0, position=SensorErrors(2.0, 0.1))
     write_dive(tmp_path / "dive.mcap", dive)
@@ -302,6 +304,7 @@ def position_nees(
     return np.einsum("ki,kij,kj->k", error_m, np.linalg.inv(cov), error_m)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("surface_m", "late_s", "height_sd_m"),
     [(0.0, 0.0, None), (None, 0.0, None), (None, 100.0, None), (None, 0.0, 1.0)],
@@ -321,6 +324,7 @@ def test_position_is_as_far_off_as_the_filter_says(
     assert 1.8 < runs.mean() < 4.4
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("told_right", "least", "most"), [(True, 0.6, 0.9), (False, 1.1, 1.4)])
 def test_a_track_that_is_moved_with_the_velocity_drifts_less_where_the_noise_is_right(
     told_right: bool, least: float, most: float
@@ -385,6 +389,7 @@ def test_a_scale_of_one_percent_and_a_yaw_are_found_in_turns_with_fixes() -> Non
     assert (np.sqrt(np.mean(np.square(off), axis=0)) < 1.5).all(), off
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("grade", ["fog", "tactical", "mems"])
 def test_without_fixes_a_straight_line_leaves_the_scale_alone(grade: str) -> None:
     dive = simulate_dive("straight", seed=2, duration_s=400.0, grade=grade)
@@ -434,9 +439,13 @@ def _held(fixes: Floats) -> Floats:
     [
         ("depth", lambda depth_m: depth_m / FOOT_M, ["depth_contradiction", "depth_disagrees"]),
         ("depth", lambda depth_m: -depth_m, ["depth_contradiction", "depth_disagrees"]),
-        ("heading", np.deg2rad, ["heading_contradiction", "heading_disagrees"]),
-        ("heading", lambda heading: 0.5 * np.pi - heading, ["heading_contradiction", "heading_disagrees"]),
-        ("heading", lambda heading: heading + np.deg2rad(10.0), ["heading_contradiction"]),
+        ("heading", np.deg2rad, ["heading_contradiction", "heading_disagrees", "heading_slow_error"]),
+        (
+            "heading",
+            lambda heading: 0.5 * np.pi - heading,
+            ["heading_contradiction", "heading_disagrees", "heading_slow_error"],
+        ),
+        ("heading", lambda heading: heading + np.deg2rad(10.0), ["heading_contradiction", "heading_slow_error"]),
         ("position", lambda fixes: fixes[:, [1, 0, 2]], ["position_contradiction", "position_disagrees"]),
         ("position", lambda fixes: fixes + np.array([0.1, 1.0, 0.0]), ["position_contradiction", "position_disagrees"]),
         ("position", _held, ["position_disagrees"]),

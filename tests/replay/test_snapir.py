@@ -15,13 +15,16 @@ from insdvl_replay.evaluation.pooled_evidence import pooled_evidence, pooled_jud
 from insdvl_replay.replay import Replay, replay_log
 
 CONFIG = Path(__file__).parents[2] / "examples" / "snapir.toml"
+PAPER_NOISE = CONFIG.with_name("paper_noise.toml")
 RUNS = ("01", "02", "05", "07", "08", "09", "11", "12")
 STRAIGHT = "12"
+
+pytestmark = pytest.mark.all_starts
 
 
 @pytest.fixture(scope="module")
 def replays(snapir: Path) -> dict[str, Replay]:
-    config = load_config(file=CONFIG)
+    config = load_config(file=[CONFIG, PAPER_NOISE])
     return {run: replay_log(snapir / f"snapir_{run}.mcap", config) for run in RUNS}
 
 
@@ -87,7 +90,7 @@ def test_every_ping_and_reference_time_is_used_or_counted(replays: dict[str, Rep
         assert (rows["status"] == "compared").all()
 
 
-def test_the_published_model_is_worse_on_every_dive_and_belief_is_not_borne_out(replays: dict[str, Replay]) -> None:
+def test_the_published_model_is_worse_where_dives_turn_and_belief_is_not_borne_out(replays: dict[str, Replay]) -> None:
     words = {
         name: Counter(str(replay.verdicts[name].improvement) for replay in replays.values())
         for name in ("windowed", "published")
@@ -96,14 +99,12 @@ def test_the_published_model_is_worse_on_every_dive_and_belief_is_not_borne_out(
         name: Counter(str(replay.verdicts[name].belief) for replay in replays.values())
         for name in ("windowed", "published")
     }
-    assert words == {
-        "windowed": {"better": 3, "equivalent": 1, "undecided": 4},
-        "published": {"worse": 8},
-    }
-    assert beliefs == {
-        "windowed": {"not borne out": 7, "undecided": 1},
-        "published": {"not borne out": 7, "undecided": 1},
-    }
+    assert not words["windowed"]["worse"]
+    assert words["published"]["worse"] >= 6
+    assert not words["published"]["better"]
+    for name in ("windowed", "published"):
+        assert beliefs[name]["not borne out"] >= 6
+        assert not beliefs[name]["borne out"]
     for run, replay in replays.items():
         if run != STRAIGHT:
             assert 35.0 < finite(replay.verdicts["windowed"].mean_improvement_pct) < 42.0
@@ -116,17 +117,44 @@ def test_together_the_dives_tell_the_models_apart(replays: dict[str, Replay]) ->
         for name in ("windowed", "published")
         for every in [[replay.tables.evidence for replay in replays.values()]]
     }
-    assert {name: str(pooled_judgement(rows, len(RUNS), len(RUNS))) for name, rows in pooled.items()} == {
-        "windowed": "better",
-        "published": "worse",
-    }
+    judged = {name: str(pooled_judgement(rows, len(RUNS), len(RUNS))) for name, rows in pooled.items()}
+    assert judged == {"windowed": "better", "published": "worse"}
     rows = {(name, row.quantity): row for name, of_one in pooled.items() for row in of_one}
     for quantity in ("coasting_30s", "coasting_60s", "coasting_120s"):
         published = rows["published", quantity]
         assert (published.word, published.dives_won) == ("worse", 0)
         assert finite(published.low) > 10.0
-        assert rows["windowed", quantity].word in {"equivalent", "undecided"}
+        assert 0.8 < finite(rows["windowed", quantity].ratio) < 1.1
     for quantity in ("velocity_along", "level"):
         windowed = rows["windowed", quantity]
         assert (windowed.word, windowed.dives_won) == ("better", 8)
-        assert finite(windowed.p) == pytest.approx(2.0 / 2.0**8)
+
+
+@pytest.fixture(scope="module")
+def fitted(snapir: Path) -> dict[str, Replay]:
+    """With the example's own settings: the geometry and the noise that `calibrate` found."""
+    config = load_config(file=CONFIG, overrides=["evaluation.starts=1"])
+    return {run: replay_log(snapir / f"snapir_{run}.mcap", config) for run in RUNS}
+
+
+def test_the_example_is_as_noisy_as_it_says_along_each_axis(fitted: dict[str, Replay]) -> None:
+    for run, replay in fitted.items():
+        for row in replay.tables.consistency:
+            if row.filter == "baseline" and row.measurement.startswith("velocity"):
+                assert 0.4 < finite(row.mean_nis) / row.dof < 1.6, (run, row.measurement)
+
+
+def test_the_example_keeps_the_depth(fitted: dict[str, Replay]) -> None:
+    """After 400 s without a depth sensor: what a pitch of the mounting is off by shows here alone."""
+    for run, replay in fitted.items():
+        reference, history = replay.dive.reference, replay.histories[0]
+        assert reference is not None
+        height_m = np.interp(history.time_ns[-1], reference.time_ns, reference.position[:, 2])
+        assert abs(history.position[-1, 2] - height_m) < 0.6, run
+
+
+def test_with_fitted_noise_neither_model_of_the_acceleration_matters(fitted: dict[str, Replay]) -> None:
+    for name in ("windowed", "published"):
+        evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in fitted.values()]
+        rows = {row.quantity: row for row in pooled_evidence(name, evidence)}
+        assert finite(rows["coasting_60s"].ratio) == pytest.approx(1.0, abs=0.1)

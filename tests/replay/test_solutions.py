@@ -117,17 +117,13 @@ def test_a_tum_file_is_read_in_either_axes(dive: Dive, tmp_path: Path, axes: str
     assert "solution_lacks" in codes(replay)
 
 
-def test_a_file_without_a_number_is_a_warning(dive: Dive, tmp_path: Path) -> None:
+def test_a_file_without_a_number_is_refused(dive: Dive, tmp_path: Path) -> None:
     told, _ = slow_errors(truth_of(dive))
     write_tum(tmp_path / "own.tum", told)
     lines = [line.split()[0] + " nan" * 7 for line in (tmp_path / "own.tum").read_text("utf-8").splitlines()]
     (tmp_path / "own.tum").write_text("\n".join(lines), "utf-8")
-    [lacks] = [
-        note
-        for note in replayed(tmp_path, dive, config(Solution(file=str(tmp_path / "own.tum")))).notes
-        if note.code == "solution_lacks"
-    ]
-    assert (lacks.severity, lacks.count) == ("warning", 3)
+    with pytest.raises(LogError, match="has no number"):
+        replayed(tmp_path, dive, config(Solution(file=str(tmp_path / "own.tum"))))
 
 
 def correlated(told: Told, seed: int, factor: float = 1.0) -> tuple[Told, dict[str, Floats]]:
@@ -161,6 +157,7 @@ def test_nees_is_by_its_own_covariance(dive: Dive, tmp_path: Path, factor: float
     assert len(rows(replay, "improvement")) == len(rows(replay, "convergence")) == 6  # no bias
 
 
+@pytest.mark.nightly
 def test_the_words_on_its_covariance_are_right_over_seeds(dive: Dive, tmp_path: Path) -> None:
     """Of twelve honest solutions at most one is called something else; of those a half too sure none is honest."""
     settings = config("/odometry")
@@ -406,6 +403,7 @@ def test_a_good_solution_is_judged_whenever_it_is_stamped(dive: Dive, tmp_path: 
     assert rows(replay, "reference_error")["position_h"].rmse == pytest.approx(0.3, abs=0.05)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("factor", "word"), [(1.0, "undecided"), (5.0, "worse"), (0.2, "better")])
 def test_the_baseline_from_another_start_is_neither_better_nor_worse(factor: float, word: str) -> None:
     """What flies is often the same filter. Its one start scatters as those of the baseline do, which words allow for;

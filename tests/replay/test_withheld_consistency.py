@@ -68,12 +68,14 @@ def words(sensor: str, states: tuple[str, ...], start_sd: float = 1.0, told_sd: 
     return found
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("sensor", "states"), [("position", ("position",)), ("heading", ())])
 def test_filters_that_are_right_are_seldom_said_to_be_wrong(sensor: str, states: tuple[str, ...]) -> None:
     found = words(sensor, states)
     assert found["consistent"] + found["too few"] >= DIVES - 1, found
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("sensor", "states"), [("position", ("position",)), ("heading", ())])
 @pytest.mark.parametrize(("told_sd", "word"), [(3.0, "over-cautious"), (0.5, "over-confident")])
 def test_a_wrong_noise_of_the_sensor_is_found(sensor: str, states: tuple[str, ...], told_sd: float, word: str) -> None:

@@ -12,7 +12,7 @@ from insdvl_replay.cli import run_command_line
 
 pytestmark = [
     pytest.mark.skipif(PROGRAM is None, reason="needs Chromium (make extras)"),
-    pytest.mark.slow,
+    pytest.mark.nightly,
 ]
 WIDER = """
 [...document.querySelectorAll("main *")]

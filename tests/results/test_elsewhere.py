@@ -27,7 +27,10 @@ NODE = PROJECT / "tests" / "node"
 VEHICLES = {"straight": None, "figure_eight": None, "snapir_01": PROJECT / "examples" / "snapir.toml"}
 
 
-@pytest.fixture(scope="module", params=VEHICLES)
+ALL_BUT_ONE = [pytest.param(name, marks=pytest.mark.nightly) for name in ("straight", "snapir_01")]
+
+
+@pytest.fixture(scope="module", params=["figure_eight", *ALL_BUT_ONE])
 def result(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Result folder of both samples, and of a real dive where someone has it."""
     name, folder = request.param, tmp_path_factory.mktemp("result")
@@ -38,7 +41,7 @@ def result(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(
     shutil.which("node") is None or not (NODE / "node_modules").is_dir(),
     reason="needs node and the libraries in tests/node (make extras)",
@@ -65,7 +68,6 @@ def test_foxgloves_libraries_read_every_message_with_the_values_of_the_tables(re
     assert topics["/insdvl/baseline/state"]["last"]["header"]["stamp"]["sec"] == report["log"]["end_ns"] // 10**9
 
 
-@pytest.mark.slow
 def test_both_readers_of_ros_read_every_message_with_the_values_of_the_tables(result: Path) -> None:
     log = result / "replay.mcap"
     counts: Counter[str] = Counter()

@@ -31,6 +31,8 @@ from insdvl_replay.results.result_files import save_replay
 from insdvl_replay.results.shades import shades_of
 from insdvl_replay.sim.dive import simulate_dive
 
+pytestmark = pytest.mark.all_starts
+
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "figure_eight.mcap"
 S = 1_000_000_000
 
@@ -233,7 +235,7 @@ def test_a_dive_without_a_reference_fits_a_terminal(alone: Replay, tmp_path: Pat
         assert "Reference error" not in words
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_long_dive_stays_small_and_shows_its_outage(tmp_path: Path) -> None:
     """Three hours, many times as many samples as a panel has columns: more make the page no larger."""
     dive = simulate_dive("lawnmower", seed=3, duration_s=3 * 3600.0, outages=[(6000.0, 6600.0)])

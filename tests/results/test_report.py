@@ -31,7 +31,7 @@ from insdvl_replay.results.dive_tables import glance_table, word_in_table
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.json_report import Tool, decode_report, encode_report
 from insdvl_replay.results.overviews import Failure, summary_csv
-from insdvl_replay.results.reference_tables import NO_REFERENCE, track_fit_line
+from insdvl_replay.results.reference_tables import NO_REFERENCE, headline_table, track_fit_line
 from insdvl_replay.results.result_files import run_log
 
 HEADERS = {
@@ -47,11 +47,12 @@ HEADERS = {
         "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,effective_samples,why"
     ),
     "evidence": (
-        "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,word"
+        "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,word,p,why"
     ),
     "coasting": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
     "end_velocity_mps,vertical_median_m,ratio_to_baseline,ratio_low,ratio_high,windows_won_pct,nis_per_dof",
-    "drift": "log,filter,quantity,unit,samples,p50,p95,rms,worst,worst_from_s,worst_to_s",
+    "drift": "log,filter,quantity,unit,samples,p50,p95,rms,worst,worst_from_s,worst_to_s,"
+    "final,distance_m,final_of_distance_pct",
     "track_fit": "log,filter,quantity,unit,fitted,fitted_sd",
 }
 """What other people's scripts rely on."""
@@ -197,6 +198,28 @@ def test_screen_has_the_track_fit_and_leaves_its_table_to_the_page() -> None:
     assert "| drift in 60 s | aided | m | 0.2000 | 0.4000 | 0.3000 | 0.5000 | 155–215 |" in as_markdown(document)
 
 
+def test_headline_has_a_line_for_each_filter_with_what_is_known() -> None:
+    [table] = headline_table(report())
+    assert table.header == ("this run", "of distance", "CEP50", "CEP95", "end", "30 s without DVL")
+    assert table.rows[0] == ("baseline", "0.20 % of 1000 m", "1 m", "2 m", "2 m", "0.5 m")
+    assert table.rows[1][1] == "0.25 % of 1000 m"
+    [alone] = headline_table(report(used=unreferenced(tables())))
+    assert alone.header == ("this run", "30 s without DVL")
+    assert alone.rows == (("baseline", "0.5 m"), ("aided", "0.4 m"))
+    assert not list(headline_table(report(used=replace(unreferenced(tables()), coasting=[]))))
+
+
+def test_headline_gives_the_drift_after_60_and_120_s_where_there_are_such_windows() -> None:
+    row = tables().coasting[0]
+    rows = [
+        replace(row, window_s=f"{window_s}", windows=windows, drift_median_m=window_s / 7.0)
+        for window_s, windows in ((30, 9), (60, 4), (120, 2), (300, 0))
+    ]
+    [table] = headline_table(report(used=replace(tables(), coasting=rows)))
+    assert table.header[-2:] == ("60 s without DVL", "120 s")
+    assert [cells[-2:] for cells in table.rows] == [("8.57 m", "17.1 m"), ("-", "-")]
+
+
 def test_what_a_dive_without_a_reference_cannot_say_is_said_once_and_nothing_is_left_empty() -> None:
     alone = report(used=unreferenced(tables()))
     for text in (as_markdown(dive_document(alone)), page(dive_document(alone)).decode()):
@@ -222,15 +245,15 @@ def test_a_word_without_a_vote_stands_in_brackets(quantity: str, shown: str) -> 
 def test_markdown_tables_have_one_cell_per_column() -> None:
     lines = [line for line in as_markdown(dive_document(report())).split("\n") if line.startswith("|")]
     # Of the three pieces of evidence one has no numbers.
-    assert len(lines) == 2 + 2 + 2 + 2 + 1 + 12 + 12 + 2 + 3 + 4 + 3 + 11 * 2
+    assert len(lines) == 2 + 2 + 2 + 3 + 2 + 1 + 12 + 12 + 2 + 3 + 4 + 3 + 12 * 2
     assert not any("level settled" in line for line in lines)
-    assert {line.count("|") for line in lines} == {4, 6, 7, 8, 9, 10, 11}
+    assert {line.count("|") for line in lines} == {4, 6, 7, 8, 9, 11, 12}
     assert "| accelerometer bias, z | mg | 1.000 | 0.8000 | - | improved |" in lines
 
 
 def test_latex_escapes_what_latex_would_read() -> None:
     text = as_latex(dive_document(report()))
-    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 11
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 12
     assert r"20.0\,\% & improved \\" in text
     assert r"m/s & 1.000" in text
 

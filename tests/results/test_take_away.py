@@ -20,6 +20,7 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.states import STATES
 from insdvl_replay.report.latex import as_latex
+from insdvl_replay.results import stored_results
 from insdvl_replay.results.dive_document import dive_document
 from insdvl_replay.results.paper_figures import KINDS
 
@@ -62,6 +63,20 @@ def test_formats_are_what_they_say_and_the_same_bytes(folder: Path, tmp_path: Pa
             made.append(target.read_bytes())
         assert made[0].startswith(magic)
         assert made[0] == made[1]
+
+
+@pytest.mark.parametrize("format_", ["pdf", "svg", "png"])
+def test_a_full_disk_is_told(
+    format_: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(_path: Path, _data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    target = tmp_path / f"error.{format_}"
+    assert run_command_line(["figure", str(folder), "error", "--format", format_, "-o", str(target)]) == 2
+    assert f"{target}: cannot be written: No space left on device" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_width_and_states_are_those_asked_for(folder: Path, tmp_path: Path) -> None:
@@ -157,7 +172,7 @@ def tiny() -> list[Any]:
     return ["numbers", DisplayTable("Small", ("a", "b"), "rr", ((number(2.3e-5), number(-0.5)),))]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(not (shutil.which("tectonic") or shutil.which("pdflatex")), reason="needs LaTeX")
 def test_latex_compiles(tmp_path: Path) -> None:
     body = as_latex(dive_document(report()))
@@ -221,8 +236,8 @@ def test_a_result_is_read_back(replayed: Result, folder: Path) -> None:
 
 
 def test_a_result_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    read, read_bytes = list[Path](), Path.read_bytes
-    monkeypatch.setattr(Path, "read_bytes", lambda path: read.append(path) or read_bytes(path))
+    read, read_file = list[Path](), stored_results.read_file
+    monkeypatch.setattr(stored_results, "read_file", lambda path: read.append(path) or read_file(path))
     read_result(folder)
     assert read == [folder / "report.json"]
 
@@ -278,6 +293,7 @@ def test_settings_are_taken_as_a_mapping_or_as_on_the_command_line() -> None:
         load_config(settings={"dvl.topic": None})
 
 
+@pytest.mark.nightly
 def test_the_public_names_are_typed(tmp_path: Path) -> None:
     (tmp_path / "use.py").write_text(
         "from insdvl_replay import load_config, replay_log\n"
@@ -293,7 +309,7 @@ def test_the_public_names_are_typed(tmp_path: Path) -> None:
     ], done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     path = PROJECT / "examples" / "notebook" / "dive.ipynb"
     notebook = json.loads(path.read_text("utf-8"))

@@ -7,14 +7,15 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.results.folder import COMPLETE, DIVE_FILES, damaged_files, result_file, result_folder
-from insdvl_replay.results.workspace import LOCK, clear_leftovers
+from insdvl_replay.results.folder import COMPLETE, DIVE_FILES, damaged_files, result_digest, result_file, result_folder
+from insdvl_replay.results.workspace import clear_leftovers
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "archive"
 TOOL = [sys.executable, "-m", "insdvl_replay"]
@@ -204,6 +205,52 @@ def test_a_result_of_an_early_version_is_replaced(tmp_path: Path) -> None:
         assert [path.name for path in target.iterdir()] == [COMPLETE]
 
 
+def written_while_another_run_writes(target: Path, words: tuple[str, str]) -> None:
+    before = result_digest(target)
+    with result_folder(target, force=True, before=before) as second:
+        (second / COMPLETE).write_text(OURS % words[1])
+        with result_folder(target, force=True, before=before) as first:
+            (first / COMPLETE).write_text(OURS % words[0])
+
+
+@pytest.mark.parametrize("old", [False, True])
+def test_of_two_runs_at_once_the_second_to_finish_is_told(old: bool, tmp_path: Path) -> None:
+    target = tmp_path / "dive"
+    if old:
+        written(target, "old")
+    with pytest.raises(ConfigError, match="another run has written a different result there meanwhile"):
+        written_while_another_run_writes(target, ("first", "second"))
+    assert '"first"' in (target / COMPLETE).read_text()
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_two_runs_at_once_with_one_result_are_both_done(tmp_path: Path) -> None:
+    written_while_another_run_writes(tmp_path / "dive", ("same", "same"))
+    assert list(tmp_path.iterdir()) == [tmp_path / "dive"]
+
+
+@pytest.mark.parametrize("option", ["--output", "--summary-file"])
+def test_no_folder_is_made_for_a_file(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "absent" / "gates.xml"
+    assert run_command_line(["check", str(EXAMPLES / "gates.toml"), option, str(file)]) == 2
+    assert capsys.readouterr().err == (
+        f"error: {option}: {file}: there is no folder {file.parent}; hint: mkdir -p {file.parent}\n"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_report_that_is_a_named_pipe_is_not_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "dive").mkdir()
+    os.mkfifo(tmp_path / "dive" / COMPLETE)
+    dive = next((EXAMPLES / "dives").glob("*.mcap"))
+    command = ["check", str(EXAMPLES / "gates.toml"), str(dive), "--results", str(tmp_path)]
+    (tmp_path / "dive").rename(tmp_path / dive.stem)
+    assert run_command_line(command) == 2
+    assert "exists and is not a result folder" in capsys.readouterr().err
+    assert run_command_line(["compare", str(tmp_path), str(tmp_path)]) == 3
+    assert "cannot be read: it is no regular file" in capsys.readouterr().err
+
+
 # --- What is known to be whole.
 
 
@@ -281,15 +328,18 @@ def killed_at(target: Path, rename: int) -> None:
 
 
 @pytest.mark.parametrize("rename", [1, 2])
-def test_a_killed_run_loses_no_older_result_and_is_cleared_by_the_next(rename: int, tmp_path: Path) -> None:
+def test_a_killed_run_loses_no_older_result_and_is_cleared_after_a_day(rename: int, tmp_path: Path) -> None:
     target = tmp_path / "dive"
     written(target, "old")
     killed_at(target, rename)
     assert len(list(tmp_path.glob(".dive-*"))) == 1
     assert target.exists() == (rename == 1)
     clear_leftovers(tmp_path)
-    assert list(tmp_path.iterdir()) == [target]
     assert '"old"' in (target / COMPLETE).read_text()
+    (workspace,) = tmp_path.glob(".dive-*")
+    os.utime(workspace, (0.0, time.time() - 90_000.0))
+    clear_leftovers(tmp_path)
+    assert list(tmp_path.iterdir()) == [target]
 
 
 def test_the_next_run_asks_before_it_replaces_what_it_put_back(tmp_path: Path) -> None:
@@ -298,7 +348,7 @@ def test_the_next_run_asks_before_it_replaces_what_it_put_back(tmp_path: Path) -
     killed_at(target, 2)
     with pytest.raises(ConfigError, match="dive: exists"), result_folder(target):
         raise AssertionError
-    assert list(tmp_path.iterdir()) == [target]
+    assert '"old"' in (target / COMPLETE).read_text()
 
 
 def test_a_living_run_is_left_alone(tmp_path: Path) -> None:
@@ -319,7 +369,7 @@ def test_hidden_folders_of_others_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / ".dive-backup_1" / "notes.txt").write_text("mine")
     (tmp_path / ".dive-12345678").mkdir()
     (tmp_path / ".ssh").mkdir()
-    (tmp_path / ".ssh" / LOCK).touch()
+    os.utime(tmp_path / ".dive-backup_1", (0.0, 0.0))
     written(tmp_path / "dive", "new")
     assert {path.name for path in tmp_path.iterdir()} == {".dive-backup_1", ".dive-12345678", ".ssh", "dive"}
 
@@ -338,5 +388,4 @@ def test_a_folder_whose_result_cannot_go_back_is_kept_aside(tmp_path: Path, monk
         written(target, "new")
     monkeypatch.undo()
     clear_leftovers(tmp_path)
-    assert list(tmp_path.iterdir()) == [target]
     assert '"old"' in (target / COMPLETE).read_text()

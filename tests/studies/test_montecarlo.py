@@ -206,6 +206,7 @@ def verdicts() -> pd.DataFrame:
     return pd.concat(tables).set_index(["world", "filter"])
 
 
+@pytest.mark.nightly
 def test_verdict_changes_with_the_data_and_not_with_the_filters_name(verdicts: pd.DataFrame) -> None:
     assert verdicts["verdict"].to_dict() == {
         ("told", "baseline"): "consistent",
@@ -215,6 +216,7 @@ def test_verdict_changes_with_the_data_and_not_with_the_filters_name(verdicts: p
     }
 
 
+@pytest.mark.nightly
 def test_told_baselines_nees_is_inside_its_interval(verdicts: pd.DataFrame) -> None:
     row = verdicts.loc[("told", "baseline")]
     assert row["low"] < row["mean_nees"] < row["high"]
@@ -224,6 +226,7 @@ def test_told_baselines_nees_is_inside_its_interval(verdicts: pd.DataFrame) -> N
 # --- The study.
 
 
+@pytest.mark.nightly
 def test_any_number_of_jobs_gives_the_same_bytes(tmp_path: Path) -> None:
     contents = []
     for jobs in (1, 2):

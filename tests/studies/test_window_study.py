@@ -26,6 +26,7 @@ from insdvl_replay.studies import window
 from insdvl_replay.studies.window import WINDOW_COLUMNS, best_windows, dive_windows, pooled_windows, study_window
 
 SNAPIR = Path(__file__).parents[2] / "examples" / "snapir.toml"
+PAPER = (SNAPIR, SNAPIR.with_name("paper_noise.toml"))
 
 
 def body_reference(time_s: Floats, velocity_b: Floats, turn_rate: float = 0.0) -> ReferenceColumns:
@@ -262,7 +263,7 @@ def test_interrupted_command_leaves_nothing(
 
 @pytest.fixture(scope="module")
 def real(snapir: Path) -> dict[str, pd.DataFrame]:
-    config: Config = load_config(file=SNAPIR)
+    config: Config = load_config(file=PAPER)
     report = study_window(sorted(snapir.glob("*.mcap")), config, 10)
     return dict(report.tables)
 
@@ -277,7 +278,7 @@ def test_real_dives_fall_and_rise_with_the_window(real: dict[str, pd.DataFrame])
 
 
 def best_of(snapir: Path, *overrides: str) -> pd.DataFrame:
-    config = load_config(file=SNAPIR, overrides=overrides)
+    config = load_config(file=PAPER, overrides=overrides)
     return study_window(sorted(snapir.glob("*.mcap")), config, 10).tables["best"].set_index(["log", "lever_arm", "at"])
 
 
@@ -311,6 +312,6 @@ def test_finer_reference_of_real_dives_prefers_two_velocities(snapir: Path, monk
 
     monkeypatch.setattr(window, "reference_acceleration", spline_velocity)
     monkeypatch.setattr(window, "acceleration_at", spline_rate)
-    report = study_window(sorted(snapir.glob("*.mcap")), load_config(file=SNAPIR), 5)
+    report = study_window(sorted(snapir.glob("*.mcap")), load_config(file=PAPER), 5)
     best = report.tables["best"].set_index(["log", "lever_arm", "at"])["n"]
     assert best["*", "compensated", "middle"] == 2

@@ -98,8 +98,7 @@ def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[Floats,
 
     Note what the messages tell and cannot be true.
     """
-    configured = settings.beam_tilt_deg is not None or settings.beam_azimuth_deg is not None
-    if configured or not ("beam_vectors" in table or "beam_quaternions" in table):
+    if _is_configured(settings) or not ("beam_vectors" in table or "beam_quaternions" in table):
         return _geometry(settings), None
     vectors = _told_vectors(table, cleaner)
     doubt = _doubt(vectors, table, cleaner)
@@ -117,12 +116,19 @@ def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[Floats,
     return _geometry(settings), None
 
 
-def look_of_poses(table: Table, settings: Dvl, cleaner: Cleaner) -> Floats | None:
-    """Return where the beams look in d by their poses, shape (3,), where only velocities are used; None if untold."""
-    vectors = _told_vectors(table, cleaner)
-    if not len(vectors) or _doubt(vectors, table, cleaner):
-        return None
-    return _look(cleaner, in_frd(vectors, settings.axes or FRD, "dvl.axes"))
+def beams_of_velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[Floats | None, Floats | None]:
+    """Return what `beam_vectors` does where only velocities are used; None for beams that give none, or in one plane.
+
+    Where beams look is read from their poses alone.
+    """
+    vectors, look = _geometry(settings), None
+    if "beam_vectors" in table or "beam_quaternions" in table:
+        told = _told_vectors(table, cleaner)
+        if len(told) and not _doubt(told, table, cleaner):
+            told = in_frd(told, settings.axes or FRD, "dvl.axes")
+            look = _look(cleaner, told) if "beam_quaternions" in table else None
+            vectors = vectors if _is_configured(settings) else told
+    return vectors if np.linalg.matrix_rank(vectors, _UNIT_LENGTH_TOLERANCE) == 3 else None, look
 
 
 def _look(cleaner: Cleaner, vectors_d: Floats) -> Floats:
@@ -148,6 +154,10 @@ def note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: F
         text = f"pings have beams that, with the geometry in use, differ by {part:.0%} from the velocity beside them"
         hint = f'{_HINT}; dvl.kind = "velocity" leaves them'
         cleaner.note("beam_contradiction", text, int(moving.sum()), Severity.WARNING, hint, first=cleaner.rows[moving])
+
+
+def _is_configured(settings: Dvl) -> bool:
+    return settings.beam_tilt_deg is not None or settings.beam_azimuth_deg is not None
 
 
 def _geometry(settings: Dvl) -> Floats:

@@ -14,7 +14,12 @@ from insdvl_replay.core.dive_columns import DvlColumns, Floats, find_runs, secon
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
 from insdvl_replay.core.words import Severity
-from insdvl_replay.logs.columns.beam_directions import beam_vectors, look_of_poses, note_contradiction, with_beam_speeds
+from insdvl_replay.logs.columns.beam_directions import (
+    beam_vectors,
+    beams_of_velocities,
+    note_contradiction,
+    with_beam_speeds,
+)
 from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.order import Mask
@@ -123,8 +128,8 @@ def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColum
         cleaner.keep(enough, "invalid", "pings have fewer than three good beams")
     cleaner.keep_finite(velocity_d)
     _drop_repeats(cleaner, velocity_d)
-    look_d = look_of_poses(table, settings, cleaner) if "beam_quaternions" in table else None
-    return DvlColumns(cleaner.times, velocity_d=cleaner.kept(velocity_d), look_d=look_d), cleaner.notes
+    vectors_d, look_d = beams_of_velocities(table, settings, cleaner)
+    return DvlColumns(cleaner.times, None, vectors_d, cleaner.kept(velocity_d), look_d), cleaner.notes
 
 
 def _velocity_d(table: Table, settings: Dvl) -> Floats:

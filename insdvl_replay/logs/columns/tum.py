@@ -5,15 +5,16 @@ seconds and metres, the quaternion from the body to the frame of the positions; 
 """
 
 import hashlib
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config_navigation import Solution
+from insdvl_replay.core.config_navigation import MOST_BYTES, Solution
 from insdvl_replay.core.dive_columns import NS_PER_S, ReferenceColumns, SolutionColumns, TimeNs, is_new
 from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.plain_text import read_regular
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat
@@ -38,7 +39,7 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
         It cannot be read, is not the file that the settings mean, or a line of it holds other than eight numbers.
     """
     try:
-        content = path.read_bytes()
+        content = read_regular(path, MOST_BYTES)
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror}", f"{role}.file names it", path) from error
     sha256 = hashlib.sha256(content).hexdigest()
@@ -68,13 +69,15 @@ def _lines(path: Path, text: str) -> tuple[TimeNs, np.ndarray[tuple[int, ...], n
             time_s, *others = (Decimal(words[0]), *map(float, words[1:]))
             if len(words) != _COLUMNS or not (time_s.is_finite() and abs(time_s) < _LATEST):
                 raise ValueError
-        except (InvalidOperation, ValueError) as error:
-            raise LogError(f"line {number} is no pose: {line[:80]!r}", _FORMAT, path) from error
+        except (ArithmeticError, ValueError) as error:  # of what is in it nothing is shown: it may be any file
+            raise LogError(f"line {number} is no pose: it needs {_COLUMNS} numbers", _FORMAT, path) from error
         times.append(round(time_s * NS_PER_S))
         rows.append(others)
     if not rows:
         raise LogError("has no line with a pose", _FORMAT, path)
     values = np.array(rows, np.float64)
+    if not np.isfinite(values).any():
+        raise LogError(f"has no number in any of its {len(rows)} poses", _FORMAT, path)
     return np.array(times, np.int64), np.where(np.isfinite(values), values, np.nan)
 
 

@@ -13,7 +13,7 @@ from typing import Any, Final, TypeVar
 from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.dive_record import LOG_SUFFIXES
 from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.plain_text import read_text
+from insdvl_replay.core.plain_text import is_writable, read_text, visible
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.log_file import LogFile
@@ -293,6 +293,9 @@ def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) 
         It cannot be read.
     """
     given = (path,) if isinstance(path, Path) else tuple(path)
+    for one in given:
+        if not is_writable(str(one)):
+            raise LogError(f"{visible(str(one))}: its name is not UTF-8, so no result could bear it", "rename it")
     if len(given) == 1 and not given[0].is_dir():
         return Recording(given[0], given, allow_damaged=allow_damaged)
     files = [file for one in given for file in (bag_parts(one) if one.is_dir() else (one,))]

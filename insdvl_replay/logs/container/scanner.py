@@ -235,7 +235,10 @@ class _RecordScanner:
         return Chunk(start, end - start, "truncated") if header.compression in COMPRESSED and is_last else None
 
     def take(self, batch: Records) -> None:
-        """File the records of a batch; messages in a row make one run."""
+        """File the records of a batch; messages in a row make one run. Private records between them do not count."""
+        private = batch.opcodes > Opcode.DATA_END
+        self.index.private += int(np.count_nonzero(private))
+        batch = batch.where(~private)
         loose = batch.opcodes == Opcode.MESSAGE
         edges = np.flatnonzero(np.diff(loose)) + 1
         for rows in np.split(np.arange(len(batch)), edges):
@@ -263,7 +266,6 @@ class _RecordScanner:
                 self.latest = 0
 
     def _file(self, opcode: int, start: int, length: int) -> None:
-        index = self.index
         if opcode == Opcode.CHUNK:
             self._add(Chunk(start, length))
         elif opcode == Opcode.MESSAGE_INDEX:
@@ -272,8 +274,6 @@ class _RecordScanner:
             self.latest_chunk.indexes.append((start, length))
         elif opcode in _SUMMARY_ONLY:
             raise DamageError(start, f"a record of kind {opcode} stands among the messages")
-        elif opcode > Opcode.DATA_END:
-            index.private += 1
         else:
             self._file_other(opcode, start, length)
 

@@ -3,9 +3,10 @@
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,7 @@ class DecodedFields:
         self._decode = decode
         self._access = access
         self._numbers: dict[str, Numbers] = {}
+        self._found = Shape(TEXT)
         self.known: Kinds = {}
 
     def find(self, shape: Shape) -> None:
@@ -64,6 +66,14 @@ class DecodedFields:
         for path in self._paths:
             check_path(path, self.known, self._type_name)
         self._numbers = {path: numbers_at(path, shape, self._access) for path in self._paths}
+        self._found = shape
+
+    def of(self, paths: Sequence[str]) -> Self:
+        """Return a reader of other fields of the messages in which this one has found its own."""
+        other = copy(self)
+        other._paths = tuple(paths)
+        other.find(self._found)
+        return other
 
     def learn(self, messages: Sequence[Any]) -> None:
         """Look at the first messages, where only they tell what is in them."""

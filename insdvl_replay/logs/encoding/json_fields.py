@@ -28,7 +28,7 @@ class JsonReader(DecodedFields):
 
     def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str]) -> None:
         super().__init__(type_name or "a JSON message", paths, _decoded, _access)
-        self._shape = json_shape(schema_data)
+        self._shape = self._found = json_shape(schema_data)
         self.known = json_paths(schema_data)
         self._looks = 0
         self._missing: LogError | None = None

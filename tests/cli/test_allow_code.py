@@ -1,0 +1,113 @@
+"""Settings name code; it runs with ``--allow-code`` alone, and cannot end a check as if all gates had been passed."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import pytest
+
+import insdvl_replay
+from insdvl_replay.batch.workers import local_workers
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.errors import ConfigError
+
+DIVE = Path(__file__).parents[2] / "examples" / "archive" / "dives" / "transit.mcap"
+SETTINGS = """[filters.baseline]
+aiding = ["velocity"]
+
+[filters.mine]
+aiding = ["velocity", "told_code:Down"]
+"""
+GATES = """[[gate]]
+name = "any"
+table = "improvement"
+row = "ba_z"
+column = "improvement_pct"
+min = -1e9
+"""
+
+
+@pytest.fixture
+def vehicle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Settings with a module that says so when it is imported, and ends its process."""
+    (tmp_path / "told_code.py").write_text("import os\nopen('imported', 'w').close()\nos._exit(0)\n")
+    (tmp_path / "vehicle.toml").write_text(SETTINGS)
+    (tmp_path / "gates.toml").write_text(GATES)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield tmp_path / "vehicle.toml"
+    assert "told_code" not in sys.modules
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run", str(DIVE)],
+        ["check", "gates.toml", str(DIVE)],
+        ["calibrate", str(DIVE)],
+        ["study", "montecarlo", "straight"],
+    ],
+)
+def test_what_runs_filters_refuses_code_before_it_is_imported(
+    command: list[str], vehicle: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command_line([*command, "-c", str(vehicle)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: {vehicle}:5: filters.mine.aiding[1] names code: told_code:Down; hint: ")
+    assert "--allow-code" in said
+    assert sorted(path.name for path in vehicle.parent.iterdir()) == ["gates.toml", "told_code.py", "vehicle.toml"]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["config"],
+        ["inspect", "--deep", str(DIVE)],
+        ["inspect", str(DIVE)],
+        ["study", "window", str(DIVE), "--longest", "2"],
+    ],
+)
+def test_what_runs_no_filter_runs_no_code(
+    command: list[str], vehicle: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command_line([*command, "-c", str(vehicle)]) == 0
+    assert not (vehicle.parent / "imported").exists()
+    if command[0] == "inspect":
+        assert "inspect runs no code of the settings; it leaves out told_code:Down" in capsys.readouterr().err
+
+
+def test_code_on_the_command_line_and_in_python_is_refused_too(vehicle: Path) -> None:
+    with pytest.raises(ConfigError, match=r"--set .*: filters.mine.aiding\[0\] names code: told_code:Down"):
+        load_config(overrides=['filters.mine.aiding=["told_code:Down"]'])
+    with pytest.raises(ConfigError, match="names code"):
+        insdvl_replay.load_config(vehicle)
+    assert insdvl_replay.load_config(vehicle, allow_code=True).code == ("told_code:Down",)
+
+
+def test_settings_without_their_code_are_settings() -> None:
+    given = ['filters.own.aiding=["told_code:Down"]', 'filters.aided.aiding=["velocity","told_code:Down"]']
+    config = load_config(overrides=given, allow_code=True).without_code()
+    assert config.code == ()
+    assert {name: filter_.aiding for name, filter_ in config.filters.items()} == {
+        "baseline": ("velocity",),
+        "aided": ("velocity",),
+    }
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_code_runs_in_a_process_of_its_own(jobs: int) -> None:
+    with local_workers(jobs, runs_code=True).open(False) as pool:
+        assert isinstance(pool.executor, ProcessPoolExecutor)
+
+
+@pytest.mark.nightly
+def test_code_that_ends_its_process_fails_the_check(vehicle: Path) -> None:
+    command = [sys.executable, "-m", "insdvl_replay", "check", "gates.toml", str(DIVE), "-c", str(vehicle)]
+    done = subprocess.run([*command, "--allow-code"], capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 3
+    assert "1 gate on 1 dive: 1 without a result" in done.stdout
+    assert "its worker died" in done.stderr
+    assert (vehicle.parent / "imported").exists()

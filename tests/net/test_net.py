@@ -1,0 +1,31 @@
+"""The net under every change: what the commands say of twelve dives is what they said.
+
+A change that means to move numbers stores them anew, `make net`, and its commit shows which.
+"""
+
+import net
+import pytest
+
+
+@pytest.mark.all_starts
+@pytest.mark.parametrize("case", net.CASES)
+def test_commands_say_what_they_said(case: str) -> None:
+    if case in net.RECORDED and not net.SHARED.is_dir():
+        pytest.skip("needs ../shared/data (real dives)")
+    changed = net.moved(net.stored_lines(case), net.lines_of(case))
+    assert not changed, "\n".join([f"{len(changed)} lines have moved, the first:", *changed[:20]])
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "same"),
+    [
+        ("rmse\t1.25", "rmse\t1.2500000001", True),
+        ("rmse\t1.25", "rmse\t1.25000001", False),
+        ("samples\t300", "samples\t301", False),
+        ("word\twhite", "word\tcorrelated", False),
+        ("rmse\tnan", "rmse\t0.1", False),
+        ("rmse\t1.25", "rmse\t1.25\t1.0", False),
+    ],
+)
+def test_words_and_counts_are_held_exactly_and_numbers_in_nine_digits(was: str, now: str, same: bool) -> None:
+    assert (net.moved([was], [now]) == []) == same
