@@ -22,10 +22,14 @@ DRAWS, SEED = 2000, 1
 
 
 class MeanSquares(NamedTuple):
-    """Mean squared true errors of one filter in one dive, horizontal: the drift in a segment, and the velocity."""
+    """Mean squared true errors of one filter in one dive; all but that of the depth are horizontal."""
 
     drift_m2: float
+    """In a segment."""
     velocity_m2ps2: float
+    position_m2: float
+    end_m2: float
+    depth_m2: float
 
 
 class Ratio(NamedTuple):
@@ -53,11 +57,14 @@ def mean_squares(errors: ReferenceErrors) -> MeanSquares:
     begins = np.flatnonzero(ends < len(ends))
     position_m = errors.position_error_ned_m[:, :2]
     drift_m = position_m[ends[begins]] - position_m[begins]
-    return MeanSquares(_mean_square(drift_m), _mean_square(errors.velocity_error_n[:, :2]))
+    return MeanSquares(
+        *map(_mean_square, (drift_m, errors.velocity_error_n[:, :2], position_m, position_m[-1:])),
+        _mean_square(errors.position_error_ned_m[:, 2:]),
+    )
 
 
-def _mean_square(horizontal: Floats) -> float:
-    return float(np.mean(np.sum(horizontal**2, axis=1)))
+def _mean_square(errors: Floats) -> float:
+    return float(np.mean(np.sum(errors**2, axis=1)))
 
 
 def true_ratio(baseline: Floats, candidate: Floats) -> Ratio:
@@ -74,11 +81,10 @@ def true_ratio(baseline: Floats, candidate: Floats) -> Ratio:
     return Ratio(float(np.sqrt(candidate.sum() / baseline.sum())), float(low), float(high))
 
 
-def true_ratios(dives: Sequence[Mapping[str, MeanSquares]], baseline: str, candidate: str) -> tuple[Ratio, Ratio]:
-    """Compare drift and velocity of two filters over dives."""
+def true_ratios(dives: Sequence[Mapping[str, MeanSquares]], baseline: str, candidate: str) -> tuple[Ratio, ...]:
+    """Compare two filters over dives, in the order of `MeanSquares`."""
     before, after = (np.array([dive[name] for dive in dives]) for name in (baseline, candidate))
-    drift, velocity = (true_ratio(*columns) for columns in zip(before.T, after.T, strict=True))
-    return drift, velocity
+    return tuple(true_ratio(*columns) for columns in zip(before.T, after.T, strict=True))
 
 
 def truth(ratios: Sequence[Ratio]) -> str:
