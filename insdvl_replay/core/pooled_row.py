@@ -30,5 +30,5 @@ class PooledRow(Struct, frozen=True):
     high: Number
     dives: Annotated[int, Column("Dives that have a ratio, and those of them in which the candidate errs less.")]
     dives_won: int
-    p: Annotated[Number, Column("Two-sided, of a ratio of 1, by Student's t.")]
+    p: Annotated[Number, Column("Of a true difference of at most 5 %, by Student's t: below 0.01 the row decides.")]
     word: str

@@ -248,5 +248,8 @@ class EvidenceRow(Struct, frozen=True):
             best_first=(EvidenceWord.BETTER, EvidenceWord.EQUIVALENT, EvidenceWord.UNDECIDED, EvidenceWord.WORSE),
         ),
     ]
-    p: Annotated[Number, Column("Two-sided, of a ratio of 1, by Student's t: below 0.01 the row decides.")] = None
+    p: Annotated[
+        Number,
+        Column("Of a true difference of at most 5 %, by Student's t or by drawn starts: below 0.01 the row decides."),
+    ] = None
     why: Annotated[str, Column("What keeps the row from deciding, if it is not the interval.")] = ""

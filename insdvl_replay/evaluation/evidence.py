@@ -186,12 +186,13 @@ def _convergence(named: _Named, measured: Measured) -> Iterator[EvidenceRow]:
     converged = measured.convergence.get(named[1], {})
     for quantity, name in CONVERGED.items():
         if (found := converged.get(name)) is not None:
-            interval = RatioInterval(found.ratio, found.low, found.high, found.low90, found.high90, float(found.starts))
+            ends = found.ratio, found.low, found.high, found.low90, found.high90
+            interval = RatioInterval(*ends, float(found.starts), drawn_p=found.p)
             values = found.baseline_s, found.candidate_s
             word = _word_of_convergence(interval)
             name = f"convergence_{quantity}"
-            ends = _ends(interval)
-            yield EvidenceRow(*named, "convergence", name, "s", *values, *ends, found.starts, 0, word, interval.p)
+            starts, p = found.starts, interval.p
+            yield EvidenceRow(*named, "convergence", name, "s", *values, *_ends(interval), starts, 0, word, p)
 
 
 def _word_of_convergence(interval: RatioInterval) -> EvidenceWord:

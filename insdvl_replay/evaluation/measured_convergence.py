@@ -13,6 +13,7 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.words import ConvergenceStatus
 from insdvl_replay.evaluation.drawn_errors import DrawnErrors, squared_errors
+from insdvl_replay.evaluation.paired_statistics import MARGIN
 
 LAST: Final = 0.1
 """Share of the time that has passed of which an rms is."""
@@ -42,6 +43,8 @@ class MeasuredConvergence(NamedTuple):
         Ends of the middle 95 % and 90 % of the ratios if the starts are drawn anew from those that were run, in which
         a time at the start counts as the first one, and never as infinite: where the candidate is never there, they
         say how surely. NaN where the baseline does not fall.
+    p : float
+        The share of those ratios that are not beyond the margin on the side of the ratio.
     starts : int
         How many.
     """
@@ -55,6 +58,7 @@ class MeasuredConvergence(NamedTuple):
     high: float
     low90: float
     high90: float
+    p: float
     starts: int
 
 
@@ -107,18 +111,20 @@ def measured_convergence(baseline_sq: Floats, candidate_sq: Floats, time_s: Floa
     at_s, before, after = over_last_part(time_s[known], baseline_sq[:, known], candidate_sq[:, known])
     starts = len(before)
     (baseline_s,), (candidate_s,) = _reached_s(at_s, np.full((1, starts), 1.0 / starts), before, after)
-    bounds, falls = np.full(4, np.nan), _status(baseline_s) == ConvergenceStatus.REACHED
+    bounds, p, falls = np.full(4, np.nan), math.nan, _status(baseline_s) == ConvergenceStatus.REACHED
     if falls:
         again = np.random.default_rng(SEED).multinomial(starts, np.full(starts, 1.0 / starts), RESAMPLES) / starts
         baselines_s, candidates_s = _reached_s(at_s, again, before, after)
         ratios = np.maximum(candidates_s, at_s[0]) / np.maximum(baselines_s, at_s[0])
         # None lies between two of them: some may be infinite.
         bounds = np.quantile(ratios, [0.025, 0.975, 0.05, 0.95], method="inverted_cdf")
+        is_sooner = candidate_s < baseline_s
+        p = float(np.mean(ratios * (1.0 + MARGIN) > 1.0 if is_sooner else ratios < 1.0 + MARGIN))
     target, status = float(np.sqrt(before[:, -1].mean())), _status(candidate_s if falls else baseline_s)
     baseline_s, candidate_s = _nan_unless_reached(baseline_s), _nan_unless_reached(candidate_s)
     low, high, low90, high90 = (float(bound) for bound in bounds)
     ratio = candidate_s / baseline_s
-    return MeasuredConvergence(target, baseline_s, candidate_s, status, ratio, low, high, low90, high90, starts)
+    return MeasuredConvergence(target, baseline_s, candidate_s, status, ratio, low, high, low90, high90, p, starts)
 
 
 def over_last_part(time_s: Floats, *squares: Floats) -> tuple[Floats, ...]:

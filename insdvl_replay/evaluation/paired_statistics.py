@@ -27,8 +27,10 @@ FEWEST_EFFECTIVE: Final = 6.0
 LARGEST_P: Final = 0.01
 """Each piece of evidence decides below it: ten of them on equal filters err together in 1 % of cases, as measured."""
 SETTLED: Final = 0.10
-POWER: Final = 2.8
-"""1.96 + 0.84 standard deviations: a difference as large is found with 95 % in four of five cases."""
+POWER: Final = 2.33 + 0.84
+"""Standard deviations by which a difference must exceed the margin to have a p below 0.01 in four of five cases."""
+SMALL_SAMPLE: Final = 2.7
+"""Samples that Student's distribution needs beside the normal one: half the square of 2.33 (Guenther, 1981)."""
 STRETCHES: Final = 8
 FEWEST_STRETCHES: Final = 2.5
 """Of eight stretches of a dive fewer that count are as many samples, however long they are."""
@@ -64,6 +66,8 @@ class RatioInterval(NamedTuple):
     effective_samples: float
     freedom: float = math.inf
     stretch: int | None = None
+    drawn_p: float = math.nan
+    """Of intervals that are not Student's: the share of drawn ratios on the other side of the margin."""
 
     @property
     def log_sd(self) -> float:
@@ -73,10 +77,13 @@ class RatioInterval(NamedTuple):
 
     @property
     def p(self) -> float:
-        """Two-sided, of a ratio of 1, by Student's distribution."""
+        """Of a difference of at most the margin: of one as large as this if the true one is no larger."""
+        if not math.isnan(self.drawn_p):
+            return self.drawn_p
+        beyond = abs(math.log(self.ratio)) - math.log(1.0 + MARGIN) if self.ratio > 0.0 else NAN
         if not self.log_sd > 0.0:
-            return NAN if math.isnan(self.low) else float(self.low <= 1.0 <= self.high)
-        return float(2.0 * stdtr(min(self.freedom, NORMAL), -abs(math.log(self.ratio)) / self.log_sd))
+            return NAN if math.isnan(beyond) else float(beyond <= 0.0)
+        return float(stdtr(min(self.freedom, NORMAL), -beyond / self.log_sd))
 
     @property
     def independent(self) -> float:
@@ -210,7 +217,7 @@ def dives_ratio(log_ratios: Floats) -> RatioInterval:
 
 
 def word_of(interval: RatioInterval, fewest: float = FEWEST_EFFECTIVE) -> EvidenceWord:
-    """Judge a ratio: better or worse beyond the margin with a small p, equivalent surely inside, or undecided.
+    """Judge a ratio: better or worse where it is surely beyond the margin, equivalent surely inside, or undecided.
 
     Equivalent is two one-sided tests at 5 %. Too few effective samples decide nothing.
     """
@@ -219,14 +226,15 @@ def word_of(interval: RatioInterval, fewest: float = FEWEST_EFFECTIVE) -> Eviden
         return EvidenceWord.UNDECIDED
     if least <= interval.low90 and interval.high90 <= most:
         return EvidenceWord.EQUIVALENT
-    if least < interval.ratio < most or not interval.p < LARGEST_P:
+    if not interval.p < LARGEST_P:
         return EvidenceWord.UNDECIDED
     return EvidenceWord.BETTER if interval.ratio < 1.0 else EvidenceWord.WORSE
 
 
 def what_settles(interval: RatioInterval, dives: int) -> str:
     """Say how many dives show a difference of 10 % in four of five cases, if ratios scatter so over dives."""
-    needed = (POWER * interval.log_sd * math.sqrt(dives) / math.log(1.0 + SETTLED)) ** 2
+    beyond = math.log((1.0 + SETTLED) / (1.0 + MARGIN))
+    needed = (POWER * interval.log_sd * math.sqrt(dives) / beyond) ** 2 + SMALL_SAMPLE
     if not needed > dives:
         return ""
     share = f"{100.0 * SETTLED:.0f} %"

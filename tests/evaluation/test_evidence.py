@@ -171,7 +171,9 @@ def test_coasting_is_compared_window_by_window() -> None:
 
 def converged(ratio: float) -> MeasuredConvergence:
     ends = ratio, 0.9 * ratio, 1.1 * ratio, 0.92 * ratio, 1.08 * ratio
-    return MeasuredConvergence(0.01, 100.0, 100.0 * ratio, ConvergenceStatus.REACHED, *ends, 15)
+    return MeasuredConvergence(
+        0.01, 100.0, 100.0 * ratio, ConvergenceStatus.REACHED, *ends, 1.0 if ratio == 1.0 else 0.0, 15
+    )
 
 
 @pytest.mark.parametrize(("ratio", "word"), [(0.5, "better"), (0.85, "undecided"), (1.2, "undecided"), (1.6, "worse")])

@@ -287,7 +287,7 @@ def test_p_is_students_of_the_interval(freedom: float) -> None:
     ends = 0.8 * np.exp([-tails[0], tails[0], -tails[1], tails[1]])
     found = RatioInterval(0.8, *ends.tolist(), 20.0, freedom)
     assert found.log_sd == pytest.approx(0.1, rel=1e-5)
-    assert found.p == pytest.approx(2.0 * student_t.sf(abs(np.log(0.8)) / 0.1, freedom), rel=1e-4)
+    assert found.p == pytest.approx(student_t.sf(-np.log(0.8 * 1.05) / 0.1, freedom), rel=1e-4)
     assert np.isnan(NOTHING.p)
 
 
@@ -324,7 +324,7 @@ def test_errors_of_two_stretches_count_as_two_samples() -> None:
 @pytest.mark.parametrize("dives", [2, 3, 8, 13])
 def test_interval_and_p_over_dives_are_those_of_scipy(dives: int) -> None:
     log_ratios = np.random.default_rng(dives).normal(-0.3, 0.2, dives)
-    found, expected = dives_ratio(log_ratios), ttest_1samp(log_ratios, 0.0)
+    found, expected = dives_ratio(log_ratios), ttest_1samp(log_ratios, -np.log(1.05), alternative="less")
     assert found.p == pytest.approx(expected.pvalue, rel=1e-9)
     for ends, level in (((found.low, found.high), 0.95), ((found.low90, found.high90), 0.9)):
         assert np.log(ends) == pytest.approx([*expected.confidence_interval(level)], rel=1e-9)
@@ -351,11 +351,19 @@ def test_dives_without_a_number_are_left_out_and_equal_dives_are_equivalent() ->
 
 
 def test_what_settles_is_the_number_of_dives_that_find_ten_percent() -> None:
-    """Ratios with a standard deviation of 0.12 over dives: (2.8 * 0.12 / ln 1.1)^2 is 12.4."""
-    logs = 0.12 * np.array([-1.0, 0.0, 1.0])
-    assert what_settles(dives_ratio(logs), 3) == "about 13 dives like these would settle 10 %"
+    """Ratios with a standard deviation of 0.04 over dives: (3.17 * 0.04 / ln(1.1 / 1.05))^2 + 2.7 is 10.1."""
+    logs = 0.04 * np.array([-1.0, 0.0, 1.0])
+    assert what_settles(dives_ratio(logs), 3) == "about 11 dives like these would settle 10 %"
     assert what_settles(dives_ratio(0.1 * logs), 3) == "", "three are enough"
     assert what_settles(NOTHING, 3) == ""
+    drawn = np.random.default_rng(3).normal(-np.log(1.1), 0.04, (1000, 11))
+    found = sum(word_of(dives_ratio(one), 3) == EvidenceWord.BETTER for one in drawn)
+    assert 770 <= found <= 850, "four of five"
+
+
+def test_ten_rows_on_filters_that_differ_by_the_margin_err_in_a_hundredth_each() -> None:
+    drawn = np.random.default_rng(4).normal(-np.log(1.05), 0.1, (2000, 8))
+    assert sum(word_of(dives_ratio(one), 3) != EvidenceWord.UNDECIDED for one in drawn) <= 33
 
 
 def test_same_seed_draws_the_same() -> None:
