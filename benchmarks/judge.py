@@ -168,7 +168,9 @@ def judged_candidates(dives: Sequence[JudgedDive], start: str) -> list[Judged]:
         every = [dive for dive in dives if dive.number == number]
         of_world = [dive for dive in every if dive.words]
         for candidate in world.candidates if of_world else ():
-            ratios = {begun: _ratios(every, world.config.baseline, candidate, begun) for begun in STARTS}
+            # The first worlds were chosen by their drift and velocity.
+            count = None if world.sea else 2
+            ratios = {begun: _ratios(every, world.config.baseline, candidate, begun)[:count] for begun in STARTS}
             kind = "D" if world.dead else truth(ratios[start]) if ratios[start] else "-"
             told = {begun: " | ".join(map(str, ratio)) or "- | -" for begun, ratio in ratios.items()}
             words = Counter(dive.words[candidate] for dive in of_world)
@@ -361,24 +363,25 @@ def sea_page(candidates: Sequence[Judged], dives: int, start: str, took_s: float
         f"{dives} dives in each world (a third as many of 2 h), replayed from their logs. No dive has the motion of "
         "another. IMUs have turn-on biases, Gauss-Markov biases, scale errors and misalignments; DVLs have correlated "
         "errors and lose the bottom; references are noisy. The filters are told presets. Truth is as in "
-        f"*Judgement*, of these and {TRUTH_DIVES} more dives of each world: horizontal drift in 60 s and velocity "
-        "against the exact motion. "
-        "A gain or a loss is of 10 % or more where the drift or the velocity of the one is at most 1/1.1 of the "
-        "other's. A copy has the baseline's own settings. Three and eight dives are disjoint groups. Wrong words are "
+        f"*Judgement*, of these and {TRUTH_DIVES} more dives of each world: horizontal drift in 60 s, velocity, position "
+        "and last position, and the depth, against the exact motion. A gain or a loss is of 10 % or more where one of "
+        "them is at most 1/1.1 of the other filter's. A copy has the baseline's own settings. Three and eight dives "
+        "are disjoint groups. Wrong words are "
         "gain or loss of equal filters, the opposite, *mixed*, and *equivalent* where 10 % are true. The classes are "
         f"those of filters that start {_START_IN_WORDS[start]}."
     )
-    groups = ("one dive", "asked", "three dives", "asked", "eight dives", "asked")
+    groups = ("one dive", "three dives", "eight dives")
+    rates_of = [cell for group in groups for cell in (group, "asked")]
     said = [
         f"| {it.name.removeprefix('sea: ')} | {it.kind}{' 10 %' if it.is_far else ''} | {it.truths[start]} | "
         f"{' | '.join(_counts(count) for count in (it.words, it.of_few, it.pooled))} |"
         for it in candidates
     ]
-    columns = ("world", "truth", "drift", "velocity", "one dive", "three dives", "eight dives")
+    columns = ("world", "truth", "drift", "velocity", "position", "last position", "depth", *groups)
     return "\n".join(
         [
             *("# Judgement at sea", "", about, ""),
-            *table(("", *groups), sea_rates(candidates)),
+            *table(("", *rates_of), sea_rates(candidates)),
             *("", "b: better, e: equivalent, u: undecided, m: mixed, w: worse, n: not judged.", ""),
             *table(columns, said),
             *("", f"{machine()}; {took_s:.0f} s."),
