@@ -19,6 +19,7 @@ from statistics import median
 from typing import Any, Final, NamedTuple
 
 import msgspec
+import numpy as np
 from results import machine, table, write_part
 from true_errors import MeanSquares, Soundness, is_large, mean_squares, soundness, true_ratios, truth
 from worlds import DURATION_S, SCENARIO, SEA_SEED, WORLDS, World, dive_seed, made_dive
@@ -41,6 +42,8 @@ from insdvl_replay.studies.simulated_run import MonteCarloSetup, drawn_start
 DIVES, SEA_DIVES = 60, 24
 TRUTH_DIVES, TRUTH_ALONE = 72, 1000
 """So many more dives in each world at sea, from this number on, tell what is true and are not judged."""
+EXCHANGES = 200
+"""So many groups of dives of each pair of equal filters, which are exchanged at random."""
 FEW, POOLED = 3, 8
 """Dives that are pooled, disjoint groups in the order of their numbers."""
 WORDS: Final = ("better", "equivalent", "undecided", "mixed", "worse", "not judged")
@@ -193,6 +196,29 @@ def _pooled(dives: Sequence[JudgedDive], candidate: str, size: int) -> Counter[s
     return Counter(pooled_word(candidate, [dive.evidence.get(candidate, []) for dive in group]) for group in groups)
 
 
+def exchanged_rate(dives: Sequence[JudgedDive], candidates: Sequence[Judged], size: int) -> str:
+    """Say how often equal filters are better or worse, if they are exchanged at random in dives drawn at random."""
+    rng, words = np.random.default_rng(SEA_SEED), Counter[str]()
+    for judged in (it for it in candidates if _is("B")(it) and not it.is_copy):
+        world, candidate = judged.name.rsplit(": ", 1)
+        of_world = [dive for dive in dives if dive.words and WORLDS[dive.number].name == world]
+        for _ in range(EXCHANGES):
+            drawn = rng.choice(len(of_world), size, replace=False) if len(of_world) >= size else ()
+            groups = [_exchanged(of_world[i].evidence[candidate], bool(rng.integers(2))) for i in drawn]
+            words[pooled_word(candidate, groups)] += bool(groups)
+    return _rate(words, frozenset({"better", "worse", "mixed"}))
+
+
+def _exchanged(rows: Sequence[EvidenceRow], is_exchanged: bool) -> list[EvidenceRow]:
+    """Let the candidate be the baseline."""
+    return [
+        msgspec.structs.replace(row, baseline=row.value, value=row.baseline, ratio=1.0 / row.ratio)
+        if is_exchanged and row.ratio
+        else row
+        for row in rows
+    ]
+
+
 def _median_soundness(dives: Sequence[JudgedDive]) -> str:
     known = [dive.soundness for dive in dives if dive.soundness is not None]
     if not known:
@@ -238,7 +264,7 @@ def _rate(words: Counter[str], asked: frozenset[str]) -> str:
     return f"{100.0 * said / words.total():.1f} % ({said} of {words.total()})" if words else "-"
 
 
-def page(candidates: Sequence[Judged], dives: int, start: str, took_s: float) -> str:
+def page(candidates: Sequence[Judged], dives: int, start: str, took_s: float, _: Sequence[JudgedDive] = ()) -> str:
     """Write the part of the page of results."""
     asked = ("", "one dive", "asked", "eight dives pooled", "asked")
     words = [
@@ -357,16 +383,17 @@ def sea_rates(candidates: Sequence[Judged]) -> list[str]:
     return rows
 
 
-def sea_page(candidates: Sequence[Judged], dives: int, start: str, took_s: float) -> str:
+def sea_page(candidates: Sequence[Judged], dives: int, start: str, took_s: float, judged: Sequence[JudgedDive]) -> str:
     """Write the part of the page of results on the worlds at sea."""
+    equal = " and ".join(f"{exchanged_rate(judged, candidates, size)} of {size} dives" for size in (FEW, POOLED))
     about = (
         f"{dives} dives in each world (a third as many of 2 h), replayed from their logs. No dive has the motion of "
         "another. IMUs have turn-on biases, Gauss-Markov biases, scale errors and misalignments; DVLs have correlated "
         "errors and lose the bottom; references are noisy. The filters are told presets. Truth is as in "
-        f"*Judgement*, of these and {TRUTH_DIVES} more dives of each world: horizontal drift in 60 s, velocity, position "
-        "and last position, and the depth, against the exact motion. A gain or a loss is of 10 % or more where one of "
-        "them is at most 1/1.1 of the other filter's. A copy has the baseline's own settings. Three and eight dives "
-        "are disjoint groups. Wrong words are "
+        f"*Judgement*, of these and {TRUTH_DIVES} more dives of each world: horizontal drift in 60 s, velocity, "
+        "position and last position, and the depth, against the exact motion. A gain or a loss is of 10 % or more "
+        "where one of them is at most 1/1.1 of the other filter's. A copy has the baseline's own settings. Three and "
+        "eight dives are disjoint groups. Wrong words are "
         "gain or loss of equal filters, the opposite, *mixed*, and *equivalent* where 10 % are true. The classes are "
         f"those of filters that start {_START_IN_WORDS[start]}."
     )
@@ -382,7 +409,8 @@ def sea_page(candidates: Sequence[Judged], dives: int, start: str, took_s: float
         [
             *("# Judgement at sea", "", about, ""),
             *table(("", *rates_of), sea_rates(candidates)),
-            *("", "b: better, e: equivalent, u: undecided, m: mixed, w: worse, n: not judged.", ""),
+            *("", f"Equal filters, exchanged at random in groups of dives: {equal} are better or worse.", ""),
+            *("b: better, e: equivalent, u: undecided, m: mixed, w: worse, n: not judged.", ""),
             *table(columns, said),
             *("", f"{machine()}; {took_s:.0f} s."),
         ]
@@ -424,8 +452,9 @@ def main() -> None:
             continue
         begun_s = time.monotonic()
         tasks = [(i, dive, arguments.seed) for i in numbers for dive in _dives_of(WORLDS[i], dives)]
-        candidates = judged_candidates(list(judged_dives(tasks, arguments.jobs)), arguments.truth)
-        part = write(candidates, dives, arguments.truth, time.monotonic() - begun_s)
+        judged = list(judged_dives(tasks, arguments.jobs))
+        candidates = judged_candidates(judged, arguments.truth)
+        part = write(candidates, dives, arguments.truth, time.monotonic() - begun_s, judged)
         if (dives, arguments.worlds, arguments.seed) in [
             (usual, all_worlds, SEA_SEED) for all_worlds in ([""], ["sea:"])
         ]:
