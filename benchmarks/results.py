@@ -2,6 +2,8 @@
 
 import platform
 import re
+import subprocess
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
@@ -9,8 +11,11 @@ RESULTS = Path(__file__).with_name("RESULTS.md")
 
 
 def machine() -> str:
-    """Describe the machine in a sentence's beginning."""
-    return f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}, numpy {version('numpy')}"
+    """Say on which machine, when and of which commit this is."""
+    where = f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}, numpy {version('numpy')}"
+    git = ["git", "-C", str(RESULTS.parent), "describe", "--always", "--dirty", "--exclude=*", "--abbrev=8"]
+    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip() or "not in git"
+    return f"{where}; {datetime.now(UTC):%Y-%m-%d}, {commit}"
 
 
 def table(columns: tuple[str, ...], rows: list[str]) -> list[str]:
