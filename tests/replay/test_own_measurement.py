@@ -153,7 +153,7 @@ def test_two_give_what_the_sensors_give_that_the_tool_has(
     config = aided(end_s, built_in=words, mine=own)
     prepared = prepare_dive(gauged, config)
     built_in, mine = prepared.filters
-    built_in = replace(built_in, states=mine.states, more_sd=mine.more_sd)
+    built_in = replace(built_in, states=mine.states, more_sd=mine.more_sd, more_density=mine.more_density)
     timeline = prepared_timeline(gauged, prepared)
     assert_same(run_one(mine, prepared, timeline), run_one(built_in, prepared, timeline))
 
