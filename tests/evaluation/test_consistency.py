@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 from frames import frame
+from made_histories import GATE, history
 from numpy.typing import NDArray
 from scipy import stats
 
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Noise
 from insdvl_replay.core.dive_columns import Dive, Floats
-from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.evaluation.chi_square import SMALL_EXCESS, chi_square_quantile, consistency_word, mean_interval
 from insdvl_replay.evaluation.consistency import (
     FEWEST_UPDATES,
@@ -24,49 +24,8 @@ from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 
 BEAM_SD_MPS = 0.005
-GATE = 25.9
-"""NIS that one in 100,000 exceeds."""
 WHITE = ImuErrors(accel_white_mps_rts=2e-3, gyro_white_rad_rts=1e-5)
 NOISE = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=1e-5)
-
-
-def history(
-    name: str, nis: Floats, used: Floats | NDArray[np.bool_] | None = None, measurement: str = "velocity"
-) -> History:
-    m = len(nis)
-    nothing = np.zeros((m, 3))
-    kept, gate = (np.ones(m, dtype=bool), np.inf) if used is None else (used.astype(bool), GATE)
-    innovations = Innovations(
-        measurement,
-        "m/s",
-        ("x", "y", "z"),
-        np.arange(m, dtype=np.int64),
-        np.arange(m, dtype=np.int64),
-        nothing,
-        nothing,
-        np.ones((m, 3)),
-        nis,
-        kept,
-        np.zeros(m),
-        gate,
-        5,
-        np.zeros(m, dtype=bool),
-    )
-    one = np.zeros((1, 3))
-    return History(
-        name,
-        np.zeros(1, dtype=np.int64),
-        np.ones(1, dtype=bool),
-        one,
-        one,
-        np.eye(3)[None],
-        one,
-        one,
-        np.ones((1, 12)),
-        np.empty(0, dtype=np.int64),
-        np.empty((0, 12, 12)),
-        (innovations,),
-    )
 
 
 def judged(nis: Floats, used: Floats | NDArray[np.bool_] | None = None) -> Any:
