@@ -1,8 +1,8 @@
 """The command as its user meets it: what it prints and writes, and how it refuses."""
 
-import re
 import json
 import os
+import re
 import signal
 import subprocess
 import sys

@@ -1,7 +1,7 @@
 """Tests that were left out are told of in the last lines, with what brings them."""
 
-import re
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path

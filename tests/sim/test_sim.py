@@ -1,7 +1,7 @@
 """Simulated dives: the motion is exact, the errors are of the size asked for, and the bytes come again."""
 
-import re
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 

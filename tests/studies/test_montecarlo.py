@@ -1,8 +1,8 @@
 """The Monte Carlo study: statistics against numpy and scipy, verdicts on worlds that are known, and the command."""
 
-import re
 import json
 import os
+import re
 import signal
 import subprocess
 import sys

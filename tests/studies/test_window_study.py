@@ -163,7 +163,7 @@ def test_velocities_serve_as_well_as_the_beams_they_come_from() -> None:
 
 def test_dive_without_reference_says_so() -> None:
     dive = replace(exact_dive("straight", duration_s=60.0), reference=None)
-    with pytest.raises(LogError, match="straight: .*reference") as caught:
+    with pytest.raises(LogError, match=r"straight: .*reference") as caught:
         dive_windows(dive, load_config(), 5)
     assert "reference.topic" in caught.value.hint
 
@@ -208,7 +208,7 @@ def test_command_writes_the_same_bytes_twice(
             run_command_line(["study", "window", *simulated, "-o", str(tmp_path / name), "--longest", "6", "--png"])
             == 0
         )
-    printed = capsys.readouterr()
+    assert capsys.readouterr().out
     folders = [tmp_path / name / "window" for name in ("one", "two")]
     names = {path.name for path in folders[0].iterdir()}
     assert names == {"window.csv", "best.csv", "window.svg", "window.png", "config.toml", "report.json", "report.html"}
