@@ -35,7 +35,7 @@ def test_settings_are_written_that_a_run_takes(dives: Path, tmp_path: Path, caps
     assert run_command_line([*calibrate(dives, "dive_1", "dive_2"), "-o", str(found)]) == 0
     out, err = capsys.readouterr()
     assert "2 dives" in out.splitlines()[0]
-    assert f"-c {found}` uses it" in out
+    assert f"-c {found}`" in out
     assert err.endswith(f"wrote {found}\n")
     assert load_config("fog", found).dvl.lever_arm_m == pytest.approx((0.0, 0.0, 0.0), abs=0.03)
     run = ["run", str(dives / "dive_1.mcap"), "-c", str(found), "-o", str(tmp_path / "replay"), "--starts", "1"]

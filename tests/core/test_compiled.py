@@ -64,7 +64,7 @@ def test_compile_without_a_place_for_the_code_is_a_users_mistake(tmp_path: Path)
     process = started(tmp_path / "file" / "cache", "compile")
     _, errors = process.communicate()
     assert process.returncode == 2
-    assert "cannot be written" in errors
+    assert str(tmp_path / "file") in errors
     assert "INSDVL_REPLAY_CACHE=" in errors
 
 

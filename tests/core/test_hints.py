@@ -52,7 +52,6 @@ def test_topic_of_the_right_type_without_messages_is_named() -> None:
 @pytest.mark.parametrize("topic", [None, "/imu"])
 def test_empty_log_is_no_matter_of_types(topic: str | None) -> None:
     error = refusal([channel("/imu", IMU_TYPE, 0)], Config(imu=Imu(topic=topic)))
-    assert "type" not in error.message
     assert error.hint.endswith(" /imu")
 
 

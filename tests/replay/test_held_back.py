@@ -388,7 +388,7 @@ def test_a_held_out_sensor_is_not_in_the_dive(dive: Dive, word: str, sensor: str
     config = Config(filters=filters, evaluation=Evaluation(starts=1, withheld=(sensor,)))
     with pytest.raises(ConfigError, match=rf"{word}: readings\(self, dive\) .*KeyError: '{sensor}'") as refusal:
         prepare_dive(dive, config)
-    assert f"the {sensor} is held out" in str(refusal.value.hint)
+    assert sensor in str(refusal.value.hint)
 
 
 def test_nothing_is_given_that_a_held_out_sensor_had_a_part_in(dive: Dive) -> None:

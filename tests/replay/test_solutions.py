@@ -1,5 +1,6 @@
 """The vehicle's own solution as a filter: what is put into it stands in the tables, whatever its frames are."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -121,7 +122,7 @@ def test_a_file_without_a_number_is_refused(dive: Dive, tmp_path: Path) -> None:
     write_tum(tmp_path / "own.tum", told)
     lines = [line.split()[0] + " nan" * 7 for line in (tmp_path / "own.tum").read_text("utf-8").splitlines()]
     (tmp_path / "own.tum").write_text("\n".join(lines), "utf-8")
-    with pytest.raises(LogError, match="has no number"):
+    with pytest.raises(LogError, match=r"own\.tum"):
         replayed(tmp_path, dive, config(Solution(file=str(tmp_path / "own.tum"))))
 
 
@@ -243,7 +244,7 @@ def test_what_is_turned_keeps_its_covariance_and_its_mounting(dive: Dive, tmp_pa
     replay = replayed(tmp_path, dive, settings, write_odometry(tmp_path / "across.mcap", across))
     assert rows(replay, "reference_error")["heading"].rmse < 4.0  # what the first attitude was off by, and noise
     (text,) = (note.text for note in replay.notes if note.code == "solution_turned")
-    assert "turned by -7" in text or "turned by -6" in text
+    assert re.search(r" -[67][\d.]* deg", text)
 
 
 def test_a_lever_arm_and_a_mounting_are_taken_off(dive: Dive, tmp_path: Path) -> None:

