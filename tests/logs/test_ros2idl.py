@@ -120,7 +120,7 @@ def message(count: int) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("count", [0, 1, 3])
+@pytest.mark.parametrize("count", [0, 3])
 def test_messages_that_rosbags_wrote_by_its_own_parse_are_read(count: int) -> None:
     data = serialised(oracle(), TYPE, message(count))
     columns = BinaryReader(parse_idl(TYPE, TEXT), TYPE, PATHS).columns(block_of([data]))
@@ -135,13 +135,6 @@ def test_messages_that_rosbags_wrote_by_its_own_parse_are_read(count: int) -> No
     np.testing.assert_array_equal(columns["beams[*].direction"], [[x for i in range(count) for x in (i, 2 * i, -i)]])
 
 
-def test_fields_are_those_that_rosbags_finds() -> None:
-    definitions = parse_idl(TYPE, TEXT)
-    assert definitions.keys() == {TYPE, *OTHERS}
-    for name, definition in definitions.items():
-        assert [field.name for field in definition.fields] == [field for field, _ in oracle().fielddefs[name][1]]
-
-
 @pytest.mark.parametrize(
     ("text", "what"),
     [
@@ -149,14 +142,11 @@ def test_fields_are_those_that_rosbags_finds() -> None:
         (TEXT.replace("struct Ping", "union Ping"), "'union' in the schema"),
         (TEXT.replace("struct Ping {", "struct Ping : Beam {"), "':' in the schema"),
         (TEXT.replace("struct Ping", "struct Pong"), "does not define it"),
-        (TEXT.replace("sequence<float>", "sequence<row>"), "lists of lists"),
         (TEXT.replace("sequence<float>", "sequence<sequence<float> >"), "lists of lists"),
         (TEXT.replace("double__9[9]", "double__9[SIZE]"), "an array of 'SIZE'"),
         (TEXT.replace("double__9[9]", f"double__9[{10**50}]"), "an array of '1000"),
         (TEXT.replace("float velocity;", "Ping ping;"), "contains itself"),
         (TEXT.replace("typedef double row[3]", "typedef row row"), "test_msgs/msg/row"),
-        ("float64 x\n", "'float64' in the schema"),
-        ("", "does not define it"),
         (TEXT[:-6], "'the end' in the schema"),
     ],
 )  # fmt: skip
