@@ -166,6 +166,14 @@ def test_a_bag_that_was_cut_gives_what_is_whole_of_it(bag: Path, whole: Dive) ->
     np.testing.assert_array_equal(dive.imu.specific_force_b, whole.imu.specific_force_b[:size])
 
 
+def test_an_end_that_contradicts_a_chunk_is_told(bag: Path) -> None:
+    """The last bytes of the bag say how many messages its last connection has in its last chunk."""
+    data = bag.read_bytes()
+    bag.write_bytes(data[:-4] + bytes([data[-4] ^ 1]) + data[-3:])
+    with pytest.raises(LogError, match="the end of the bag does not agree with one of its chunks"):
+        open_recording(bag)
+
+
 def test_every_flipped_byte_of_a_packed_bag_is_found(tmp_path: Path, whole: Dive) -> None:
     """But for callers, checksums of types and what fills the header up, on which nothing hangs."""
     data = other_bags.bag(tmp_path / "dive.bag", "bz2").read_bytes()
