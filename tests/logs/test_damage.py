@@ -19,8 +19,8 @@ from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.container.recording import Recording, open_recording
 
-HEADER, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX, ATTACHMENT = 1, 4, 5, 6, 7, 8, 9
-STATISTICS, METADATA, DATA_END, FOOTER = 11, 12, 15, 2
+CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX, ATTACHMENT = 4, 5, 6, 7, 8, 9
+STATISTICS, DATA_END, FOOTER = 11, 15, 2
 
 Harm = Callable[[bytes], bytes]
 
@@ -112,6 +112,14 @@ def wrong_length_in_chunk(length: int, data: bytes) -> bytes:
     return changed(data, place + 1, struct.pack("<Q", length))
 
 
+def of_no_known_kind(data: bytes) -> bytes:
+    """Let two messages of a channel in an open chunk be private records; its index names both."""
+    first = place = message_in_chunk(data)
+    while place == first or data[place + 9 : place + 11] != data[first + 9 : first + 11]:
+        place += 9 + int.from_bytes(data[place + 1 : place + 9], "little")
+    return changed(changed(data, first, b"\x90"), place, b"\x90")
+
+
 def nothing_but_a_start(data: bytes) -> bytes:
     return data[:8]
 
@@ -181,6 +189,13 @@ MATRIX = {
     "chunk taken out": Case("zstd", chunk_taken_out, "summary", CHUNKFUL, 20),
     "message of an unknown channel": Case("bare", foreign_channel, r"names 1 of its messages \(channel 999\)", 1),
     "message too long in a chunk": Case("bare", partial(wrong_length_in_chunk, 400), "in the chunk", 2, 1),
+    "messages of no known kind in a chunk": Case("bare", of_no_known_kind, "an index does not name", 2, 2),
+    "channel that cannot be parsed": Case(
+        "no chunks, no checksums", partial(in_record, CHANNEL, 0, 9 + 4, b"\xff" * 4), "cannot be parsed", 0
+    ),
+    "statistics among the messages": Case(
+        "zstd", partial(in_record, INDEX, 4, 0, bytes([STATISTICS])), "its index|stands among the messages", 0
+    ),
     "message too short": Case(
         "no chunks, no checksums", partial(in_record, MESSAGE, 40, 1, b"\x05\x00"), "kind|record", 2, 1
     ),

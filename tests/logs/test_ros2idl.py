@@ -141,6 +141,7 @@ WRONG = [
     (TEXT.replace("struct Ping", "union Ping"), "'union' in the schema"),
     (TEXT.replace("struct Ping {", "struct Ping : Beam {"), "':' in the schema"),
     (TEXT.replace("struct Ping", "struct Pong"), "does not define it"),
+    (TEXT.replace("sequence<float>", "sequence<row>"), "lists of lists"),
     (TEXT.replace("sequence<float>", "sequence<sequence<float> >"), "lists of lists"),
     (TEXT.replace("double__9[9]", "double__9[SIZE]"), "an array of 'SIZE'"),
     (TEXT.replace("double__9[9]", f"double__9[{10**50}]"), "an array of '1000"),
