@@ -118,11 +118,11 @@ def test_message_that_does_not_fit_its_schema_is_refused() -> None:
 
 
 def test_numbers_of_every_kind_are_read_as_by_struct_wherever_they_stand() -> None:
-    names = ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "float32", "float64"]
-    kinds = list(zip(names, "bBhHiIqfd", strict=True))
+    names = ["int8", "uint8", "byte", "char", "int16", "uint16", "int32", "uint32", "int64", "float32", "float64"]
+    kinds = list(zip(names, "bBBBhHiIqfd", strict=True))
     text = "".join(f"{name} {name}_near\n{name}[40] {name}_row\n" for name, _ in kinds)
     paths = [f"{name}_{end}" for name, _ in kinds for end in ("near", "row", "row[7]")]
-    content = np.random.default_rng(5).integers(0, 60, 4000, np.uint8).tobytes()
+    content = np.random.default_rng(5).integers(0, 256, 4000, np.uint8).tobytes()
     place, expected = 0, []
     for _, letter in kinds:
         size = struct.calcsize(letter)
