@@ -1,4 +1,4 @@
-"""Messages of ROS 1 in MCAP: columns agree with what rosbags writes, and with those of the same messages in CDR."""
+"""Messages of ROS 1: columns agree with what rosbags writes and reads; `test_ros1_bags` has whole dives."""
 
 import struct
 from itertools import islice
@@ -6,19 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import other_bags
 import pytest
 from blocks import block_of
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from small_logs import written
 
-from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.container.recording import open_recording
 from insdvl_replay.logs.encoding.binary_fields import BinaryReader, definitions_by
 from insdvl_replay.logs.encoding.fields import channel_paths, open_reader
@@ -147,31 +142,6 @@ def test_what_a_schema_lacks_is_told_with_what_writes_it() -> None:
     with pytest.raises(LogError, match="the schema uses std_msgs/msg/Header") as error:
         definitions_by(TYPE, "Header header", "ros1")
     assert "`mcap convert`" in error.value.hint
-
-
-def columns_of(dive: Dive) -> dict[str, np.ndarray]:
-    roles = {"imu": dive.imu, "dvl": dive.dvl, "reference": dive.reference}
-    return {
-        f"{role}.{name}": value
-        for role, columns in roles.items()
-        if columns is not None
-        for name, value in vars(columns).items()
-        if isinstance(value, np.ndarray)
-    }
-
-
-def test_a_dive_has_the_same_columns_in_both_encodings(tmp_path: Path) -> None:
-    """Roles are found by types, which ROS 1 names `package/Type`."""
-    ros1, ros2 = tmp_path / "ros1.mcap", tmp_path / "ros2.mcap"
-    other_bags.ros1_mcap(ros1)
-    ros2.write_bytes(written())
-    one, other = read_dive(ros1, Config()), read_dive(ros2, Config())
-    assert {channel.type_name for channel in one.channels if channel.role == "imu"} == {"sensor_msgs/Imu"}
-    found, expected = columns_of(one), columns_of(other)
-    assert found.keys() == expected.keys()
-    assert len(found) >= 4
-    for name, values in expected.items():
-        np.testing.assert_array_equal(found[name], values, err_msg=name)
 
 
 def test_recorded_messages_are_those_that_rosbags_reads(ros1: Path) -> None:
