@@ -213,6 +213,7 @@ DEPTHS = connection(0) + message(0, 1, 0, bytes(8))
         (record({"op": b"\3", "encryptor": b"rosbag/AesCbcEncryptor"}, b""), "is encrypted"),
         (record({"op": b"\3"}, b""), "the bag has 2 headers"),
     ],
+    ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_what_is_no_bag_is_told_by_its_place(content: bytes, said: str, tmp_path: Path) -> None:
     path = tmp_path / "dive.bag"
