@@ -188,6 +188,13 @@ MATRIX = {
     "definitions lost and summary moved": Case("zstd", definitions_lost_and_summary_moved, "summary", CHUNKFUL, 20),
     "chunk taken out": Case("zstd", chunk_taken_out, "summary", CHUNKFUL, 20),
     "message of an unknown channel": Case("bare", foreign_channel, r"names 1 of its messages \(channel 999\)", 1),
+    "message of an unknown channel, without chunks": Case(
+        "no chunks, no checksums",
+        partial(in_record, MESSAGE, 40, 9, struct.pack("<H", 999)),
+        "channel 999, which",
+        1,
+        1,
+    ),
     "message too long in a chunk": Case("bare", partial(wrong_length_in_chunk, 400), "in the chunk", 2, 1),
     "messages of no known kind in a chunk": Case("bare", of_no_known_kind, "an index does not name", 2, 2),
     "channel that cannot be parsed": Case(

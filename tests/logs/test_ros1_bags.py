@@ -205,6 +205,10 @@ DEPTHS = connection(0) + message(0, 1, 0, bytes(8))
         (chunk(message(7, 1, 0, bytes(8))), "of connection 7, which is nowhere described"),
         (chunk(DEPTHS) + chunk(connection(0, "/other")), "connection 0 is not the same in two places"),
         (chunk(DEPTHS[:-1]), "in the chunk, "),
+        (
+            chunk(DEPTHS) + record({"op": b"\4", "conn": bytes(4), "count": b"\2\0\0\0"}, bytes(12)),
+            "does not have the 1 entries that it says",
+        ),
         (chunk(record({"op": b"\2"}, b"")), "no field 'time' of 8 bytes"),
         (chunk(b"\xff" * 40), "a record says its header has 4294967295 bytes"),
         (message(0, 1, 0, b""), "a record of kind 2 stands where none belongs"),
