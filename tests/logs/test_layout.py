@@ -1,4 +1,4 @@
-"""Layouts of CDR messages, against the encoder of mcap-ros2-support; `test_binary_fields` has that of rosbags."""
+"""Layouts of CDR messages, against the encoders of mcap-ros2-support and rosbags."""
 
 import io
 from typing import Any
@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.writer import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.encoding.layout import dynamic_lengths, layout_for_texts, layout_of
@@ -107,6 +108,18 @@ def test_layout_finds_and_fills_every_field_as_mcap_ros2_support(message: dict[s
         np.testing.assert_array_equal(row[path], value, err_msg=path)
         rows[path] = value
     assert rows.tobytes() == 3 * data
+
+
+def test_an_empty_sequence_is_not_aligned_as_rosbags_writes_it() -> None:
+    text = "float64[] values\nuint8 between\nstring word\nfloat32 number\n"
+    store, definitions = get_typestore(Stores.EMPTY), parse_definitions(TYPE, text)
+    store.register(get_types_from_msg(text, TYPE))
+    for values in ([], [1.5, -2.0]):
+        message = store.types[TYPE](values=np.array(values), between=9, word="abc", number=0.25)
+        data = bytes(store.serialize_cdr(message, TYPE))
+        layout = layout_of(definitions, TYPE, dynamic_lengths(definitions, TYPE, data))
+        [row] = np.frombuffer(data, layout.dtype, count=1)
+        assert (row["between"], row["word"], row["number"], row["values"].tolist()) == (9, b"abc", 0.25, values)
 
 
 def test_layout_for_texts_makes_room_for_them() -> None:
