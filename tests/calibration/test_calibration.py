@@ -428,7 +428,7 @@ def test_examples_are_what_their_target_makes(example: str, dives: str, tmp_path
     assert made.read_text("utf-8") == kept.read_text("utf-8")
     found, used = load_config(file=kept).dvl, load_config(file=SNAPIR.with_name(f"{example}.toml")).dvl
     assert used.lever_arm_m == pytest.approx(found.lever_arm_m, abs=1e-3)
-    assert used.mounting_rpy_deg == pytest.approx(found.mounting_rpy_deg, abs=1e-3)
+    assert used.mounting_rpy_deg == pytest.approx(found.mounting_rpy_deg, abs=5e-3), "an eighth of the smallest sd"
     assert used.latency_s == pytest.approx(found.latency_s, abs=1e-3)
     if example != "blueye_x3":  # its scale is the track's, its noise the stamps'
         assert used.scale == pytest.approx(found.scale, abs=1e-4)
