@@ -8,8 +8,8 @@ from insdvl_replay.comparison.display_tables import growth, old_and_new, percent
 from insdvl_replay.core.changes import Aggregate, Change, Comparison, Difference
 from insdvl_replay.core.errors import listed
 from insdvl_replay.core.plain_text import natural_key, visible
-from insdvl_replay.core.quantities import NAMES
-from insdvl_replay.core.table_layout import RATIO
+from insdvl_replay.core.quantities import label
+from insdvl_replay.core.table import RATIO
 from insdvl_replay.core.words import ChangeWord
 from insdvl_replay.report.document import Column, DisplayTable, Html, Sentences, counted, table_of
 
@@ -98,7 +98,7 @@ def _name(quantity: str) -> str:
     """Name a piece of evidence; of honesty its ratio is shown, of the distances from 1."""
     if quantity in HONESTY_ROWS:
         return f"{quantity.upper()} off 1, times the baseline's"
-    return NAMES.get(quantity, quantity)
+    return label(quantity)
 
 
 def _has_moved(change: Change) -> bool:
@@ -130,8 +130,7 @@ def dot_plot(comparison: Comparison, baseline: str) -> Iterator[Html]:
     if not changes:
         return
     head = "".join(
-        f'<th class="axis">{escape(visible(owner))}<br>{escape(visible(NAMES.get(row, row)))}</th>'
-        for owner, row in columns
+        f'<th class="axis">{escape(visible(owner))}<br>{escape(visible(label(row)))}</th>' for owner, row in columns
     )
     rows = "".join(
         f'<tr><th scope="row">{escape(visible(dive))}</th>'

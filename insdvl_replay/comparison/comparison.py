@@ -12,7 +12,7 @@ from insdvl_replay.comparison.filter_pairs import require_common_candidate, with
 from insdvl_replay.core.changes import Change, Comparison, Difference, DiveComparison
 from insdvl_replay.core.errors import ConfigError, Note, require_known
 from insdvl_replay.core.stored_report import StoredReport, StoredResult
-from insdvl_replay.core.table_layout import TableLayout
+from insdvl_replay.core.table import TableLayout
 from insdvl_replay.core.tables import LAYOUTS
 from insdvl_replay.core.words import MatchedBy, Severity
 from insdvl_replay.evaluation.row_changes import compare_tables, named_rows

@@ -8,11 +8,12 @@ from typing import Final, Literal, TypeVar
 
 from insdvl_replay.comparison.aggregation import loss, loss_of
 from insdvl_replay.core.changes import Aggregate, Change, Comparison
+from insdvl_replay.core.quantities import label
 from insdvl_replay.core.stored_report import Cell
-from insdvl_replay.core.table_layout import PERCENTAGE
+from insdvl_replay.core.table import PERCENTAGE
 from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
 from insdvl_replay.core.words import ChangeWord
-from insdvl_replay.report.document import MISSING, Column, DisplayTable, number, row_label, table_of
+from insdvl_replay.report.document import MISSING, Column, DisplayTable, number, table_of
 
 SortOrder = Literal["table", "name", "change", "worse"]
 """As in the reports; by row; largest change first; largest loss first."""
@@ -108,7 +109,7 @@ def _naming_columns(items: Sequence[Item]) -> Columns[Item]:
     if items[0].table == CANDIDATES.name:
         columns.append(("what", "l", lambda item: _spoken(item.column)))
         return columns
-    columns.append((_KEYS[items[0].table], "l", lambda item: row_label(item.row)))
+    columns.append((_KEYS[items[0].table], "l", lambda item: label(item.row)))
     if len({item.unit for item in items}) > 1:
         columns.append(("unit", "l", lambda item: item.unit))
     return columns

@@ -8,7 +8,7 @@ from typing import Final
 from insdvl_replay.core.changes import Change
 from insdvl_replay.core.errors import ResultError
 from insdvl_replay.core.stored_report import Cell, Row, StoredReport, StoredResult
-from insdvl_replay.core.table_layout import PERCENTAGE, Better, TableLayout
+from insdvl_replay.core.table import PERCENTAGE, Better, TableLayout
 from insdvl_replay.core.tables import CANDIDATES
 from insdvl_replay.core.words import ChangeWord
 

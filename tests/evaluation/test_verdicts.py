@@ -7,16 +7,17 @@ import pytest
 from msgspec.structs import replace
 
 from insdvl_replay.core.quantities import EVIDENCE_QUANTITIES, REFERENCE_QUANTITIES
-from insdvl_replay.core.rows import (
+from insdvl_replay.core.states import STATES
+from insdvl_replay.core.tables import (
+    Candidate,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
     EvidenceRow,
     ImprovementRow,
     ReferenceErrorRow,
+    Tables,
 )
-from insdvl_replay.core.states import STATES
-from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.evidence import without_words
 from insdvl_replay.evaluation.verdicts import consistency_of, credibility_of, verdicts
 

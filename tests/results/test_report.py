@@ -16,7 +16,7 @@ from rich.console import Console
 
 from insdvl_replay.cli.json_schemas import SCHEMAS, json_schema
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.rows import (
+from insdvl_replay.core.tables import (
     ConvergenceRow,
 )
 from insdvl_replay.report.csv_tables import structs_csv, table_csv
@@ -27,11 +27,10 @@ from insdvl_replay.report.page import page
 from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.chosen_tables import csv_of
 from insdvl_replay.results.dive_document import closing_lines, dive_document, heading
-from insdvl_replay.results.dive_tables import glance_table, word_in_table
+from insdvl_replay.results.dive_tables import NO_REFERENCE, glance_table, headline_table, track_fit_line, word_in_table
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.json_report import Tool, decode_report, encode_report
 from insdvl_replay.results.overviews import Failure, summary_csv
-from insdvl_replay.results.reference_tables import NO_REFERENCE, headline_table, track_fit_line
 from insdvl_replay.results.result_files import run_log
 
 HEADERS = {
