@@ -207,7 +207,7 @@ class CredibilityRow(Struct, frozen=True):
 
     log: Annotated[str, Column("Dive, filter, and a quantity or group of them; all is every compared state together.")]
     filter: str
-    quantity: Annotated[str, _quantity(_CREDIBILITY)]
+    quantity: Annotated[str, Column(names=_CREDIBILITY, head="quantity", form="short")]
     dof: Annotated[int, Column("Degrees of freedom of one error, and the times that were compared.")]
     samples: int
     mean_nees: Annotated[
@@ -322,7 +322,7 @@ class CoastingRow(Struct, frozen=True):
 
     log: Annotated[str, Column("Dive, filter and length of the windows.")]
     filter: Annotated[str, Column(head="filter")]
-    window_s: Annotated[str, Column(names=COASTING_WINDOWS_S, head="for\n[s]")]
+    window_s: Annotated[str, Column(names=COASTING_WINDOWS_S, head="for [s]")]
     windows: Annotated[
         int,
         Column("Windows that do not overlap, and those left out since DVL or IMU fell silent.", head="windows"),

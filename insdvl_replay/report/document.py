@@ -139,6 +139,7 @@ def ratio(value: float | None) -> str:
 FORMS: Final[Mapping[str, Callable[[Any], str]]] = {
     "": lambda value: number(value) if value is None or isinstance(value, float) else str(value),
     "label": label,
+    "short": lambda name: label(name).replace("accelerometer", "accel."),
     "words": lambda value: value.replace("_", " "),
     "percent": percent,
     "ratio": ratio,

@@ -74,7 +74,7 @@ def dive_document(
     """
     evidence, tables = list(evidence_tables(report)), list(filter_tables(report))
     glance = [glance_table(report)] if report.filters else []
-    references = reference_tables(report)
+    references = list(reference_tables(report))
     of_candidates = [table for table in evidence if table.title.startswith("Evidence")]
     folded = [Folded(table.title, (table,)) for table in (*evidence[len(of_candidates) :], *references, *tables)]
     return [
