@@ -36,7 +36,7 @@ extras:
 	$(MAKE) tests/node/node_modules
 
 # At most 40 s: the rooms of formulas, tables and words.
-QUICK := core geometry nav evaluation checks comparison report
+QUICK := core geometry nav evaluation checks changes report
 quick: .venv/test.stamp
 	$(PYTEST) -m "not nightly" $(QUICK:%=tests/%)
 

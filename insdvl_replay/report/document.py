@@ -136,6 +136,13 @@ def ratio(value: float | None) -> str:
     return decimal(value, 3) if value is None or abs(value) < TENFOLD else number(value)
 
 
+def signed_percent(value: float | None) -> str:
+    """Write a change in percent with its sign: one digit behind the point, two of a small one, none of almost none."""
+    if value is None or abs(value) < 0.005:
+        return MISSING if value is None else "0"
+    return f"{value:+.1f}" if abs(value) >= 0.95 else f"{value:+.2f}"
+
+
 FORMS: Final[Mapping[str, Callable[[Any], str]]] = {
     "": lambda value: number(value) if value is None or isinstance(value, float) else str(value),
     "label": label,
@@ -144,6 +151,9 @@ FORMS: Final[Mapping[str, Callable[[Any], str]]] = {
     "percent": percent,
     "ratio": ratio,
     "significant": significant,
+    "signed": lambda value: number(value) if value is None or value <= 0.0 else f"+{number(value)}",
+    "signed_percent": signed_percent,
+    "cell": lambda value: number(value) if isinstance(value, float) else "-" if value is None else str(value),
     **{str(digits): partial(decimal, digits=digits) for digits in range(5)},
 }
 """How the value of a column is written, by the name in its row type."""

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from insdvl_replay.comparison.comparison import compare_results
 from small_results import content, write
 
-from insdvl_replay.comparison.comparison import compare_results
 from insdvl_replay.core.errors import ConfigError, ResultError
 
 

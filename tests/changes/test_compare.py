@@ -13,11 +13,6 @@ from typing import Any
 import msgspec
 import pandas as pd
 import pytest
-from rich.console import Console
-from small_results import content, nudged, write
-from taken_apart import Document
-
-from insdvl_replay.cli import run_command_line
 from insdvl_replay.comparison.aggregation import aggregates
 from insdvl_replay.comparison.comparison import Selection, compare_results
 from insdvl_replay.comparison.display_tables import SortOrder, in_order
@@ -31,6 +26,11 @@ from insdvl_replay.comparison.document import (
 )
 from insdvl_replay.comparison.fail_on import find_violation, parse_limit
 from insdvl_replay.core.changes import Change, Comparison
+from rich.console import Console
+from small_results import content, nudged, write
+from taken_apart import Document
+
+from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError, ResultError
 from insdvl_replay.core.tables import LAYOUTS
 from insdvl_replay.report.markdown import as_markdown
