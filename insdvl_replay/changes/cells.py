@@ -6,13 +6,13 @@ of freedom (*nearer dof*).
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Final
+from typing import Final, NamedTuple
 
 from msgspec import Struct
 
 from insdvl_replay.core.errors import ResultError
 from insdvl_replay.core.stored_report import Cell, Row, StoredReport, StoredResult
-from insdvl_replay.core.table import PERCENTAGE, Better, Column, Number, TableLayout
+from insdvl_replay.core.table import PERCENTAGE, Better, Number, TableLayout
 from insdvl_replay.core.tables import CANDIDATES
 from insdvl_replay.core.words import ChangeWord
 
@@ -31,20 +31,17 @@ HONESTY: Final = "honesty"
 class Change(Struct, frozen=True):
     """One cell of a table, before and after; None where a side lacks it, as the difference of words."""
 
-    title = "Values, old and new"
-    footnote = "nearer zero, nearer dof: % of the magnitude, and of how many times a value is off its dof"
-
     log: str
-    table: Annotated[str, Column(head="table")]
-    filter: Annotated[str, Column(head="filter")]
-    row: Annotated[str, Column(head="row")]
-    unit: Annotated[str, Column(head="unit")]
-    column: Annotated[str, Column(head="column")]
-    old: Annotated[Cell, Column(head="old", form="cell")]
-    new: Annotated[Cell, Column(head="new", form="cell")]
-    change: Annotated[Number, Column(head="change", form="signed")]  # new minus old
-    change_pct: Annotated[Number, Column(head="%", form="signed_percent")]  # of the size; points of a percentage
-    word: Annotated[ChangeWord, Column(head="")]
+    table: str
+    filter: str
+    row: str
+    unit: str
+    column: str
+    old: Cell
+    new: Cell
+    change: Number  # new minus old
+    change_pct: Number  # of the size; in percentage points where it is a percentage
+    word: ChangeWord
 
 
 def rounding(old: float, new: float, column: str) -> float:
@@ -98,8 +95,12 @@ def prints_alike(old: float, new: float, column: str) -> bool:
     return abs(new - old) <= unit * (1.0 + ROUNDING)
 
 
-Moved = tuple[float | None, float | None, ChangeWord]
-"""New minus old, the change of the size in percent, and the word."""
+class Moved(NamedTuple):
+    """What became of a cell: new minus old, the change of the size in percent, and the word."""
+
+    change: float | None
+    change_pct: float | None
+    word: ChangeWord
 
 
 def judge_number(
@@ -114,7 +115,7 @@ def judge_number(
     """Judge what became of a number; without a tolerance the same is what prints alike. ``dofs``: old and new."""
     if old is None or new is None:
         word = ChangeWord.WORSE if new is None else ChangeWord.BETTER
-        return None, None, ChangeWord.SAME if old is new else word
+        return Moved(None, None, ChangeWord.SAME if old is new else word)
     before, after = size(old, better, dofs[0]), size(new, better, dofs[1])
     change_pct = size_change_pct(before, after, column)
     if tolerance_pct is None:
@@ -124,7 +125,7 @@ def judge_number(
         alike = before == after or (change_pct is not None and within(abs(change_pct), tolerance_pct, digits))
     is_better = (after > before) == (better == "higher")
     word = ChangeWord.SAME if alike else ChangeWord.BETTER if is_better else ChangeWord.WORSE
-    return new - old, change_pct, word
+    return Moved(new - old, change_pct, word)
 
 
 def rank_word(old: Cell, new: Cell, best_first: tuple[str, ...]) -> ChangeWord:
@@ -155,10 +156,11 @@ def judge_cell(old: Row, new: Row, column: str, layout: TableLayout, tolerance_p
     if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
         better = None
     if isinstance(was, float) and isinstance(is_, float) and better is None and agree(was, is_, column):
-        return is_ - was, None, ChangeWord.SAME
+        return Moved(is_ - was, None, ChangeWord.SAME)
     if better is None or isinstance(was, str) or isinstance(is_, str):
-        both = isinstance(was, int | float) and isinstance(is_, int | float)
-        return float(is_ - was) if both else None, None, rank_word(was, is_, layout.words.get(column, ()))  # type: ignore[operator]
+        numbers = isinstance(was, int | float) and isinstance(is_, int | float)
+        change = float(is_) - float(was) if numbers else None  # type: ignore[arg-type]
+        return Moved(change, None, rank_word(was, is_, layout.words.get(column, ())))
     return judge_number(was, is_, column, better, dofs=dofs, tolerance_pct=tolerance_pct)
 
 
@@ -196,10 +198,10 @@ def changes_of(
             for column in dict.fromkeys((*after, *before)):
                 if column in skipped:
                     continue
-                moved: Moved = None, None, ChangeWord.NEW if column in after else ChangeWord.GONE
+                moved = Moved(None, None, ChangeWord.NEW if column in after else ChangeWord.GONE)
                 if column in before and column in after:
                     moved = judge_cell(before, after, column, layout, tolerance_pct)
-                if moved[2] != ChangeWord.SAME or column in layout.better or column in layout.words:
+                if moved.word != ChangeWord.SAME or column in layout.better or column in layout.words:
                     filter_, row, unit = name
                     place = new.name, layout.name, filter_, row, layout.unit_of(column, unit), column
                     yield Change(*place, before.get(column), after.get(column), *moved)

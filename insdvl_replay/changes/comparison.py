@@ -10,7 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from statistics import median
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from msgspec import Struct
 from msgspec.structs import astuple, replace
@@ -20,7 +20,7 @@ from insdvl_replay.core.errors import ConfigError, Note, listed, require_known
 from insdvl_replay.core.plain_text import natural_key
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.stored_report import StoredReport, StoredResult
-from insdvl_replay.core.table import PERCENTAGE, RATIO, Column, Number, TableLayout
+from insdvl_replay.core.table import PERCENTAGE, RATIO, Number, TableLayout
 from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
 from insdvl_replay.core.words import ChangeWord, MatchedBy, Severity
 from insdvl_replay.report.csv_tables import blocks_csv
@@ -34,7 +34,6 @@ from insdvl_replay.report.document import (
     Sentences,
     Title,
     counted,
-    shown,
     table_of,
 )
 from insdvl_replay.results.stored_results import read_results
@@ -92,22 +91,20 @@ class DiveComparison(Struct, frozen=True):
 class Aggregate(Struct, frozen=True):
     """One cell over all dives that have it on both sides."""
 
-    title = "Values over the dives, old to new"
-
-    table: Annotated[str, Column(head="table")]
-    filter: Annotated[str, Column(head="filter")]
-    row: Annotated[str, Column(head="row")]
+    table: str
+    filter: str
+    row: str
     unit: str
-    column: Annotated[str, Column(head="column")]
-    dives: Annotated[int, Column(head="dives")]
-    better: Annotated[int, Column(head="better")]
-    worse: Annotated[int, Column(head="worse")]
-    same: Annotated[int, Column(head="same")]
+    column: str
+    dives: int
+    better: int
+    worse: int
+    same: int
     share_better_pct: float
-    median_change_pct: Annotated[Number, Column(head="median\n[%]", form="signed_percent")]  # None if none has one
+    median_change_pct: Number  # None if no dive has one
     worst_log: str
-    worst_change_pct: Annotated[Number, Column(head="worst\n[%]", form="signed_percent")]  # None if it was lost
-    worst_word: Annotated[ChangeWord, Column(head="")]
+    worst_change_pct: Number  # None where the number was lost, or grew from zero
+    worst_word: ChangeWord
 
 
 class Comparison(Struct, frozen=True):
@@ -480,26 +477,38 @@ def parse_percentage(text: str, before: str) -> float:
     return float(match[1])
 
 
-def parse_limit(text: str) -> float:
-    """Read a limit, ``worse`` or ``worse:5%``, in percent or percentage points."""
+def parse_limit(text: str) -> float | None:
+    """Read a limit: ``worse`` or ``worse:5%``, in percent or percentage points, or ``changed``, which is None."""
     word, colon, percentage = text.partition(":")
+    if text == ChangeWord.CHANGED:
+        return None
     if word != ChangeWord.WORSE:
-        raise ConfigError(f"--fail-on {text}: is not known", "write --fail-on worse or --fail-on worse:5%")
+        raise ConfigError(
+            f"--fail-on {text}: is not known", "write --fail-on worse, --fail-on worse:5% or --fail-on changed"
+        )
     return parse_percentage(percentage, "--fail-on worse:") if colon else 0.0
 
 
-def find_violation(comparison: Comparison, above_pct: float) -> str:
-    """State what is worse than allowed, and what most; empty where nothing is.
+def find_violation(comparison: Comparison, above_pct: float | None) -> str:
+    """State what is worse than allowed, or not the same, and what most; empty where nothing is.
 
     A verdict that fell, a number that was lost or grew from zero, and a row or dive that is gone exceed every limit.
     """
-    changes = [change for change in comparison.changes if not within(loss_of(change), above_pct, 100.0 * ROUNDING)]
-    dives = [dive.log for dive in comparison.dives if dive.new is None]
+    changes = [
+        change
+        for change in comparison.changes
+        if (
+            change.word != ChangeWord.SAME
+            if above_pct is None
+            else not within(loss_of(change), above_pct, 100.0 * ROUNDING)
+        )
+    ]
+    dives = [dive.log for dive in comparison.dives if dive.new is None or (above_pct is None and dive.old is None)]
     reasons = []
     if worst := worst_of(changes):
-        verb = "are" if len(changes) > 1 else "is"
-        limit = f" by more than {above_pct:g} %" if above_pct else ""
-        reasons.append(f"{counted(len(changes), 'value')} {verb} worse{limit}; worst: {described(worst)}")
+        worse = f"{'are' if len(changes) > 1 else 'is'} worse{f' by more than {above_pct:g} %' if above_pct else ''}"
+        verb = ChangeWord.CHANGED if above_pct is None else worse
+        reasons.append(f"{counted(len(changes), 'value')} {verb}; worst: {described(worst)}")
     if dives:
         reasons.append(f"{counted(len(dives), 'dive')} without counterpart: {', '.join(dives)}")
     return "; ".join(reasons)
@@ -513,7 +522,7 @@ def brief_document(comparison: Comparison) -> list[Part]:
     moved = [change for change in comparison.changes if change.word != ChangeWord.SAME]
     tables = list(_evidence_that_moved(comparison))
     if not tables and len(comparison.matched) == 1 and 0 < len(moved) <= MOST_BESIDE:
-        tables = [shown(Change, moved)]
+        tables = [_values(moved)]
     apart = tuple(f"{_only_side(dive)}: {dive.log}" for dive in comparison.dives if dive.tally is None)
     verdicts = _changed_verdicts(comparison)
     return [
@@ -530,7 +539,7 @@ def comparison_document(comparison: Comparison) -> list[Part]:
     """Lay out all of a comparison."""
     rest = "the values of one dive: --dive NAME; those of all: --format csv or --format json"
     several = len(comparison.matched) > 1
-    values = shown(Aggregate, comparison.aggregates) if several else shown(Change, comparison.changes)
+    values = _values_over_dives(comparison.aggregates) if several else _values(comparison.changes)
     by_table = [(name, of_table, "") for name, of_table in comparison.by_table.items()]
     tables = [
         *([_differences_table(comparison)] if comparison.differences else []),
@@ -584,7 +593,7 @@ def described(change: Change) -> str:
     row = "" if change.row == change.filter else f" {change.row}"
     old, new = FORMS["cell"](change.old), FORMS["cell"](change.new)
     unit = f" {change.unit}" if change.unit else ""
-    cell = f"{change.log}: {change.table} {change.filter}{row} {change.column}"
+    cell = f"{change.log}, {change.table}: {change.filter}{row} {change.column}"
     return f"{cell} from {old} to {new}{unit} ({growth(change)})"
 
 
@@ -698,6 +707,43 @@ def _evidence_that_moved(comparison: Comparison) -> Iterator[DisplayTable]:
             ],
             spare=(2, 3, 4),
         )
+
+
+def _cell_name(cell: Change | Aggregate) -> str:
+    row = "" if cell.row == cell.filter else f" {label(cell.row)}"
+    unit = f" [{cell.unit}]" if cell.unit else ""
+    return f"{cell.table} {cell.filter}{row}: {cell.column}{unit}"
+
+
+def _values(changes: Sequence[Change]) -> DisplayTable:
+    return table_of(
+        "Values, old and new",
+        changes,
+        [
+            ("value", "l", _cell_name),
+            ("old", "r", lambda change: FORMS["cell"](change.old)),
+            ("new", "r", lambda change: FORMS["cell"](change.new)),
+            ("change", "r", lambda change: growth(change) if change.change is not None else MISSING),
+            ("", "l", lambda change: change.word),
+        ],
+        "nearer zero, nearer dof: % of the magnitude, and of how many times a value is off its dof",
+    )
+
+
+def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
+    return table_of(
+        "Values over the dives",
+        cells,
+        [
+            ("value", "l", _cell_name),
+            ("dives", "r", lambda cell: str(cell.dives)),
+            ("better", "r", lambda cell: str(cell.better)),
+            ("worse", "r", lambda cell: str(cell.worse)),
+            ("median\n[%]", "r", lambda cell: FORMS["signed_percent"](cell.median_change_pct)),
+            ("worst\n[%]", "r", lambda cell: FORMS["signed_percent"](cell.worst_change_pct)),
+            ("in", "l", lambda cell: MISSING if cell.worst_word == ChangeWord.SAME else cell.worst_log),
+        ],
+    )
 
 
 def _moved_elsewhere(comparison: Comparison) -> str:

