@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated calibration demo test nightly net extras quick processors check lint bench judge attack lock samples schemas pictures readme inputs reproduce docs clean
+.PHONY: calibrated calibration demo test nightly net golden extras quick processors check lint bench judge attack lock samples schemas pictures readme inputs reproduce docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
@@ -35,8 +35,13 @@ extras:
 	sh tests/extras.sh
 	$(MAKE) tests/node/node_modules
 
+# What stands on screens and what is said in errors and notes, stored anew; git tells what has moved.
+golden: .venv/test.stamp
+	PYTHONPATH=tests $(BIN)/python tests/words/test_messages.py
+	PYTHONPATH=tests $(BIN)/python tests/cli/test_screens.py
+
 # At most 40 s: the rooms of formulas, tables and words.
-QUICK := core geometry nav evaluation checks changes report
+QUICK := core geometry nav evaluation checks changes report words
 quick: .venv/test.stamp
 	$(PYTEST) -m "not nightly" $(QUICK:%=tests/%)
 

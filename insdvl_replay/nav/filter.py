@@ -89,6 +89,8 @@ def run_filter(
     """
     keep_cov = np.isin(timeline.event_ns[timeline.record >= 0], () if cov_ns is None else cov_ns)
     states, stack = states_with(more_states), stacked(measurements)
+    if len(noise_density) > len(states):
+        raise ValueError(f"{len(noise_density)} densities of {len(states)} states")
     layout, arm_b, updates = layout_of(more_states), vector(lever_arm_b), new_updates(*stack.values.shape)
     records = new_records(keep_cov, len(states), len(start.constants), corrects_position=layout.position >= 0)
     state, matrices = _state_at(start), new_matrices(start, max(3, stack.values.shape[2]))

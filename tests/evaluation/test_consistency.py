@@ -1,17 +1,18 @@
 """Intervals of the mean NIS against scipy's chi-square, and the verdict on filters that are honest or are not."""
 
+import re
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from frames import frame
+from made_histories import GATE, history
 from numpy.typing import NDArray
 from scipy import stats
 
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Noise
 from insdvl_replay.core.dive_columns import Dive, Floats
-from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.evaluation.chi_square import SMALL_EXCESS, chi_square_quantile, consistency_word, mean_interval
 from insdvl_replay.evaluation.consistency import (
     FEWEST_UPDATES,
@@ -24,49 +25,8 @@ from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
 
 BEAM_SD_MPS = 0.005
-GATE = 25.9
-"""NIS that one in 100,000 exceeds."""
 WHITE = ImuErrors(accel_white_mps_rts=2e-3, gyro_white_rad_rts=1e-5)
 NOISE = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=1e-5)
-
-
-def history(
-    name: str, nis: Floats, used: Floats | NDArray[np.bool_] | None = None, measurement: str = "velocity"
-) -> History:
-    m = len(nis)
-    nothing = np.zeros((m, 3))
-    kept, gate = (np.ones(m, dtype=bool), np.inf) if used is None else (used.astype(bool), GATE)
-    innovations = Innovations(
-        measurement,
-        "m/s",
-        ("x", "y", "z"),
-        np.arange(m, dtype=np.int64),
-        np.arange(m, dtype=np.int64),
-        nothing,
-        nothing,
-        np.ones((m, 3)),
-        nis,
-        kept,
-        np.zeros(m),
-        gate,
-        5,
-        np.zeros(m, dtype=bool),
-    )
-    one = np.zeros((1, 3))
-    return History(
-        name,
-        np.zeros(1, dtype=np.int64),
-        np.ones(1, dtype=bool),
-        one,
-        one,
-        np.eye(3)[None],
-        one,
-        one,
-        np.ones((1, 12)),
-        np.empty(0, dtype=np.int64),
-        np.empty((0, 12, 12)),
-        (innovations,),
-    )
 
 
 def judged(nis: Floats, used: Floats | NDArray[np.bool_] | None = None) -> Any:
@@ -254,7 +214,9 @@ def test_filter_that_loses_its_way_again_and_again_is_dead(
     gate, reopened = chi_square_quantile(probability, 3), np.arange(300) < times
     innovations = replace(made.innovations[0], gate=gate, reopen_after=reopen_after, reopened=reopened)
     found = dead_filters((replace(made, innovations=(innovations,)),))
-    assert found == ({"one": f"one lost its way {times} times in 300 velocity innovations"} if dead else {})
+    assert {name: re.findall(r"\d+", why) for name, why in found.items()} == (
+        {"one": [str(times), "300"]} if dead else {}
+    )
 
 
 def test_dead_filters_are_found() -> None:
@@ -263,12 +225,11 @@ def test_dead_filters_are_found() -> None:
     blind = replace(history("blind", np.full(100, 3.0)), sd=np.full((1, 12), np.nan))
     only = history("only", np.full(100, 3.0), np.arange(100) >= 11, measurement="acceleration")
     gated = replace(few, filter="gated", innovations=few.innovations + only.innovations)
-    assert dead_filters((few, many, broken, blind, only, gated)) == {
-        "many": "many rejected 11 of 100 velocity innovations",
-        "broken": "the state of broken is not finite from 0.0 s on",
-        "blind": "the state of blind is not finite from 0.0 s on",
-        "only": "only rejected 11 of 100 acceleration innovations",
-    }
+    found = dead_filters((few, many, broken, blind, only, gated))
+    assert list(found) == ["many", "broken", "blind", "only"]
+    assert re.search(r"11 of 100 velocity\b", found["many"])
+    assert re.search(r"11 of 100 acceleration\b", found["only"])
+    assert all("0.0 s" in found[name] for name in ("broken", "blind"))
 
 
 def test_gate_that_rejects_more_than_outliers_is_a_warning() -> None:
@@ -276,7 +237,7 @@ def test_gate_that_rejects_more_than_outliers_is_a_warning() -> None:
     few, many = history("few", np.full(100, 3.0), kept >= 10), history("many", np.full(100, 3.0), kept >= 11)
     (warning,) = update_notes((few, many))
     assert (warning.code, warning.severity, warning.count) == ("gate_rejects_many", "warning", 11)
-    assert "filter many rejected 11 of 100 velocity innovations" in warning.text
+    assert re.search(r"many .*11 of 100 velocity\b", warning.text)
     assert "filters.many.gate_probability" in warning.hint
 
 

@@ -1,5 +1,6 @@
 """Words on pieces of evidence: tried like a detector, on losses of which it is known which filter is better."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -134,7 +135,8 @@ def outage(rng: np.random.Generator, share: float) -> tuple[Losses, Losses]:
 def test_one_stretch_decides_nothing_and_is_named() -> None:
     rng = np.random.default_rng(5)
     row = evidence({"drift_30s": outage(rng, 0.5)})["drift_30s"]
-    assert (row.word, row.why) == ("undecided", "nearly all of it from 380 to 430 s, which is one sample")
+    assert row.word == "undecided"
+    assert re.findall(r"\d+", row.why) == ["380", "430"]
     assert row.effective_samples < 2.5
 
 
@@ -143,7 +145,7 @@ def test_longer_segments_of_one_stretch_are_one_sample_too() -> None:
     smeared = losses(errors(rng)), losses(0.5 * errors(rng))
     rows = evidence({"drift_30s": outage(rng, 0.5), "drift_100m": smeared, "level": smeared})
     assert [row.word for row in rows.values()] == ["undecided", "undecided", "better"]
-    assert rows["drift_100m"].why == "nearly all of it from 0 to 0 s, which is one sample"
+    assert re.findall(r"\d+", rows["drift_100m"].why) == ["0", "0"]
 
 
 def test_a_copy_is_equivalent_however_noisy_the_reference_is() -> None:

@@ -1,5 +1,6 @@
 """References and truths whose numbers end before their rows do: what is NaN counts as missing, and is told."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,7 @@ def test_quantity_that_turns_nan_is_told_and_judged_where_it_is(tmp_path: Path, 
     replay = replay_log(path, Config())
     (covered,) = notes(replay, "reference_coverage")
     assert covered.severity == "warning"
-    assert covered.text.startswith(f"{label(quantity)} of the reference cover 20 % of the replay")
+    assert re.match(rf"{label(quantity)} .*\b20 %", covered.text)
     table, whole = errors_of(replay), errors_of(replay_dive(dive, Config()))
     rows = OF_QUANTITY[quantity]
     others = [name for name in REFERENCE_QUANTITIES if name not in rows]
@@ -92,11 +93,8 @@ def test_reader_counts_what_is_not_finite_and_says_from_when(tmp_path: Path, div
     write_dive(path, without_end(dive, "velocity_n", "mat_nb"))
     found = notes(read_dive(path, Config()), "reference_not_finite")
     assert [note.count for note in found] == [400, 400]
-    assert [note.text for note in found] == [
-        f"reference: 400 {quantity} of 501 are not finite, and count as missing; "
-        "the first 20.200 s after the first message"
-        for quantity in ("velocities", "attitudes")
-    ]
+    for note, quantity in zip(found, ("velocities", "attitudes"), strict=True):
+        assert re.match(rf"reference: 400 {quantity} of 501 .*\b20\.200 s", note.text)
 
 
 @pytest.mark.parametrize("missing", [(), ("velocity_n",), ("position",)])
@@ -115,7 +113,7 @@ def test_reference_that_turns_nan_as_a_whole(tmp_path: Path, dive: Dive) -> None
     write_dive(path, without_end(dive, *OF_QUANTITY))
     replay = replay_log(path, Config())
     (covered,) = notes(replay, "reference_coverage")
-    assert "positions, heights, velocities and attitudes of the reference cover 20 % of the replay" in covered.text
+    assert re.match(r"positions, heights, velocities and attitudes .*\b20 %", covered.text)
     table = errors_of(replay)
     assert set(table["samples"]) == {100}
     # The straight dive goes at 2 m/s, and stood still for nothing.
@@ -140,7 +138,8 @@ def test_number_in_the_last_row_does_not_cover_what_lies_before(dive: Dive) -> N
     found = notes(
         replay_dive(replace(dive, reference=replace(reference, velocity_n=velocity_n)), Config()), "reference_coverage"
     )
-    assert [note.text.split(" of the replay")[0] for note in found] == ["velocities of the reference cover 20 %"]
+    (covered,) = found
+    assert re.match(r"velocities .*\b20 %", covered.text)
 
 
 def test_reference_of_nan_alone_is_none(dive: Dive) -> None:
@@ -182,7 +181,7 @@ def test_truth_that_turns_nan_is_told(tmp_path: Path, dive: Dive) -> None:
     replay = replay_log(path, Config())
     (covered,) = notes(replay, "truth_coverage")
     assert covered.severity == "warning"
-    assert covered.text.startswith("gyro biases of the truth cover 20 % of the replay")
+    assert re.match(r"gyro biases .*\b20 %", covered.text)
     (missing,) = notes(replay, "truth_not_finite")
     assert missing.count == 400
     table = frame(replay.tables.credibility).query("filter == 'aided'").set_index("quantity")

@@ -81,7 +81,7 @@ def test_an_arm_that_nobody_told_of_is_seen_along_the_axes(scenario: str, arm_m:
 def test_a_turned_dvl_is_seen_in_the_track(scenario: str) -> None:
     config = told_the_truth("fog", "initial.misalignment_sd_deg=[0.05, 0.05, 0.1]")
     found = hints(dived(scenario, mounting_rpy_deg=(0.0, 0.0, 3.0)), config)["track_off"]
-    assert "a turn of +" in found.text
+    assert re.search(r"turn .*\+\d", found.text)
     assert "insdvl-replay calibrate" in found.hint
 
 
@@ -104,7 +104,7 @@ def test_a_heading_of_which_the_filter_is_unsure_may_turn_the_track() -> None:
 def test_noise_that_is_set_far_off_points_at_the_control(beam_sd_mps: float, size: str, number: str) -> None:
     config = told_the_truth("fog", f"dvl.beam_sd_mps={beam_sd_mps}")
     found = hints(dived("lawnmower"), config)["noise_far_off"]
-    assert f"far {size} than it says: mean NIS / dof of velocity is {number}" in found.text
+    assert re.search(rf"{size} .*NIS / dof .*velocity .*{number}", found.text)
     assert "run --control" in found.hint
 
 

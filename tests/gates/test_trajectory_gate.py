@@ -1,5 +1,6 @@
 """Gates on the trajectory: the least change of a filter is found with quantity and time, rounding is not."""
 
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -48,14 +49,19 @@ def sentences(gate: Gate, new: Trajectory, old: Trajectory | None = None) -> lis
     return [finding.sentence for finding in trajectory_findings(gate, new, old or made()) if not finding.passed]
 
 
+def trajectories(told: str) -> list[int]:
+    """Return how many trajectories changed, did not change and could not be compared."""
+    (line,) = re.findall(r"^trajectories: .*", told, re.MULTILINE)
+    return [int(number) for number in re.findall(r"\d+", line)]
+
+
 def test_the_first_sample_that_differs_is_told_with_its_quantity() -> None:
     new = changed(0, "heading_deg", slice(132, 400), 3.1e-4)
     values = new.values.copy()
     values[0, 200:, COLUMNS.index("velocity_n_mps")] += 1.0
-    assert sentences(BASELINE, replace(new, values=values)) == [
-        "baseline: heading_deg first differs at 132 s (0.00031, 2e-09 allowed), 268 of 400 samples, "
-        "and 1 more quantities"
-    ]
+    [told] = sentences(BASELINE, replace(new, values=values))
+    assert told.startswith("baseline: heading_deg ")
+    assert re.findall(r"\b\d[\d.e-]*", told) == ["132", "0.00031", "2e-09", "268", "400", "1"]
 
 
 def test_rounding_is_no_change_and_a_little_more_is() -> None:
@@ -83,17 +89,16 @@ def test_what_is_missing_on_both_sides_is_the_same_and_on_one_it_differs() -> No
     missing = changed(0, "position_error_m", slice(0, 50), np.nan)
     assert sentences(BASELINE, missing, missing) == []
     [told] = sentences(BASELINE, missing)
-    assert "position_error_m first differs at 0 s (inf, " in told
-    assert "50 of 400 samples" in told
+    assert re.search(r"position_error_m .* 0 s \(inf, .*\b50 of 400 ", told)
 
 
 def test_filters_and_times_that_are_not_the_same_never_pass() -> None:
     new, old = made(), made()
     one = replace(old, names=("baseline",), values=old.values[:1])
-    assert sentences(BASELINE, new, one) == ["aided: is not in the baseline"]
-    assert sentences(BASELINE, one, new) == ["aided: is gone, the baseline has it"]
+    assert [told.split(":")[0] for told in sentences(BASELINE, new, one)] == ["aided"]
+    assert [told.split(":")[0] for told in sentences(BASELINE, one, new)] == ["aided"]
     [first, _] = sentences(BASELINE, made(399), old)
-    assert first == "baseline: 399 samples, the baseline has 400 at other times"
+    assert re.fullmatch(r"baseline: 399 .* 400 .*", first)
     assert sentences(BASELINE, made()) == []
     gone = trajectory_findings(BASELINE, None, made())
     assert [finding.passed for finding in gone] == [False]
@@ -111,10 +116,10 @@ def test_share_of_the_time_and_longest_stay_outside() -> None:
     new = replace(new, values=values)
     assert sentences(over_time(share_pct=92.5), new) == []
     [told] = sentences(over_time(share_pct=93.0), new)
-    assert "92.5 % of 400 samples are, at least 93 % are wanted" in told
+    assert re.search(r"92\.5 % of 400 .* 93 %", told)
     assert sentences(over_time(longest_outside_s=20.0), new) == []
     [told] = sentences(over_time(longest_outside_s=19.0), new)
-    assert "outside for 20 s from 100 s, 19 s are allowed" in told
+    assert re.findall(r"(\d+) s\b", told) == ["20", "100", "19"]
     assert len(sentences(over_time(), new)) == 1, "without a share all samples are meant"
 
 
@@ -124,7 +129,7 @@ def test_a_value_at_one_time() -> None:
     [told] = sentences(over_time(at_s=100.0), new)
     assert "at 100 s" in told
     [told] = sentences(over_time(at_s=1000.0), new)
-    assert "no sample at 1000 s" in told
+    assert told.endswith(" 1000 s")
 
 
 def test_a_trajectory_is_read_back_to_the_bit_and_is_the_same_bytes(tmp_path: Path) -> None:
@@ -142,23 +147,23 @@ def test_a_trajectory_is_read_back_to_the_bit_and_is_the_same_bytes(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("keys", "reason"),
+    ("keys", "named"),
     [
-        ('row = "heading"\nbaseline = "b.npz"', "row 'heading' is not known"),
-        ('column = "rmse"\nbaseline = "b.npz"', "a trajectory has samples and no columns"),
-        ("", "has no condition"),
-        ('row = "attitude"\nwithin = [0, 1]', "row 'attitude' is not known"),
-        ('row = "position_error_m"\nwithin = [1, 0]', "holds no value"),
-        ('row = "position_error_m"\nwithin = [0, 1]\nbaseline = "b.npz"', "make two gates"),
-        ('baseline = "b.npz"\nmax_abs = { heading = 1 }', "max_abs 'heading' is not known"),
+        ('row = "heading"\nbaseline = "b.npz"', "row 'heading'"),
+        ('column = "rmse"\nbaseline = "b.npz"', "columns"),
+        ("", "share_pct"),
+        ('row = "attitude"\nwithin = [0, 1]', "row 'attitude'"),
+        ('row = "position_error_m"\nwithin = [1, 0]', "within = [1.0, 0.0]"),
+        ('row = "position_error_m"\nwithin = [0, 1]\nbaseline = "b.npz"', "within"),
+        ('baseline = "b.npz"\nmax_abs = { heading = 1 }', "max_abs 'heading'"),
     ],
 )
-def test_keys_that_do_not_go_together_are_told_before_any_replay(keys: str, reason: str, tmp_path: Path) -> None:
+def test_keys_that_do_not_go_together_are_told_before_any_replay(keys: str, named: str, tmp_path: Path) -> None:
     path = tmp_path / "gates.toml"
     path.write_text(f'[[gate]]\nname = "g"\ntable = "trajectory"\n{keys}\n')
     with pytest.raises(ConfigError) as found:
         load_gates(path)
-    assert reason in f"{found.value.message}; {found.value.hint}"
+    assert named in f"{found.value.message}; {found.value.hint}"
 
 
 def test_every_column_has_a_group() -> None:
@@ -195,11 +200,11 @@ def test_a_millionth_of_one_constant_is_caught_with_quantity_and_time(
     constant: str, team: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert team("--rerun") == 0
-    assert "trajectories: 0 changed, 2 unchanged, 0 errors\n" in capsys.readouterr().out
+    assert trajectories(capsys.readouterr().out) == [0, 2, 0]
     assert team("--set", constant) == 1
     told = capsys.readouterr().out
-    assert told.count(" first differs at ") >= 2
-    assert "trajectories: 2 changed, 0 unchanged, 0 errors\n" in told
+    assert len(re.findall(r"_\w+ .* \d+ s \(", told)) >= 2
+    assert trajectories(told) == [2, 0, 0]
 
 
 @pytest.mark.nightly
@@ -221,5 +226,5 @@ def test_a_broken_baseline_is_an_error_of_that_dive(
     Path("baselines/outage.npz").write_bytes(b"PK")
     assert team() == 1
     told = capsys.readouterr().out
-    assert "baselines/outage.npz: is not a trajectory that can be read" in told
-    assert "trajectories: 0 changed, 1 unchanged, 1 errors\n" in told
+    assert "baselines/outage.npz: " in told
+    assert trajectories(told) == [0, 1, 1]

@@ -130,14 +130,14 @@ def test_three_imus_are_named_with_the_key_to_set() -> None:
         assert f'imu.topic = "{BLUEYE}{name}"' in obstacles(inventory)
         assert f'"{BLUEYE}{name}"' in inventory.configuration
     assert inventory.conventions[f"{BLUEYE}Imu1Tel"]["specific_force_axes"] == "-x-y-z"
-    assert f"{BLUEYE}CalibratedImuTel: the specific force is 5.3" in warnings(inventory)
-    assert inspected("blueye_x3/auto_square.mcap", IMU2).roles[0].reason == "named by imu.topic"
+    assert re.search(rf"{BLUEYE}CalibratedImuTel: .* 5\.3", warnings(inventory))
+    assert "imu.topic" in inspected("blueye_x3/auto_square.mcap", IMU2).roles[0].reason
 
 
 def test_sign_of_a_turned_accelerometer() -> None:
     turned = [f"imu.topic={BLUEYE}Imu1Tel", "imu.specific_force_axes=frd"]
     inventory = inspected("blueye_x3/auto_square.mcap", *turned)
-    assert "specific force along down is +9.6" in warnings(inventory)
+    assert re.search(r"along down .*\+9\.6", warnings(inventory))
     assert 'imu.specific_force_axes = "-x-y-z"' in warnings(inventory)
 
 
@@ -151,21 +151,22 @@ def test_repeats_of_a_dvl_that_is_published_faster_than_it_pings(name: str) -> N
 
 
 def test_wrong_unit_of_an_accelerometer_stops_a_replay_and_the_hint_settles_it() -> None:
-    assert "the specific force is 95." in (found := obstacles(inspected("blueye_x3/grid_gyro_scale_wrong.mcap", IMU2)))
+    found = obstacles(inspected("blueye_x3/grid_gyro_scale_wrong.mcap", IMU2))
+    assert re.search(r"specific force .* 95\.", found)
     assert 'imu.specific_force_unit = "m/s2"' in found
     settled = [IMU2, "imu.specific_force_unit=m/s2", "initial.heading_deg=36"]
     inventory = inspected("blueye_x3/grid_gyro_scale_wrong.mcap", *settled, deep=True)
     assert obstacles(inventory) == ""
     # The true factor is 1.6645: the gyros show 0.6 of the turning.
-    assert re.search(r"angular rate is 0\.(59|60|61)\d* times", warnings(inventory))
+    assert re.search(r"angular rate .* 0\.(59|60|61)", warnings(inventory))
     assert "imu.angular_rate_scale = 0." in warnings(inventory)
 
 
 def test_first_messages_give_no_scale_to_copy() -> None:
     settings = [IMU2, "imu.specific_force_unit=m/s2"]
     found = warnings(inspected("blueye_x3/grid_gyro_scale_wrong.mcap", *settings))
-    assert "the angular rate is 0.5" in found
-    assert "`inspect --deep` measures by how much" in found
+    assert re.search(r"angular rate .* 0\.5", found)
+    assert "`inspect --deep`" in found
     assert "angular_rate_scale" not in found
 
 
@@ -184,8 +185,8 @@ def test_clocks_of_topics_without_a_role_tell_how_much_was_read(deep: bool) -> N
 def test_imu_that_is_too_slow_and_clocks_that_are_days_apart() -> None:
     inventory = inspected("cougars/so_lastbag.mcap")
     found = obstacles(inventory)
-    assert "the IMU has 10.0 samples a second, too few for an INS" in found
-    assert "/coug2/odom and /coug2/gps_odom could each be the reference.topic" in found
+    assert re.search(r"\b10\.0 .*INS", found)
+    assert re.search(r"/coug2/odom .*/coug2/gps_odom .*reference\.topic", found)
     assert 'imu.stamp = "log_time"' in found
     clocks = {clock.topic: clock for clock in inventory.clocks}
     assert clocks["/coug2/dvl/data"].log_minus_stamp_s / 86400.0 == pytest.approx(5.96, abs=0.005)
@@ -196,7 +197,7 @@ def test_sensors_are_stamped_as_the_other_roles_are() -> None:
     stamped = ["imu.stamp=log_time", "dvl.stamp=log_time", "reference.stamp=log_time", "initial.latitude_deg=37.4"]
     settings = ['filters.told.aiding=["velocity","heading"]']
     found = inspected("stanford_auv/x_1.mcap", *stamped, *settings)
-    assert "imu and heading of /imu are stamped by different clocks" in obstacles(found)
+    assert re.search(r": imu .*heading .*/imu .*clocks", obstacles(found))
     proposed = msgspec.toml.decode(found.configuration)
     assert {section: of["stamp"] for section, of in proposed.items() if "stamp" in of} == {"heading": "log_time"}
     assert not found.remaining
@@ -207,20 +208,21 @@ def test_three_clocks_in_one_file() -> None:
     clocks = {clock.topic: clock for clock in inventory.clocks}
     assert clocks["/imu"].log_minus_stamp_s > 1.7e9, "stamped by the time since power-up"
     assert clocks["/dvl"].log_minus_stamp_s == pytest.approx(0.0, abs=0.1)
-    assert any("/depth: stamp 'header' is 0.000000000 s in each" in note.text for note in inventory.notes)
-    assert "/imu and /dvl are stamped by different clocks" in obstacles(inventory)
+    assert any(re.search(r"/depth: .*'header' .*0\.000000000 s", note.text) for note in inventory.notes)
+    assert re.search(r"/imu .*/dvl .*clocks", obstacles(inventory))
 
 
 def test_vehicle_that_lies_still_contradicts_nobody() -> None:
-    assert "does not follow" not in warnings(inspected("stanford_auv/static.mcap"))
-    assert "does not follow" in warnings(inspected("stanford_auv/rotation_z_1.mcap"))
+    still, turning = (inspected(f"stanford_auv/{name}.mcap").notes for name in ("static", "rotation_z_1"))
+    assert not [note for note in still if note.code.endswith("_contradiction")]
+    assert [note for note in turning if note.code.endswith("_contradiction")]
 
 
 def test_log_without_messages() -> None:
     inventory = inspected("blueye_x3/no_messages.mcap", deep=True)
     assert inventory.log.messages == 0
     assert len(inventory.topics) == 5
-    assert "it has no messages at all" in obstacles(inventory)
+    assert all(f"has no {role}" in obstacles(inventory) for role in ("IMU", "DVL"))
     assert inventory.log.start_utc is None
 
 
@@ -390,9 +392,9 @@ def test_first_pings_without_a_bottom_are_a_warning_and_no_obstacle(dive: Dive, 
     assert beams is not None
     write_dive(log, replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=np.full_like(beams, np.nan))))
     sample = inspect_log(log, load_config())
-    assert "by the first messages alone a replay would stop: /dvl: no message of" in warnings(sample)
+    assert "/dvl: " in warnings(sample)
     assert obstacles(sample) == ""
-    assert "/dvl: no message of" in obstacles(inspect_log(log, load_config(), deep=True))
+    assert "/dvl: " in obstacles(inspect_log(log, load_config(), deep=True))
 
 
 def test_reference_that_cannot_be_moved_to_the_imu_is_the_obstacle_that_it_is_to_a_replay(
@@ -405,7 +407,7 @@ def test_reference_that_cannot_be_moved_to_the_imu_is_the_obstacle_that_it_is_to
     config = load_config(overrides=["initial.heading_deg=30", "reference.lever_arm_m=[1.0, 0.0, 0.0]"])
     with pytest.raises(ConfigError) as refused:
         replay_log(log, config)
-    assert "no attitude by which reference.lever_arm_m could move it" in refused.value.message
+    assert "reference.lever_arm_m" in refused.value.message
     assert obstacles(inspect_log(log, config, deep=True)) == f"{refused.value.message} | {refused.value.hint}"
 
 
@@ -427,7 +429,7 @@ def test_several_logs_and_bags_are_one_array_in_json(log: Path, dive: Dive, caps
     assert run_command_line(["inspect", *logs, "--format", "json"]) == 3
     captured = capsys.readouterr()
     assert [inventory["log"]["name"] for inventory in json.loads(captured.out)] == ["dive.mcap", "bag"]
-    assert "nowhere.mcap: cannot be read" in captured.err
+    assert "nowhere.mcap: " in captured.err
     assert run_command_line(["inspect", *logs[::2]]) == 0
     assert re.findall(r"(?m)^(\S+): .* written by", capsys.readouterr().out) == ["dive.mcap", "bag"]
 
@@ -500,7 +502,6 @@ def test_table_is_printed_with_settings_that_can_be_copied(unknown: Path, capsys
     assert run_command_line(["inspect", str(unknown)]) == 0
     out = capsys.readouterr().out
     assert out.startswith("acme.mcap: ")
-    assert "cannot be replayed as it is" in out
     assert inspect_log(unknown, load_config()).configuration.rstrip("\n") in out
 
 
@@ -529,7 +530,7 @@ def test_an_imu_of_zeros_is_told_and_no_axes_are_proposed(deep: bool, tmp_path: 
     none = np.zeros_like(dive.imu.specific_force_b)
     write_dive(tmp_path / "dive.mcap", replace(dive, imu=replace(dive.imu, specific_force_b=none, angular_rate_b=none)))
     inventory = inspect_log(tmp_path / "dive.mcap", load_config(), deep=deep)
-    assert "the specific force is zero in all" in obstacles(inventory)
+    assert "specific force" in obstacles(inventory)
     assert "imu.axes" in inventory.decisions
     assert "\naxes =" not in inventory.configuration
 
@@ -557,7 +558,7 @@ def test_two_topics_of_true_biases_are_an_obstacle(deep: bool, tmp_path: Path) -
                     writer.add_message(number, message.log_time, message.data, message.publish_time)
         writer.finish()
     inventory = inspect_log(tmp_path / "dive.mcap", load_config(), deep=deep)
-    assert "/truth/biases and /truth/biases/again could each be the truth | keep one of them" in obstacles(inventory)
+    assert re.search(r"/truth/biases .*/truth/biases/again .*truth \| ", obstacles(inventory))
 
 
 # --- Sensors that could aid.
@@ -568,7 +569,7 @@ def test_sensors_that_no_filter_asks_for_are_named(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=60.0, sensors=sensors))
     for deep in (False, True):
         (note,) = (one for one in inspect_log(tmp_path / "dive.mcap", Config(), deep=deep).notes if one.code == IDLE)
-        assert note.text == "could aid a filter: depth by /pressure; heading by /ahrs"
+        assert re.search(r": depth .*/pressure; heading .*/ahrs$", note.text)
         assert note.hint.startswith("""--set 'filters.told.aiding=["velocity", "depth", "heading"]'""")
     told = load_config(overrides=['filters.told.aiding=["velocity", "depth", "heading"]'])
     assert IDLE not in {one.code for one in inspect_log(tmp_path / "dive.mcap", told).notes}

@@ -68,7 +68,7 @@ def test_markdown_has_a_row_on_one_line_for_each_topic(log: Path, capsys: pytest
     for row, topic in zip(rows, found["topics"], strict=True):
         assert row.startswith(f"| {topic['topic']}<br>")
         assert f"| {topic['messages']} |" in row
-    assert text.endswith("nothing seen that would stop a replay; --deep reads the messages whole\n")
+    assert "--deep" in text.splitlines()[-1]
 
 
 def test_markdown_gives_the_settings_to_start_from_as_a_block(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -164,25 +164,25 @@ def test_flags_of_good_pings_are_asked_for(straight: Dive, tmp_path: Path) -> No
     log = tmp_path / "unknown.mcap"
     unknown_logs.nested_cdr(log, straight)
     inventory = inspect_log(log, load_config())
-    assert '# decide: whether "lock" (median 1) is 0 where a ping is invalid\n# valid =' in inventory.configuration
+    assert re.search(r'# decide: .*"lock" \(median 1\).*\n# valid =', inventory.configuration)
 
 
 @pytest.mark.parametrize(
-    ("setting", "sentence"),
+    ("setting", "named"),
     [
-        ("imu.angular_rate=gyroscope", "has no field 'gyroscope'"),
-        ("imu.angular_rate=gamma", "field 'gamma' holds 1 numbers where 3 are needed"),
-        ("imu.angular_rate=name", "field 'name' of a JSON message is text"),
+        ("imu.angular_rate=gyroscope", "'gyroscope'"),
+        ("imu.angular_rate=gamma", "'gamma' .*1 .*3 "),
+        ("imu.angular_rate=name", "'name' .*text"),
     ],
 )
-def test_errors_about_fields_list_those_there_are(setting: str, sentence: str, straight: Dive, tmp_path: Path) -> None:
+def test_errors_about_fields_list_those_there_are(setting: str, named: str, straight: Dive, tmp_path: Path) -> None:
     log = tmp_path / "unknown.mcap"
     unknown_logs.nameless_json(log, straight)
     known = ['imu.topic="one"', 'imu.specific_force="gamma, delta, epsilon"', "dvl.topic=two", "dvl.velocity=east"]
-    with pytest.raises(LogError, match=sentence) as raised:
+    with pytest.raises(LogError, match=named) as raised:
         read_dive(log, load_config(overrides=[*known, setting]))
     assert "gamma (number), delta (number), epsilon (number), zeta (number)" in raised.value.hint
-    assert '"p, q, r" sets fields side by side' in raised.value.hint
+    assert '"p, q, r"' in raised.value.hint
     assert "name (" not in raised.value.hint
 
 
@@ -190,7 +190,7 @@ def test_of_many_fields_those_named_alike_are_listed() -> None:
     known = {f"temperature_{i}": "float32" for i in range(100)} | {"gyro_rate": "float64", "note": "string"}
     with pytest.raises(LogError) as raised:
         check_path("gyro", known, "acme/msg/Imu")
-    assert "the nearest one is 'gyro_rate'" in raised.value.hint
+    assert "'gyro_rate'" in raised.value.hint
     assert "gyro_rate (float64) and 77 more" in raised.value.hint
 
 

@@ -180,7 +180,7 @@ def test_dvl_that_reports_velocities_is_taken_at_its_word() -> None:
 
 
 def test_dvl_without_readings_is_a_programmers_mistake() -> None:
-    with pytest.raises(ValueError, match="beams with their vectors, or velocities"):
+    with pytest.raises(ValueError, match="beams"):
         dvl_velocities(DvlColumns(np.arange(3), beam_velocity_mps=np.zeros((3, 4))))
 
 
@@ -243,7 +243,7 @@ def test_motion_of_its_order_is_carried_through_an_outage(order: int) -> None:
 
 @pytest.mark.parametrize(("order", "n"), [(0, 3), (2, 2), (3, 2), (1, 1)])
 def test_order_below_one_or_without_enough_velocities_is_refused(order: int, n: int) -> None:
-    with pytest.raises(ValueError, match=f"order {order} needs a window above it, found {n}"):
+    with pytest.raises(ValueError, match=f"order {order} .*{n}"):
         derivative_weights(np.arange(float(n)), order)
 
 

@@ -1,5 +1,6 @@
 """Where the IMU was silent, the filters say that they do not know; nothing there looks more certain than it is."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -194,9 +195,7 @@ def test_gap_that_nothing_can_bridge_is_refused_and_can_be_split(turning: Dive) 
     imu = turning.imu
     late = imu.time_ns + np.where(seconds(imu.time_ns, START_NS) > 50.0, 86_400 * SECOND, 0)
     dive = replace(turning, imu=replace(imu, time_ns=late))
-    with pytest.raises(
-        LogError, match=r"1 gap longer than 0\.5 s, the first at 50\.0 s, the longest of 86400\.0 s"
-    ) as e:
+    with pytest.raises(LogError, match=r"\b1 gap .*0\.5 s, .*50\.0 s, .*86400\.0 s") as e:
         replay_dive(dive, with_imu(gap_rate_degps=0.0))
     assert "imu.long_gaps=split" in e.value.hint
 
@@ -208,7 +207,7 @@ def test_gap_in_which_the_attitude_is_lost_splits_the_dive_whatever_is_configure
     assert all(np.isfinite(history.sd).all() for history in replay.histories)
     split, bridged = note(replay, "imu_split"), note(replay, "imu_long_gaps")
     assert (split.severity, split.count, bridged.count) == ("warning", 1, 1)
-    assert "leave the attitude unknown by 100 deg" in split.text
+    assert " 100 deg" in split.text
     assert "gap_rate_degps" in split.hint
     assert (
         seconds(replay.histories[0].time_ns, START_NS)[-1] < 100.1
@@ -225,7 +224,7 @@ def test_split_replays_the_longest_part_and_says_what_it_left_out(turning: Dive)
     assert (replay.start_ns, replay.end_ns) == tuple(times(40.0, 100.0).tolist())
     found = note(replay, "imu_split")
     assert (found.severity, found.count) == ("warning", 2)
-    assert "only 40.0 to 100.0 s are replayed, 70.0 s are left out" in found.text
+    assert re.search(r"40\.0 .*100\.0 s .*70\.0 s", found.text)
     whole = replay_dive(silent(turning, 130.5, 131.0), with_imu(long_gaps="split"))
     assert not [n for n in whole.notes if n.code == "imu_split"]
 

@@ -1,5 +1,6 @@
 """The level from gravity, as well as it says: of vehicles that lie, go, turn and pitch, with sensors that err."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -234,7 +235,7 @@ def test_pause_of_the_imu_ends_the_levelling() -> None:
     )
     found = levelled(replace(dive, imu=imu), Config(initial=LEVEL))
     (note,) = (note for note in found.notes if note.code == "start_levelled")
-    assert "from gravity over 4 s" in note.text
+    assert " 4 s" in note.text
     np.testing.assert_allclose(start_errors(dive, found)[3:5] / DEG, 0.0, atol=0.01)
 
 
@@ -244,7 +245,7 @@ def test_note_tells_the_level_and_its_uncertainty() -> None:
     (note,) = (note for note in found.notes if note.code == "start_levelled")
     assert note.text.startswith(f"roll {roll_deg:.2f} +- 2.")
     assert f"pitch {pitch_deg:.2f} +- 2." in note.text
-    assert note.text.endswith("from gravity over 10 s, at a heading of 30 deg")
+    assert re.search(r" 10 s, .* 30 deg$", note.text)
 
 
 # --- At sea.

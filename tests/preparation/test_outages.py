@@ -1,6 +1,7 @@
 """What is said of long outages of the DVL, and the height at which gravity is taken through them."""
 
 import dataclasses
+import re
 
 import msgspec
 import numpy as np
@@ -24,9 +25,9 @@ def pings_ns(*spans_s: tuple[float, float]) -> np.ndarray:
     ("spans_s", "count", "words"),
     [
         ([(1.0, 300.0), (590.0, 2000.0)], 0, ""),
-        ([(1.0, 300.0), (601.0, 2000.0)], 1, "the longest 302 s from 299 s after the start on"),
-        ([(400.0, 900.0), (1300.0, 2000.0)], 2, "the longest 401 s from 899 s"),
-        ([(1.0, 700.0)], 1, "the longest 1301 s from 699 s"),
+        ([(1.0, 300.0), (601.0, 2000.0)], 1, "302 s .*299 s"),
+        ([(400.0, 900.0), (1300.0, 2000.0)], 2, "401 s .*899 s"),
+        ([(1.0, 700.0)], 1, "1301 s .*699 s"),
     ],
 )
 def test_long_outages_are_told(spans_s: list[tuple[float, float]], count: int, words: str) -> None:
@@ -34,7 +35,7 @@ def test_long_outages_are_told(spans_s: list[tuple[float, float]], count: int, w
     assert [(note.code, note.severity, note.count) for note in notes] == [("dvl_outages", "warning", count)] * bool(
         count
     )
-    assert not notes or words in notes[0].text
+    assert not notes or re.search(words, notes[0].text)
 
 
 def test_gravity_follows_the_height_and_is_held_without_velocities() -> None:

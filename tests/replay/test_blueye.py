@@ -82,7 +82,7 @@ def test_accelerometers_point_down_whichever_is_named(topic: str, scale: float) 
 
 
 def test_three_candidates_are_named() -> None:
-    with pytest.raises(LogError, match=r"could each be the imu\.topic") as raised:
+    with pytest.raises(LogError, match=r"imu\.topic") as raised:
         read_dive(DATA / "auto_square.mcap", Config())
     assert raised.value.hint.startswith('imu.topic = "blueye.protocol.Imu2Tel"')
 
@@ -103,5 +103,5 @@ def test_json_log_is_read_by_field_paths() -> None:
 
 
 def test_log_without_messages_says_so() -> None:
-    with pytest.raises(LogError, match="no messages at all"):
+    with pytest.raises(LogError, match=r"no_messages\.mcap"):
         read_dive(DATA / "no_messages.mcap", Config())

@@ -87,7 +87,7 @@ def test_small_innovations_that_repeat_are_not_called_over_cautious() -> None:
     assert (row.verdict, row.why) == (Consistency.TOO_FEW, Reason.ONE_SAMPLE)
     assert heading_nees(replay, replay.histories[1]).mean() > 17.0
     (note,) = (note for note in replay.notes if note.code == "heading_slow_error")
-    assert (note.severity, "filter aided follows" in note.text) == (Severity.WARNING, True)
+    assert (note.severity, "filter aided " in note.text) == (Severity.WARNING, True)
     assert 'filters.aided.states = ["heading_bias"]' in note.hint
 
 

@@ -1,5 +1,6 @@
 """Adaptive and Student-t noise of the DVL, as candidates beside a filter that believes what it is told."""
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
@@ -119,7 +120,7 @@ def test_the_noise_that_is_found_is_noted() -> None:
     replay = replay_dive(noisier_dive(0, LENGTH_S, 3.0), competitors("velocity", 1))
     (note,) = (note for note in replay.notes if note.code == "constants_estimated")
     factor = replay.histories[1].innovations[0].noise_factor
-    assert note.text == f"adaptive estimates: noise of velocity {np.sqrt(factor):.3g} times what it is told"
+    assert re.fullmatch(rf"adaptive .*velocity {np.sqrt(factor):.3g} .*", note.text)
     assert np.sqrt(factor) == pytest.approx(3.0, rel=0.15)
 
 

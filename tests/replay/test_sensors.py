@@ -1,5 +1,6 @@
 """Sensors beside IMU and DVL, from the log to the tables, in worlds whose truth is known."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -81,11 +82,10 @@ def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
     drawn = nis_figure(replay.histories, Clock(0, 10**12), lambda dof: (0.0, 1.0)).panels
     for panel in drawn:  # what no gate has rejected is not marked so
         assert np.isnan(panel.curves[1].y).all()
-    assert [panel.title for panel in drawn][-1] == "candidate: NIS of the withheld_depth"
+    assert re.fullmatch("candidate: .*withheld_depth", drawn[-1].title)
     np.testing.assert_array_equal(replay.histories[0].velocity_n, replay.histories[1].velocity_n)
-    assert [note.text for note in replay.notes if note.code == "depth_withheld"] == [
-        "the depth is withheld, and does not aid candidate"
-    ]
+    (note,) = (note for note in replay.notes if note.code == "depth_withheld")
+    assert "candidate" in note.text
     rows = [row for row in replay.tables.consistency if row.measurement == "withheld_depth"]
     assert [(row.used, row.rejected) for row in rows] == [(0, 1600)] * 2
     assert {row.verdict for row in rows} == {"not told"}
@@ -96,25 +96,25 @@ def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
     ("kept", "told"),
     [
         (slice(None), None),
-        (slice(None, 200), "for 60 of 110 s, from 50 s after the start to the end"),
-        (slice(200, None), "for 50 of 110 s, from 0 s after the start on"),
+        (slice(None, 200), ["60", "110", "50"]),
+        (slice(200, None), ["50", "110", "0"]),
         (slice(None, None, 100), None),  # a reading every 25 s is a slow sensor
-        (slice(200, 201), "for 60 of 110 s, from 50 s after the start to the end"),
+        (slice(200, 201), ["60", "110", "50"]),
     ],
     ids=["whole", "ends", "begins late", "slow", "once"],
 )
 def test_a_sensor_that_falls_silent_is_told(kept: slice, told: str | None) -> None:
     dive = simulated(duration_s=110.0, depth=SensorErrors(0.05, 4.0))
     notes = replay_dive(replace(dive, sensors={"depth": dive.sensors["depth"].rows(kept)}), config("depth")).notes
-    found = [(note.text, note.severity) for note in notes if note.code == "depth_silent"]
-    assert found == ([] if told is None else [(f"no reading of the depth {told}", Severity.WARNING)])
+    found = [(re.findall(r"\d+", note.text), note.severity) for note in notes if note.code == "depth_silent"]
+    assert found == ([] if told is None else [(told, Severity.WARNING)])
 
 
 def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0))
-    with pytest.raises(LogError, match="has no topic for the depth: no message is of a type known") as refusal:
+    with pytest.raises(LogError, match=r"dive\.mcap: .*depth") as refusal:
         read_dive(tmp_path / "dive.mcap", config("depth"))
-    assert refusal.value.hint.endswith("`insdvl-replay inspect` lists the topics"), "it proposes none for sensors"
+    assert refusal.value.hint.rpartition(";")[2].startswith(" `insdvl-replay inspect`"), "it proposes none for sensors"
 
 
 @pytest.mark.parametrize(
@@ -130,14 +130,14 @@ def test_a_topic_of_another_type_is_told_with_the_fields_that_it_takes(
 ) -> None:
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0, depth=SensorErrors(1.0, 1.0)))
     name = type(settings).__name__.lower()
-    with pytest.raises(LogError, match=f"not known as a type for {name}.topic") as refusal:
+    with pytest.raises(LogError, match=f"{name}.topic") as refusal:
         read_dive(tmp_path / "dive.mcap", config(name, **{name: settings}))
-    assert f'set {name}.topic = "/topic" with {fields};' in refusal.value.hint
+    assert re.search(f'{name}.topic = "/topic" .*{fields};', refusal.value.hint)
 
 
 def test_a_latitude_in_another_unit_is_told_by_its_number(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0, position=SensorErrors(1.0)))
-    with pytest.raises(LogError, match=r"31 of 31 latitudes are beyond the poles, up to 32\.8\d* rad") as refusal:
+    with pytest.raises(LogError, match=r"31 of 31 latitudes .*32\.8\d* rad") as refusal:
         read_dive(tmp_path / "dive.mcap", config("position", position=Position(angle_unit="rad")))
     assert refusal.value.hint.startswith('position.angle_unit = "deg"')
 
@@ -149,7 +149,7 @@ def test_wrong_latitudes_of_both_signs_are_told_by_the_furthest(tmp_path: Path) 
     both = fixes.values * np.where(np.arange(31) % 2, 1.0, -1.0)[:, None]
     both[0, 0] = 0.0
     write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": replace(fixes, values=both)}))
-    with pytest.raises(LogError, match=r"30 of 31 latitudes are beyond the poles, up to -?32\.8\d* rad"):
+    with pytest.raises(LogError, match=r"30 of 31 latitudes .*32\.8\d* rad"):
         read_dive(tmp_path / "dive.mcap", config("position", position=Position(angle_unit="rad")))
 
 
@@ -162,7 +162,7 @@ def test_fixes_that_are_none_are_not_called_wrong_numbers(tmp_path: Path) -> Non
     write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": SensorColumns(fixes.time_ns, values)}))
     notes = read_dive(tmp_path / "dive.mcap", config("position")).notes
     (text,) = (note.text for note in notes if note.code == "position_not_finite")
-    assert text.startswith("position: 10 messages hold no position; dropped")
+    assert text.startswith("position: 10 ")
 
 
 @pytest.mark.nightly
@@ -188,7 +188,7 @@ def test_a_heading_is_read_as_it_was_simulated(tmp_path: Path) -> None:
 def test_an_imu_that_has_no_orientation_gives_no_heading(tmp_path: Path) -> None:
     """orientation_covariance[0] = -1 says so."""
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0))
-    with pytest.raises(LogError, match="all messages say that they hold no orientation"):
+    with pytest.raises(LogError, match=r"/imu: .*orientation"):
         read_dive(tmp_path / "dive.mcap", config("heading"))
 
 
@@ -232,10 +232,9 @@ def test_a_fix_without_height_starts_a_dive_at_the_configured_one(
     # A log's own fixes are its reference, too, where it has no other.
     replay = replay_dive(replace(read_dive(tmp_path / "dive.mcap", settings), reference=None), settings)
     assert replay.histories[0].position[0, 2] == -250.0
-    assert [note.text for note in replay.notes if note.code.startswith(("start_position", "start_height"))] == [
-        "position at the start by the fix 0.00 s away",
-        "started at the configured height -250 m",
-    ]
+    by_fix, by_height = (note for note in replay.notes if note.code.startswith(("start_position", "start_height")))
+    assert " 0.00 s" in by_fix.text
+    assert " -250 m" in by_height.text
     apart_m = north_east_m(replay.histories[0].position[0], fixes.values[0], fixes.values[0])
     assert np.hypot(*apart_m) == pytest.approx(np.hypot(*arm_m[:2]), abs=0.2)
 
@@ -510,9 +509,8 @@ def test_what_a_filter_estimates_of_its_sensors_is_noted() -> None:
     history = replay.histories[1]
     (note,) = (note for note in replay.notes if note.code == "constants_estimated")
     value, sd = 100.0 * history.constants[-1, 0], 100.0 * history.sd[-1, 15]
-    assert note.text == (
-        f"scaled estimates: scale error of the DVL {value:+.3g} % (sd {sd:.2g} %; at the start +0, sd 0.5)"
-    )
+    assert note.text.startswith("scaled ")
+    assert f"{value:+.3g} % (sd {sd:.2g} %; " in note.text
 
 
 # --- Started by sensors.
@@ -582,7 +580,7 @@ def test_a_heading_that_begins_late_is_no_start() -> None:
     dive = simulated(duration_s=120.0, heading=SensorErrors(1.0, 1.0), position=SensorErrors(2.0, 1.0))
     late = dive.sensors["heading"]
     late = SensorColumns(late.time_ns[10:], late.values[10:])
-    with pytest.raises(LogError, match=r"nearest to the start is 10.0 s away"):
+    with pytest.raises(LogError, match=r"10\.0 s"):
         started(replace(dive, sensors={**dive.sensors, "heading": late}))
 
 

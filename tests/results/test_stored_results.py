@@ -36,7 +36,7 @@ def test_what_is_still_written_and_what_lies_in_a_result_is_passed_over(tmp_path
 
 def test_studies_are_counted_and_alone_no_results(tmp_path: Path) -> None:
     write(tmp_path / "study", STUDY)
-    with pytest.raises(ConfigError, match="holds results of studies alone"):
+    with pytest.raises(ConfigError, match="studies"):
         read_results(tmp_path)
     write(tmp_path / "dive", content())
     results, (note,) = read_results(tmp_path)
@@ -44,9 +44,9 @@ def test_studies_are_counted_and_alone_no_results(tmp_path: Path) -> None:
 
 
 def test_a_place_without_results_and_no_place_are_a_users_mistakes(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="holds no result"):
+    with pytest.raises(ConfigError, match=tmp_path.name):
         read_results(tmp_path)
-    with pytest.raises(ConfigError, match="does not exist"):
+    with pytest.raises(ConfigError, match="elsewhere"):
         read_results(tmp_path / "elsewhere")
 
 
@@ -63,13 +63,13 @@ def test_tables_rows_and_columns_of_other_versions_are_kept(tmp_path: Path) -> N
 def test_a_row_of_which_nobody_knows_what_it_is_about_is_refused(column: str, tmp_path: Path) -> None:
     report = content()
     del report["tables"]["improvement"][1][column]
-    with pytest.raises(ResultError, match=f"table improvement, row 2: has no column {column}"):
+    with pytest.raises(ResultError, match=f"table improvement, row 2: .* {column}"):
         read_results(write(tmp_path, report))
 
 
 def test_a_report_of_another_form_names_the_version_that_wrote_it(tmp_path: Path) -> None:
     report = content() | {"tables": 3}
-    with pytest.raises(ResultError, match=r"\(written by version 0\.1\.0\): expected `object`, got `int`"):
+    with pytest.raises(ResultError, match=r"0\.1\.0\): .*`object`.*`int`"):
         read_results(write(tmp_path, report))
 
 
@@ -80,7 +80,7 @@ DEEP = '{"config": {"dvl": ' + "[" * 100_000 + "]" * 100_000 + "}}"
 def test_bytes_that_are_no_report_are_refused(data: bytes, tmp_path: Path) -> None:
     write(tmp_path, content())
     (tmp_path / "report.json").write_bytes(data)
-    with pytest.raises(ResultError, match=r"report\.json: is not JSON"):
+    with pytest.raises(ResultError, match=r"report\.json: .*JSON"):
         read_results(tmp_path)
 
 

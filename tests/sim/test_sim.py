@@ -1,6 +1,7 @@
 """Simulated dives: the motion is exact, the errors are of the size asked for, and the bytes come again."""
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -438,36 +439,27 @@ def test_last_bit_of_another_machines_sine_does_not_show() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message", "hint"),
+    ("arguments", "named"),
     [
-        ({"scenario": "figure-eigth"}, "scenario 'figure-eigth' is not known", "did you mean figure-eight?"),
-        (
-            {"scenario": "zz"},
-            "scenario 'zz' is not known",
-            "figure-eight, lawnmower, static, calibration",
-        ),
-        ({"grade": "mens"}, "IMU grade 'mens' is not known", "did you mean mems?"),
-        ({"duration_s": -1.0}, "duration is -1 s", "duration in s"),
-        ({"duration_s": float("nan")}, "duration is nan s", "duration in s"),
-        ({"duration_s": 0.005}, "less than two IMU samples", "--duration"),
-        ({"imu_rate_hz": 0.0}, "IMU rate is 0 Hz", "IMU rate in Hz"),
-        ({"dvl_rate_hz": -2.0}, "DVL rate is -2 Hz", "DVL rate in Hz"),
-        ({"reference_rate_hz": float("inf")}, "reference rate is inf Hz", "reference rate in Hz"),
-        ({"outages": [(20.0, 10.0)]}, "outage from 20 s to 10 s", "start first"),
-        ({"lost_beams": [LostBeam(4, 0.0, 1.0)]}, "beam 4 cannot be lost", "from 0 to 3"),
-        (
-            {"duration_s": 300.0, "lost_beams": [LostBeam(0, 400.0, 500.0)]},
-            "an outage from 400 s to 500 s lies outside the dive, which lasts 300 s",
-            "--duration",
-        ),
-        ({"duration_s": 300.0, "outages": [(-20.0, 0.0)]}, "from -20 s to 0 s lies outside the dive", "--duration"),
-        ({"seed": -3}, "seed -3 is negative", "--seed 3"),
+        ({"scenario": "figure-eigth"}, "'figure-eigth'.*; .*figure-eight"),
+        ({"grade": "mens"}, "'mens'.*; .*mems"),
+        ({"duration_s": -1.0}, "duration .*-1 s"),
+        ({"duration_s": float("nan")}, "duration .*nan s"),
+        ({"duration_s": 0.005}, "IMU.*--duration"),
+        ({"imu_rate_hz": 0.0}, "IMU rate .*0 Hz"),
+        ({"dvl_rate_hz": -2.0}, "DVL rate .*-2 Hz"),
+        ({"reference_rate_hz": float("inf")}, "reference rate .*inf Hz"),
+        ({"outages": [(20.0, 10.0)]}, "20 s .*10 s"),
+        ({"lost_beams": [LostBeam(4, 0.0, 1.0)]}, "beam 4 .*0 to 3"),
+        ({"duration_s": 300.0, "lost_beams": [LostBeam(0, 400.0, 500.0)]}, "400 s .*500 s .*300 s.*--duration"),
+        ({"duration_s": 300.0, "outages": [(-20.0, 0.0)]}, "-20 s .*0 s .*--duration"),
+        ({"seed": -3}, "seed -3 .*--seed 3"),
     ],
 )
-def test_impossible_dives_are_refused(arguments: dict[str, object], message: str, hint: str) -> None:
-    with pytest.raises(ConfigError, match=message) as caught:
+def test_impossible_dives_are_refused(arguments: dict[str, object], named: str) -> None:
+    with pytest.raises(ConfigError) as caught:
         simulate_dive(**{"scenario": "static", "duration_s": 10.0, **arguments})  # type: ignore[arg-type]
-    assert hint in caught.value.hint
+    assert re.search(named, f"{caught.value.message}; {caught.value.hint}")
 
 
 def test_errors_need_an_exact_dive_with_beams() -> None:

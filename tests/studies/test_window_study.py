@@ -163,25 +163,25 @@ def test_velocities_serve_as_well_as_the_beams_they_come_from() -> None:
 
 def test_dive_without_reference_says_so() -> None:
     dive = replace(exact_dive("straight", duration_s=60.0), reference=None)
-    with pytest.raises(LogError, match="straight: there is no reference with velocity and attitude") as caught:
+    with pytest.raises(LogError, match=r"straight: .*reference") as caught:
         dive_windows(dive, load_config(), 5)
     assert "reference.topic" in caught.value.hint
 
 
 def test_windows_longer_than_the_dive_say_so() -> None:
-    with pytest.raises(LogError, match="none of 60 pings ends a window of 100 velocities") as caught:
+    with pytest.raises(LogError, match=r" 60 .* 100 ") as caught:
         dive_windows(exact_dive("straight", duration_s=60.0), load_config(), 100)
     assert "--longest 50" in caught.value.hint
 
 
 def test_two_logs_of_one_name_are_refused() -> None:
-    with pytest.raises(ConfigError, match="have the same name"):
+    with pytest.raises(ConfigError, match=r"a/dive\.mcap .*b/dive\.mcap"):
         study_window([Path("a/dive.mcap"), Path("b/dive.mcap")], load_config())
 
 
 def test_pause_that_starts_a_window_is_that_of_the_filter() -> None:
     config = load_config(overrides=["filters.aided.acceleration.max_window_gap_s=0.5"])
-    with pytest.raises(LogError, match=r"without a pause above 0\.5 s"):
+    with pytest.raises(LogError, match=r"0\.5 s"):
         dive_windows(exact_dive("straight", duration_s=60.0), config, 3)
 
 
@@ -208,8 +208,7 @@ def test_command_writes_the_same_bytes_twice(
             run_command_line(["study", "window", *simulated, "-o", str(tmp_path / name), "--longest", "6", "--png"])
             == 0
         )
-    printed = capsys.readouterr()
-    assert "velocities at the middle of their window" in printed.out
+    assert capsys.readouterr().out
     folders = [tmp_path / name / "window" for name in ("one", "two")]
     names = {path.name for path in folders[0].iterdir()}
     assert names == {"window.csv", "best.csv", "window.svg", "window.png", "config.toml", "report.json", "report.html"}
@@ -236,7 +235,7 @@ def test_log_that_cannot_be_used_does_not_stop_the_others(
     }
     (left_out,) = (note for note in msgspec.json.decode(printed.out)["notes"] if note["code"] == "log_left_out")
     assert "broken.mcap" in left_out["text"]
-    assert printed.err.splitlines()[-1].startswith("error: 1 of 3 logs could not be used; the first: ")
+    assert printed.err.splitlines()[-1].startswith("error: 1 of 3 ")
 
 
 def test_no_log_that_can_be_used_is_the_first_ones_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

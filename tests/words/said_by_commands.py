@@ -1,0 +1,69 @@
+"""Mistakes on the command line."""
+
+from pathlib import Path
+
+from as_text import Cases, spoken
+
+WRONG = (
+    "",
+    "rn",
+    "fly",
+    "study",
+    "run",
+    "run DIVE --tabel drift",
+    "run DIVE --frce",
+    "run DIVE --starts 0",
+    "run DIVE --starts few",
+    "run DIVE --format xml",
+    "run DIVE --preset phog",
+    "run DIVE --set dvl.scle=1",
+    "run DIVE -c absent.toml",
+    "run absent.mcap",
+    "run text.mcap",
+    "run DIVE -o taken",
+    "run DIVE -o text.mcap",
+    "run DIVE -o thesis",
+    "run DIVE --table evidense",
+    "inspect text.mcap",
+    "inspect nowhere.mcap",
+    "config --preset phog",
+    "schema rapport",
+    "simulate static",
+    "simulate spiral -o new.mcap",
+    "simulate static -o text.mcap",
+    "simulate static -o new.mcap --outage 60",
+    "simulate static -o new.mcap --lost-beam x:1:2",
+    "simulate static -o new.mcap --imu quantum",
+    "simulate static -o new.mcap --sensor depht=1",
+    "simulate static -o new.mcap --sensor depth=1 --sensor depth=2",
+    "calibrate DIVE --only arms",
+    "calibrate DIVE --only ,",
+    "calibrate DIVE --hold-out 2",
+    "calibrate text.mcap",
+    "study observability strait",
+    "study montecarlo strait",
+    "study window a/dive.mcap b/dive.mcap",
+    "figure result",
+    "figure result speed",
+    "figure result error --width 5",
+    "figure result sigma --states bx",
+    "figure result error --states ba",
+    "check absent.toml",
+    "check code.toml",
+    "run DIVE -c code.toml",
+)
+CODE = '[filters.baseline]\naiding = ["velocity"]\n[filters.mine]\naiding = ["velocity", "told_code:Down"]\n'
+
+
+def said_by_commands(folder: Path) -> Cases:
+    """Return what each wrong use ends with."""
+    assert spoken(folder, "simulate", "straight", "-o", "dive.mcap", "--duration", "40").startswith("exit code 0")
+    (folder / "text.mcap").write_text("this is no log")
+    for name in ("taken", "thesis"):
+        (folder / name / "dive").mkdir(parents=True)
+    (folder / "taken" / "dive" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
+    (folder / "thesis" / "dive" / "chapter1.tex").write_text("years of work")
+    (folder / "code.toml").write_text(CODE)
+    for line in WRONG:
+        said = spoken(folder, *("dive.mcap" if word == "DIVE" else word for word in line.split()))
+        yield line or "no command", said

@@ -1,0 +1,157 @@
+"""What is said of stored results: comparing them, reading them, and files that cannot be written."""
+
+from pathlib import Path
+
+import numpy as np
+from as_text import Cases, refusal, spoken
+from insdvl_replay.changes.comparison import brief_document, compare_results, opening_lines
+from insdvl_replay.results.dive_tables import track_fit_line
+from made_reports import report, tables
+from msgspec.structs import replace
+from small_results import content, write
+
+from insdvl_replay.batch.dive_paths import find_dives
+from insdvl_replay.core.dive_record import unique_names
+from insdvl_replay.evaluation.paired_statistics import dives_ratio, what_settles
+from insdvl_replay.evaluation.pooled_evidence import pooled_candidate, pooled_sentence
+from insdvl_replay.report.markdown import as_markdown
+from insdvl_replay.results.dive_document import dive_document
+from insdvl_replay.results.dive_screen import dive_screen
+from insdvl_replay.results.folder import result_file, result_folder
+from insdvl_replay.results.result_files import run_log
+from insdvl_replay.results.stored_results import read_results
+
+COMPARED = (
+    ["old", "worse", "--fail-on", "worse"],
+    ["old", "better", "--fail-on", "changed"],
+    ["old", "lost", "--fail-on", "worse:1000%"],
+    ["old", "overconfident", "--fail-on", "worse:50%"],
+    ["old", "worse", "--fail-on", "better"],
+    ["old", "worse", "--fail-on", "worse:5"],
+    ["old", "worse", "--tolerance", "1e-3"],
+    ["old", "worse", "--table", "improvment"],
+    ["old", "worse", "--column", "rms"],
+    ["old", "worse", "--dive", "dibe"],
+    ["old", "more", "--fail-on", "changed"],
+    ["old", "stranger"],
+    ["old", "stranger", "--pair", "aided"],
+    ["old", "stranger", "--pair", "aded=tuned"],
+    ["more", "unrelated"],
+    ["old", "absent"],
+    ["old", "a" * 5000],
+    ["old", "empty"],
+    ["old", "study"],
+    ["old"],
+    ["old", "broken"],
+    ["old", "list"],
+    ["old", "future"],
+)
+
+
+def said_of_results(folder: Path) -> Cases:
+    """Return what is said of comparisons, reports, and paths."""
+    yield from of_comparisons(folder)
+    yield from of_verdicts(folder)
+    yield from of_reports()
+    yield from of_files(folder)
+    for name in ("*.mcap", "/proc/**", "a\0b", "a" * 5000):
+        yield f"dives of {name!r}", refusal(find_dives, [name], folder)
+    yield "dives of one name", refusal(unique_names, [Path("/dives/x.mcap"), Path("/dives/x")])
+
+
+def of_comparisons(folder: Path) -> Cases:
+    for name, made in {
+        "old": content(),
+        "worse": content(rmse=0.44),
+        "better": content(rmse=0.2),
+        "lost": content(rmse=None),
+        "overconfident": content(verdict="over-confident"),
+        "stranger": content(filter="tuned"),
+        "study": {"study": "window", "tool": {"version": "0.1.0"}},
+        "future": {"tool": {"version": "9.0"}, "log": {"title": "dive"}, "tables": {}},
+        "form": content() | {"tables": 3},
+        "list": [],
+    }.items():
+        write(folder / name, made)  # type: ignore[arg-type]
+    for name, made in {
+        "more/one": content("one"),
+        "more/dive": content(),
+        "unrelated/x": content("x"),
+        "unrelated/y": content("y"),
+    }.items():
+        write(folder / name, made)
+    twice, nameless = content(), content()
+    twice["tables"]["improvement"] *= 2
+    del nameless["tables"]["improvement"][1]["state"]
+    write(folder / "twice", twice)
+    write(folder / "nameless", nameless)
+    (folder / "empty").mkdir()
+    (folder / "broken").mkdir()
+    (folder / "broken" / "report.json").write_text('{"tool": ')
+    for arguments in COMPARED:
+        said = spoken(folder, "compare", *arguments).splitlines()
+        yield f"compare {' '.join(arguments)}", f"{said[0]}\n{said[-1]}"
+    for sort in ("a", "b"):
+        write(folder / "several" / sort / "dive", content())
+    yield "several results of one dive", refusal(compare_results, folder / "old", folder / "several")
+
+
+def of_verdicts(folder: Path) -> Cases:
+    """Return what is said first of two sets, and in brief."""
+    for name, words in {"one": "worse", "two": "worse", "three": "better"}.items():
+        write(folder / "before" / name, content(name, improvement="better", belief="borne out"))
+        new = content(name, improvement=words, belief="undecided", rmse=0.5, window=5, sha256=f"another {name}")
+        new["config"] |= {f"key{number}": number for number in range(20)}
+        write(folder / "after" / name, new)
+    write(folder / "before" / "four", content("four"))
+    changed, same = (compare_results(folder / "before", folder / name) for name in ("after", "before"))
+    yield "verdicts that changed", "\n".join(opening_lines(changed))
+    yield "in brief", as_markdown(brief_document(changed))
+    yield "nothing changed", as_markdown(brief_document(same))
+
+
+def of_reports() -> Cases:
+    made = report()
+    yield "a report in Markdown", as_markdown(dive_document(made))
+    near, far, beyond = (replace(tables().credibility[0], quantity=name) for name in ("velocity", "north", "ba_x"))
+    within = [replace(row, why="within 10 %") for row in (near, far)]
+    told = replace(tables(), credibility=[*within, replace(beyond, why="many beyond 3 sd")])
+    yield (
+        "reasons in spite of an interval",
+        "\n".join(line for line in as_markdown(dive_document(report(used=told))).splitlines() if "In spite of" in line),
+    )
+    yield "the run's log", run_log(made)
+    withheld = replace(made.tables.consistency[0], measurement="withheld_heading", used=0, rejected=2120)
+    apart = replace(made, tables=replace(made.tables, consistency=[withheld]))
+    yield "the run's log of a sensor that is held out", "\n".join(run_log(apart).splitlines()[-6:])
+    yield "the track's fit", "\n".join(track_fit_line(made))
+    lost = replace(made.filters["aided"], mean_improvement_pct=-66.9, mean_convergence_improvement_pct=-2.04)
+    yield "worse than before", as_markdown(dive_screen(replace(made, filters={"aided": lost}), "report.html"))
+    scatter = 0.04 * np.array([-1.0, 0.0, 1.0])
+    yield "how many dives would settle it", what_settles(dives_ratio(scatter), 3)
+    pooled = pooled_candidate("aided", "baseline", [made.tables.evidence] * 3, 3)
+    yield "three dives together", pooled_sentence(pooled)
+
+
+def of_files(folder: Path) -> Cases:
+    (folder / "link").symlink_to("absent.toml")
+    (folder / "to_folder").symlink_to("empty")
+    (folder / "thesis").mkdir()
+    (folder / "thesis" / "chapter1.tex").write_text("years of work")
+    (folder / "taken.toml").touch()
+    for name in ("link", "to_folder", "taken.toml", "a" * 300, "nowhere/new.toml"):
+        yield f"a file {name}", refusal(write_text, folder / name)
+    for name in ("thesis", "taken.toml", "a" * 300):
+        yield f"a result in {name}", refusal(write_folder, folder / name)
+    for name in ("study", "form", "nameless", "broken", "empty", "nowhere"):
+        yield f"the result {name}", refusal(read_results, folder / name)
+
+
+def write_text(path: Path) -> None:
+    with result_file(path, force=False) as file:
+        file.write_text("new")
+
+
+def write_folder(path: Path) -> None:
+    with result_folder(path):
+        pass
