@@ -1,5 +1,6 @@
 """Columns from CDR bytes agree with what rosbags serialises, whatever the layout of the messages."""
 
+import re
 import struct
 
 import numpy as np
@@ -63,9 +64,8 @@ def random_pings(count: int, labels: list[str], beams: list[int]) -> list[dict]:
     ]
 
 
-@pytest.mark.parametrize("labels", [["dvl"], ["", "a", "abcdefgh", "xyz"]])
-def test_columns_equal_what_was_serialised(labels: list[str]) -> None:
-    pings = random_pings(50, labels, [4])
+def test_columns_equal_what_was_serialised() -> None:
+    pings = random_pings(50, ["", "a", "abcdefgh", "xyz"], [4])
     paths = ["mode", "beams[*].velocity", "beams[2].velocity", "stamp", "fixed", "fixed[1]", "free[*]", "good"]
     columns = reader(*paths).columns(block_of(serialised(pings)))
     beams = np.array([ping["beams"] for ping in pings])
@@ -93,51 +93,36 @@ def test_structure_means_all_numbers_in_it() -> None:
     np.testing.assert_array_equal(columns[:, [0, 2]], [[0, 1]] * 3)
 
 
-def test_type_without_strings_and_sequences() -> None:
-    definitions = parse_definitions("test_msgs/msg/Beam", BEAM)
-    payload = b"\x00\x01\x00\x00" + b"\x07" + bytes(7) + np.float64(2.5).tobytes()
-    columns = BinaryReader(definitions, "test_msgs/msg/Beam", ["velocity"]).columns(block_of([payload, payload]))
-    np.testing.assert_array_equal(columns["velocity"], [[2.5], [2.5]])
-
-
-@pytest.mark.parametrize("path", ["beams[*].velocit", "beam[*].velocity", "beams.velocity", "velocity"])
-def test_unknown_path_names_the_nearest_field(path: str) -> None:
-    with pytest.raises(LogError, match="has no field") as raised:
-        reader(path)
-    assert path in raised.value.message
-    assert TYPE in raised.value.message
-    assert "beams[*].velocity" in raised.value.hint
-
-
-def test_text_is_no_number() -> None:
+def test_unknown_path_names_the_nearest_field_and_text_is_no_number() -> None:
+    for path in ("beams[*].velocit", "beams.velocity"):
+        with pytest.raises(LogError, match=re.escape(f"{TYPE} has no field '{path}'")) as raised:
+            reader(path)
+        assert "beams[*].velocity" in raised.value.hint
     with pytest.raises(LogError, match="'label' of test_msgs/msg/Ping is text"):
         reader("label")
 
 
-@pytest.mark.parametrize(
-    ("kind", "name"),
-    [(0, "big-endian CDR"), (3, "a parameter list"), (7, "XCDR2"), (9, "delimited XCDR2"), (99, "no CDR")],
-)
-def test_other_encapsulations_are_refused_by_name(kind: int, name: str) -> None:
+def test_other_encapsulations_are_refused_by_name() -> None:
     message = bytearray(serialised(random_pings(1, ["dvl"], [4]))[0])
-    message[1] = kind
-    with pytest.raises(LogError, match=f"1 of 1 messages are {name} "):
-        reader("mode").columns(block_of([bytes(message)]))
+    for kind, name in ((0, "big-endian CDR"), (7, "XCDR2"), (99, "no CDR")):
+        message[1] = kind
+        with pytest.raises(LogError, match=f"1 of 1 messages are {name} "):
+            reader("mode").columns(block_of([bytes(message)]))
 
 
-@pytest.mark.parametrize("change", [lambda message: message[:-9], lambda message: message + bytes(8)])
-def test_message_that_does_not_fit_its_schema_is_refused(change) -> None:  # type: ignore[no-untyped-def]
-    messages = serialised(random_pings(2, ["dvl"], [4]))
-    with pytest.raises(LogError, match="a message of"):
-        reader("mode").columns(block_of([messages[0], change(messages[1])]))
+def test_message_that_does_not_fit_its_schema_is_refused() -> None:
+    first, second = serialised(random_pings(2, ["dvl"], [4]))
+    for wrong in (second[:3], second[:-9], second + bytes(4)):
+        with pytest.raises(LogError, match="a message of"):
+            reader("mode").columns(block_of([first, wrong]))
 
 
 def test_numbers_of_every_kind_are_read_as_by_struct_wherever_they_stand() -> None:
-    names = ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "float32", "float64"]
-    kinds = list(zip(names, "bBhHiIqfd", strict=True))
+    names = ["int8", "uint8", "byte", "char", "int16", "uint16", "int32", "uint32", "int64", "float32", "float64"]
+    kinds = list(zip(names, "bBBBhHiIqfd", strict=True))
     text = "".join(f"{name} {name}_near\n{name}[40] {name}_row\n" for name, _ in kinds)
     paths = [f"{name}_{end}" for name, _ in kinds for end in ("near", "row", "row[7]")]
-    content = np.random.default_rng(5).integers(0, 60, 4000, np.uint8).tobytes()
+    content = np.random.default_rng(5).integers(0, 256, 4000, np.uint8).tobytes()
     place, expected = 0, []
     for _, letter in kinds:
         size = struct.calcsize(letter)

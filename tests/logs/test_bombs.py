@@ -67,23 +67,24 @@ def cut(body: bytes) -> bytes:
     return log(b"")[: -len(log(b"")) + log(b"").rindex(record(bombs.DATA_END, bytes(4)))] + body[:-10]
 
 
-@pytest.mark.parametrize("announced", [MB, 0, 1 << 60])
 @pytest.mark.parametrize("kind", ["whole", pytest.param("cut", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(("compression", "zeros"), [("lz4", lz4_zeros), ("zstd", zstd_zeros)])
 def test_a_chunk_that_opens_to_more_than_it_says_is_refused(
-    kind: str, compression: str, zeros: Callable[[int], bytes], announced: int, tmp_path: Path
+    kind: str, compression: str, zeros: Callable[[int], bytes], tmp_path: Path
 ) -> None:
-    bomb = chunk(zeros(256 * MB), announced, compression)
-    path = write(tmp_path / "bomb.mcap", log(bomb) if kind == "whole" else cut(bomb))
+    packed, path = zeros(256 * MB), tmp_path / "bomb.mcap"
 
     def refuse() -> None:
         with pytest.raises(LogError, match="is damaged at byte"):
             open_recording(path)
         assert not list(open_recording(path, allow_damaged=True).blocks({1}))
 
-    limit_mb = most_opened(len(bomb)) / MB if kind == "cut" and announced != MB else 1
-    # The lz4 package copies what it has unpacked; the rest is the compiler.
-    assert peak_mb(refuse) < 2 * limit_mb + 60
+    for announced in (MB, 0, 1 << 60):
+        bomb = chunk(packed, announced, compression)
+        write(path, log(bomb) if kind == "whole" else cut(bomb))
+        limit_mb = most_opened(len(bomb)) / MB if kind == "cut" and announced != MB else 1
+        # The lz4 package copies what it has unpacked; the rest is the compiler.
+        assert peak_mb(refuse) < 2 * limit_mb + 60
 
 
 def test_no_chunk_opens_to_more_than_the_limit() -> None:
@@ -159,27 +160,22 @@ def nested(width: int, depth: int) -> str:
     )
 
 
-@pytest.mark.parametrize(("width", "depth"), [(10, 7), (10, 30), (1, 3000)])
-def test_a_type_that_means_too_many_fields_is_refused_unseen(width: int, depth: int) -> None:
-    text = nested(width, depth)
-    with pytest.raises(LogError, match="the schema means more than 65536 fields, or more than 64 within each other"):
-        parse_definitions("p/msg/T0", text)
-
-
-def test_a_type_may_have_levels_and_fields() -> None:
+def test_a_type_that_means_too_many_fields_is_refused_unseen() -> None:
+    for width, depth in ((10, 30), (1, 3000)):
+        with pytest.raises(LogError, match="means more than 65536 fields, or more than 64 within each other"):
+            parse_definitions("p/msg/T0", nested(width, depth))
     assert len(parse_definitions("p/msg/T0", nested(1, 60))) == 61
     assert len(parse_definitions("p/msg/T0", nested(10, 3))) == 4
 
 
-@pytest.mark.parametrize("length", ["0", "4294967296", "9" * 999, "9" * 5000])
-def test_an_array_of_impossible_length_is_refused(length: str) -> None:
-    with pytest.raises(LogError, match=r"the schema has an array 'float64\[\d{1,12}\]', which is none or too long"):
-        parse_definitions("p/msg/T", f"float64[{length}] x\n")
+def test_an_array_of_impossible_length_is_refused() -> None:
+    for length in ("0", "4294967296", "9" * 5000):
+        with pytest.raises(LogError, match=r"has an array 'float64\[\d{1,12}\]', which is none or too long"):
+            parse_definitions("p/msg/T", f"float64[{length}] x\n")
 
 
-@pytest.mark.parametrize("length", [1_000_000, 2**32 - 1])
-def test_an_array_is_held_against_the_message_before_its_elements_are_named(length: int) -> None:
-    definitions = parse_definitions("p/msg/T", f"p/V[{length}] v\n{'=' * 80}\nMSG: p/V\nfloat64 x\n")
+def test_an_array_is_held_against_the_message_before_its_elements_are_named() -> None:
+    definitions = parse_definitions("p/msg/T", f"p/V[{2**32 - 1}] v\n{'=' * 80}\nMSG: p/V\nfloat64 x\n")
 
     def refuse() -> None:
         with pytest.raises(LogError, match="a message of 404 bytes is shorter than its schema and lengths say"):
@@ -195,16 +191,16 @@ def test_a_message_holds_a_limited_number_of_fields() -> None:
 
 
 @pytest.mark.parametrize(
-    "links",
+    ("count", "links"),
     [
-        pytest.param(lambda i: [other for other in range(12) if other != i], id="each holds all others"),
-        pytest.param(lambda i: [i + 1] if i < 999 else [], id="a thousand levels"),
+        pytest.param(12, lambda i: [other for other in range(12) if other != i], id="each holds all others"),
+        pytest.param(1000, lambda i: [i + 1] if i < 999 else [], id="a thousand levels"),
     ],
 )
-def test_protobuf_types_are_refused_likewise(links: Callable[[int], list[int]]) -> None:
+def test_protobuf_types_are_refused_likewise(count: int, links: Callable[[int], list[int]]) -> None:
     files = FileDescriptorSet()
     file = files.file.add(name="a.proto", syntax="proto3", package="p")
-    for i in range(1000):
+    for i in range(count):
         kind = file.message_type.add(name=f"M{i}")
         for number, other in enumerate(links(i), 1):
             kind.field.add(name=f"f{other}", number=number, label=1, type=11, type_name=f".p.M{other}")
@@ -256,7 +252,7 @@ def test_topics_beyond_what_is_looked_at_are_named(tmp_path: Path, monkeypatch: 
     assert note.text.endswith("for a proposal: /topic2")
 
 
-@pytest.mark.parametrize("kind", ["zstd", "no chunks", "no message index"])
+@pytest.mark.parametrize("kind", ["zstd", "no chunks"])
 def test_late_log_times_are_told_and_no_damage(kind: str, tmp_path: Path) -> None:
     late_ns = 2**63 - small_logs.START_NS
     seen = open_recording(write(tmp_path / "late.mcap", _with_later_log_times(kind, late_ns)))
@@ -281,10 +277,9 @@ def _with_later_log_times(kind: str, later_ns: int) -> bytes:
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("years", [1.0, 53.9])
-def test_a_clock_that_is_set_takes_no_memory_and_is_told(years: float, tmp_path: Path) -> None:
+def test_a_clock_that_is_set_takes_no_memory_and_is_told(tmp_path: Path) -> None:
     dive = exact_dive("figure-eight", imu_rate_hz=20.0, reference_rate_hz=1.0)
-    middle_ns, earlier_ns = int(dive.imu.time_ns.mean()), round(years * 365.25 * 86400e9)
+    middle_ns, earlier_ns = int(dive.imu.time_ns.mean()), round(53.9 * 365.25 * 86400e9)
 
     def until_set(columns: Any) -> Any:
         time_ns = columns.time_ns

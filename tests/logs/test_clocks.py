@@ -122,20 +122,18 @@ def test_latency_makes_no_other_clock(fix_s: float) -> None:
 # Units
 
 
-@pytest.mark.parametrize(
-    ("factor", "unit"),
-    [(1.0, "seconds"), (1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")],
-)
-@pytest.mark.parametrize("since_s", [0.0, 3.0, 2000.0, 1.7e9], ids=["zero", "power-up", "half an hour", "1970"])
-def test_unit_of_a_number_is_told_by_how_it_runs(factor: float, unit: str, since_s: float) -> None:
+UNITS = [(1.0, "seconds"), (1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")]
+
+
+@pytest.mark.parametrize(("factor", "unit"), UNITS)
+def test_unit_of_a_number_is_told_by_how_it_runs(factor: float, unit: str) -> None:
+    """Since zero, power-up, half an hour and 1970."""
     at_s = np.arange(200) * 0.05
-    assert stamp_unit((since_s + at_s) * factor, ns(at_s)) == (round(1e9 / factor), unit)
+    for since_s in (0.0, 3.0, 2000.0, 1.7e9):
+        assert stamp_unit((since_s + at_s) * factor, ns(at_s)) == (round(1e9 / factor), unit), since_s
 
 
-@pytest.mark.parametrize(
-    ("factor", "unit"),
-    [(1.0, "seconds"), (1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")],
-)
+@pytest.mark.parametrize(("factor", "unit"), UNITS)
 def test_unit_of_a_log_written_later_is_told_by_its_size(factor: float, unit: str) -> None:
     at_s = np.arange(200) * 0.05
     assert stamp_unit((1.7e9 + at_s) * factor, ns(at_s / 400.0))[1] == unit

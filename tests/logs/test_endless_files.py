@@ -52,21 +52,18 @@ def bomb() -> str:
     return "\n".join([*levels, "rosbag2_bagfile_information: {relative_file_paths: *a8}"])
 
 
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        (bomb(), "has aliases"),
-        ("a: 2020-99-99", "is no YAML"),
-        (f"a: {'9' * 5000}", "is no YAML|lists no files"),
-        ("[" * 5000, "has aliases or deep nesting"),
-        ("a: " * 5000, "is no YAML"),
-        ("rosbag2_bagfile_information: {relative_file_paths: [[a.mcap]]}", "lists no files"),
-        (f"rosbag2_bagfile_information: {{relative_file_paths: [{'a' * 5000}]}}", "lists a+, which is not there"),
-    ],
-    ids=["aliases", "date", "number", "depth", "keys", "list", "name"],
-)
-def test_a_list_of_parts_that_cannot_be_is_refused(text: str, reason: str, tmp_path: Path) -> None:
-    (tmp_path / "metadata.yaml").write_text(text)
+WRONG = [
+    (bomb(), "has aliases"),
+    ("a: 2020-99-99", "is no YAML"),
+    ("[" * 5000, "has aliases or deep nesting"),
+    ("rosbag2_bagfile_information: {relative_file_paths: [[a.mcap]]}", "lists no files"),
+    (f"rosbag2_bagfile_information: {{relative_file_paths: [{'a' * 5000}]}}", "lists a+, which is not there"),
+]
+
+
+def test_a_list_of_parts_that_cannot_be_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").touch()
-    with pytest.raises(LogError, match=rf"metadata\.yaml: ({reason})"):
-        bag_parts(tmp_path)
+    for text, reason in WRONG:
+        (tmp_path / "metadata.yaml").write_text(text)
+        with pytest.raises(LogError, match=rf"metadata\.yaml: ({reason})"):
+            bag_parts(tmp_path)

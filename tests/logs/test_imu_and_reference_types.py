@@ -306,8 +306,6 @@ def test_fixes(read: Any) -> None:
         assert codes(dive)["reference_no_fix"] == 1
 
 
-@pytest.mark.parametrize(
-    "name", [n for n in {**IMU, **IMU_OF_DRIVERS, **ODOMETRY, **POSES, **FIX} if re.match(r"(?!tf/)\w+/", n)]
-)
-def test_every_type_has_a_definition_for_logs_without(name: str) -> None:
-    assert definition_text(name)
+def test_every_type_has_a_definition_for_logs_without() -> None:
+    for name in {**IMU, **IMU_OF_DRIVERS, **ODOMETRY, **POSES, **FIX}:
+        assert not re.match(r"(?!tf/)\w+/", name) or definition_text(name)

