@@ -169,7 +169,7 @@ def dockerfile() -> list[tuple[str, str]]:
 
 def test_the_container_file_is_in_order() -> None:
     found = dockerfile()
-    words = ["ARG", "FROM", "ENV", "COPY", "RUN", "COPY", "RUN", "WORKDIR", "ENTRYPOINT", "CMD"]
+    words = ["ARG", "FROM", "ENV", "COPY", "RUN", "COPY", "COPY", "RUN", "WORKDIR", "ENTRYPOINT", "CMD"]
     assert [word for word, _ in found] == words
     assert re.fullmatch(r"BASE=python:3\.\d+-slim", found[0][1])
     assert json.loads(dict(found)["ENTRYPOINT"]) == ["python", "-m", "insdvl_replay"]
@@ -178,7 +178,9 @@ def test_the_container_file_is_in_order() -> None:
 @pytest.mark.nightly
 def test_steps_of_the_image_run_where_there_is_nothing_but_the_package(tmp_path: Path) -> None:
     """As the image does it: compile ahead, and run the command. What it installs is here already."""
-    shutil.copytree(EXAMPLES.parent / "insdvl_replay", tmp_path / "insdvl_replay")
+    for _, what in [line for line in dockerfile() if line[0] == "COPY"][1:]:
+        source, target = what.split()
+        shutil.copytree(EXAMPLES.parent / source, tmp_path / Path(target).relative_to("/opt/insdvl-replay"))
     inside = os.environ | {"PYTHONPATH": str(tmp_path), "INSDVL_REPLAY_CACHE": str(tmp_path / "opt")}
     installs, compiles = (text for word, text in dockerfile() if word == "RUN")
     assert installs.startswith("pip install --require-hashes ")

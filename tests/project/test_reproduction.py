@@ -22,6 +22,7 @@ def found(snapir: Path) -> reproduction.Findings:
 
 
 @pytest.mark.nightly
+@pytest.mark.all_starts
 def test_page_is_what_the_program_gives(found: reproduction.Findings) -> None:
     assert reproduction.written(found) == reproduction.PAGE.read_text("utf-8"), "run `make reproduce`"
 

@@ -61,7 +61,7 @@ def test_on_clean_dives_they_are_equivalent(aiding: str) -> None:
 
 @pytest.mark.nightly
 def test_where_the_dvl_grows_noisier_the_adaptive_filter_is_better_and_knows_how_noisy_it_is() -> None:
-    """With the position among its states: else it drifts more, the less it trusts the DVL."""
+    """Its velocities alone drift more, the less it trusts the DVL; with the position among its states it is as near."""
     config = competitors("velocity", STARTS, ("position",))
     for seed in range(DIVES):
         ratio = {
@@ -70,7 +70,7 @@ def test_where_the_dvl_grows_noisier_the_adaptive_filter_is_better_and_knows_how
             if row.filter == "adaptive"
         }
         assert ratio["velocity_along"] < 0.95, seed
-        assert ratio["drift_60s"] < 1.05, seed
+        assert ratio["position"] < 1.1, seed
         assert ratio["nis"] < 0.5, seed
 
 

@@ -105,6 +105,7 @@ def test_cells_agree_in_nine_digits_and_words_and_counts_exactly(one: str, other
     assert agree(one, other, SAME) == same
 
 
+@pytest.mark.all_starts
 def test_tables_agree_in_nine_digits(processor: Processor, here: Path, tmp_path: Path) -> None:
     processor.run(replay_into(tmp_path))
     ours, theirs = list(cells(here)), list(cells(tmp_path))

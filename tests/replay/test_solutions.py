@@ -398,6 +398,7 @@ def test_a_good_solution_is_judged_whenever_it_is_stamped(dive: Dive, tmp_path: 
 
 
 @pytest.mark.nightly
+@pytest.mark.all_starts
 @pytest.mark.parametrize(("factor", "word"), [(1.0, "undecided"), (5.0, "worse"), (0.2, "better")])
 def test_the_baseline_from_another_start_is_neither_better_nor_worse(factor: float, word: str) -> None:
     """What flies is often the same filter. Its one start scatters as those of the baseline do, which words allow for;

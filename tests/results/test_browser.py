@@ -13,6 +13,7 @@ from insdvl_replay.cli import run_command_line
 pytestmark = [
     pytest.mark.skipif(PROGRAM is None, reason="needs Chromium (make extras)"),
     pytest.mark.nightly,
+    pytest.mark.all_starts,
 ]
 WIDER = """
 [...document.querySelectorAll("main *")]
@@ -158,6 +159,7 @@ WIDEST_CELLS = """
 (() => {
   const cells = [
     "velocity settled", "(undecided)", "m/s", "0.0007757", "0.0007891", "0.956", "0.000", "2.09e+08", "39",
+    "0.0001", "",
   ];
   const evidence = [...document.querySelectorAll(".tables .wide")].slice(0, 2);
   const rows = evidence.flatMap(table => [...table.querySelectorAll("tbody tr")]);
