@@ -213,7 +213,7 @@ def _of(name: str, rows: Iterable[Row]) -> list[Row]:
 def _innovations(rows: Sequence[ConsistencyRow]) -> DisplayTable:
     columns: list[Column[ConsistencyRow]] = [
         ("filter", "l", lambda row: row.filter),
-        ("measurement", "l", lambda row: label(row.measurement)),
+        ("measurement", "l", lambda row: row.measurement.replace("_", " ")),
         ("NIS / dof", "r", lambda row: number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof)),
         ("verdict", "l", lambda row: row.verdict),
         ("likeness", "r", lambda row: decimal(row.autocorrelation, 2)),

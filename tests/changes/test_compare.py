@@ -189,7 +189,7 @@ def test_a_table_that_is_lost_counts_as_worse(tmp_path: Path) -> None:
     new = content()
     new["tables"]["reference_error"] = []
     found = find_violation(compared(tmp_path, content(), new), parse_limit("worse:50%"))
-    assert re.search(r"reference_error aided roll rmse .*gone", found)
+    assert re.search(r"reference_error: aided roll rmse .*gone", found)
 
 
 def test_a_row_that_is_there_twice_is_refused(tmp_path: Path) -> None:
