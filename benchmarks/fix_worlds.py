@@ -19,7 +19,7 @@ from worlds import Harm, World
 from insdvl_replay.core.config import Config, Evaluation, Filter, Position
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, SensorColumns
-from insdvl_replay.core.rows import EvidenceRow
+from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.core.words import Judgement
 from insdvl_replay.evaluation.pooled_evidence import pooled_candidate, pooled_sentence
 from insdvl_replay.geometry.frames import moved_position

@@ -28,7 +28,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
-from insdvl_replay.core.rows import EvidenceRow
+from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.core.words import Judgement
 from insdvl_replay.evaluation.pooled_evidence import pooled_evidence, pooled_judgement
 from insdvl_replay.evaluation.reference import reference_errors

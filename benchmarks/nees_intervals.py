@@ -18,8 +18,8 @@ from results import machine, table, write_part
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES
-from insdvl_replay.core.rows import CredibilityRow
-from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import CredibilityRow
 from insdvl_replay.evaluation.chi_square import mean_interval
 from insdvl_replay.evaluation.credibility import credibility_table
 from insdvl_replay.evaluation.effective_samples import samples_in_mean_square

@@ -19,10 +19,10 @@ from written import PROJECT, markdown_table, renewed
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.pooled_row import PooledRow
-from insdvl_replay.core.quantities import NAMES
+from insdvl_replay.core.quantities import label
 from insdvl_replay.core.states import NINE
-from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import PooledRow
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.evaluation.pooled_evidence import pooled_evidence
 from insdvl_replay.preparation.reading import read_checked_dive
@@ -289,7 +289,7 @@ def together(found: Findings) -> str:
 def noise(found: Findings) -> str:
     """The eight dives with the paper's noise, and with the noise that they show."""
     rows = []
-    for label, dives in (("the paper's", found.dives), ("fitted", found.fitted)):
+    for noise, dives in (("the paper's", found.dives), ("fitted", found.fitted)):
         for name in ("windowed", "published"):
             evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in dives]
             pooled = {row.quantity: row for row in pooled_evidence(name, evidence)}
@@ -297,7 +297,7 @@ def noise(found: Findings) -> str:
             median_m = claims.position_errors(dives).median()
             rms = f"{median_m['baseline']:.2f}", f"{median_m[name]:.2f}"
             nis = f"{claims.mean_nis(dives).median() / 3.0:.2g}"
-            rows.append((label, nis, name, *rms, *outages, _worse(dives, name)))
+            rows.append((noise, nis, name, *rms, *outages, _worse(dives, name)))
     titles = "noise", "NIS / dof of the baseline", "filter", "position rms [m]: baseline", "with accelerations"
     return markdown_table((*titles, "drift without DVL, 30 s: over the baseline's", "60 s", "worse on"), rows)
 
@@ -305,7 +305,7 @@ def noise(found: Findings) -> str:
 def _of_eight(name: str, row: PooledRow) -> tuple[str, ...]:
     numbers = row.ratio, row.low, row.high
     ratio = "{:.3g} [{:.3g}, {:.3g}]".format(*(finite(number) for number in numbers))
-    return name, NAMES[row.quantity], ratio, f"{row.dives_won} of {row.dives}", f"{finite(row.p):.2g}", row.word
+    return name, label(row.quantity), ratio, f"{row.dives_won} of {row.dives}", f"{finite(row.p):.2g}", row.word
 
 
 def tuning(found: Findings) -> str:

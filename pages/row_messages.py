@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from insdvl_replay.core.table_layout import TableLayout
+from insdvl_replay.core.table import TableLayout
 from insdvl_replay.core.tables import TABLES
 
 FOLDER = Path(__file__).resolve().parents[1] / "schemas" / "insdvl_msgs" / "msg"

@@ -7,17 +7,21 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.rows import (
+from insdvl_replay.core.states import NINE, STATES
+from insdvl_replay.core.tables import (
+    Candidate,
+    CoastingRow,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
+    DriftRow,
     EvidenceRow,
     ImprovementRow,
+    JumpRow,
     ReferenceErrorRow,
+    Tables,
+    TrackFitRow,
 )
-from insdvl_replay.core.states import NINE, STATES
-from insdvl_replay.core.tables import Candidate, Tables
-from insdvl_replay.core.track_rows import CoastingRow, DriftRow, JumpRow, TrackFitRow
 from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.results.json_report import Report, build_report
 

@@ -4,16 +4,17 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 from insdvl_replay.core.quantities import EVIDENCE_QUANTITIES, REFERENCE_QUANTITIES
-from insdvl_replay.core.rows import (
+from insdvl_replay.core.states import STATES
+from insdvl_replay.core.tables import (
+    Candidate,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
     EvidenceRow,
     ImprovementRow,
     ReferenceErrorRow,
+    Tables,
 )
-from insdvl_replay.core.states import STATES
-from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.verdicts import verdicts
 
 

@@ -42,7 +42,7 @@ from insdvl_replay.calibration.reference_parameters import ReferenceGeometry
 from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, ParameterRow, ReferenceDiveRow, StartRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.table_layout import Number
+from insdvl_replay.core.table import Number
 from insdvl_replay.core.words import Estimated
 
 LEAST_SEEN: Final = {"mounting": 4.0, "scale": 30.0}

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from insdvl_replay.core.table_layout import Number
+from insdvl_replay.core.table import Number
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.results.json_report import Tool
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from insdvl_replay.cli.messages import log_notes, write_stdout
-from insdvl_replay.cli.options import Color, Colored, ComparisonFormat, Quiet, Sort, Verbose
+from insdvl_replay.cli.options import Color, Colored, ComparisonFormat, Quiet, Verbose
 
 
 def compare(
@@ -33,7 +33,6 @@ def compare(
         bool, typer.Option("--only-changed", help="Show all values that moved, and not the evidence alone.")
     ] = False,
     everything: Annotated[bool, typer.Option("--all", help="Show all values, also those that are the same.")] = False,
-    sort: Annotated[Sort, typer.Option(help="The order of rows.")] = Sort.TABLE,
     fail_on: Annotated[
         str | None,
         typer.Option(metavar="LIMIT", help="Exit with 1 on `worse`, on `worse:5%` (by more than that), or `changed`."),
@@ -54,43 +53,45 @@ def compare(
       insdvl-replay compare before after --format html > comparison.html
       insdvl-replay compare before after --table reference_error --column rmse --fail-on worse:5%
     """
-    from insdvl_replay.cli.screen import in_format
-    from insdvl_replay.comparison.comparison import Selection, compare_results
-    from insdvl_replay.comparison.display_tables import in_order
-    from insdvl_replay.comparison.document import (
+    from insdvl_replay.changes.comparison import (
+        Selection,
         brief_document,
+        compare_results,
         comparison_csv,
         comparison_document,
-        comparison_page,
+        find_violation,
         opening_lines,
-        violation_sentence,
+        parse_limit,
+        parse_pairs,
+        parse_percentage,
     )
-    from insdvl_replay.comparison.fail_on import find_violation, parse_limit, parse_percentage
-    from insdvl_replay.comparison.filter_pairs import parse_pairs
+    from insdvl_replay.changes.comparison import only_changed as without_same
+    from insdvl_replay.cli.screen import in_format
     from insdvl_replay.core.errors import LimitError
     from insdvl_replay.core.plain_text import visible
     from insdvl_replay.results.json_report import as_json
 
-    limit = None if fail_on is None else parse_limit(fail_on)
+    limit = 0.0 if fail_on is None else parse_limit(fail_on)
     tolerance_pct = None if tolerance is None else parse_percentage(tolerance, "--tolerance ")
     selection = Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
     comparison = compare_results(old, new, selection)
-    ordered = in_order(comparison, sort.value, only_changed=not everything)
-    chosen = everything or only_changed or tables or columns or dives or sort is not Sort.TABLE
-    documents = {ComparisonFormat.HTML: comparison_page, ComparisonFormat.LATEX: comparison_document}
-    lay_out = documents.get(format_, comparison_document if chosen else brief_document)
-    whole = in_order(comparison, sort.value, only_changed=only_changed)
+    whole = without_same(comparison) if only_changed else comparison
+    chosen = everything or only_changed or tables or columns or dives or format_ is ComparisonFormat.LATEX
+    lay_out, seen = (
+        (comparison_document if chosen else brief_document),
+        comparison if everything else without_same(comparison),
+    )
     if quiet and format_ is ComparisonFormat.TABLE:
         write_stdout("".join(f"{visible(line)}\n" for line in opening_lines(comparison)[:1]))
     else:
         write_stdout(
             in_format(
                 format_,
-                document=lambda: lay_out(ordered),
+                document=lambda: lay_out(seen),
                 json=lambda: as_json(whole),
                 csv=lambda: comparison_csv(whole),
             )
         )
     log_notes(comparison.notes, verbose=verbose > 0)
-    if limit is not None and (found := find_violation(comparison, limit)):
-        raise LimitError(violation_sentence(found))
+    if fail_on is not None and (found := find_violation(comparison, limit)):
+        raise LimitError(found)

@@ -5,7 +5,7 @@ from typing import Any, Final
 import msgspec
 
 from insdvl_replay.calibration.rows import CalibrationResult
-from insdvl_replay.core.changes import Comparison
+from insdvl_replay.changes.comparison import Comparison
 from insdvl_replay.core.config import Config
 from insdvl_replay.gates.output import CheckReport
 from insdvl_replay.inspection.inventory import Inventory

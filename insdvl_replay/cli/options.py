@@ -73,15 +73,6 @@ class ComparisonFormat(StrEnum):
     HTML = "html"
 
 
-class Sort(StrEnum):
-    """The order of rows."""
-
-    TABLE = "table"
-    NAME = "name"
-    CHANGE = "change"
-    WORSE = "worse"
-
-
 class CheckFormat(StrEnum):
     """How the result of a check is written."""
 

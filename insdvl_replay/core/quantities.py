@@ -134,26 +134,34 @@ DECIDING_TOGETHER: Final = (*DECIDING, "position", "position_end", "depth", *_CO
 converge."""
 EVIDENCE_QUANTITIES: Final = (*ACCURACY, *TRACK, *_COASTING, *WITHHELD_QUANTITIES, *_CONVERGENCE, "nis", "nees")
 """Rows of evidence, each name once."""
-NAMES: Final = {
+_LABELS: Final = {
+    **{state.id: state.label for state in STATES},
+    **{f"coasting_{window}s": f"coasting {window} s" for window in COASTING_WINDOWS_S},
     "drift_30s": "drift in 30 s",
     "drift_60s": "drift in 60 s",
     "drift_100m": "drift in 100 m",
-    "velocity_along": "velocity along",
-    "velocity_across": "velocity across",
     "depth_60s": "depth in 60 s",
-    "level": "level",
-    "heading": "heading",
-    **{f"coasting_{window}s": f"coasting {window} s" for window in COASTING_WINDOWS_S},
-    **{name: name.replace("_", " ") for name in WITHHELD_QUANTITIES},
-    "position": "position",
+    "position_n": "position, north",
+    "position_e": "position, east",
+    "position_d": "position, down",
+    "velocity_n": "velocity, north",
+    "velocity_e": "velocity, east",
+    "velocity_d": "velocity, down",
+    "position_h": "position",
+    "position_h_pct": "pos. / distance",
     "position_end": "position at the end",
     "position_pct": "position of distance",
     "position_end_pct": "end of distance",
-    "depth": "depth",
     "convergence_velocity": "velocity settled",
     "convergence_level": "level settled",
     "convergence_heading": "heading settled",
     "nis": "NIS / dof",
     "nees": "NEES / dof",
+    JOINT: "all together",
 }
-"""How people are told of a quantity."""
+
+
+def label(name: str) -> str:
+    """Name a state, a quantity or a measurement as people know it; other names stand for themselves."""
+    known = name in EVIDENCE_QUANTITIES or name in MEASUREMENTS or name in ALL_CREDIBILITY_GROUPS
+    return _LABELS.get(name) or (name.replace("_", " ") if known else name)

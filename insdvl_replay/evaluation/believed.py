@@ -12,9 +12,9 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History
-from insdvl_replay.core.rows import ConvergenceRow, ImprovementRow
 from insdvl_replay.core.states import NINE, STATES, State
-from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import ConvergenceRow, ImprovementRow
 from insdvl_replay.core.words import ImprovementStatus
 
 _Row = TypeVar("_Row", ImprovementRow, ConvergenceRow, ImprovementRow | ConvergenceRow)

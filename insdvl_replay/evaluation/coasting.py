@@ -13,8 +13,8 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs, seconds
 from insdvl_replay.core.history import History
-from insdvl_replay.core.table_layout import finite
-from insdvl_replay.core.track_rows import CoastingRow
+from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import CoastingRow
 from insdvl_replay.evaluation.chi_square import chi_square_quantile
 from insdvl_replay.evaluation.coasting_windows import SHOWN_S, CoastingPlan, Windows
 from insdvl_replay.evaluation.reference import SHORTEST_M

@@ -16,9 +16,9 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import WITHHELD, axis_of, is_reserved
-from insdvl_replay.core.rows import ConsistencyRow
 from insdvl_replay.core.sensors import SENSORS
 from insdvl_replay.core.states import MORE_STATES
+from insdvl_replay.core.tables import ConsistencyRow
 from insdvl_replay.core.words import Consistency, Reason, Severity, Whiteness
 from insdvl_replay.evaluation.chi_square import chi_square_quantile, consistency_word, mean_interval, reason
 from insdvl_replay.evaluation.effective_samples import samples_in_mean_square

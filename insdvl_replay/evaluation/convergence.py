@@ -8,7 +8,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats, seconds
 from insdvl_replay.core.history import History
-from insdvl_replay.core.rows import ConvergenceRow
+from insdvl_replay.core.tables import ConvergenceRow
 from insdvl_replay.core.words import ConvergenceStatus
 from insdvl_replay.evaluation.believed import believed_states, improvement_pct, last_row
 from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence

@@ -22,8 +22,8 @@ from insdvl_replay.core.quantities import (
     JOINT,
     POSITION_QUANTITIES,
 )
-from insdvl_replay.core.rows import CredibilityRow
 from insdvl_replay.core.states import BA
+from insdvl_replay.core.tables import CredibilityRow
 from insdvl_replay.core.words import Consistency, Reason
 from insdvl_replay.evaluation.chi_square import CONFIDENCE, chi_square_quantile, consistency_word, mean_interval, reason
 from insdvl_replay.evaluation.consistency import FEWEST_UPDATES

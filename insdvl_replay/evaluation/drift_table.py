@@ -11,7 +11,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.quantities import DRIFT_QUANTITIES, TRACK_FIT_QUANTITIES
-from insdvl_replay.core.track_rows import DriftRow, TrackFitRow
+from insdvl_replay.core.tables import DriftRow, TrackFitRow
 from insdvl_replay.evaluation.drift import (
     Segments,
     course_errors,

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import CONVERGED, TRACK
-from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
+from insdvl_replay.core.tables import ConsistencyRow, CredibilityRow, EvidenceRow
 from insdvl_replay.core.words import EvidenceWord
 from insdvl_replay.evaluation.honesty import honesty_rows
 from insdvl_replay.evaluation.losses import Losses

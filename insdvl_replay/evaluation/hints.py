@@ -10,7 +10,7 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import AXES, axis_of
 from insdvl_replay.core.states import DEG, PHI
-from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import Tables
 from insdvl_replay.evaluation.consistency import repeats
 

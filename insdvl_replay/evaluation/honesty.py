@@ -5,8 +5,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
 from insdvl_replay.core.quantities import ALL_CREDIBILITY_GROUPS, VERDICTS_BEST_FIRST, is_used
-from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
-from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import ConsistencyRow, CredibilityRow, EvidenceRow
 from insdvl_replay.core.words import Consistency, EvidenceWord
 
 HONESTY: Final = "honesty"

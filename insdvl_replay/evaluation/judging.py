@@ -11,10 +11,8 @@ from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, Time
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import IS_REFERENCE, TRACK
-from insdvl_replay.core.rows import ReferenceErrorRow
-from insdvl_replay.core.table_layout import finite
-from insdvl_replay.core.tables import Candidate, Tables
-from insdvl_replay.core.track_rows import DriftRow, JumpRow, TrackFitRow
+from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import Candidate, DriftRow, JumpRow, ReferenceErrorRow, Tables, TrackFitRow
 from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.evaluation.believed import improvement_table
 from insdvl_replay.evaluation.coasting import Coasts, coasting_table, window_drifts

@@ -11,7 +11,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import ReferenceColumns
 from insdvl_replay.core.history import History
-from insdvl_replay.core.track_rows import JumpRow
+from insdvl_replay.core.tables import JumpRow
 from insdvl_replay.geometry.steps import find_jumps, steps_of, unexplained_m
 
 SMALLEST_M: Final = 0.5

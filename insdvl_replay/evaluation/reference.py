@@ -7,8 +7,8 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
-from insdvl_replay.core.rows import ReferenceErrorRow
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.tables import ReferenceErrorRow
 from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.evaluation.believed import improvement_pct
 from insdvl_replay.evaluation.coverage import WELL_COVERED, covered_share

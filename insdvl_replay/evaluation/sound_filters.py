@@ -11,9 +11,8 @@ from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import IS_REFERENCE, is_beam, is_used
-from insdvl_replay.core.rows import ConsistencyRow
-from insdvl_replay.core.table_layout import finite
-from insdvl_replay.core.tables import Tables
+from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import ConsistencyRow, Tables
 from insdvl_replay.core.words import Judgement, ReferenceStatus
 from insdvl_replay.evaluation.coasting_windows import OUTAGE
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, refusals

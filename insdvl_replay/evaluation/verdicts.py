@@ -14,16 +14,15 @@ import numpy as np
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
     DECIDING,
-    NAMES,
     VERDICTS_BEST_FIRST,
     is_beam,
     is_used,
+    label,
 )
-from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
 from insdvl_replay.core.sensors import DVL_AIDING
 from insdvl_replay.core.states import NINE
-from insdvl_replay.core.table_layout import Number, finite
-from insdvl_replay.core.tables import Candidate, Tables
+from insdvl_replay.core.table import Number, finite
+from insdvl_replay.core.tables import Candidate, ConsistencyRow, CredibilityRow, EvidenceRow, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.believed import mean_over_nine, nearest_over_nine, unchanged_over_nine
 from insdvl_replay.evaluation.coasting import outage_alarm
@@ -193,7 +192,7 @@ def _what_settles(judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
 def left_undecided(judgement: Judgement, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
     """Name what is undecided where the first piece alone makes filters equivalent, as the end of a sentence."""
     words = (row.quantity for row in rows if row.quantity in deciding and row.word == EvidenceWord.UNDECIDED)
-    names = [NAMES[quantity] for quantity in words] if judgement == Judgement.EQUIVALENT else []
+    names = [label(quantity) for quantity in words] if judgement == Judgement.EQUIVALENT else []
     return f"; undecided: {', '.join(names)}" if names else ""
 
 
@@ -214,11 +213,11 @@ def spoken_of(judgement: Judgement, rows: Iterable[P], deciding: Collection[str]
 def changed(quantity: str, ratio: float) -> str:
     """State by how much a quantity is smaller or larger, or sooner or later."""
     if not np.isfinite(ratio):
-        return f"{NAMES[quantity]} unknown"
+        return f"{label(quantity)} unknown"
     if ratio >= MANY_TIMES:
-        return f"{NAMES[quantity]} {ratio:.3g} times as {'late' if quantity.startswith('convergence') else 'large'}"
+        return f"{label(quantity)} {ratio:.3g} times as {'late' if quantity.startswith('convergence') else 'large'}"
     smaller, larger = ("sooner", "later") if quantity.startswith("convergence") else ("smaller", "larger")
-    return f"{NAMES[quantity]} {abs(100.0 * (ratio - 1.0)):.1f} % {smaller if ratio <= 1.0 else larger}"
+    return f"{label(quantity)} {abs(100.0 * (ratio - 1.0)):.1f} % {smaller if ratio <= 1.0 else larger}"
 
 
 def interval_in_words(ratio: Number, low: Number, high: Number) -> str:

@@ -10,9 +10,8 @@ from msgspec.structs import asdict, replace
 
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ConfigError, ResultError, UserError, looked_for
-from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.stored_report import Row, StoredLog, StoredReport, StoredResult
-from insdvl_replay.core.tables import CANDIDATES
+from insdvl_replay.core.tables import CANDIDATES, EvidenceRow
 from insdvl_replay.core.words import GateLevel, GateStatus
 from insdvl_replay.core.words import Judgement as Word
 from insdvl_replay.gates.gate_file import Gates

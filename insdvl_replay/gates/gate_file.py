@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from insdvl_replay.core.errors import ConfigError, error_context, listed, require_known
 from insdvl_replay.core.plain_text import is_writable
 from insdvl_replay.core.strict_toml import TomlSource, read_toml
-from insdvl_replay.core.table_layout import TableLayout
+from insdvl_replay.core.table import TableLayout
 from insdvl_replay.core.tables import CANDIDATES
 from insdvl_replay.core.words import GateLevel
 from insdvl_replay.gates.judged_cells import LAYOUTS

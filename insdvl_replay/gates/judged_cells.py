@@ -5,12 +5,7 @@ import math
 from collections.abc import Iterator
 from typing import Final, TypeGuard
 
-from insdvl_replay.core.pooled_row import PooledRow
-from insdvl_replay.core.stored_report import Cell, Row, StoredReport
-from insdvl_replay.core.table_layout import PERCENTAGE, TableLayout, layout_of
-from insdvl_replay.core.tables import CANDIDATES, TABLES
-from insdvl_replay.core.words import Judgement, ReferenceStatus
-from insdvl_replay.evaluation.row_changes import (
+from insdvl_replay.changes.cells import (
     agree,
     direction_of,
     rounding,
@@ -20,6 +15,10 @@ from insdvl_replay.evaluation.row_changes import (
     size_change_pct,
     within,
 )
+from insdvl_replay.core.stored_report import Cell, Row, StoredReport
+from insdvl_replay.core.table import PERCENTAGE, TableLayout, layout_of
+from insdvl_replay.core.tables import CANDIDATES, TABLES, PooledRow
+from insdvl_replay.core.words import Judgement, ReferenceStatus
 from insdvl_replay.gates.model import ANY, POOLED, Finding, Gate
 
 LAYOUTS = (*TABLES, CANDIDATES, layout_of(POOLED, PooledRow))

@@ -9,7 +9,7 @@ from msgspec import Meta, Struct
 
 from insdvl_replay.core.plain_text import visible, visible_lines
 from insdvl_replay.core.stored_report import Cell
-from insdvl_replay.core.table_layout import PERCENTAGE
+from insdvl_replay.core.table import PERCENTAGE
 from insdvl_replay.core.words import GateStatus
 from insdvl_replay.gates.model import EVERY_DIVE, TRAJECTORY, CheckResult, Finding, Judgement
 from insdvl_replay.report.document import MISSING, DisplayTable, Part, Title, counted

@@ -6,34 +6,20 @@ A feature builds its parts once, and `terminal`, `markdown`, `latex` and `page` 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, TypeVar
+from functools import partial
+from typing import Any, Final, Literal, TypeVar
+
+from msgspec import Struct
 
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.plain_text import visible
-from insdvl_replay.core.states import STATES
+from insdvl_replay.core.quantities import label
+from insdvl_replay.core.table import layout_of
 from insdvl_replay.report.plots.panel import Figure, Panel
 
 MISSING: Final = "-"
-_LABELS: Final = {state.id: state.label for state in STATES}
-_QUANTITIES: Final = {
-    "position_n": "position, north",
-    "position_e": "position, east",
-    "position_d": "position, down",
-    "velocity_n": "velocity, north",
-    "velocity_e": "velocity, east",
-    "velocity_d": "velocity, down",
-    "roll": "roll",
-    "pitch": "pitch",
-    "heading": "heading",
-    "accelerometer_bias": "accelerometer bias",
-    "gyro_bias": "gyro bias",
-    "position_h": "position",
-    "depth": "depth",
-    "position_h_pct": "pos. / distance",
-    "all": "all together",
-}
-
-
+TENFOLD: Final = 10.0
+"""From here on, a ratio has as many digits as other numbers."""
 CellText = str | tuple[str, ...]
 """What stands in a cell: one line, or several."""
 
@@ -93,14 +79,24 @@ def table_of(
     )
 
 
+def shown(kind: type[Struct], rows: Sequence[Row], footnote: str = "", **names: str) -> DisplayTable:
+    """Lay out rows of a type as it says: its columns that have a head, in which ``{filter}`` is a name."""
+    layout = layout_of("", kind)
+    columns: list[Column[Row]] = [
+        (column.head.format(**names), "l" if layout.kinds[name] == "text" else "r", _writer(name, column.form))
+        for name, column in layout.columns.items()
+        if column.head
+    ]
+    return table_of(layout.title.format(**names), rows, columns, footnote or layout.footnote)
+
+
+def _writer(name: str, form: str) -> Callable[[Row], str]:
+    return lambda row: FORMS[form](getattr(row, name))
+
+
 def cell_lines(cell: CellText) -> list[str]:
     """Return the lines of a cell as they can be shown anywhere."""
     return [visible(line) for line in ([cell] if isinstance(cell, str) else cell)]
-
-
-def row_label(name: str) -> str:
-    """Name a state or quantity in words; other names stand for themselves."""
-    return _LABELS.get(name) or _QUANTITIES.get(name, name)
 
 
 def number(value: float | None) -> str:
@@ -134,6 +130,33 @@ def percent(value: float | None) -> str:
     """Write a percentage with one digit."""
     return MISSING if value is None or math.isnan(value) else f"{value:z.1f} %"
 
+
+def ratio(value: float | None) -> str:
+    """Write a ratio with three decimals, one of ten and more with four digits."""
+    return decimal(value, 3) if value is None or abs(value) < TENFOLD else number(value)
+
+
+def signed_percent(value: float | None) -> str:
+    """Write a change in percent with its sign: one digit behind the point, two of a small one, none of almost none."""
+    if value is None or abs(value) < 0.005:
+        return MISSING if value is None else "0"
+    return f"{value:+.1f}" if abs(value) >= 0.95 else f"{value:+.2f}"
+
+
+FORMS: Final[Mapping[str, Callable[[Any], str]]] = {
+    "": lambda value: number(value) if value is None or isinstance(value, float) else str(value),
+    "label": label,
+    "short": lambda name: label(name).replace("accelerometer", "accel."),
+    "words": lambda value: value.replace("_", " "),
+    "percent": percent,
+    "ratio": ratio,
+    "significant": significant,
+    "signed": lambda value: number(value) if value is None or value <= 0.0 else f"+{number(value)}",
+    "signed_percent": signed_percent,
+    "cell": lambda value: number(value) if isinstance(value, float) else "-" if value is None else str(value),
+    **{str(digits): partial(decimal, digits=digits) for digits in range(5)},
+}
+"""How the value of a column is written, by the name in its row type."""
 
 Format = Literal["terminal", "markdown", "latex", "html"]
 PRINTED: Final[tuple[Format, ...]] = ("terminal", "markdown", "latex")

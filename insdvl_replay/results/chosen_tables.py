@@ -8,9 +8,8 @@ from insdvl_replay.core.errors import require_known
 from insdvl_replay.core.tables import TABLES
 from insdvl_replay.report.csv_tables import blocks_csv, rows_csv
 from insdvl_replay.report.document import DisplayTable
-from insdvl_replay.results.dive_tables import evidence_tables, filter_tables
+from insdvl_replay.results.dive_tables import evidence_tables, filter_tables, reference_tables
 from insdvl_replay.results.json_report import Report, as_json
-from insdvl_replay.results.reference_tables import reference_tables
 
 
 def require_tables(names: Sequence[str]) -> None:

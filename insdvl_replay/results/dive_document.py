@@ -9,7 +9,7 @@ import msgspec
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.plain_text import visible
-from insdvl_replay.core.quantities import NAMES
+from insdvl_replay.core.quantities import label
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Belief, Judgement
 from insdvl_replay.report.document import (
@@ -31,21 +31,23 @@ from insdvl_replay.report.document import (
     Title,
     losses,
     percent,
-    row_label,
     settings_details,
 )
 from insdvl_replay.report.page import page
 from insdvl_replay.report.plots.panel import Figure, Panel
-from insdvl_replay.results.dive_tables import EVIDENCE, TONES, evidence_tables, filter_tables, glance_table
-from insdvl_replay.results.json_report import Report
-from insdvl_replay.results.reference_tables import (
+from insdvl_replay.results.dive_tables import (
     NO_REFERENCE,
     SPECIFIED,
+    TONES,
+    evidence_tables,
+    filter_tables,
+    glance_table,
     has_reference,
     headline_table,
     reference_tables,
     track_fit_line,
 )
+from insdvl_replay.results.json_report import Report
 
 _LOUD: Final = (Judgement.WORSE, Judgement.NOT_JUDGED)
 _MEASURED_BY: Final = {"phi_n": "level", "phi_e": "level", "phi_d": "heading"}
@@ -72,8 +74,8 @@ def dive_document(
     """
     evidence, tables = list(evidence_tables(report)), list(filter_tables(report))
     glance = [glance_table(report)] if report.filters else []
-    references = reference_tables(report)
-    of_candidates = [table for table in evidence if table.title.startswith(EVIDENCE)]
+    references = list(reference_tables(report))
+    of_candidates = [table for table in evidence if table.title.startswith("Evidence")]
     folded = [Folded(table.title, (table,)) for table in (*evidence[len(of_candidates) :], *references, *tables)]
     return [
         Only(PRINTED, (Title(heading(report)),)),
@@ -218,11 +220,11 @@ def _gains(report: Report, name: str) -> Iterator[tuple[str, float | None, float
     """Yield label, believed and measured improvement in percent, of what has both: the mean beside the first piece."""
     measured, believed_pct = _measured_pct(report, name), report.filters[name].mean_improvement_pct
     for quantity, measured_pct in list(measured.items())[:1] if believed_pct is not None else ():
-        yield f"mean / {NAMES[quantity]}", believed_pct, measured_pct
+        yield f"mean / {label(quantity)}", believed_pct, measured_pct
     for row in report.tables.improvement:
         quantity = _MEASURED_BY.get(row.state, "")
         if row.filter == name and quantity in measured:
-            axis = row_label(row.state).partition(", ")[2]
+            axis = label(row.state).partition(", ")[2]
             yield quantity if quantity == "heading" else f"{quantity}, {axis}", row.improvement_pct, measured[quantity]
 
 

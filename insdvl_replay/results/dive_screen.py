@@ -7,16 +7,16 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER, NAMES, WITHHELD_QUANTITIES, is_beam
-from insdvl_replay.core.rows import ConsistencyRow, EvidenceRow
-from insdvl_replay.core.table_layout import Number, finite
-from insdvl_replay.core.tables import Candidate
+from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER, WITHHELD_QUANTITIES, is_beam, label
+from insdvl_replay.core.table import Number, finite
+from insdvl_replay.core.tables import Candidate, ConsistencyRow, EvidenceRow
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement
 from insdvl_replay.evaluation.hints import is_noise_far_off
 from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
 from insdvl_replay.report.document import (
     MISSING,
+    TENFOLD,
     Callout,
     Code,
     Column,
@@ -29,9 +29,15 @@ from insdvl_replay.report.document import (
     percent,
     table_of,
 )
-from insdvl_replay.results.dive_tables import TENFOLD, TONES, word_in_table
+from insdvl_replay.results.dive_tables import (
+    NO_REFERENCE,
+    TONES,
+    has_reference,
+    headline_table,
+    track_fit_line,
+    word_in_table,
+)
 from insdvl_replay.results.json_report import Report
-from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference, headline_table, track_fit_line
 
 LOUD: Final = (Judgement.BETTER, Judgement.WORSE, Judgement.MIXED, Judgement.NOT_JUDGED)
 MOST_ROWS: Final = {1: 7, 2: 1}
@@ -129,7 +135,7 @@ def _sizes(report: Report, rows: Sequence[EvidenceRow]) -> str:
     if nis is None:
         return ""
     sizes = (
-        f" {NAMES[nis.quantity]}: {report.baseline} {value_text(nis.baseline)}, {nis.filter} {value_text(nis.value)}"
+        f" {label(nis.quantity)}: {report.baseline} {value_text(nis.baseline)}, {nis.filter} {value_text(nis.value)}"
     )
     return f"{sizes}{': --control fits the noise.' if is_noise_far_off(report.tables, report.baseline) else '.'}"
 
@@ -178,7 +184,7 @@ def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
 
 def _evidence(baseline: str, name: str, rows: Sequence[EvidenceRow]) -> DisplayTable:
     columns: list[Column[EvidenceRow]] = [
-        ("evidence", "l", lambda row: NAMES[row.quantity]),
+        ("evidence", "l", lambda row: label(row.quantity)),
         ("", "l", lambda row: row.unit),
         (baseline, "r", lambda row: value_text(row.baseline)),
         (name, "r", lambda row: value_text(row.value)),
@@ -196,7 +202,7 @@ def _many(report: Report) -> list[Part]:
     columns: list[Column[tuple[str, Candidate, EvidenceRow | None]]] = [
         ("filter", "l", lambda one: one[0]),
         (f"against {report.baseline}", "l", lambda one: shouted(one[1].improvement)),
-        ("by", "l", lambda one: MISSING if one[2] is None else NAMES[one[2].quantity]),
+        ("by", "l", lambda one: MISSING if one[2] is None else label(one[2].quantity)),
         ("ratio", "r", lambda one: MISSING if one[2] is None else ratio_text(one[2].ratio)),
         ("on this dive", "r", lambda one: MISSING if one[2] is None else interval_text(one[2].low, one[2].high)),
         ("believed", "r", lambda one: percent(_believed_pct(one[1]))),

@@ -1,19 +1,26 @@
-"""The tables of one dive for people: what each candidate gains, and how far each filter is to be trusted."""
+"""What people see of one dive: its first lines, what each candidate gains, and how far each filter is to be trusted."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, Protocol, TypeVar
 
-from insdvl_replay.core.pooled_row import PooledRow
-from insdvl_replay.core.quantities import DECIDING, NAMES, is_whole
-from insdvl_replay.core.rows import (
+from msgspec.structs import replace
+
+from insdvl_replay.core.quantities import DECIDING, is_whole, label
+from insdvl_replay.core.table import Number, finite
+from insdvl_replay.core.tables import (
+    Candidate,
+    CoastingRow,
+    ConsistencyRow,
     ConvergenceRow,
+    CredibilityRow,
+    DriftRow,
     EvidenceRow,
     ImprovementRow,
+    JumpRow,
+    PooledRow,
     ReferenceErrorRow,
+    TrackFitRow,
 )
-from insdvl_replay.core.table_layout import Number, finite
-from insdvl_replay.core.tables import Candidate
-from insdvl_replay.core.track_rows import CoastingRow
 from insdvl_replay.core.words import Judgement, ReferenceStatus
 from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.pooled_evidence import PooledCandidate
@@ -24,28 +31,29 @@ from insdvl_replay.report.document import (
     decimal,
     number,
     percent,
-    row_label,
-    significant,
+    shown,
     table_of,
 )
 from insdvl_replay.results.json_report import Report
-from insdvl_replay.results.reference_tables import has_reference
-from insdvl_replay.results.trust_tables import consistency_tables, credibility_tables, innovations_tables
 
-EVIDENCE: Final = "Evidence: what was measured"
-"""Begins the title of the table of each candidate."""
-TENFOLD: Final = 10.0
-"""From here on, a ratio has as many digits as other numbers."""
+NO_REFERENCE: Final = (
+    "There is no reference: how far the filters are off, how fast they really converge, whether their errors are as "
+    "large as they say, and whether they gain what they believe cannot be told."
+)
+SPECIFIED: Final = (
+    "Of distance: the final horizontal error. CEP50 and CEP95: half and 95 % of the horizontal errors of this run are "
+    "smaller. Without DVL: median drift over the windows of the outage test, by the withheld velocities."
+)
+"""What the numbers of the headline are."""
+_SIGN: Final = "\N{PLUS-MINUS SIGN}"
+_FEWEST_DIGITS, _MOST_DIGITS = 2, 5
+
+
 MEANS: Final = (
     "measured: how much smaller the error is by the first piece of evidence; believed: mean over nine states, by the "
     "filter's own covariance"
 )
 """What stands in the columns of candidates."""
-BLIND: Final = (
-    "Where a wrong heading, scale or constant turn of the mounting takes the track is not seen: the DVL itself shares "
-    "it."
-)
-"""What withheld velocities cannot tell."""
 TONES: Final[dict[str, str]] = {
     Judgement.BETTER: "good",
     Judgement.MIXED: "bad",
@@ -61,6 +69,55 @@ class _OfFilter(Protocol):
 
 
 Row = TypeVar("Row", bound=_OfFilter)
+
+
+def has_reference(report: Report) -> bool:
+    """Return whether the dive has a reference to compare with; early reports lack one of the tables that say so."""
+    found = [row.verdict for row in report.tables.credibility] + [row.status for row in report.tables.reference_error]
+    return any(word != ReferenceStatus.NO_REFERENCE for word in found)
+
+
+def track_fit_line(report: Report) -> Iterator[str]:
+    """State in a line what would lay the baseline's track on the reference's, where that is known."""
+    fit = {row.quantity: row for row in report.tables.track_fit if row.filter == report.baseline}
+    if fit:
+        scale, turn = (f"{quantity} {_with_sd(fit[quantity])} {fit[quantity].unit}" for quantity in ("scale", "turn"))
+        yield f"track fit: {scale}, {turn}"
+
+
+def _with_sd(row: TrackFitRow) -> str:
+    """Write a number with its standard error, to the first digit of that at least."""
+    digits = next((n for n in range(_FEWEST_DIGITS, _MOST_DIGITS) if finite(row.fitted_sd) >= 10.0**-n), _FEWEST_DIGITS)
+    sd = "" if row.fitted_sd is None else f" {_SIGN} {row.fitted_sd:.{digits}f}"
+    return f"{finite(row.fitted):+.{digits}f}{sd}"
+
+
+def headline_table(report: Report, title: str = "", footnote: str = "") -> Iterator[DisplayTable]:
+    """Lay out what INS/DVL systems are specified by, a line for each filter: this run's own errors, where known."""
+    position = {row.filter: row for row in report.tables.drift if row.quantity == "position_h"}
+    outages = {(row.window_s, row.filter): row.drift_median_m for row in report.tables.coasting if row.windows}
+    tested = {window_s for window_s, _ in outages}
+    windows_s = [window_s for window_s in ("60", "120") if window_s in tested] or sorted(tested)[:1]
+    header = ["this run", *(("of distance", "CEP50", "CEP95", "end") if position else ())]
+    header += [f"{window_s} s{'' if i else ' without DVL'}" for i, window_s in enumerate(windows_s)]
+    rows = []
+    for name in (report.baseline, *report.filters):
+        row = position.get(name)
+        errors = [MISSING] * 4 if row is None else [_of_distance(row), *map(_metres, (row.p50, row.p95, row.final))]
+        drifts = [_metres(outages.get((window_s, name))) for window_s in windows_s]
+        rows.append((name, *(errors if position else ()), *drifts))
+    if len(header) > 1:
+        spare = tuple(range(len(header) - 1, 1, -1))
+        yield DisplayTable(title, tuple(header), f"l{'r' * (len(header) - 1)}", tuple(rows), footnote, spare=spare)
+
+
+def _of_distance(row: DriftRow) -> str:
+    known = row.final_of_distance_pct is not None
+    return f"{row.final_of_distance_pct:.2f} % of {row.distance_m:.0f} m" if known else MISSING
+
+
+def _metres(value: Number) -> str:
+    return MISSING if value is None else f"{value:.3g} m" if value < 1000.0 else f"{value:.0f} m"
 
 
 def glance_table(report: Report) -> DisplayTable:
@@ -93,46 +150,77 @@ def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
 def evidence_tables(report: Report) -> Iterator[DisplayTable]:
     """Lay out what was measured of each candidate, and how all filters coast, where there are rows."""
     for name in report.filters:
-        yield from _evidence(report, name, _of(name, report.tables.evidence))
-    yield from _coasting(report.tables.coasting)
+        rows = [row for row in _of(name, report.tables.evidence) if row.baseline is not None or row.value is not None]
+        if rows:
+            with_votes = [replace(row, word=word_in_table(row)) for row in rows]
+            footnote = _how_measured(rows, is_read=is_read(report, name))
+            yield shown(EvidenceRow, with_votes, footnote=footnote, filter=name, baseline=report.baseline)
+    if report.tables.coasting:
+        yield shown(CoastingRow, report.tables.coasting)
 
 
 def filter_tables(report: Report) -> Iterator[DisplayTable]:
     """Lay out three tables for each candidate and three on how far to trust each filter, those that have rows."""
     tables = report.tables
     for name in report.filters:
-        yield from _improvement(report.baseline, name, _of(name, tables.improvement))
-        yield from _convergence(report.baseline, name, _of(name, tables.convergence))
-        yield from _reference_error(report.baseline, name, _of(name, tables.reference_error))
-    yield from consistency_tables([row for row in tables.consistency if is_whole(row.measurement)])
-    yield from innovations_tables([row for row in tables.consistency if row.whiteness])
+        names = {"filter": name, "baseline": report.baseline}
+        if improvement := _of(name, tables.improvement):
+            yield shown(ImprovementRow, improvement, **names)
+        if convergence := _of(name, tables.convergence):
+            footnote = (
+                f"{report.baseline} ends at {number(convergence[0].baseline_s)} s. nearest: when the sigma of {name} "
+                "is nearest to the target, the time of Levy and Klein. It may turn back there."
+            )
+            yield shown(ConvergenceRow, convergence, footnote=footnote, **names)
+        errors = _of(name, tables.reference_error)
+        if compared := [row for row in errors if row.samples]:
+            yield shown(ReferenceErrorRow, compared, footnote=_not_compared(errors), **names)
+    if consistency := [row for row in tables.consistency if is_whole(row.measurement)]:
+        footnote = _in_spite([(f"{row.filter} {row.measurement}", row.why) for row in consistency])
+        yield shown(ConsistencyRow, consistency, footnote=footnote)
+    if innovations := [row for row in tables.consistency if row.whiteness]:
+        yield _innovations(innovations)
     for name in (report.baseline, *report.filters):
-        yield from credibility_tables(name, _of(name, tables.credibility))
+        if nees := [row for row in _of(name, tables.credibility) if row.samples]:
+            footnote = (
+                f"Expected: NEES 1, of a group 3, all together {nees[-1].dof}; 68.3 % and 99.7 %. The reference is "
+                "taken as exact. indep.: samples that do not repeat each other. "
+            )
+            footnote += _in_spite([(label(row.quantity), row.why) for row in nees])
+            yield shown(CredibilityRow, nees, footnote=footnote, filter=name)
+
+
+def reference_tables(report: Report) -> Iterator[DisplayTable]:
+    """Lay out how far each filter is from the reference, nothing without one; and how often positions jump."""
+    tables, quantities = report.tables, list(dict.fromkeys(row.quantity for row in report.tables.drift))
+    if tables.drift:
+        yield shown(DriftRow, sorted(tables.drift, key=lambda row: quantities.index(row.quantity)))
+    if tables.track_fit:
+        yield shown(TrackFitRow, tables.track_fit)
+    if tables.jumps:
+        yield shown(JumpRow, tables.jumps)
+
+
+def pooled_table(pooled: PooledCandidate) -> DisplayTable:
+    """Lay out what several dives say of a candidate together."""
+    return shown(PooledRow, pooled.rows, filter=pooled.name, baseline=pooled.baseline)
 
 
 def _of(name: str, rows: Iterable[Row]) -> list[Row]:
     return [row for row in rows if row.filter == name]
 
 
-def _evidence(report: Report, name: str, rows: Sequence[EvidenceRow]) -> Iterator[DisplayTable]:
-    baseline = report.baseline
-    rows = [row for row in rows if row.baseline is not None or row.value is not None]
-    if rows:
-        columns: list[Column[EvidenceRow]] = [
-            ("quantity", "l", lambda row: NAMES[row.quantity]),
-            ("word", "l", word_in_table),
-            ("unit", "l", lambda row: row.unit),
-            (baseline, "r", lambda row: number(row.baseline)),
-            (name, "r", lambda row: number(row.value)),
-            ("ratio", "r", lambda row: _ratio(row.ratio)),
-            ("low", "r", lambda row: _ratio(row.low)),
-            ("high", "r", lambda row: _ratio(row.high)),
-            ("n", "r", lambda row: decimal(row.effective_samples, 0)),
-            ("p", "r", lambda row: decimal(row.p, 4)),
-            ("why", "l", lambda row: row.why),
-        ]
-        title = f"{EVIDENCE}, {name} against {baseline}"
-        yield table_of(title, rows, columns, _how_measured(rows, is_read=is_read(report, name)))
+def _innovations(rows: Sequence[ConsistencyRow]) -> DisplayTable:
+    columns: list[Column[ConsistencyRow]] = [
+        ("filter", "l", lambda row: row.filter),
+        ("measurement", "l", lambda row: row.measurement.replace("_", " ")),
+        ("NIS / dof", "r", lambda row: number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof)),
+        ("verdict", "l", lambda row: row.verdict),
+        ("likeness", "r", lambda row: decimal(row.autocorrelation, 2)),
+        ("limit", "r", lambda row: decimal(row.autocorrelation_limit, 2)),
+        ("whiteness", "l", lambda row: row.whiteness),
+    ]
+    return table_of("Innovations by axis: size, and likeness of each to the one before", rows, columns)
 
 
 def word_in_table(row: EvidenceRow) -> str:
@@ -143,32 +231,6 @@ def word_in_table(row: EvidenceRow) -> str:
 def is_read(report: Report, name: str) -> bool:
     """Return whether a filter is a solution that was read; early reports know of none."""
     return bool(report.config.get("filters", {}).get(name, {}).get("solution"))
-
-
-def pooled_table(pooled: PooledCandidate) -> DisplayTable:
-    """Lay out what several dives say of a candidate together."""
-    columns: list[Column[PooledRow]] = [
-        ("quantity", "l", lambda row: NAMES[row.quantity]),
-        ("word", "l", lambda row: row.word),
-        ("ratio", "r", lambda row: _ratio(row.ratio)),
-        ("low", "r", lambda row: _ratio(row.low)),
-        ("high", "r", lambda row: _ratio(row.high)),
-        ("dives", "r", lambda row: str(row.dives)),
-        ("won", "r", lambda row: str(row.dives_won)),
-        ("p", "r", lambda row: decimal(row.p, 4)),
-    ]
-    return table_of(
-        f"All dives together: {pooled.name} against {pooled.baseline}",
-        pooled.rows,
-        columns,
-        "geometric mean of the dives' ratios, its 95 % interval over dives, and p, both by Student's t, each dive one "
-        "sample; three dives are the fewest that decide",
-    )
-
-
-def _ratio(value: Number) -> str:
-    """Write a ratio with three decimals, a large one with four digits."""
-    return decimal(value, 3) if abs(finite(value)) < TENFOLD else number(value)
 
 
 def _how_measured(rows: Sequence[EvidenceRow], *, is_read: bool) -> str:
@@ -194,81 +256,22 @@ def _how_measured(rows: Sequence[EvidenceRow], *, is_read: bool) -> str:
     )
 
 
-def _coasting(rows: Sequence[CoastingRow]) -> Iterator[DisplayTable]:
-    if rows:
-        columns: list[Column[CoastingRow]] = [
-            ("filter", "l", lambda row: row.filter),
-            ("for", "r", lambda row: f"{row.window_s} s"),
-            ("windows", "r", lambda row: str(row.windows)),
-            ("median\n[m]", "r", lambda row: number(row.drift_median_m)),
-            ("95 %\n[m]", "r", lambda row: number(row.drift_p95_m)),
-            ("of way\n[%]", "r", lambda row: decimal(row.drift_of_distance_pct, 2)),
-            ("down\n[m]", "r", lambda row: number(row.vertical_median_m)),
-            ("rms\nratio", "r", lambda row: decimal(row.ratio_to_baseline, 2)),
-            ("won\n[%]", "r", lambda row: decimal(row.windows_won_pct, 0)),
-            ("NIS\n/ dof", "r", lambda row: significant(row.nis_per_dof)),
-        ]
-        yield table_of(
-            "Coasting: drift while the DVL is withheld",
-            rows,
-            columns,
-            BLIND,
-        )
-
-
-def _improvement(baseline: str, name: str, rows: Sequence[ImprovementRow]) -> Iterator[DisplayTable]:
-    if rows:
-        columns: list[Column[ImprovementRow]] = [
-            ("state", "l", lambda row: row_label(row.state)),
-            ("unit", "l", lambda row: row.unit),
-            (baseline, "r", lambda row: number(row.baseline_sd)),
-            (name, "r", lambda row: number(row.sd)),
-            ("improvement", "r", lambda row: percent(row.improvement_pct)),
-            ("status", "l", lambda row: row.status),
-        ]
-        yield table_of(f"Improvement: standard deviations at the end, {name} against {baseline}", rows, columns)
-
-
-def _convergence(baseline: str, name: str, rows: Sequence[ConvergenceRow]) -> Iterator[DisplayTable]:
-    if rows:
-        columns: list[Column[ConvergenceRow]] = [
-            ("state", "l", lambda row: row_label(row.state)),
-            ("unit", "l", lambda row: row.unit),
-            ("target", "r", lambda row: number(row.target_sd)),
-            (f"{name}\n[s]", "r", lambda row: number(row.reached_s)),
-            ("sooner", "r", lambda row: percent(row.improvement_pct)),
-            ("status", "l", lambda row: row.status.replace("_", " ")),
-            ("nearest\n[s]", "r", lambda row: number(row.nearest_approach_s)),
-            ("sooner", "r", lambda row: percent(row.nearest_approach_improvement_pct)),
-        ]
-        end_s = number(rows[0].baseline_s)
-        footnote = f"{baseline} ends at {end_s} s. nearest: when the sigma of {name} is nearest to the target, the "
-        footnote += "time of Levy and Klein. It may turn back there."
-        yield table_of(f"Convergence: when {name} is as sure as {baseline} is at the end", rows, columns, footnote)
-
-
-def _reference_error(baseline: str, name: str, rows: Sequence[ReferenceErrorRow]) -> Iterator[DisplayTable]:
-    compared = [row for row in rows if row.samples]
-    if compared:
-        columns: list[Column[ReferenceErrorRow]] = [
-            ("quantity", "l", lambda row: row_label(row.quantity)),
-            ("unit", "l", lambda row: row.unit),
-            (f"{baseline}\nrms", "r", lambda row: number(row.baseline_rmse)),
-            (f"{name}\nrms", "r", lambda row: number(row.rmse)),
-            ("better", "r", lambda row: percent(row.improvement_pct)),
-            (f"{baseline}\nfinal", "r", lambda row: number(row.baseline_final)),
-            (f"{name}\nfinal", "r", lambda row: number(row.final)),
-        ]
-        title = f"Reference error: distance from the reference, {name} against {baseline}"
-        yield table_of(title, compared, columns, _not_compared(rows))
-
-
 def _not_compared(rows: Sequence[ReferenceErrorRow]) -> str:
     """State why numbers are missing or mean nothing; the word alone where it holds for all rows."""
     quantities: dict[str, list[str]] = {}
     for row in rows:
-        quantities.setdefault(row.status, []).append(row_label(row.quantity))
+        quantities.setdefault(row.status, []).append(label(row.quantity))
     quantities.pop(ReferenceStatus.COMPARED, None)
     return "; ".join(
         status if len(names) == len(rows) else f"{status}: {', '.join(names)}" for status, names in quantities.items()
     )
+
+
+def _in_spite(names: Iterable[tuple[str, str]]) -> str:
+    """State why verdicts are not what the interval beside them says."""
+    reasons: dict[str, list[str]] = {}
+    for name, why in names:
+        reasons.setdefault(why, []).append(name)
+    reasons.pop("", None)
+    named = "; ".join(f"{why}: {', '.join(found)}" for why, found in reasons.items())
+    return f"In spite of the interval, {named}." if named else ""

@@ -7,10 +7,9 @@ from functools import partial
 from typing import Final
 
 from insdvl_replay.core.plain_text import natural_key
-from insdvl_replay.core.pooled_row import PooledRow
-from insdvl_replay.core.quantities import DECIDING_TOGETHER, NAMES
-from insdvl_replay.core.rows import EvidenceRow
-from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.quantities import DECIDING_TOGETHER, label
+from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import EvidenceRow, PooledRow
 from insdvl_replay.core.words import GateStatus, Judgement, Severity
 from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.pooled_evidence import PooledCandidate
@@ -81,7 +80,7 @@ def _pooled(pooled: Sequence[PooledCandidate]) -> Iterator[Part]:
     columns: list[Column[PooledCandidate]] = [
         (f"against {' or '.join(dict.fromkeys(one.baseline for one in pooled))}", "l", lambda one: one.name),
         ("all dives", "l", lambda one: shouted(one.judgement)),
-        ("by", "l", lambda one: _of(one, lambda row: NAMES[row.quantity])),
+        ("by", "l", lambda one: _of(one, lambda row: label(row.quantity))),
         ("ratio", "r", lambda one: _of(one, lambda row: ratio_text(row.ratio))),
         ("over dives", "r", lambda one: _of(one, lambda row: interval_text(row.low, row.high))),
         ("won", "r", lambda one: _of(one, lambda row: f"{row.dives_won}/{row.dives}")),
@@ -118,7 +117,7 @@ def _dives(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
     quantity, unit = _shown_quantity(reports)
     dives = [_dive(outcome, names, quantity) for outcome in outcomes]
     shown = sorted(_shown(dives), key=lambda dive: natural_key(dive.log))
-    columns: list[Column[_Dive]] = [(NAMES.get(quantity, "dive"), "l", lambda dive: dive.log)]
+    columns: list[Column[_Dive]] = [(label(quantity) or "dive", "l", lambda dive: dive.log)]
     if len(names) == 1:
         [name], baselines = names, {report.baseline for report in reports}
         columns += [

@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.states import DEG
-from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import CoastingRow, EvidenceRow
 from insdvl_replay.evaluation.coasting_windows import SHOWN_EVERY_S, SHOWN_S
 from insdvl_replay.evaluation.curves import CoastingCurve, ConvergenceCurves
 from insdvl_replay.report.plots.panel import (
@@ -21,7 +21,6 @@ from insdvl_replay.report.plots.panel import (
     dashes_on_top,
     filter_style,
 )
-from insdvl_replay.results.dive_tables import BLIND
 from insdvl_replay.results.filter_figures import Clock, filter_legend
 
 _SHOWN: Final = {
@@ -44,7 +43,7 @@ def coasting_figure(curves: Mapping[str, CoastingCurve], clock: Clock) -> Iterat
     yield Figure(
         "Coasting: how far they drift while the DVL is withheld",
         f"By what the withheld velocities say, with or without a reference. First the median {how}, and shaded where "
-        f"95 % of them stay; then each window by itself, where it begins. {BLIND}",
+        f"95 % of them stay; then each window by itself, where it begins. {CoastingRow.footnote}",
         (drift_panel(curves), _windows_panel(curves, clock)),
         filter_legend(list(curves)),
     )

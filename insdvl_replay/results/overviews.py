@@ -12,17 +12,16 @@ from urllib.parse import quote
 
 from msgspec.structs import astuple
 
-from insdvl_replay.core.pooled_row import PooledRow
 from insdvl_replay.core.quantities import is_whole
+from insdvl_replay.core.tables import PooledRow
 from insdvl_replay.core.words import Judgement, Severity
 from insdvl_replay.evaluation.pooled_evidence import PooledCandidate, pooled_candidate, pooled_sentence
 from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.report.document import MISSING, Callout, DisplayTable, LinkedTable, Part, Title, number
 from insdvl_replay.report.page import page
-from insdvl_replay.results.dive_tables import MEANS, TONES, gain_cells, pooled_table
+from insdvl_replay.results.dive_tables import MEANS, TONES, gain_cells, has_reference, pooled_table
 from insdvl_replay.results.folder import PAGE
 from insdvl_replay.results.json_report import Report
-from insdvl_replay.results.reference_tables import has_reference
 
 COLUMNS: Final = (
     "log", "filter", "mean_improvement_pct", "mean_convergence_improvement_pct", "position_h_baseline_rmse_m",

@@ -11,19 +11,18 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.quantities import WITHHELD, is_whole
-from insdvl_replay.core.rows import ConsistencyRow
 from insdvl_replay.core.runtime import begin
 from insdvl_replay.core.sensors import DVL_AIDING
-from insdvl_replay.core.tables import each_table
+from insdvl_replay.core.tables import ConsistencyRow, each_table
 from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
 from insdvl_replay.replay import Replay
 from insdvl_replay.report.csv_tables import structs_csv
 from insdvl_replay.results.dive_document import dive_page
 from insdvl_replay.results.dive_figures import replay_coverage, replay_figures, replay_first_panels
+from insdvl_replay.results.dive_tables import NO_REFERENCE, has_reference
 from insdvl_replay.results.folder import PAGE, REFERENCE_TRAJECTORY, REPLAY_LOG, TRAJECTORY_FILE, trajectory_file
 from insdvl_replay.results.histories import write_history
 from insdvl_replay.results.json_report import Report, build_report, encode_report, this_tool
-from insdvl_replay.results.reference_tables import NO_REFERENCE, has_reference
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
 from insdvl_replay.results.viewer_layouts import viewer_layouts
 

@@ -6,9 +6,10 @@ from typing import Any, Final
 import pandas as pd
 
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.quantities import label
 from insdvl_replay.core.states import NINE, STATES, State
 from insdvl_replay.core.words import Consistency
-from insdvl_replay.report.document import DisplayTable, number, percent, row_label
+from insdvl_replay.report.document import DisplayTable, number, percent
 from insdvl_replay.report.plots.panel import LIMIT, REFERENCE, Curve, Figure, Panel, filter_style
 
 BELIEVED: Final = f"{filter_style(0)} {filter_style(1)}"
@@ -74,7 +75,7 @@ def _states(name: object, rows: pd.DataFrame, baseline: str) -> DisplayTable:
         "llrrrr" + "rr" * bool(baseline),
         tuple(
             (
-                row_label(row["state"]),
+                label(row["state"]),
                 row["unit"],
                 *(number(row[column]) for column in columns),
                 *(percent(row[column]) for column in shares),
@@ -133,7 +134,7 @@ def run_display(table: pd.DataFrame) -> tuple[DisplayTable, ...]:
             ("state", "unit", "error", "sigma from P", "error / sigma"),
             "llrrr",
             tuple(
-                (row_label(row["state"]), row["unit"], *(number(row[column]) for column in ("error", "sd", "ratio")))
+                (label(row["state"]), row["unit"], *(number(row[column]) for column in ("error", "sd", "ratio")))
                 for row in rows.to_dict("records")
             ),
         )

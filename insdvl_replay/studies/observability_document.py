@@ -6,9 +6,10 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from insdvl_replay.core.quantities import label
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import DirectionStatus
-from insdvl_replay.report.document import MISSING, DisplayTable, number, percent, row_label
+from insdvl_replay.report.document import MISSING, DisplayTable, number, percent
 from insdvl_replay.report.plots.panel import LIMIT, Curve, Figure, Panel, filter_style
 
 _SHORT: Final = {
@@ -46,7 +47,7 @@ def _rank_sentence(row: Mapping[Any, Any], unseen: list[str]) -> str:
 def _grown_sentence(aiding: object, states: pd.DataFrame) -> str:
     """Name the states that are less certain at the end than at the start, which no rank shows."""
     grown = states[states["left_pct"] > _GROWN_PCT]
-    names = [f"{row_label(row['state'])} ({row['left_pct']:.0f} %)" for row in grown.to_dict("records")]
+    names = [f"{label(row['state'])} ({row['left_pct']:.0f} %)" for row in grown.to_dict("records")]
     if not names:
         return f"{aiding}: with process noise, no state is less certain after the last ping than at the start."
     return f"{aiding}: with process noise, less certain after the last ping than at the start: {'; '.join(names)}."
@@ -120,7 +121,7 @@ def _states(title: str, states: pd.DataFrame, column: str, footnote: str = "") -
     return _by_aiding(
         title,
         "state",
-        {name: row_label(name) for name in states["state"].unique()},
+        {name: label(name) for name in states["state"].unique()},
         list(states["aiding"].unique()),
         cells,
         footnote,

@@ -14,7 +14,7 @@ from insdvl_replay.calibration.figures import DRAWN, calibration_figures
 from insdvl_replay.calibration.fit import scatter_of
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.table import finite
 from insdvl_replay.report.page import page
 from insdvl_replay.report.plots.panel import Figure
 

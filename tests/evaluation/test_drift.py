@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.quantities import DRIFT_QUANTITIES, TRACK_FIT_QUANTITIES
-from insdvl_replay.core.track_rows import DriftRow
+from insdvl_replay.core.tables import DriftRow
 from insdvl_replay.evaluation.drift import (
     course_errors,
     distance_segments,

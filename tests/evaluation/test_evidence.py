@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.rows import ConsistencyRow, EvidenceRow
+from insdvl_replay.core.tables import ConsistencyRow, EvidenceRow
 from insdvl_replay.core.words import ConvergenceStatus
 from insdvl_replay.evaluation.evidence import Measured, evidence_table
 from insdvl_replay.evaluation.losses import Losses

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_consistency import GATE, history
 
-from insdvl_replay.core.rows import ConsistencyRow, CredibilityRow, EvidenceRow
+from insdvl_replay.core.tables import ConsistencyRow, CredibilityRow, EvidenceRow
 from insdvl_replay.evaluation.consistency import consistency_table
 from insdvl_replay.evaluation.evidence import Measured, evidence_table
 

@@ -7,7 +7,7 @@ import pytest
 from test_consistency import history
 
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
-from insdvl_replay.core.track_rows import JumpRow
+from insdvl_replay.core.tables import JumpRow
 from insdvl_replay.evaluation.jumps import jump_table
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.steps import least_difference

@@ -9,7 +9,7 @@ import pytest
 
 from insdvl_replay.core.dive_columns import NS_PER_S
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
-from insdvl_replay.core.rows import ReferenceErrorRow
+from insdvl_replay.core.tables import ReferenceErrorRow
 from insdvl_replay.evaluation.reference import ReferenceErrors
 from insdvl_replay.evaluation.sound_filters import far_off
 

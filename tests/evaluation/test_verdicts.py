@@ -6,7 +6,7 @@ import pytest
 from made_verdicts import consistency, credibility, judged
 from msgspec.structs import replace
 
-from insdvl_replay.core.rows import (
+from insdvl_replay.core.tables import (
     EvidenceRow,
 )
 from insdvl_replay.evaluation.evidence import without_words

@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import DECIDING
-from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.states import STATES, states_with
+from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.evaluation.consistency import consistency_table
 from insdvl_replay.evaluation.evidence import Measured, evidence_table
 from insdvl_replay.evaluation.withheld import withheld_losses

@@ -23,9 +23,8 @@ from insdvl_replay import __version__
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, TruthColumns
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.rows import ConsistencyRow, ImprovementRow
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG, MRAD
-from insdvl_replay.core.tables import Tables
+from insdvl_replay.core.tables import ConsistencyRow, ImprovementRow, Tables
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.encoding.ros2msg import definition_text
 from insdvl_replay.logs.writing.dive_log import ANGLE_DIGITS, VELOCITY_DIGITS, write_dive

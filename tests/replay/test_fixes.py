@@ -10,7 +10,7 @@ from msgspec.structs import replace as changed
 from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Position
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, SensorColumns
-from insdvl_replay.core.rows import EvidenceRow
+from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.evaluation.pooled_evidence import pooled_candidate, pooled_sentence
 from insdvl_replay.evaluation.verdicts import trust_sentence
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m

@@ -9,7 +9,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from insdvl_replay.core.config import Config, Depth, Dvl, Filter, Imu, Reference
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.rows import EvidenceRow
+from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.logs import read_dive
 from insdvl_replay.preparation.reading import read_checked_dive

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from insdvl_replay.core.rows import EvidenceRow
 from insdvl_replay.core.states import DEG
+from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.evaluation.coasting import DriftOverTime
 from insdvl_replay.evaluation.curves import CoastingCurve, ConvergenceCurves
 from insdvl_replay.results.evidence_figures import coasting_figure, convergence_figure

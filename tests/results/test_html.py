@@ -14,7 +14,7 @@ from taken_apart import Document
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import STATES
-from insdvl_replay.core.table_layout import finite
+from insdvl_replay.core.table import finite
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.report.document import Callout, DisplayTable, Folded, Heading, Html, Title, parts_for
 from insdvl_replay.report.page import page
@@ -22,11 +22,10 @@ from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.coverage import Source, covered_shares
 from insdvl_replay.results.dive_document import changed_settings, dive_document
 from insdvl_replay.results.dive_figures import replay_figures
-from insdvl_replay.results.dive_tables import glance_table
+from insdvl_replay.results.dive_tables import NO_REFERENCE, glance_table
 from insdvl_replay.results.filter_figures import Clock
 from insdvl_replay.results.first_figures import track_panel
 from insdvl_replay.results.json_report import Report, decode_report
-from insdvl_replay.results.reference_tables import NO_REFERENCE
 from insdvl_replay.results.result_files import save_replay
 from insdvl_replay.results.shades import shades_of
 from insdvl_replay.sim.dive import simulate_dive

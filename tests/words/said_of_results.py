@@ -9,16 +9,15 @@ from msgspec.structs import replace
 from small_results import content, write
 
 from insdvl_replay.batch.dive_paths import find_dives
-from insdvl_replay.comparison.comparison import compare_results
-from insdvl_replay.comparison.document import brief_document, opening_lines
+from insdvl_replay.changes.comparison import brief_document, compare_results, opening_lines
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.evaluation.paired_statistics import dives_ratio, what_settles
 from insdvl_replay.evaluation.pooled_evidence import pooled_candidate, pooled_sentence
 from insdvl_replay.report.markdown import as_markdown
 from insdvl_replay.results.dive_document import dive_document
 from insdvl_replay.results.dive_screen import dive_screen
+from insdvl_replay.results.dive_tables import track_fit_line
 from insdvl_replay.results.folder import result_file, result_folder
-from insdvl_replay.results.reference_tables import track_fit_line
 from insdvl_replay.results.result_files import run_log
 from insdvl_replay.results.stored_results import read_results
 

@@ -11,7 +11,7 @@ from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, Time
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import DEG_PER_HOUR, MG, STATES
-from insdvl_replay.core.table_layout import TableLayout
+from insdvl_replay.core.table import TableLayout
 from insdvl_replay.core.tables import Tables, each_table
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import MAT_FRD_FLU, east_north_up_m, quat_enu_flu

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from insdvl_replay.changes.cells import judge_number, prints_alike, rank_word
 from insdvl_replay.core.quantities import VERDICTS_BEST_FIRST
-from insdvl_replay.core.table_layout import Better
-from insdvl_replay.evaluation.row_changes import judge_number, prints_alike, rank_word
+from insdvl_replay.core.table import Better
 from insdvl_replay.report.document import number, percent
 
 BETTER: tuple[Better, ...] = ("lower", "higher", "nearer zero", "nearer dof")

@@ -39,6 +39,10 @@ class Column:
         What it names, if it names the row; empty where that is the user's choice.
     best_first : tuple of str
         The words that have a rank.
+    head : str
+        Under which people see it; ``{filter}`` and ``{baseline}`` stand for names. Empty where they do not.
+    form : str
+        How it is written, a key of `report.tables.FORMS`.
     """
 
     comment: str = ""
@@ -46,6 +50,8 @@ class Column:
     primary: bool = False
     names: tuple[str, ...] | None = None
     best_first: tuple[str, ...] = ()
+    head: str = ""
+    form: str = ""
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,8 @@ class TableLayout:
         The baseline has rows of its own; else it stands beside each candidate.
     about : str
         What a row says, for those who meet it as a message.
+    title, footnote : str
+        What the table says in one line, with ``{filter}`` and ``{baseline}`` for names, and what rows cannot say.
     """
 
     name: str
@@ -89,6 +97,8 @@ class TableLayout:
     rows: tuple[str, ...]
     baseline_too: bool
     about: str
+    title: str
+    footnote: str
 
     def unit_of(self, column: str, row_unit: str) -> str:
         """Return a column's unit: by the end of its name, none of a ratio, else the row's of what can be better."""
@@ -114,6 +124,8 @@ def layout_of(name: str, row: type[Struct]) -> TableLayout:
         rows=columns[key].names or () if key in columns else (),
         baseline_too=getattr(row, "baseline_too", False),
         about=getattr(row, "about", ""),
+        title=getattr(row, "title", ""),
+        footnote=getattr(row, "footnote", ""),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from small_results import content, write
 
-from insdvl_replay.comparison.comparison import compare_results
+from insdvl_replay.changes.comparison import compare_results
 from insdvl_replay.core.errors import ConfigError, ResultError
 
 

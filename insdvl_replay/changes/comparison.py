@@ -1,0 +1,800 @@
+"""Two sets of results side by side: which dives belong together, what differs, which values moved, and how it is shown.
+
+`compare_results` gives a `Comparison`; `brief_document` and `comparison_document` lay it out; `find_violation` holds it
+against a limit.
+"""
+
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from statistics import median
+from typing import Any, Final, NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import astuple, replace
+
+from insdvl_replay.changes.cells import ROUNDING, Change, changes_of, named_rows, within
+from insdvl_replay.core.errors import ConfigError, Note, listed, require_known
+from insdvl_replay.core.plain_text import natural_key
+from insdvl_replay.core.quantities import label
+from insdvl_replay.core.stored_report import StoredReport, StoredResult
+from insdvl_replay.core.table import PERCENTAGE, RATIO, Number, TableLayout
+from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
+from insdvl_replay.core.words import ChangeWord, MatchedBy, Severity
+from insdvl_replay.report.csv_tables import blocks_csv
+from insdvl_replay.report.document import (
+    FORMS,
+    MISSING,
+    Callout,
+    DisplayTable,
+    Only,
+    Part,
+    Sentences,
+    Title,
+    counted,
+    table_of,
+)
+from insdvl_replay.results.stored_results import read_results
+
+BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
+"""What may differ beside the tables, in the order of what a reader asks first."""
+ALIKE: Final = "tool, settings and log do not differ"
+MOST_BESIDE: Final = 12
+"""So many values that moved beside the evidence are shown in brief."""
+_MOST_DIFFERENCES: Final = 8
+_NAMED_DIVES: Final = 2
+_HASH_DIGITS: Final = 12
+_PRIMARY: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.primary, *layout.words)}
+"""Columns that a reader looks at first, and words with a rank, which sum up numbers."""
+_ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
+_JUDGED: Final = {"improvement": "{} is now {}, was {}", "belief": "what {} believes is now {}, was {}"}
+"""By column of the candidates what is said where its word changed."""
+HONESTY_ROWS: Final = ("nis", "nees")
+_Pair = tuple[StoredResult, StoredResult]
+
+
+class Difference(Struct, frozen=True):
+    """One thing that differs beside the tables: a reason why a number may have moved."""
+
+    block: str  # one of `BLOCKS`
+    key: str  # dotted, as on the command line
+    old: str | None  # as in TOML; None where a side does not have it
+    new: str | None
+    logs: tuple[str, ...]  # the dives it concerns
+
+
+class Tally(Struct, frozen=True):
+    """What became of many cells: how many by word, and the largest loss and gain, primary columns first."""
+
+    counts: dict[ChangeWord, int]
+    worst: Change | None
+    best: Change | None
+
+    @property
+    def moved(self) -> int:
+        """How many are not the same."""
+        return sum(self.counts.values()) - self.counts[ChangeWord.SAME]
+
+
+class DiveComparison(Struct, frozen=True):
+    """One dive and its counterpart; a side that lacks it has no folder, and then there is no tally."""
+
+    log: str
+    old: str | None
+    new: str | None
+    matched_by: MatchedBy
+    tally: Tally | None
+
+
+class Aggregate(Struct, frozen=True):
+    """One cell over all dives that have it on both sides."""
+
+    table: str
+    filter: str
+    row: str
+    unit: str
+    column: str
+    dives: int
+    better: int
+    worse: int
+    same: int
+    share_better_pct: float
+    median_change_pct: Number  # None if no dive has one
+    worst_log: str
+    worst_change_pct: Number  # None where the number was lost, or grew from zero
+    worst_word: ChangeWord
+
+
+class Comparison(Struct, frozen=True):
+    """Two sets of results, and all that differs; a tolerance of None is the last printed digit."""
+
+    old: str
+    new: str
+    tolerance_pct: float | None
+    total: Tally
+    by_table: dict[str, Tally]
+    differences: tuple[Difference, ...]
+    dives: tuple[DiveComparison, ...]
+    aggregates: tuple[Aggregate, ...]
+    changes: tuple[Change, ...]
+    notes: tuple[Note, ...] = ()
+    baseline: str = ""
+
+    @property
+    def matched(self) -> list[DiveComparison]:
+        """The dives that both sides have."""
+        return [dive for dive in self.dives if dive.tally is not None]
+
+
+class Selection(NamedTuple):
+    """What of two sets of results is compared, and how closely; empty for all."""
+
+    tables: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()
+    logs: tuple[str, ...] = ()
+    filter_pairs: Mapping[str, str] = {}
+    """New name of a filter by its old one, where they differ."""
+    tolerance_pct: float | None = None
+
+
+# --- Compare.
+
+
+def compare_results(old: Any, new: Any, selection: Selection = Selection()) -> Comparison:
+    """Compare two sets of results, each a report.json, a result folder or a folder of such at any depth.
+
+    Raises
+    ------
+    ConfigError
+        There is no result, no dive or no candidate on both sides, or a name in the selection is not known.
+    ResultError
+        A report cannot be read.
+    """
+    for name in selection.tables:
+        require_known("table", name, [layout.name for layout in LAYOUTS], most=len(LAYOUTS))
+    layouts = [layout for layout in LAYOUTS if not selection.tables or layout.name in selection.tables]
+    (before, notes_before), (after, notes_after) = read_results(old), read_results(new)
+    matching = match_dives(before, after)
+    if selection.logs:
+        for name in selection.logs:
+            require_known("dive", name, [result.name for _, result, _ in matching.pairs])
+        matching = Matching([pair for pair in matching.pairs if pair[1].name in selection.logs], [], [])
+    as_stored = [(was, is_) for was, is_, _ in matching.pairs]
+    renamed = with_new_names([was for was, _ in as_stored], selection.filter_pairs)
+    pairs = [(was, is_) for was, (_, is_) in zip(renamed, as_stored, strict=True)]
+    notes = (*notes_before, *notes_after, *require_common_candidate(pairs), *_table_notes(pairs, layouts))
+    _require_something(pairs, layouts, selection.columns)
+    by_dive = [
+        [
+            change
+            for change in changes_of(was, is_, layouts, selection.tolerance_pct)
+            if not selection.columns or change.column in selection.columns
+        ]
+        for was, is_ in pairs
+    ]
+    changes = [change for of_dive in by_dive for change in of_dive]
+    dives = [
+        *(
+            DiveComparison(is_.name, str(was.folder), str(is_.folder), how, tally(of_dive))
+            for (was, is_, how), of_dive in zip(matching.pairs, by_dive, strict=True)
+        ),
+        *(DiveComparison(gone.name, str(gone.folder), None, MatchedBy.NOTHING, None) for gone in matching.removed),
+        *(DiveComparison(added.name, None, str(added.folder), MatchedBy.NOTHING, None) for added in matching.new),
+    ]
+    tables = dict.fromkeys(change.table for change in changes)
+    return Comparison(
+        old=str(old),
+        new=str(new),
+        tolerance_pct=selection.tolerance_pct,
+        total=tally(changes),
+        by_table={name: tally([change for change in changes if change.table == name]) for name in tables},
+        differences=differences(as_stored),
+        dives=tuple(dives),
+        aggregates=aggregates(changes),
+        changes=tuple(changes),
+        notes=notes,
+        baseline=next((is_.report.baseline for _, is_ in pairs), ""),
+    )
+
+
+class Matching(NamedTuple):
+    """Old and new results of the same dive, and what they were matched by; and those without counterpart."""
+
+    pairs: list[tuple[StoredResult, StoredResult, MatchedBy]]
+    removed: list[StoredResult]
+    new: list[StoredResult]
+
+
+# Results of one log in several folders are told apart by their place, then by their name.
+_KEYS: Final[tuple[tuple[MatchedBy, Callable[[StoredResult], Hashable]], ...]] = (
+    (MatchedBy.HASH, lambda result: (result.report.log.sha256, result.below)),
+    (MatchedBy.HASH, lambda result: (result.report.log.sha256, result.name)),
+    (MatchedBy.HASH, lambda result: result.report.log.sha256),
+    (MatchedBy.NAME, lambda result: (result.name, result.below)),
+    (MatchedBy.NAME, lambda result: result.name),
+)
+
+
+def match_dives(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> Matching:
+    """Match results of the same dive, by the hash of the log, else by name.
+
+    Two single results are matched whatever they are: they were meant.
+    """
+    if len(old) == len(new) == 1:
+        (was,), (is_,) = old, new
+        same_log = was.report.log.sha256 and was.report.log.sha256 == is_.report.log.sha256
+        how = MatchedBy.HASH if same_log else MatchedBy.NAME if was.name == is_.name else MatchedBy.CHOICE
+        return Matching([(was, is_, how)], [], [])
+    left, found = {id(result): result for result in old}, dict[int, tuple[StoredResult, MatchedBy]]()
+    for how, key in _KEYS:
+        unmatched = [result for result in new if id(result) not in found]
+        theirs, ours = (_unique(results, how, key) for results in (left.values(), unmatched))
+        for value in theirs.keys() & ours.keys():
+            found[id(ours[value])] = theirs[value], how
+            del left[id(theirs[value])]
+    unmatched = [result for result in new if id(result) not in found]
+    _require_unambiguous(list(left.values()), unmatched)
+    if not found:
+        old_names, new_names = ([result.name for result in results] for results in (old, new))
+        raise ConfigError(
+            f"no dive of {listed(old_names)} is among {listed(new_names)}, by hash or by name",
+            "name two folders that hold results of the same logs, or two single results",
+        )
+    pairs = [(found[id(result)][0], result, found[id(result)][1]) for result in new if id(result) in found]
+    return Matching(pairs, list(left.values()), unmatched)
+
+
+def _unique(
+    results: Iterable[StoredResult], how: MatchedBy, key: Callable[[StoredResult], Hashable]
+) -> dict[Hashable, StoredResult]:
+    """Return the results that are alone with their key. A dive that was never a file has no hash."""
+    by_key: dict[Hashable, list[StoredResult]] = {}
+    for result in results:
+        if how != MatchedBy.HASH or result.report.log.sha256:
+            by_key.setdefault(key(result), []).append(result)
+    return {value: together[0] for value, together in by_key.items() if len(together) == 1}
+
+
+def _require_unambiguous(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> None:
+    """Raise if a dive is left on both sides: it has several results, and nothing says which belong together."""
+    shared = {result.name for result in old} & {result.name for result in new}
+    hashes = {result.report.log.sha256 for result in old} & {result.report.log.sha256 for result in new} - {""}
+    for result in new:
+        if result.name in shared or result.report.log.sha256 in hashes:
+            folders = [str(other.folder) for other in (*old, *new) if other.name == result.name]
+            raise ConfigError(
+                f"{result.name}: several results could belong together: {', '.join(folders)}",
+                "name the two folders that are to be compared",
+            )
+
+
+def parse_pairs(texts: Iterable[str]) -> dict[str, str]:
+    """Read pairs such as ``aided=windowed``, the new name by the old one."""
+    pairs = {}
+    for text in texts:
+        old, _, new = text.partition("=")
+        if not (old and new):
+            raise ConfigError(f"--pair {text}: is not of the form OLD=NEW", "write --pair aided=windowed")
+        pairs[old] = new
+    return pairs
+
+
+def with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) -> list[StoredResult]:
+    """Return old results with the new names of their filters."""
+    names = list(dict.fromkeys(name for result in results for name in (result.report.baseline, *result.report.filters)))
+    for old, new in pairs.items():
+        require_known("filter", old, names)
+        if new in names and new not in pairs:
+            raise ConfigError(
+                f"--pair {old}={new}: the old results have a filter {new} too", f"add --pair {new}={new}_before"
+            )
+
+    def renamed(report: StoredReport) -> StoredReport:
+        return replace(
+            report,
+            tables={
+                table: [{**row, "filter": pairs.get(str(row.get("filter")), row.get("filter"))} for row in rows]
+                for table, rows in report.tables.items()
+            },
+            filters={pairs.get(name, name): candidate for name, candidate in report.filters.items()},
+            baseline=pairs.get(report.baseline, report.baseline),
+        )
+
+    return [StoredResult(result.folder, result.below, renamed(result.report)) for result in results]
+
+
+def require_common_candidate(pairs: Sequence[_Pair]) -> list[Note]:
+    """Raise if no candidate is on both sides of any dive; note those that are on one side only."""
+    sides = {"old": [set(old.report.filters) for old, _ in pairs], "new": [set(new.report.filters) for _, new in pairs]}
+    every = {side: set[str]().union(*of_dives) for side, of_dives in sides.items()}
+    alone = {
+        side: Counter(name for own, others in zip(sides[side], sides[other], strict=True) for name in own - others)
+        for side, other in (("old", "new"), ("new", "old"))
+    }
+    if all(every.values()) and not any(old & new for old, new in zip(sides["old"], sides["new"], strict=True)):
+        theirs, ours = (sorted(every[side]) for side in ("old", "new"))
+        raise ConfigError(
+            f"no candidate of the old results ({', '.join(theirs)}) is among the new ones ({', '.join(ours)})",
+            f"say which belong together with --pair {theirs[0]}={ours[0]}",
+        )
+    words = {"old": ChangeWord.GONE, "new": ChangeWord.NEW}
+    return [
+        Note(
+            "filter_on_one_side",
+            f"filter {name} is in the {side} results alone (dives: {count}); its rows are {words[side]}",
+            count,
+            Severity.WARNING,
+            "--pair OLD=NEW compares filters of different names",
+        )
+        for side, counts in alone.items()
+        for name, count in sorted(counts.items())
+    ]
+
+
+def _require_something(pairs: Sequence[_Pair], layouts: Sequence[TableLayout], wanted: Sequence[str]) -> None:
+    """Raise if a column that was asked for is nowhere, or no table has rows: a comparison of nothing must not pass."""
+    results = [result for pair in pairs for result in pair]
+    rows = [row for result in results for layout in layouts for row in named_rows(result, layout).values()]
+    if not rows:
+        names = ", ".join(layout.name for layout in layouts)
+        raise ConfigError(f"there is no row to compare in {names}", "leave out --table to see what there is")
+    for name in wanted:
+        require_known("column", name, list(dict.fromkeys(column for row in rows for column in row)))
+
+
+def _table_notes(pairs: Sequence[_Pair], layouts: Sequence[TableLayout]) -> Iterator[Note]:
+    """Count the dives in which a table is on one side only, or of no known kind."""
+    for layout in layouts:
+        have = [(bool(named_rows(old, layout)), bool(named_rows(new, layout))) for old, new in pairs]
+        for side, word, missing in (("old", "new", (False, True)), ("new", "gone", (True, False))):
+            if count := have.count(missing):
+                whose = f"the {side} results of {counted(count, 'dive')}"
+                text = f"table {layout.name}: {whose} have no rows; all its rows are {word}"
+                yield Note("table_on_one_side", text, count, Severity.WARNING)
+    known = {layout.name for layout in LAYOUTS}
+    unknown = Counter(table for pair in pairs for result in pair for table in {*result.report.tables} - known)
+    for table, count in unknown.items():
+        text = f"table {table}: this version does not know it, and leaves it out"
+        yield Note("table_unknown", text, count, Severity.WARNING, "compare with the version that wrote it")
+
+
+def differences(pairs: Sequence[_Pair]) -> tuple[Difference, ...]:
+    """Name everything beside the tables that differs, once, with the dives that it concerns."""
+    logs: dict[tuple[str, str, str | None, str | None], list[str]] = {}
+    for old, new in pairs:
+        before, after = _facts(old.report), _facts(new.report)
+        for block, key in dict.fromkeys((*before, *after)):
+            was, is_ = before.get((block, key)), after.get((block, key))
+            if was != is_:
+                logs.setdefault((block, key, was, is_), []).append(new.name)
+    found = [Difference(*what, tuple(names)) for what, names in logs.items()]
+    return tuple(sorted(found, key=lambda difference: BLOCKS.index(difference.block)))
+
+
+def flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Return nested settings by their dotted keys; lists stay whole."""
+    for key, value in settings.items():
+        if isinstance(value, dict) and value:
+            yield from flattened(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _facts(report: StoredReport) -> dict[tuple[str, str], str]:
+    """Return all that may differ as text, by block and key. Times of day and of computation always differ."""
+    log = report.log
+    channels = {
+        f"channels {channel.get('topic')}": (
+            f"{channel.get('messages')} {channel.get('type_name')} ({channel.get('role') or 'unused'})"
+        )
+        for channel in log.channels
+    }
+    span = {"start_ns": log.start_ns, "end_ns": log.end_ns, "duration_s": log.duration_s}
+    blocks: dict[str, Mapping[str, Any]] = {
+        "tool": {key: value for key, value in report.tool.items() if key in {"name", "version", "sources"}},
+        "versions": report.versions,
+        "config": dict(flattened(report.config)),
+        "filters": {"names": ", ".join([report.baseline, *report.filters])},
+        "log": {"name": log.name, "sha256": log.sha256, **span, **channels},
+        "notes": {note.code: f"{note.count} ({note.severity})" for note in report.notes},
+    }
+    return {
+        (block, key): value if isinstance(value, str) else json.dumps(value)
+        for block, facts in blocks.items()
+        for key, value in facts.items()
+        if value is not None
+    }
+
+
+# --- Sum up.
+
+
+def loss_of(change: Change) -> float:
+    """State how much a cell lost, in percent; infinite for a number that was lost."""
+    if change.word not in {ChangeWord.BETTER, ChangeWord.WORSE, ChangeWord.GONE}:
+        return 0.0
+    amount = math.inf if change.change_pct is None else abs(change.change_pct)
+    return -amount if change.word == ChangeWord.BETTER else amount
+
+
+def worst_of(changes: Iterable[Change]) -> Change | None:
+    """Name the largest loss, in the primary column of a table before all others; the first of equals."""
+    return max(changes, key=lambda change: ((change.table, change.column) in _PRIMARY, loss_of(change)), default=None)
+
+
+def tally(changes: Sequence[Change]) -> Tally:
+    """Count cells by word, and name the largest loss and gain."""
+    counts = Counter(change.word for change in changes)
+    gains = [change for change in changes if loss_of(change) < 0.0]
+    best = max(gains, key=lambda change: ((change.table, change.column) in _PRIMARY, -loss_of(change)), default=None)
+    worst = worst_of(change for change in changes if loss_of(change) > 0.0)
+    return Tally({word: counts[word] for word in ChangeWord}, worst, best)
+
+
+def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
+    """Gather the changes of each cell over the dives that have it on both sides: shares, median, and the worst."""
+    cells: dict[tuple[str, str, str, str, str], list[Change]] = {}
+    for change in changes:
+        if change.word in {ChangeWord.BETTER, ChangeWord.WORSE, ChangeWord.SAME}:
+            key = change.table, change.filter, change.row, change.unit, change.column
+            cells.setdefault(key, []).append(change)
+    found = []
+    for key, together in cells.items():
+        counts, worst = Counter(change.word for change in together), max(together, key=loss_of)
+        percentages = [change.change_pct for change in together if change.change_pct is not None]
+        better, worse, same = (counts[word] for word in (ChangeWord.BETTER, ChangeWord.WORSE, ChangeWord.SAME))
+        found.append(
+            Aggregate(
+                *key,
+                len(together),
+                *(better, worse, same, 100.0 * better / len(together)),
+                median(percentages) if percentages else None,
+                *(worst.log, worst.change_pct, worst.word),
+            )
+        )
+    return tuple(sorted(found, key=lambda cell: _ORDER[cell.table]))
+
+
+def only_changed(comparison: Comparison) -> Comparison:
+    """Leave out what is the same, and of the aggregates what is the same in all dives; counts stay those of all."""
+    return replace(
+        comparison,
+        changes=tuple(change for change in comparison.changes if change.word != ChangeWord.SAME),
+        aggregates=tuple(cell for cell in comparison.aggregates if cell.same < cell.dives),
+    )
+
+
+# --- Limits.
+
+
+def parse_percentage(text: str, before: str) -> float:
+    """Read a percentage such as ``0.1%``; what was typed before it is for the message."""
+    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+) ?%", text.strip())
+    if match is None:
+        raise ConfigError(f"{before}{text}: is not a percentage", f"write {before}0.5%")
+    return float(match[1])
+
+
+def parse_limit(text: str) -> float | None:
+    """Read a limit: ``worse`` or ``worse:5%``, in percent or percentage points, or ``changed``, which is None."""
+    word, colon, percentage = text.partition(":")
+    if text == ChangeWord.CHANGED:
+        return None
+    if word != ChangeWord.WORSE:
+        raise ConfigError(
+            f"--fail-on {text}: is not known", "write --fail-on worse, --fail-on worse:5% or --fail-on changed"
+        )
+    return parse_percentage(percentage, "--fail-on worse:") if colon else 0.0
+
+
+def find_violation(comparison: Comparison, above_pct: float | None) -> str:
+    """State what is worse than allowed, or not the same, and what most; empty where nothing is.
+
+    A verdict that fell, a number that was lost or grew from zero, and a row or dive that is gone exceed every limit.
+    """
+    changes = [
+        change
+        for change in comparison.changes
+        if (
+            change.word != ChangeWord.SAME
+            if above_pct is None
+            else not within(loss_of(change), above_pct, 100.0 * ROUNDING)
+        )
+    ]
+    dives = [dive.log for dive in comparison.dives if dive.new is None or (above_pct is None and dive.old is None)]
+    reasons = []
+    if worst := worst_of(changes):
+        worse = f"{'are' if len(changes) > 1 else 'is'} worse{f' by more than {above_pct:g} %' if above_pct else ''}"
+        verb = ChangeWord.CHANGED if above_pct is None else worse
+        reasons.append(f"{counted(len(changes), 'value')} {verb}; worst: {described(worst)}")
+    if dives:
+        reasons.append(f"{counted(len(dives), 'dive')} without counterpart: {', '.join(dives)}")
+    return "; ".join(reasons)
+
+
+# --- Show.
+
+
+def brief_document(comparison: Comparison) -> list[Part]:
+    """Lay out what changed: verdicts, what differs beside the tables, and the evidence that moved."""
+    moved = [change for change in comparison.changes if change.word != ChangeWord.SAME]
+    tables = list(_evidence_that_moved(comparison))
+    if not tables and len(comparison.matched) == 1 and 0 < len(moved) <= MOST_BESIDE:
+        tables = [_values(moved)]
+    apart = tuple(f"{_only_side(dive)}: {dive.log}" for dive in comparison.dives if dive.tally is None)
+    verdicts = _changed_verdicts(comparison)
+    return [
+        Title(_title(comparison)),
+        *(map(Callout, verdicts) if verdicts else ["no verdict changed"]),
+        *(_brief_differences(comparison.differences) if comparison.differences else [ALIKE]),
+        *(replace_title(table) for table in tables),
+        *([Sentences(apart)] if apart else []),
+        Sentences((_moved_elsewhere(comparison),)),
+    ]
+
+
+def comparison_document(comparison: Comparison) -> list[Part]:
+    """Lay out all of a comparison."""
+    rest = "the values of one dive: --dive NAME; those of all: --format csv or --format json"
+    several = len(comparison.matched) > 1
+    values = _values_over_dives(comparison.aggregates) if several else _values(comparison.changes)
+    by_table = [(name, of_table, "") for name, of_table in comparison.by_table.items()]
+    tables = [
+        *([_differences_table(comparison)] if comparison.differences else []),
+        *([_dives_table(comparison.dives)] if len(comparison.dives) > 1 else []),
+        _tallies("Tables", "table", by_table),
+        values,
+    ]
+    return [
+        Title(_title(comparison)),
+        *map(Callout, opening_lines(comparison)),
+        *(replace_title(table) for table in tables),
+        *([Only(("terminal", "markdown", "html"), (Sentences((rest,)),))] if several else []),
+    ]
+
+
+def opening_lines(comparison: Comparison) -> list[str]:
+    """State which verdicts changed, how many values moved, and which of them most."""
+    counts = comparison.total.counts
+    words = ", ".join(f"{counts[word]} {word}" for word in ChangeWord if counts[word] and word != ChangeWord.SAME)
+    limit = "the last printed digit" if comparison.tolerance_pct is None else f"{comparison.tolerance_pct:g} %"
+    same = f"{counts[ChangeWord.SAME]} of {sum(counts.values())} values are the same up to {limit}"
+    extremes = (("worst", comparison.total.worst), ("best", comparison.total.best))
+    return [
+        *_changed_verdicts(comparison),
+        f"{words or 'nothing moved'}; {same}",
+        *(f"{name}: {described(change)}" for name, change in extremes if change is not None),
+        *([] if comparison.differences else [ALIKE]),
+    ]
+
+
+def comparison_csv(comparison: Comparison) -> str:
+    """Write differences, dives, aggregates and changes one after the other."""
+    dives = (
+        (*astuple(dive)[:4], *(dive.tally.counts[word] if dive.tally else None for word in ChangeWord))
+        for dive in comparison.dives
+    )
+    found = ((*astuple(difference)[:4], "; ".join(difference.logs)) for difference in comparison.differences)
+    return blocks_csv(
+        "part",
+        {
+            "difference": (Difference.__struct_fields__, found),
+            "dive": (("log", "old", "new", "matched_by", *ChangeWord), dives),
+            "aggregate": (Aggregate.__struct_fields__, map(astuple, comparison.aggregates)),
+            "change": (Change.__struct_fields__, map(astuple, comparison.changes)),
+        },
+    )
+
+
+def described(change: Change) -> str:
+    """State in one line where a cell stands and how it moved."""
+    row = "" if change.row == change.filter else f" {change.row}"
+    old, new = FORMS["cell"](change.old), FORMS["cell"](change.new)
+    unit = f" {change.unit}" if change.unit else ""
+    cell = f"{change.log}, {change.table}: {change.filter}{row} {change.column}"
+    return f"{cell} from {old} to {new}{unit} ({growth(change)})"
+
+
+def growth(change: Change) -> str:
+    """State by how much a cell's size grew, with the unit; its word where there is no percentage."""
+    if change.change_pct is None:
+        return change.word
+    unit = "points" if change.column.endswith(PERCENTAGE) else "%"
+    return f"{FORMS['signed_percent'](change.change_pct)} {unit}"
+
+
+def replace_title(table: DisplayTable) -> DisplayTable:
+    """Let the title of a table have a line of its own."""
+    from dataclasses import replace as replaced
+
+    return replaced(table, title_apart=True)
+
+
+def _title(comparison: Comparison) -> str:
+    matched = comparison.matched
+    what = matched[0].log if len(matched) == 1 else f"{len(matched)} dives"
+    return f"{what}: {comparison.new} against {comparison.old}"
+
+
+def _changed_verdicts(comparison: Comparison) -> list[str]:
+    """State which judgements and beliefs changed, the judgements first, each once with its dives."""
+    dives: dict[tuple[str, str, str, str], list[str]] = {}
+    for change in comparison.changes:
+        of_word = change.table == CANDIDATES.name and change.column in _JUDGED
+        if of_word and change.old and change.new and change.old != change.new:
+            key = change.column, change.filter, str(change.new), str(change.old)
+            dives.setdefault(key, []).append(change.log)
+    matched = len(comparison.matched)
+    in_order = sorted(dives.items(), key=lambda found: list(_JUDGED).index(found[0][0]))
+    return [
+        _JUDGED[column].format(*named) + (f" ({_where(logs, matched)})" if matched > 1 else "")
+        for (column, *named), logs in in_order
+    ]
+
+
+def _where(logs: Sequence[str], dives: int) -> str:
+    """State which dives it is: all, a few by name, or how many."""
+    return "all" if len(logs) == dives else ", ".join(logs) if len(logs) <= _NAMED_DIVES else f"{len(logs)} of {dives}"
+
+
+def _brief_differences(found: Sequence[Difference]) -> Iterator[Sentences]:
+    """State in a line each what differs beside the tables: first that logs do, then settings."""
+    other = [one for one in found if (one.block, one.key) == ("log", "sha256") and one.old and one.new]
+    names = sorted({name for one in other for name in one.logs}, key=natural_key)
+    whose = "the log is" if len(names) == 1 else f"the logs of {listed(names)} are"
+    lines = [f"{whose} another one (SHA-256): what moved may be the log's"] if names else []
+    rest = sorted((one for one in found if one not in other), key=lambda one: one.block != "config")
+    for one in rest[:_MOST_DIFFERENCES]:
+        old, new = (
+            MISSING if value is None else value if len(value) <= 30 else f"{value[:27]}..."
+            for value in (one.old, one.new)
+        )
+        lines.append(f"{one.block} {one.key}: {old}, now {new}")
+    left = len(rest) - _MOST_DIFFERENCES
+    yield Sentences((*lines, *([f"{left} more differ: --all"] if left > 0 else [])))
+
+
+def _evidence_that_moved(comparison: Comparison) -> Iterator[DisplayTable]:
+    """Lay out errors and times of the evidence that moved; of honesty how far it is from 1, which its ratio tells."""
+
+    def is_shown(cell: Change | Aggregate) -> bool:
+        wanted = (RATIO,) if cell.row in HONESTY_ROWS else ("value", "baseline")
+        return cell.table == "evidence" and cell.column in wanted
+
+    def owner(cell: Change | Aggregate) -> str:
+        return comparison.baseline if cell.column == "baseline" else cell.filter
+
+    def name(cell: Change | Aggregate) -> str:
+        return f"{cell.row.upper()} off 1, times the baseline's" if cell.row in HONESTY_ROWS else label(cell.row)
+
+    cells = only_changed(comparison)
+    if len(comparison.matched) > 1:
+        # The baseline's values are in the rows of each candidate: once is enough.
+        over = {(owner(cell), cell.row): cell for cell in reversed(cells.aggregates) if is_shown(cell)}
+        if over:
+            title, rows = "Evidence that moved, in dives", [*over.values()][::-1]
+            yield table_of(
+                title,
+                rows,
+                [
+                    ("filter", "l", owner),
+                    ("evidence", "l", name),
+                    ("better", "r", lambda cell: str(cell.better)),
+                    ("worse", "r", lambda cell: str(cell.worse)),
+                    ("same", "r", lambda cell: str(cell.same)),
+                    ("median [%]", "r", lambda cell: FORMS["signed_percent"](cell.median_change_pct)),
+                    ("worst [%]", "r", lambda cell: FORMS["signed_percent"](cell.worst_change_pct)),
+                    ("in", "l", lambda cell: cell.worst_log),
+                ],
+                spare=(7, 4, 6),
+            )
+        return
+    one = {(owner(change), change.row): change for change in reversed(cells.changes) if is_shown(change)}
+    if one:
+        yield table_of(
+            "Evidence that moved",
+            [*one.values()][::-1],
+            [
+                ("filter", "l", owner),
+                ("evidence", "l", name),
+                ("", "l", lambda change: change.unit),
+                ("old", "r", lambda change: FORMS["cell"](change.old)),
+                ("new", "r", lambda change: FORMS["cell"](change.new)),
+                ("change", "r", growth),
+                ("", "l", lambda change: change.word),
+            ],
+            spare=(2, 3, 4),
+        )
+
+
+def _cell_name(cell: Change | Aggregate) -> str:
+    row = "" if cell.row == cell.filter else f" {label(cell.row)}"
+    unit = f" [{cell.unit}]" if cell.unit else ""
+    return f"{cell.table} {cell.filter}{row}: {cell.column}{unit}"
+
+
+def _values(changes: Sequence[Change]) -> DisplayTable:
+    return table_of(
+        "Values, old and new",
+        changes,
+        [
+            ("value", "l", _cell_name),
+            ("old", "r", lambda change: FORMS["cell"](change.old)),
+            ("new", "r", lambda change: FORMS["cell"](change.new)),
+            ("change", "r", lambda change: growth(change) if change.change is not None else MISSING),
+            ("", "l", lambda change: change.word),
+        ],
+        "nearer zero, nearer dof: % of the magnitude, and of how many times a value is off its dof",
+    )
+
+
+def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
+    return table_of(
+        "Values over the dives",
+        cells,
+        [
+            ("value", "l", _cell_name),
+            ("dives", "r", lambda cell: str(cell.dives)),
+            ("better", "r", lambda cell: str(cell.better)),
+            ("worse", "r", lambda cell: str(cell.worse)),
+            ("median\n[%]", "r", lambda cell: FORMS["signed_percent"](cell.median_change_pct)),
+            ("worst\n[%]", "r", lambda cell: FORMS["signed_percent"](cell.worst_change_pct)),
+            ("in", "l", lambda cell: MISSING if cell.worst_word == ChangeWord.SAME else cell.worst_log),
+        ],
+    )
+
+
+def _moved_elsewhere(comparison: Comparison) -> str:
+    """Count what moved in the other tables."""
+    moved = [f"{name} {of_table.moved}" for name, of_table in comparison.by_table.items() if of_table.moved]
+    said = f"values that moved, by table: {', '.join(moved)}" if moved else "no value moved"
+    same = counted(comparison.total.counts[ChangeWord.SAME], "value")
+    return f"{said}; {same} the same; --all shows them, --table NAME some"
+
+
+def _differences_table(comparison: Comparison) -> DisplayTable:
+    dives, found = len(comparison.matched), comparison.differences
+    of_all = all(len(difference.logs) == dives for difference in found)
+
+    def text(difference: Difference, value: str | None) -> str:
+        return MISSING if value is None else value[:_HASH_DIGITS] if difference.key == "sha256" else value
+
+    columns = [
+        ("what", "l", lambda one: f"{one.block} {one.key}"),
+        ("old", "l", lambda one: text(one, one.old)),
+        ("new", "l", lambda one: text(one, one.new)),
+        *([] if of_all else [("dives", "l", lambda one: _where(one.logs, dives))]),
+    ]
+    return table_of(
+        f"What differs beside the tables{' (in all dives)' if of_all and dives > 1 else ''}", found, columns
+    )
+
+
+def _only_side(dive: DiveComparison) -> ChangeWord:
+    return ChangeWord.GONE if dive.new is None else ChangeWord.NEW
+
+
+def _dives_table(dives: Sequence[DiveComparison]) -> DisplayTable:
+    """Show the dives in which something moved, and count the others."""
+    moved = [dive for dive in dives if dive.tally is None or dive.tally.moved]
+    still = len(dives) - len(moved)
+    footnote = f"and {counted(still, 'dive')} in which nothing moved" if still else ""
+    return _tallies("Dives", "dive", [(dive.log, dive.tally, _only_side(dive)) for dive in moved], footnote)
+
+
+def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]], footnote: str = "") -> DisplayTable:
+    """Show counts by word, those that occur, and the largest loss; of what has no tally, a word instead."""
+    words = [word for word in ChangeWord if any(found is not None and found.counts[word] for _, found, _ in named)]
+    rows = []
+    for name, found, otherwise in named:
+        counts = [MISSING if found is None else str(found.counts[word]) for word in words]
+        worst = MISSING if found is None or found.worst is None else _place(found.worst)
+        rows.append((name, *counts, otherwise if found is None else worst))
+    return DisplayTable(title, (key, *words, "worst"), f"l{'r' * len(words)}l", tuple(rows), footnote)
+
+
+def _place(change: Change) -> str:
+    row = "" if change.row == change.filter else f" {change.row}"
+    return f"{change.filter}{row} {change.column} {growth(change)}"
