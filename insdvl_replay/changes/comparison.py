@@ -4,11 +4,13 @@
 against a limit.
 """
 
+import dataclasses
 import json
 import math
 import re
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple
 
@@ -142,7 +144,7 @@ class Selection(NamedTuple):
 # --- Compare.
 
 
-def compare_results(old: Any, new: Any, selection: Selection = Selection()) -> Comparison:
+def compare_results(old: Path, new: Path, selection: Selection = Selection()) -> Comparison:
     """Compare two sets of results, each a report.json, a result folder or a folder of such at any depth.
 
     Raises
@@ -529,7 +531,7 @@ def brief_document(comparison: Comparison) -> list[Part]:
         Title(_title(comparison)),
         *(map(Callout, verdicts) if verdicts else ["no verdict changed"]),
         *(_brief_differences(comparison.differences) if comparison.differences else [ALIKE]),
-        *(replace_title(table) for table in tables),
+        *(dataclasses.replace(table, title_apart=True) for table in tables),
         *([Sentences(apart)] if apart else []),
         Sentences((_moved_elsewhere(comparison),)),
     ]
@@ -550,7 +552,7 @@ def comparison_document(comparison: Comparison) -> list[Part]:
     return [
         Title(_title(comparison)),
         *map(Callout, opening_lines(comparison)),
-        *(replace_title(table) for table in tables),
+        *(dataclasses.replace(table, title_apart=True) for table in tables),
         *([Only(("terminal", "markdown", "html"), (Sentences((rest,)),))] if several else []),
     ]
 
@@ -603,13 +605,6 @@ def growth(change: Change) -> str:
         return change.word
     unit = "points" if change.column.endswith(PERCENTAGE) else "%"
     return f"{FORMS['signed_percent'](change.change_pct)} {unit}"
-
-
-def replace_title(table: DisplayTable) -> DisplayTable:
-    """Let the title of a table have a line of its own."""
-    from dataclasses import replace as replaced
-
-    return replaced(table, title_apart=True)
 
 
 def _title(comparison: Comparison) -> str:
