@@ -30,7 +30,7 @@ OF_QUANTITY = {
     "velocity_n": ["velocity_n", "velocity_e", "velocity_d"],
     "mat_nb": ["roll", "pitch", "heading"],
 }
-label = {"position": "positions and heights", "velocity_n": "velocities", "mat_nb": "attitudes"}
+NAMES = {"position": "positions and heights", "velocity_n": "velocities", "mat_nb": "attitudes"}
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_quantity_that_turns_nan_is_told_and_judged_where_it_is(tmp_path: Path, 
     replay = replay_log(path, Config())
     (covered,) = notes(replay, "reference_coverage")
     assert covered.severity == "warning"
-    assert re.match(rf"{label(quantity)} .*\b20 %", covered.text)
+    assert re.match(rf"{NAMES[quantity]} .*\b20 %", covered.text)
     table, whole = errors_of(replay), errors_of(replay_dive(dive, Config()))
     rows = OF_QUANTITY[quantity]
     others = [name for name in REFERENCE_QUANTITIES if name not in rows]
@@ -144,7 +144,7 @@ def test_number_in_the_last_row_does_not_cover_what_lies_before(dive: Dive) -> N
 
 def test_reference_of_nan_alone_is_none(dive: Dive) -> None:
     reference = reference_of(dive)
-    nothing = replace(reference, **{quantity: np.full_like(getattr(reference, quantity), np.nan) for quantity in label})
+    nothing = replace(reference, **{quantity: np.full_like(getattr(reference, quantity), np.nan) for quantity in NAMES})
     assert with_reference_at_imu(replace(dive, reference=nothing), Config()).reference is None
     level = Initial(source="level", heading_deg=30.0, latitude_deg=32.8)
     replay = replay_dive(replace(dive, reference=nothing), Config(initial=level))
