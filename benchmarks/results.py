@@ -13,9 +13,14 @@ RESULTS = Path(__file__).with_name("RESULTS.md")
 def machine() -> str:
     """Say on which machine, when and of which commit this is."""
     where = f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}, numpy {version('numpy')}"
-    git = ["git", "-C", str(RESULTS.parent), "describe", "--always", "--dirty", "--exclude=*", "--abbrev=8"]
-    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip() or "not in git"
-    return f"{where}; {datetime.now(UTC):%Y-%m-%d}, {commit}"
+    commit = _git("rev-parse", "--short=8", "HEAD") or "not in git"
+    changed = ", changed since" if _git("status", "--porcelain", "--", "*.py", "../insdvl_replay") else ""
+    return f"{where}; {datetime.now(UTC):%Y-%m-%d}, {commit}{changed}"
+
+
+def _git(*arguments: str) -> str:
+    command = ["git", "-C", str(RESULTS.parent), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def table(columns: tuple[str, ...], rows: list[str]) -> list[str]:
