@@ -151,8 +151,8 @@ def judged_noise(
 ) -> tuple[FittedNoise, tuple[NoiseRow, ...]]:
     """Propose the noise that the dives determine, and keep what is configured of the rest if they do not contradict it.
 
-    A noise that no sensor has shows that something else stands in all of them: it is held, and the others are what the
-    innovations are large by then.
+    A noise that no sensor has is held: something else is in it. The others are then scaled until the mean NIS is its
+    degrees of freedom, and are limits.
     """
     own, search = config.filters[config.baseline], _Search(dives[0].gated, fitted.before, _runs(dives, changes))
     sds = dict(zip(fitted.after, relative_sds(fitted, dives, changes, nis_by_errors), strict=True))
@@ -168,28 +168,26 @@ def judged_noise(
             told[key] = Estimated.DOUBTFUL, f"{value:g} {UNITS[key]} was found, which is {impossible[key]}"
         elif any(impossible.values()) or not sds[key] < UNSURE or (drowned and key in INERTIAL):
             told[key] = Estimated.NOT_DETERMINED, AS_IT_WAS
-    free_status = Estimated.NOT_DETERMINED if any(impossible.values()) else Estimated.ESTIMATED
-    free = np.array([float(status == free_status) for status, _ in told.values()])
+    is_doubtful = any(impossible.values())
+    fitted_alone = Estimated.NOT_DETERMINED if is_doubtful else Estimated.ESTIMATED
+    free = np.array([float(status == fitted_alone) for status, _ in told.values()])
     of_each = zip(fitted.after.items(), free, strict=True)
-    kept = FittedNoise(
-        fitted.before, {key: value if is_free else fitted.before[key] for (key, value), is_free in of_each}
+    held = {key: value if is_free else fitted.before[key] for (key, value), is_free in of_each}
+    proposed = fitted if free.all() else levelled(FittedNoise(fitted.before, held), dives, changes, free)
+    is_bad = any(
+        beyond_the_sensor(key, value, scatter[key]) and value != fitted.before[key]
+        for key, value in proposed.after.items()
     )
-    if not free.all():
-        kept = levelled(kept, dives, changes, free)
-        is_bad = any(
-            beyond_the_sensor(key, value, scatter[key]) and value != fitted.before[key]
-            for key, value in kept.after.items()
+    if is_doubtful:
+        is_limit, kept = not is_bad, FittedNoise(fitted.before, fitted.before) if is_bad else proposed
+    else:
+        is_limit = not free.all() and (
+            is_bad or search.likelihood(proposed.after) > search.likelihood(fitted.after) + CONTRADICTED
         )
-        if any(impossible.values()):
-            is_limit, kept = not is_bad, FittedNoise(fitted.before, fitted.before) if is_bad else kept
-        else:
-            is_limit = is_bad or search.likelihood(kept.after) > search.likelihood(fitted.after) + CONTRADICTED
-            kept = fitted if is_limit else kept
+        kept = fitted if is_limit else proposed
+    if is_limit:
         limit = Estimated.NOT_DETERMINED, AT_MOST
-        told = {
-            key: limit if is_limit and status == Estimated.NOT_DETERMINED else (status, why)
-            for key, (status, why) in told.items()
-        }
+        told = {key: limit if status == limit[0] else (status, why) for key, (status, why) in told.items()}
     return kept, noise_rows(kept, told, {key: sd * fitted.after[key] for key, sd in sds.items() if sd < UNBOUNDED})
 
 

@@ -15,6 +15,7 @@ from insdvl_replay.core.stored_report import Cell, Row, StoredReport, StoredResu
 from insdvl_replay.core.table import PERCENTAGE, Better, Number, TableLayout
 from insdvl_replay.core.tables import CANDIDATES
 from insdvl_replay.core.words import ChangeWord
+from insdvl_replay.evaluation.honesty import HONESTY
 
 PRINTED_DIGITS: Final = 4
 PRINTED_PERCENT_UNIT: Final = 0.1
@@ -24,8 +25,6 @@ NAMES: Final = frozenset(("log", "filter", "unit"))
 """Columns that name a row, with its key."""
 SENTENCES: Final = frozenset((("filters", "verdict"),))
 """Cells that say in words what others say in numbers."""
-HONESTY: Final = "honesty"
-"""Evidence of means that are better the nearer they are to 1."""
 
 
 class Change(Struct, frozen=True):

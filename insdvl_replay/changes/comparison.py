@@ -21,7 +21,7 @@ from insdvl_replay.changes.cells import ROUNDING, Change, changes_of, named_rows
 from insdvl_replay.core.errors import ConfigError, Note, listed, require_known
 from insdvl_replay.core.plain_text import natural_key
 from insdvl_replay.core.quantities import label
-from insdvl_replay.core.stored_report import StoredReport, StoredResult
+from insdvl_replay.core.stored_report import StoredReport, StoredResult, flattened
 from insdvl_replay.core.table import PERCENTAGE, RATIO, Number, TableLayout
 from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
 from insdvl_replay.core.words import ChangeWord, MatchedBy, Severity
@@ -373,15 +373,6 @@ def differences(pairs: Sequence[_Pair]) -> tuple[Difference, ...]:
                 logs.setdefault((block, key, was, is_), []).append(new.name)
     found = [Difference(*what, tuple(names)) for what, names in logs.items()]
     return tuple(sorted(found, key=lambda difference: BLOCKS.index(difference.block)))
-
-
-def flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Return nested settings by their dotted keys; lists stay whole."""
-    for key, value in settings.items():
-        if isinstance(value, dict) and value:
-            yield from flattened(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def _facts(report: StoredReport) -> dict[tuple[str, str], str]:

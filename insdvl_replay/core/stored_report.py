@@ -1,5 +1,6 @@
 """A result as it is read back, of this version or another: with whatever tables, rows and columns it holds."""
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,3 +57,12 @@ class StoredResult:
     def name(self) -> str:
         """Name of the log."""
         return self.report.log.name
+
+
+def flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Return nested settings by their dotted keys; lists stay whole."""
+    for key, value in settings.items():
+        if isinstance(value, dict) and value:
+            yield from flattened(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", list(value) if isinstance(value, tuple) else value

@@ -42,7 +42,7 @@ class Column:
     head : str
         Under which people see it; ``{filter}`` and ``{baseline}`` stand for names. Empty where they do not.
     form : str
-        How it is written, a key of `report.tables.FORMS`.
+        How it is written, a key of `report.document.FORMS`.
     """
 
     comment: str = ""

@@ -8,8 +8,7 @@ filters drift while the velocities are withheld from them, which needs no refere
 segments, velocities along and across the track) from drawn starts, whose runs `drawn_errors` gathers; coasting; and
 `measured_convergence`. `paired_statistics` compares two filters' losses over one dive, and ratios over several, with
 intervals and a word; `pooled_evidence` does so for all pieces. `verdicts` puts the evidence in words, `sound_filters`
-says of which filters nothing is to be said. `coverage` says what the reference does not see, `row_changes` what a
-stored table's cells became.
+says of which filters nothing is to be said. `coverage` says what the reference does not see.
 
 Pure functions. Their definitions are those of equations/tables.md; the columns are part of the tool's contract.
 """

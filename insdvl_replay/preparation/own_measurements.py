@@ -163,7 +163,7 @@ def given_dive(dive: Dive, config: Config, outages: Sequence[Outage] = (), end_n
             keep &= (time_ns <= before_ns) | (time_ns > last_ns)
         return np.asarray(keep)
 
-    reference = None if held_out or dive.reference is None else dive.reference
+    reference = None if held_out else dive.reference
     return replace(
         dive,
         imu=dive.imu.within(int(dive.imu.time_ns[0]), end_ns),

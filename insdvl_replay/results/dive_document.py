@@ -10,6 +10,7 @@ import msgspec
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.quantities import label
+from insdvl_replay.core.stored_report import flattened
 from insdvl_replay.core.tables import Candidate
 from insdvl_replay.core.words import Belief, Judgement
 from insdvl_replay.report.document import (
@@ -125,17 +126,9 @@ def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure],
 
 def changed_settings(config: Mapping[str, Any]) -> str:
     """Write the settings that are not the defaults, a line each."""
-    usual = dict(_flattened(msgspec.to_builtins(Config())))
-    lines = [f"{key} = {json.dumps(value)}" for key, value in _flattened(config) if usual.get(key, ...) != value]
+    usual = dict(flattened(msgspec.to_builtins(Config())))
+    lines = [f"{key} = {json.dumps(value)}" for key, value in flattened(config) if usual.get(key, ...) != value]
     return "\n".join(["# what differs from the defaults", *lines] if lines else ["# the defaults"])
-
-
-def _flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in settings.items():
-        if isinstance(value, dict) and value:
-            yield from _flattened(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", list(value) if isinstance(value, tuple) else value
 
 
 def heading(report: Report) -> str:

@@ -28,7 +28,15 @@ from insdvl_replay.calibration.certainty import certainty_of, mean_change, newey
 from insdvl_replay.calibration.considered import BEAM_ERRORS, beside_imu_errors
 from insdvl_replay.calibration.dives import AXES, held_out_row, likeliest_mounting, possible_axes, read_dive
 from insdvl_replay.calibration.fit import Fit, Linearised, Unknowns, fit
-from insdvl_replay.calibration.noise import UNSURE, FittedNoise, judged_noise, noise_of, relative_sds
+from insdvl_replay.calibration.noise import (
+    AT_MOST,
+    UNSURE,
+    FittedNoise,
+    judged_noise,
+    nis_per_dof,
+    noise_of,
+    relative_sds,
+)
 from insdvl_replay.calibration.output import calibration_toml
 from insdvl_replay.calibration.parameters import ALL_GROUPS, ARM, DELAY, MOUNTING, NAMES, PARAMETERS
 from insdvl_replay.cli import run_command_line
@@ -145,6 +153,18 @@ def test_slow_errors_that_explain_innovations_leave_noise_undetermined() -> None
     told = {row.parameter: (row.status, row.after) for row in rows}
     assert told["accel_white_mps_rts"] == (Estimated.NOT_DETERMINED, before["accel_white_mps_rts"])
     assert told["beam_sd_mps"][0] == Estimated.ESTIMATED
+
+
+def test_beside_a_noise_that_no_gyro_has_the_others_are_limits_by_which_the_filter_is_consistent() -> None:
+    dive = as_read(add_errors(exact_dive("static", duration_s=60.0), GRADES["fog"], WHITE, 1), QUIET).innovations()
+    before, none = noise_of(dive.filter), np.zeros(len(NAMES))
+    fitted = {key: 0.01 if key == "gyro_white_rad_rts" else 3.0 * value for key, value in before.items()}
+    kept, rows = judged_noise(FittedNoise(before, fitted), [dive], [none], 0.0, QUIET)
+    told = {row.parameter: (row.status, row.why) for row in rows}
+    assert told["gyro_white_rad_rts"][0] == Estimated.DOUBTFUL
+    assert told["accel_white_mps_rts"] == told["beam_sd_mps"] == (Estimated.NOT_DETERMINED, AT_MOST)
+    assert kept.after["gyro_white_rad_rts"] == before["gyro_white_rad_rts"]
+    assert nis_per_dof(kept.applied(dive), none) == pytest.approx(1.0, abs=0.1)
 
 
 def test_noise_that_no_sensor_has_is_not_written() -> None:
