@@ -21,9 +21,8 @@ from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTI
 from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import CredibilityRow
 from insdvl_replay.evaluation.chi_square import mean_interval
-from insdvl_replay.evaluation.credibility import credibility_table
-from insdvl_replay.evaluation.effective_samples import samples_in_mean_square
-from insdvl_replay.evaluation.state_errors import StateErrors, about_vehicle, state_errors, whitened
+from insdvl_replay.evaluation.credibility import StateErrors, about_vehicle, credibility_table, state_errors, whitened
+from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_filters
 from insdvl_replay.sim.dive import add_errors, exact_dive

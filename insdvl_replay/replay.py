@@ -14,19 +14,19 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import begin, return_freed_memory
 from insdvl_replay.core.tables import Candidate, Tables
-from insdvl_replay.evaluation.consistency import update_notes
-from insdvl_replay.evaluation.curves import Curves, curves_of
-from insdvl_replay.evaluation.hints import constants_notes, settings_hints
-from insdvl_replay.evaluation.judging import (
+from insdvl_replay.evaluation.consistency import constants_notes, settings_hints, update_notes
+from insdvl_replay.evaluation.drift import jump_table
+from insdvl_replay.evaluation.errors import ReferenceErrors
+from insdvl_replay.evaluation.evaluate import (
+    Curves,
+    curves_of,
     judged_candidates,
     judged_times,
     reference_notes,
     tables_of_filters,
     with_solutions,
 )
-from insdvl_replay.evaluation.jumps import jump_table
-from insdvl_replay.evaluation.losses import ReferenceNoise
-from insdvl_replay.evaluation.reference import ReferenceErrors
+from insdvl_replay.evaluation.evidence import ReferenceNoise
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.preparation.long_gaps import outage_notes
 from insdvl_replay.preparation.prepared import with_reference_at_imu

@@ -14,8 +14,8 @@ from msgspec import Struct
 from insdvl_replay.core.dive_columns import seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import STATES
-from insdvl_replay.evaluation.believed import mean_over_nine
 from insdvl_replay.evaluation.ensemble import Ensemble
+from insdvl_replay.evaluation.predicted import mean_over_nine
 from insdvl_replay.replay import Replay
 from insdvl_replay.studies.study_report import StudyReport
 

@@ -22,7 +22,7 @@ from insdvl_replay.core.tables import (
     Tables,
     TrackFitRow,
 )
-from insdvl_replay.evaluation.believed import mean_over_nine
+from insdvl_replay.evaluation.predicted import mean_over_nine
 from insdvl_replay.results.json_report import Report, build_report
 
 NAN = float("nan")

@@ -17,9 +17,14 @@ from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.runtime import begin
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.consistency import log_likelihood
-from insdvl_replay.evaluation.hints import NOISE_FAR_OFF
-from insdvl_replay.evaluation.sensor_classes import CLASSES, beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.evaluation.consistency import (
+    CLASSES,
+    NOISE_FAR_OFF,
+    beyond_the_sensor,
+    log_likelihood,
+    readings_scatter,
+    sensor_class,
+)
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive

@@ -18,8 +18,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ReferenceColumns
 from insdvl_replay.core.runtime import steps
 from insdvl_replay.core.states import DEG
-from insdvl_replay.evaluation.coasting import coasting_table
-from insdvl_replay.evaluation.paired_statistics import windows_ratio
+from insdvl_replay.evaluation.outage_test import outage_test_table
 from insdvl_replay.geometry.beams import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
@@ -210,6 +209,6 @@ def _coasted(read: ReadDive, change: Floats) -> tuple[int, float | None]:
     plan, timeline = coasting_plan(moved), prepared_timeline(read.dive, moved)
     histories = run_filters(moved, timeline, cov_ns=plan.start_ns)
     coasts = coasting_of(read.dive, config, moved, timeline, histories, plan)
-    rows = coasting_table(read.dive.name, coasts, windows_ratio)
+    rows = outage_test_table(read.dive.name, coasts)
     found = next((row for row in rows if row.window_s == COASTED_S), None)
     return (0, None) if found is None else (found.windows, found.drift_median_m)

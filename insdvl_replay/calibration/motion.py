@@ -19,7 +19,7 @@ from insdvl_replay.calibration.fit import OWN, Fit, Linearised, Mask
 from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
 from insdvl_replay.calibration.parameters import NAMES
 from insdvl_replay.core.dive_columns import Floats, ImuColumns
-from insdvl_replay.evaluation.sensor_classes import readings_scatter
+from insdvl_replay.evaluation.consistency import readings_scatter
 
 MOTION_S: Final = 0.5
 """Most of what moves a vehicle is slower than this; white noise mostly faster."""

@@ -22,7 +22,7 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import Innovations
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.evaluation.sensor_classes import CLASSES, beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.evaluation.consistency import CLASSES, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import DvlNoise, ResolvedFilter
 
 INERTIAL: Final = ("accel_white_mps_rts", "gyro_white_rad_rts")

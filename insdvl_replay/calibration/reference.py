@@ -39,8 +39,8 @@ from insdvl_replay.calibration.with_reference import MOTION, ReferenceDive, refe
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.evaluation.reference import reference_errors
-from insdvl_replay.evaluation.track_fit import TrackFit, filter_track_fit
+from insdvl_replay.evaluation.drift import TrackFit, filter_track_fit
+from insdvl_replay.evaluation.errors import reference_errors
 from insdvl_replay.preparation.start_heading import fitted_start
 
 OF_DVL: Final = (HEADING, SCALE)

@@ -16,7 +16,7 @@ from insdvl_replay.calibration.reference_parameters import CLOCK, LATEST_CLOCK_S
 from insdvl_replay.calibration.with_reference import LEVEL, LOST_HEADING_SD, OWN, ReferenceDive
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.runtime import steps
-from insdvl_replay.evaluation.effective_samples import samples_in_mean
+from insdvl_replay.evaluation.series import samples_in_mean
 
 ROUNDS: Final = 5
 FINEST_CLOCK_S: Final = 2e-4

@@ -11,11 +11,11 @@ from typing import Final, NamedTuple
 from msgspec import Struct
 
 from insdvl_replay.core.errors import ResultError
+from insdvl_replay.core.quantities import HONESTY
 from insdvl_replay.core.stored_report import Cell, Row, StoredReport, StoredResult
 from insdvl_replay.core.table import PERCENTAGE, Better, Number, TableLayout
 from insdvl_replay.core.tables import CANDIDATES
 from insdvl_replay.core.words import ChangeWord
-from insdvl_replay.evaluation.honesty import HONESTY
 
 PRINTED_DIGITS: Final = 4
 PRINTED_PERCENT_UNIT: Final = 0.1

@@ -118,6 +118,8 @@ CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_
 _CONVERGENCE: Final = tuple(f"convergence_{name}" for name in CONVERGED)
 WITHHELD_QUANTITIES: Final = tuple(f"{WITHHELD}{name}" for name in SENSORS)
 """Differences from sensors that are withheld."""
+HONESTY: Final = "honesty"
+"""Evidence whether innovations and errors are as large as a filter says; it has no vote."""
 TRACK: Final = {
     "position": ("m", "position_h", "rmse"),
     "position_end": ("m", "position_h", "final"),

@@ -5,9 +5,9 @@ prediction and measurement share these. It measures levels, accelerometer biases
 arm, time stamps and noise.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import CoastingRow
 from insdvl_replay.evaluation.chi_square import chi_square_quantile
 from insdvl_replay.evaluation.coasting_windows import SHOWN_S, CoastingPlan, Windows
+from insdvl_replay.evaluation.paired_statistics import windows_ratio
 from insdvl_replay.evaluation.reference import SHORTEST_M
 
 NAN: Final = float("nan")
@@ -24,26 +25,6 @@ ALARM: Final = 2.0
 """A smaller mean NIS per degree of freedom is no alarm: sigma is too small by less than 30 %."""
 SURELY: Final = 0.999
 """So rarely is there an alarm by chance, of each filter and length."""
-
-
-class Ratio(Protocol):
-    """A ratio with its interval."""
-
-    @property
-    def ratio(self) -> float:
-        """Candidate over baseline."""
-
-    @property
-    def low(self) -> float:
-        """Lower end of the 95 % interval."""
-
-    @property
-    def high(self) -> float:
-        """Upper end."""
-
-
-RatioOfWindows = Callable[[Floats, Floats], Ratio]
-"""From the baseline's and a candidate's drifts in the same windows."""
 
 
 @dataclass(frozen=True)
@@ -104,13 +85,13 @@ class WindowEnds(NamedTuple):
     nis: Floats  # of the last withheld ping
 
 
-def coasting_table(log: str, coasts: Coasts, ratio_of_windows: RatioOfWindows) -> list[CoastingRow]:
+def coasting_table(log: str, coasts: Coasts) -> list[CoastingRow]:
     """State how far each filter drifts in windows of each length that the dive has room for."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return [row for windows in coasts.plan.judged for row in _rows(log, coasts, windows, ratio_of_windows)]
+        return [row for windows in coasts.plan.judged for row in _rows(log, coasts, windows)]
 
 
-def _rows(log: str, coasts: Coasts, windows: Windows, ratio_of_windows: RatioOfWindows) -> Iterator[CoastingRow]:
+def _rows(log: str, coasts: Coasts, windows: Windows) -> Iterator[CoastingRow]:
     distance_m = coasts.distance_m[windows.last] - coasts.distance_m[windows.first]
     of_filters = [window_ends(coasts, name, windows) for name in coasts.runs]
     for i, (name, ends) in enumerate(zip(coasts.runs, of_filters, strict=True)):
@@ -121,7 +102,7 @@ def _rows(log: str, coasts: Coasts, windows: Windows, ratio_of_windows: RatioOfW
             len(windows.first),
             windows.left_out,
             *_drifts(ends, distance_m),
-            *(_against(of_filters[0], ends, ratio_of_windows) if i else (NAN, NAN, NAN, NAN)),
+            *(_against(of_filters[0], ends) if i else (NAN, NAN, NAN, NAN)),
             _mean(ends.nis) / 3.0,
         )
 
@@ -148,14 +129,12 @@ def _drifts(ends: WindowEnds, distance_m: Floats) -> tuple[float, float, float, 
     )
 
 
-def _against(
-    baseline: WindowEnds, candidate: WindowEnds, ratio_of_windows: RatioOfWindows
-) -> tuple[float, float, float, float]:
+def _against(baseline: WindowEnds, candidate: WindowEnds) -> tuple[float, float, float, float]:
     """Return ratio, its interval and the per cent of windows won; NaN where fewer than two windows can be compared."""
     before, after = baseline.drift_m, candidate.drift_m
     if len(before) < 2 or not np.isfinite([before, after]).all():
         return NAN, NAN, NAN, NAN
-    interval = ratio_of_windows(before, after)
+    interval = windows_ratio(before, after)
     won_pct = 50.0 * float(np.mean(after < before) + np.mean(after <= before))
     return interval.ratio, interval.low, interval.high, won_pct
 

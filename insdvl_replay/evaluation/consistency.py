@@ -6,6 +6,7 @@ Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Trackin
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -15,10 +16,11 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.quantities import WITHHELD, axis_of, is_reserved
+from insdvl_replay.core.quantities import AXES, WITHHELD, axis_of, is_reserved
 from insdvl_replay.core.sensors import SENSORS
-from insdvl_replay.core.states import MORE_STATES
-from insdvl_replay.core.tables import ConsistencyRow
+from insdvl_replay.core.states import DEG, MORE_STATES, PHI
+from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import ConsistencyRow, Tables
 from insdvl_replay.core.words import Consistency, Reason, Severity, Whiteness
 from insdvl_replay.evaluation.chi_square import chi_square_quantile, consistency_word, mean_interval, reason
 from insdvl_replay.evaluation.effective_samples import samples_in_mean_square
@@ -333,3 +335,232 @@ def whiteness(value: float, limit: float) -> Whiteness:
     if not np.isfinite(value):
         return Whiteness.NOT_FINITE
     return Whiteness.CORRELATED if abs(value) > max(limit, SMALL_AUTOCORRELATION) else Whiteness.WHITE
+
+
+APART: Final = 5.0
+"""Times by which the NIS of one axis is above another's: what a DVL is built in otherwise does not reach all alike."""
+TOO_LARGE: Final = 1.5
+"""NIS over degrees of freedom from which an axis is compared with down, too: beams 30 deg off the vertical measure with
+six times less variance down, of which a filter that takes all axes for alike knows nothing."""
+TELLING_PCT, TELLING_DEG = 0.5, 0.5
+CERTAIN_SDS: Final = 5.0
+"""Standard errors by which a track has to be off; those of a turn hold what the filter knows of its heading, too."""
+LEAST, MOST = 0.2, 5.0
+"""Mean NIS over degrees of freedom outside which noise is set far off."""
+NOISE_FAR_OFF: Final = "noise_far_off"
+_CALIBRATE: Final = (
+    "`insdvl-replay calibrate` with the same settings estimates arm, mounting, delay and scale of the DVL"
+)
+_CONTROL: Final = "`insdvl-replay run --control` adds a baseline whose noise is fitted to the dive"
+
+
+def settings_hints(tables: Tables, history: History) -> tuple[Note, ...]:
+    """Point at what the baseline's innovations and track say on how the DVL is built in, and on the noise.
+
+    Parameters
+    ----------
+    history : History
+        Of the baseline.
+
+    Returns
+    -------
+    tuple of Note
+        For information; empty where nothing is far off, or there is nothing to tell it by.
+    """
+    heading_sd_deg = float(np.max(history.sd[[0, -1], PHI.stop - 1])) / DEG
+    name = history.filter
+    return (*_axes_apart(tables, name), *_track_off(tables, name, heading_sd_deg), *_noise_far_off(tables, name))
+
+
+def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
+    """Note what filters take the constants of the sensors to be at the end: scale and yaw of the DVL, the gauge's zero.
+
+    Of adaptive noise, too, by how much it is larger than said.
+
+    Returns
+    -------
+    tuple of Note
+        For information, one for each filter that estimates any.
+    """
+    return tuple(
+        Note("constants_estimated", f"{history.filter} estimates: {'; '.join(found)}", len(found))
+        for history in histories
+        if (found := [*_constants(history), *_noise_found(history)])
+    )
+
+
+def _constants(history: History) -> Iterator[str]:
+    count = history.constants.shape[1]
+    for column, state in enumerate(history.states[len(history.states) - count :]):
+        value, start = (history.constants[row, column] / state.factor for row in (-1, 0))
+        sd, start_sd = (history.sd[row, state.index] / state.factor for row in (-1, 0))
+        yield (
+            f"{state.label} {value:+.3g} {state.unit} (sd {sd:.2g} {state.unit}; "
+            f"at the start {start:+.3g}, sd {start_sd:.2g})"
+        )
+
+
+def _noise_found(history: History) -> Iterator[str]:
+    for innovations in history.innovations:
+        if innovations.noise_factor != 1.0:
+            yield f"noise of {innovations.measurement} {math.sqrt(innovations.noise_factor):.3g} times what it is told"
+
+
+def _nis_per_dof(tables: Tables, baseline: str) -> dict[str, float]:
+    return {row.measurement: finite(row.mean_nis) / row.dof for row in tables.consistency if row.filter == baseline}
+
+
+def _axes_apart(tables: Tables, baseline: str) -> Iterator[Note]:
+    known = _nis_per_dof(tables, baseline)
+    sizes = {axis: known[name] for axis in AXES if (name := axis_of("velocity", axis)) in known}
+    high = max(sizes, key=sizes.__getitem__, default="")
+    compared = {axis: size for axis, size in sizes.items() if axis != AXES[-1] or sizes[high] > TOO_LARGE}
+    low = min(compared, key=compared.__getitem__, default="")
+    if low and sizes[low] > 0.0 and sizes[high] > APART * sizes[low]:
+        listed = ", ".join(f"{axis} {size:.2g}" for axis, size in sizes.items())
+        text = (
+            f"the innovations of {baseline} are not alike along the axes: mean NIS / dof {listed}, along {high} "
+            f"{sizes[high] / sizes[low]:.3g} times that along {low}; arm, mounting or delay of the DVL may be off"
+        )
+        yield Note("innovations_apart", text, 1, hint=_CALIBRATE)
+
+
+def _track_off(tables: Tables, baseline: str, heading_sd_deg: float) -> Iterator[Note]:
+    telling = {"scale": (TELLING_PCT, 0.0), "turn": (TELLING_DEG, heading_sd_deg)}
+    off = []
+    for row in tables.track_fit:
+        size, (least, known_sd) = abs(finite(row.fitted)), telling[row.quantity]
+        sd = math.hypot(finite(row.fitted_sd), known_sd)
+        if row.filter == baseline and size > least and size > CERTAIN_SDS * sd:
+            off.append(f"a {row.quantity} of {finite(row.fitted):+.2f} {row.unit} (sd {sd:.2g} {row.unit})")
+    if off:
+        text = (
+            f"{' and '.join(off)} would lay the track of {baseline} on the reference's: dvl.scale, "
+            "dvl.mounting_rpy_deg or initial.heading_deg may be off"
+        )
+        yield Note("track_off", text, len(off), hint=_CALIBRATE)
+
+
+def is_noise_far_off(tables: Tables, baseline: str) -> bool:
+    """Return whether the size of the innovations tells that the noise is set far off.
+
+    Small ones that repeat themselves do not: they are an error that stays, which less noise would make worse.
+    """
+    row = next((row for row in tables.consistency if (row.filter, row.measurement) == (baseline, "velocity")), None)
+    if row is None or row.mean_nis is None:
+        return False
+    size = row.mean_nis / row.dof
+    return size > MOST or (size < LEAST and not repeats(finite(row.autocorrelation), finite(row.autocorrelation_limit)))
+
+
+def _noise_far_off(tables: Tables, baseline: str) -> Iterator[Note]:
+    if is_noise_far_off(tables, baseline):
+        size = _nis_per_dof(tables, baseline)["velocity"]
+        text = (
+            f"the innovations of {baseline} are far {'smaller' if size < LEAST else 'larger'} than it says: mean NIS / "
+            f"dof of velocity is {size:.2g}, 1 is expected"
+        )
+        yield Note(NOISE_FAR_OFF, text, 1, hint=_CONTROL)
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """The classes that one kind of sensor comes in.
+
+    Attributes
+    ----------
+    worst : mapping of str to float
+        The worst white noise of each class, in SI units, best class first.
+    least : float
+        Less than the best sensors have.
+    """
+
+    name: str
+    worst: Mapping[str, float]
+    least: float
+
+
+CLASSES: Final[Mapping[str, Sensors]] = MappingProxyType(
+    {
+        # Servo accelerometers have 1 to 10 ug/sqrt(Hz), good micromechanical ones 100; cheap ones reach 1000.
+        "accel_white_mps_rts": Sensors("accelerometers", {"fog": 5e-4, "tactical": 1.8e-3, "mems": 1e-2}, 1e-5),
+        # Navigators have 0.003 deg/sqrt(h) or less, tactical gyros 0.15; the cheapest reach 0.05 deg/s/sqrt(Hz).
+        "gyro_white_rad_rts": Sensors("gyros", {"fog": 1e-5, "tactical": 6e-5, "mems": 1e-3}, 1e-8),
+        # From 3 mm/s of a ping at 1 MHz to 3 cm/s at 150 kHz, which reaches furthest.
+        "velocity_sd_mps": Sensors("DVLs", {"DVL": 0.1}, 3e-4),
+        "beam_sd_mps": Sensors("DVLs", {"DVL": 0.1}, 3e-4),
+    }
+)
+"""By the key of the settings; names of classes as of the presets."""
+FILTERED: Final = 10.0
+"""An IMU that smooths its readings shows less of its noise from sample to sample than it has over a second: by up to
+this factor."""
+RESTLESS: Final = 2.0
+"""Vibration that comes and goes scatters the readings by as much more than in the usual block."""
+BLOCK: Final = 50
+"""Samples of a block; turns and single wrong readings spoil few of them."""
+
+
+def readings_scatter(readings: Floats, step_s: float) -> float:
+    """Bound the white noise of a sensor by how its readings scatter from sample to sample.
+
+    What is left of three readings after a straight line through them is noise, vibration, and what the vehicle does
+    within two steps: at least the sensor's noise, unless it smooths its readings.
+
+    Parameters
+    ----------
+    readings : ndarray, shape (k, 3)
+    step_s : float
+        From one to the next.
+
+    Returns
+    -------
+    float
+        White noise density, in the readings' unit times sqrt(s): the largest of the three axes, each the median over
+        blocks. NaN of fewer than three readings.
+    """
+    bends = np.diff(readings, n=2, axis=0) / np.sqrt(6.0)  # of white noise: 1, -2 and 1 times it, squared and added
+    if not len(bends):
+        return np.nan
+    length = min(BLOCK, len(bends))
+    blocks = bends[: len(bends) // length * length].reshape(-1, length, 3)
+    power = np.median(np.mean(blocks**2, axis=1), axis=0)
+    return float(np.sqrt(power.max() * step_s))
+
+
+def sensor_class(key: str, noise: float) -> str:
+    """Name the best class of sensors that may be so noisy; empty where none is.
+
+    Parameters
+    ----------
+    key : str
+        Of `CLASSES`.
+    """
+    return next((name for name, worst in CLASSES[key].worst.items() if noise <= worst), "")
+
+
+def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
+    """State why a white noise cannot be its sensor's.
+
+    Parameters
+    ----------
+    key : str
+        Of `CLASSES`.
+    scatter : float
+        From `readings_scatter`; 0 where the readings show nothing of the noise alone, as those of a DVL.
+
+    Returns
+    -------
+    str
+        Empty where it may be.
+    """
+    sensors = CLASSES[key]
+    best, worst = min(sensors.worst.values()), max(sensors.worst.values())
+    reasons = []
+    if scatter and noise > best and noise > FILTERED * scatter:
+        reasons.append(f"{noise / scatter:.0f} times what the readings scatter by ({scatter:.2g})")
+    if noise > worst and noise > RESTLESS * scatter:
+        reasons.append(f"more than any {sensors.name} have ({worst:g})")
+    if noise < sensors.least:
+        reasons.append(f"less than any {sensors.name} have ({sensors.least:g})")
+    return " and ".join(reasons)

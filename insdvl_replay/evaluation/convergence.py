@@ -11,7 +11,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.tables import ConvergenceRow
 from insdvl_replay.core.words import ConvergenceStatus
 from insdvl_replay.evaluation.believed import believed_states, improvement_pct, last_row
-from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
+from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence, measured_convergences
 
 NOT_MEASURED: Final[Mapping[str, Mapping[str, MeasuredConvergence]]] = MappingProxyType({})
 
@@ -86,3 +86,6 @@ def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float
     drop = sd[last] - sd[last + 1]
     fraction = (sd[last] - target) / drop if np.isfinite(drop) else 1.0
     return float(time_s[last] + fraction * (time_s[last + 1] - time_s[last])), ConvergenceStatus.REACHED
+
+
+__all__ = ["NOT_MEASURED", "convergence_table", "measured_convergences", "nearest_approach_s", "time_to_stay_below"]

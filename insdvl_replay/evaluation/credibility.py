@@ -28,7 +28,14 @@ from insdvl_replay.core.words import Consistency, Reason
 from insdvl_replay.evaluation.chi_square import CONFIDENCE, chi_square_quantile, consistency_word, mean_interval, reason
 from insdvl_replay.evaluation.consistency import FEWEST_UPDATES
 from insdvl_replay.evaluation.effective_samples import samples_in_mean_square
-from insdvl_replay.evaluation.state_errors import StateErrors, about_vehicle, shared_variance, whitened
+from insdvl_replay.evaluation.state_errors import (
+    StateErrors,
+    about_vehicle,
+    nees,
+    shared_variance,
+    state_errors,
+    whitened,
+)
 
 FAR_SMALLER: Final = 0.25
 """Share of the expected NEES, half of the believed size, below which errors count as small. A filter starts at the
@@ -204,3 +211,16 @@ def probability_of(far_off: float, independent: float) -> float:
 def _ellipsoid(sigmas: float, dof: int) -> float:
     """Return the NEES that is exceeded as rarely as a normal variable exceeds so many standard deviations."""
     return chi_square_quantile(float(chdtr(1, sigmas**2)), dof)
+
+
+__all__ = [
+    "FAR_SMALLER",
+    "MANY_FAR_OFF",
+    "StateErrors",
+    "about_vehicle",
+    "credibility_table",
+    "nees",
+    "probability_of",
+    "state_errors",
+    "whitened",
+]

@@ -13,7 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.evaluation.heading_fit import HeadingFit, heading_fit
+from insdvl_replay.evaluation.jumps import jump_table
 from insdvl_replay.evaluation.reference import ReferenceErrors
+from insdvl_replay.evaluation.track_fit import UNKNOWN, TrackFit, filter_track_fit
 from insdvl_replay.evaluation.travelled import thinned
 
 SEGMENT_S: Final = 60.0
@@ -105,3 +108,27 @@ def _segments(time_ns: TimeNs, travelled: Floats, length: float) -> Segments:
     inside = np.searchsorted(first, last) - np.arange(len(first))
     steps = max(1, int(np.ceil(np.median(inside)))) if len(first) else 1
     return Segments(time_ns[first], time_ns[last], first, last, steps)
+
+
+__all__ = [
+    "ABOUT",
+    "ROUNDING",
+    "SEGMENT_M",
+    "SEGMENT_S",
+    "SLOWEST_MPS",
+    "STEP_S",
+    "UNKNOWN",
+    "CourseErrors",
+    "Drift",
+    "HeadingFit",
+    "Indices",
+    "Segments",
+    "TrackFit",
+    "course_errors",
+    "distance_segments",
+    "filter_track_fit",
+    "heading_fit",
+    "jump_table",
+    "segment_drift",
+    "time_segments",
+]

@@ -19,7 +19,7 @@ from insdvl_replay.core.quantities import CONVERGED, TRACK
 from insdvl_replay.core.tables import ConsistencyRow, CredibilityRow, EvidenceRow
 from insdvl_replay.core.words import EvidenceWord
 from insdvl_replay.evaluation.honesty import honesty_rows
-from insdvl_replay.evaluation.losses import Losses
+from insdvl_replay.evaluation.losses import Losses, ReferenceNoise
 from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
 from insdvl_replay.evaluation.paired_statistics import (
     FEWEST_EFFECTIVE,
@@ -214,3 +214,15 @@ def _ends(interval: RatioInterval) -> tuple[float, float, float, float]:
 def _rms(squared: Floats) -> float:
     known = squared[np.isfinite(squared)]
     return math.sqrt(float(known.mean())) if known.size else math.nan
+
+
+__all__ = [
+    "NOISE_OF_REFERENCE",
+    "NOISY",
+    "SOONER",
+    "Measured",
+    "ReferenceNoise",
+    "evidence_table",
+    "nothing_better",
+    "without_words",
+]

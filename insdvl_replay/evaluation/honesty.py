@@ -4,12 +4,11 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
-from insdvl_replay.core.quantities import ALL_CREDIBILITY_GROUPS, VERDICTS_BEST_FIRST, is_used
+from insdvl_replay.core.quantities import ALL_CREDIBILITY_GROUPS, HONESTY, VERDICTS_BEST_FIRST, is_used
 from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import ConsistencyRow, CredibilityRow, EvidenceRow
 from insdvl_replay.core.words import Consistency, EvidenceWord
 
-HONESTY: Final = "honesty"
 NOTABLY: Final = 1.1
 """A mean NIS or NEES nearer to its degrees of freedom by less is as honest."""
 

@@ -25,7 +25,6 @@ from insdvl_replay.evaluation.drift_table import drift_table, track_fit_table
 from insdvl_replay.evaluation.evidence import Measured, evidence_table, nothing_better, without_words
 from insdvl_replay.evaluation.losses import Losses, ReferenceNoise, losses_beside, losses_of, without_heading
 from insdvl_replay.evaluation.measured_convergence import measured_convergences
-from insdvl_replay.evaluation.paired_statistics import windows_ratio
 from insdvl_replay.evaluation.reference import ReferenceErrors, reference_error_table, reference_errors
 from insdvl_replay.evaluation.sound_filters import not_to_be_judged, surprised
 from insdvl_replay.evaluation.state_errors import state_errors
@@ -111,7 +110,7 @@ def tables_of_filters(
         consistency,
         credibility,
         evidence_table(dive.name, names[0], names[1:], measured, consistency, credibility),
-        coasting_table(dive.name, coasts, windows_ratio),
+        coasting_table(dive.name, coasts),
         *_drift(dive, errors, start_ns, bridged_gaps=bridged_gaps),
         jumps,
     )

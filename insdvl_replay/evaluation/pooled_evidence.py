@@ -7,11 +7,10 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.quantities import DECIDING_TOGETHER, EVIDENCE_QUANTITIES
+from insdvl_replay.core.quantities import DECIDING_TOGETHER, EVIDENCE_QUANTITIES, HONESTY
 from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import EvidenceRow, PooledRow
 from insdvl_replay.core.words import EvidenceWord, Judgement
-from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.paired_statistics import (
     RatioInterval,
     dives_ratio,

@@ -14,6 +14,7 @@ import numpy as np
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
     DECIDING,
+    HONESTY,
     VERDICTS_BEST_FIRST,
     is_beam,
     is_used,
@@ -26,7 +27,6 @@ from insdvl_replay.core.tables import Candidate, ConsistencyRow, CredibilityRow,
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.believed import mean_over_nine, nearest_over_nine, unchanged_over_nine
 from insdvl_replay.evaluation.coasting import outage_alarm
-from insdvl_replay.evaluation.honesty import HONESTY
 from insdvl_replay.evaluation.paired_statistics import RatioInterval, what_settles
 
 NOTABLE_PCT: Final = 5.0

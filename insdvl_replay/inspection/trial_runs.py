@@ -20,8 +20,8 @@ from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.sensors import BY_SENSOR
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.sensor_classes import CLASSES, readings_scatter, sensor_class
-from insdvl_replay.evaluation.track_fit import UNKNOWN, TrackFit, filter_track_fit
+from insdvl_replay.evaluation.consistency import CLASSES, readings_scatter, sensor_class
+from insdvl_replay.evaluation.drift import UNKNOWN, TrackFit, filter_track_fit
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.imu_proposal import axes_word
 from insdvl_replay.inspection.proposed_settings import Setting, with_settings

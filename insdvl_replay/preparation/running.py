@@ -16,9 +16,15 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import begin, each, return_freed_memory
-from insdvl_replay.evaluation.coasting import Coast, Coasts, coast_of, distance_along_m
-from insdvl_replay.evaluation.coasting_windows import CoastingPlan, plan_coasting
-from insdvl_replay.evaluation.drawn_errors import DrawnErrors, RunFromStart, drawn_errors, run_from_start
+from insdvl_replay.evaluation.errors import DrawnErrors, RunFromStart, drawn_errors, run_from_start
+from insdvl_replay.evaluation.outage_test import (
+    OutagePlan,
+    OutageRun,
+    OutageRuns,
+    distance_along_m,
+    outage_run,
+    plan_outages,
+)
 from insdvl_replay.nav.beam_parity import parity_innovations
 from insdvl_replay.nav.coasting import coast
 from insdvl_replay.nav.drawn_starts import drawn_starts
@@ -96,9 +102,9 @@ def prepared_timeline(dive: Dive, prepared: Prepared) -> Timeline:
     )
 
 
-def coasting_plan(prepared: Prepared) -> CoastingPlan:
+def coasting_plan(prepared: Prepared) -> OutagePlan:
     """Lay the windows without velocities into a dive; `run_filters` has to keep all of P at its ``start_ns``."""
-    return plan_coasting(
+    return plan_outages(
         prepared.velocities.time_ns, prepared.gaps.overlap, prepared.alignment.start_ns, prepared.end_ns
     )
 
@@ -109,8 +115,8 @@ def coasting_of(
     prepared: Prepared,
     timeline: Timeline,
     histories: tuple[History, ...],
-    plan: CoastingPlan,
-) -> Coasts:
+    plan: OutagePlan,
+) -> OutageRuns:
     """Let every filter coast through the windows of a plan, from its history, which holds P at their starts.
 
     User code is given the dive without the pings of each window.
@@ -124,14 +130,16 @@ def coasting_of(
     coasts = partial(_coasts_of_one, prepared=prepared, groups=groups, plan=plan)
     runs = _side_by_side(timeline, coasts, prepared.filters, histories)
     distance_m = distance_along_m(prepared.velocities.time_ns, prepared.velocities.velocity_b)
-    return Coasts(plan, distance_m, {history.filter: of_one for history, of_one in zip(histories, runs, strict=True)})
+    return OutageRuns(
+        plan, distance_m, {history.filter: of_one for history, of_one in zip(histories, runs, strict=True)}
+    )
 
 
 def _coasts_of_one(
-    filter_: ResolvedFilter, history: History, *, prepared: Prepared, groups: Sequence[_Group], plan: CoastingPlan
-) -> tuple[Coast, ...]:
+    filter_: ResolvedFilter, history: History, *, prepared: Prepared, groups: Sequence[_Group], plan: OutagePlan
+) -> tuple[OutageRun, ...]:
     by_velocity = replace(filter_, aiding=("velocity",), withheld=())
-    measured, found = (prepared.velocities, prepared.mounting, prepared.gaps), dict[tuple[int, int], Coast]()
+    measured, found = (prepared.velocities, prepared.mounting, prepared.gaps), dict[tuple[int, int], OutageRun]()
     (velocity,) = by_velocity.measurements(*measured)
     for outages, sensors, timeline in groups:
         aiding = filter_.measurements(*measured, sensors, prepared.beams)
@@ -141,7 +149,7 @@ def _coasts_of_one(
             lever_arm_b=prepared.mounting.lever_arm_b, more_states=filter_.states,
             heading_bias_rate_hz=filter_.heading_bias_rate_hz,
         )  # fmt: skip
-        found |= {window: coast_of(run_on(window)) for window in outages}
+        found |= {window: outage_run(run_on(window)) for window in outages}
     return tuple(found[window] for window in plan.windows_ns)
 
 

@@ -16,7 +16,7 @@ from insdvl_replay.core.dive_columns import Dive, ReferenceColumns
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR
-from insdvl_replay.evaluation.heading_fit import HeadingFit, heading_fit
+from insdvl_replay.evaluation.drift import HeadingFit, heading_fit
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_one

@@ -10,8 +10,8 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import DEG
-from insdvl_replay.evaluation.acceleration import acceleration_at, reference_acceleration
 from insdvl_replay.evaluation.chi_square import mean_interval
+from insdvl_replay.evaluation.errors import acceleration_at, reference_acceleration
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat, wrap_angle
 from insdvl_replay.replay import Replay

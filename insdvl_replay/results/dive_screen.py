@@ -7,12 +7,11 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER, WITHHELD_QUANTITIES, is_beam, label
+from insdvl_replay.core.quantities import DECIDING, DECIDING_TOGETHER, HONESTY, WITHHELD_QUANTITIES, is_beam, label
 from insdvl_replay.core.table import Number, finite
 from insdvl_replay.core.tables import Candidate, ConsistencyRow, EvidenceRow
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement
-from insdvl_replay.evaluation.hints import is_noise_far_off
-from insdvl_replay.evaluation.honesty import HONESTY
+from insdvl_replay.evaluation.consistency import is_noise_far_off
 from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
 from insdvl_replay.report.document import (
     MISSING,

@@ -5,7 +5,7 @@ from typing import Final, Protocol, TypeVar
 
 from msgspec.structs import replace
 
-from insdvl_replay.core.quantities import DECIDING, is_whole, label
+from insdvl_replay.core.quantities import DECIDING, HONESTY, is_whole, label
 from insdvl_replay.core.table import Number, finite
 from insdvl_replay.core.tables import (
     Candidate,
@@ -22,8 +22,7 @@ from insdvl_replay.core.tables import (
     TrackFitRow,
 )
 from insdvl_replay.core.words import Judgement, ReferenceStatus
-from insdvl_replay.evaluation.honesty import HONESTY
-from insdvl_replay.evaluation.pooled_evidence import PooledCandidate
+from insdvl_replay.evaluation.over_dives import PooledCandidate
 from insdvl_replay.report.document import (
     MISSING,
     Column,

@@ -7,12 +7,11 @@ from functools import partial
 from typing import Final
 
 from insdvl_replay.core.plain_text import natural_key
-from insdvl_replay.core.quantities import DECIDING_TOGETHER, label
+from insdvl_replay.core.quantities import DECIDING_TOGETHER, HONESTY, label
 from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import EvidenceRow, PooledRow
 from insdvl_replay.core.words import GateStatus, Judgement, Severity
-from insdvl_replay.evaluation.honesty import HONESTY
-from insdvl_replay.evaluation.pooled_evidence import PooledCandidate
+from insdvl_replay.evaluation.over_dives import PooledCandidate
 from insdvl_replay.evaluation.verdicts import spoken_of
 from insdvl_replay.report.document import (
     MISSING,

@@ -8,8 +8,8 @@ import numpy as np
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import CoastingRow, EvidenceRow
-from insdvl_replay.evaluation.coasting_windows import SHOWN_EVERY_S, SHOWN_S
-from insdvl_replay.evaluation.curves import CoastingCurve, ConvergenceCurves
+from insdvl_replay.evaluation.evaluate import ConvergenceCurves, OutageCurve
+from insdvl_replay.evaluation.outage_test import SHOWN_EVERY_S, SHOWN_S
 from insdvl_replay.report.plots.panel import (
     BELIEVED,
     LIMIT,
@@ -34,7 +34,7 @@ _FIRST_S, _FIRST = 1.0, 1e-3
 """Seconds, and share of the time, that are left out: no ping has come, and half of the axis would show them."""
 
 
-def coasting_figure(curves: Mapping[str, CoastingCurve], clock: Clock) -> Iterator[Figure]:
+def coasting_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator[Figure]:
     """Draw the drift without velocities over time, and where in the dive it is large; nothing without windows."""
     if not curves:
         return
@@ -49,7 +49,7 @@ def coasting_figure(curves: Mapping[str, CoastingCurve], clock: Clock) -> Iterat
     )
 
 
-def drift_panel(curves: Mapping[str, CoastingCurve]) -> Panel:
+def drift_panel(curves: Mapping[str, OutageCurve]) -> Panel:
     """Draw the drift without velocities over the time they are withheld: median, and where 95 % stay."""
     lines, bands = [], []
     for number, (name, curve) in enumerate(curves.items()):
@@ -59,7 +59,7 @@ def drift_panel(curves: Mapping[str, CoastingCurve]) -> Panel:
     return Panel("horizontal drift [m]", "time withheld [s]", dashes_on_top(lines), tuple(bands))
 
 
-def _windows_panel(curves: Mapping[str, CoastingCurve], clock: Clock) -> Panel:
+def _windows_panel(curves: Mapping[str, OutageCurve], clock: Clock) -> Panel:
     lines = [
         Curve(clock.time(curve.begin_ns), curve.drift_m, filter_style(number))
         for number, curve in enumerate(curves.values())

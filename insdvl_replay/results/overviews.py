@@ -15,7 +15,7 @@ from msgspec.structs import astuple
 from insdvl_replay.core.quantities import is_whole
 from insdvl_replay.core.tables import PooledRow
 from insdvl_replay.core.words import Judgement, Severity
-from insdvl_replay.evaluation.pooled_evidence import PooledCandidate, pooled_candidate, pooled_sentence
+from insdvl_replay.evaluation.over_dives import PooledCandidate, pooled_candidate, pooled_sentence
 from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.report.document import MISSING, Callout, DisplayTable, LinkedTable, Part, Title, number
 from insdvl_replay.report.page import page

@@ -25,7 +25,7 @@ from insdvl_replay.results.folder import read_file
 if TYPE_CHECKING:
     # Only their types are needed, and whoever reads a trajectory must not wait for the filters.
     from insdvl_replay.core.history import History
-    from insdvl_replay.evaluation.reference import ReferenceErrors
+    from insdvl_replay.evaluation.errors import ReferenceErrors
     from insdvl_replay.replay import Replay
 
 _CURVE: Final = "curve_"

@@ -8,8 +8,9 @@ from typing import Any, Final
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.states import STATES
-from insdvl_replay.evaluation.ensemble import Ensemble, Tally
-from insdvl_replay.evaluation.ensemble_tables import (
+from insdvl_replay.evaluation.ensemble import (
+    Ensemble,
+    Tally,
     ensemble_table,
     montecarlo_table,
     nees_table,

@@ -15,12 +15,7 @@ from insdvl_replay.core.dive_record import dive_name
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.acceleration import (
-    acceleration_at,
-    differentiated_over_s,
-    reference_acceleration,
-    vector_rmse,
-)
+from insdvl_replay.evaluation.errors import acceleration_at, differentiated_over_s, reference_acceleration, vector_rmse
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
 from insdvl_replay.nav.timeline import Gaps

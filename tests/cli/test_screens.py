@@ -25,7 +25,7 @@ from rich.console import Console
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.words import Belief, EvidenceWord, GateStatus, Judgement
-from insdvl_replay.evaluation.pooled_evidence import pooled_candidate, pooled_sentence
+from insdvl_replay.evaluation.over_dives import pooled_candidate, pooled_sentence
 from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.dive_screen import dive_screen
 from insdvl_replay.results.dives_screen import dives_screen

@@ -1,7 +1,5 @@
 """Windows lie where a dive has room for them, and the table says of each filter what it did in them."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -18,24 +16,14 @@ from insdvl_replay.evaluation.coasting import (
     distance_along_m,
     drift_over_time,
     outage_alarm,
+    window_ends,
 )
 from insdvl_replay.evaluation.coasting_windows import CoastingPlan, plan_coasting
 from insdvl_replay.evaluation.curves import coasting_curves
+from insdvl_replay.evaluation.series import windows_ratio
 
 START_NS = 1_704_067_200_000_000_000
 FIRST_PING_S = 0.3717
-
-
-class Interval(NamedTuple):
-    ratio: float
-    low: float
-    high: float
-
-
-def ratio_of_windows(baseline: Floats, candidate: Floats) -> Interval:
-    """Stand in for the ratio with its interval, which has tests of its own."""
-    ratios = np.sort(candidate / baseline)
-    return Interval(float(np.median(ratios)), float(ratios[0]), float(ratios[-1]))
 
 
 def at(*time_s: float) -> TimeNs:
@@ -188,7 +176,7 @@ def coasts_that_drift(**accel_mps2: Floats | float) -> Coasts:
 
 
 def rows_of(coasts: Coasts) -> dict[tuple[str, str], CoastingRow]:
-    rows = coasting_table("dive", coasts, ratio_of_windows)
+    rows = coasting_table("dive", coasts)
     return {(row.filter, row.window_s): row for row in rows}
 
 
@@ -238,8 +226,11 @@ def test_filters_are_paired_by_window() -> None:
     baseline = 1e-3 * np.arange(1.0, runs + 1.0)
     candidate = 0.8 * baseline
     candidate[0] = 2.0 * baseline[0]
-    row = rows_of(coasts_that_drift(baseline=baseline, aided=candidate))["aided", "30"]
-    assert [row.ratio_to_baseline, row.ratio_low, row.ratio_high] == pytest.approx([0.8, 0.8, 2.0])
+    coasts = coasts_that_drift(baseline=baseline, aided=candidate)
+    before, after = (window_ends(coasts, name, coasts.plan.judged[0]).drift_m for name in coasts.runs)
+    assert sorted(after / before) == pytest.approx([0.8] * (len(before) - 1) + [2.0])
+    row, expected = rows_of(coasts)["aided", "30"], windows_ratio(before, after)
+    assert [row.ratio_to_baseline, row.ratio_low, row.ratio_high] == [expected.ratio, expected.low, expected.high]
     assert row.windows_won_pct == pytest.approx(90.0)
 
 

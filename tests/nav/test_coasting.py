@@ -13,7 +13,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
-from insdvl_replay.evaluation.coasting import Coast, coast_of
+from insdvl_replay.evaluation.outage_test import OutageRun, outage_run
 from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.nav.coasting import coast, restart
 from insdvl_replay.nav.dvl import DvlBeams
@@ -51,9 +51,9 @@ class Flight:
         history: History | None = None,
         timeline: Timeline | None = None,
         velocity: Measurement | None = None,
-    ) -> Coast:
-        """Coast with some part of all this in error."""
-        return coast_of(
+    ) -> OutageRun:
+        """OutageRun with some part of all this in error."""
+        return outage_run(
             coast(
                 history or self.history,
                 timeline or self.timeline,
@@ -82,7 +82,7 @@ def flight() -> Flight:
     return Flight()
 
 
-def horizontal_drift_m(coasted: Coast) -> float:
+def horizontal_drift_m(coasted: OutageRun) -> float:
     return float(np.hypot(*coasted.drift_n[-1, :2]))
 
 

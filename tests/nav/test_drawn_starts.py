@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
-from insdvl_replay.evaluation.state_errors import motion_error
+from insdvl_replay.evaluation.errors import motion_error
 from insdvl_replay.nav.correction import correct
 from insdvl_replay.nav.drawn_starts import drawn_starts, erring
 from insdvl_replay.nav.initial_state import Start

@@ -15,7 +15,7 @@ from insdvl_replay.core.config import Config, Dvl, Initial
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
-from insdvl_replay.evaluation.state_errors import nees, state_errors
+from insdvl_replay.evaluation.credibility import nees, state_errors
 from insdvl_replay.geometry.earth import normal_gravity
 from insdvl_replay.geometry.rotation import mat_from_vector, rpy_from_mat, vector_from_mat
 from insdvl_replay.logs import read_dive

@@ -13,7 +13,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.states import DEG_PER_HOUR
-from insdvl_replay.evaluation.heading_fit import heading_fit
+from insdvl_replay.evaluation.drift import heading_fit
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.prepared import with_reference_at_imu
 from insdvl_replay.preparation.start_heading import fitted_start

@@ -12,9 +12,8 @@ from scipy.stats import chi2
 from insdvl_replay.core.config import Acceleration, Config, Filter
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats
-from insdvl_replay.evaluation.drawn_errors import DrawnErrors, squared_errors
-from insdvl_replay.evaluation.measured_convergence import measured_convergences
-from insdvl_replay.evaluation.reference import reference_errors
+from insdvl_replay.evaluation.convergence import measured_convergences
+from insdvl_replay.evaluation.errors import DrawnErrors, reference_errors, squared_errors
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_filters, run_from_drawn_starts

@@ -7,7 +7,7 @@ import pytest
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.evaluation.coasting import window_ends
+from insdvl_replay.evaluation.outage_test import window_ends
 from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.preparation.running import coasting_of, coasting_plan, prepared_timeline, run_filters

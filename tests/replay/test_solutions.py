@@ -18,8 +18,7 @@ from insdvl_replay.core.config_navigation import Reference, Solution
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns, seconds
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.states import DEG
-from insdvl_replay.evaluation.credibility import credibility_table
-from insdvl_replay.evaluation.state_errors import state_errors
+from insdvl_replay.evaluation.credibility import credibility_table, state_errors
 from insdvl_replay.evaluation.verdicts import credibility_of
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.solutions import no_covariances

@@ -26,9 +26,17 @@ from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import each
 from insdvl_replay.core.states import BA, BG, DEG, DV, MG, PHI, STATES
-from insdvl_replay.evaluation.ensemble import Ensemble, RunErrors, Tally, run_errors
-from insdvl_replay.evaluation.ensemble_tables import montecarlo_table, outage_table, verdict_table
-from insdvl_replay.evaluation.state_errors import motion_error, nees
+from insdvl_replay.evaluation.credibility import nees
+from insdvl_replay.evaluation.ensemble import (
+    Ensemble,
+    RunErrors,
+    Tally,
+    montecarlo_table,
+    outage_table,
+    run_errors,
+    verdict_table,
+)
+from insdvl_replay.evaluation.errors import motion_error
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.report.plots.png import figure_png

@@ -11,8 +11,8 @@ from small_results import content, write
 from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.changes.comparison import brief_document, compare_results, opening_lines
 from insdvl_replay.core.dive_record import unique_names
-from insdvl_replay.evaluation.paired_statistics import dives_ratio, what_settles
-from insdvl_replay.evaluation.pooled_evidence import pooled_candidate, pooled_sentence
+from insdvl_replay.evaluation.over_dives import pooled_candidate, pooled_sentence
+from insdvl_replay.evaluation.series import dives_ratio, what_settles
 from insdvl_replay.report.markdown import as_markdown
 from insdvl_replay.results.dive_document import dive_document
 from insdvl_replay.results.dive_screen import dive_screen
