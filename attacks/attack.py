@@ -20,7 +20,7 @@ sys.path[1:1] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 
 from results import machine, table, write_part  # noqa: E402
 
-from insdvl_replay.core.runtime import collect_rarely, use_small_pages  # noqa: E402
+from insdvl_replay.core.runtime import prepare_process  # noqa: E402
 
 MUTANTS, KILLS, SWAPS = 10_000, 120, 60
 TIDY = ("ok", "hidden folder left", "ended by the bare signal")
@@ -183,8 +183,7 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the mutants that show defects")
     parser.add_argument("--write", action="store_true", help="write the tables to benchmarks/RESULTS.md")
     arguments = parser.parse_args()
-    collect_rarely()
-    use_small_pages()
+    prepare_process()
     chosen = list(ATTACKS) if arguments.attack == "all" else [arguments.attack]
     failed = [name for name in chosen if _attacked(name, arguments)]
     sys.exit(int(bool(failed)))

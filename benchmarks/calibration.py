@@ -40,7 +40,7 @@ from insdvl_replay.calibration.parameters import NAMES, PARAMETERS
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats
-from insdvl_replay.core.runtime import each
+from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.table import finite
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.sim import dive as sim_dive
@@ -121,7 +121,9 @@ def errors_over_sds() -> Iterator[Line]:
     for scenario in ("calibration", "figure-eight"):
         for name, beams in (("beams as makers say", DvlErrors()), ("perfect beams", WHITE)):
             found = list(
-                each(lambda seed, args=(scenario, beams): found_of(built_in_otherwise(args[0], seed, args[1])), SEEDS)
+                parallel_map(
+                    lambda seed, args=(scenario, beams): found_of(built_in_otherwise(args[0], seed, args[1])), SEEDS
+                )
             )
             over = np.array([_over_sds(of_one, perfect_beams=beams is WHITE) for of_one in found])
             rms = np.sqrt(np.nanmean(over**2, axis=0))
@@ -156,7 +158,7 @@ def beside_imu_errors() -> Iterator[Line]:
     for name in MOTIONS:
         with patch.object(sim_dive, "SCENARIOS", MOTIONS):
             exact = exact_dive(name, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, YAW_DEG))
-        found = list(each(lambda seed, exact=exact: found_of(with_imu_errors(exact, seed)), SEEDS))
+        found = list(parallel_map(lambda seed, exact=exact: found_of(with_imu_errors(exact, seed)), SEEDS))
         over = np.array([is_proposed(one) * (one.change - TRUTH) / _said(one) for one in found])
         told = []
         for parameter, sizes in zip(NAMES, over.T, strict=True):

@@ -14,9 +14,8 @@ import msgspec
 import numpy as np
 from results import machine, table, write_part
 
-from insdvl_replay.core.config import Config, Filter
+from insdvl_replay.core.config import Config, Filter, Solution
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.config_navigation import Solution
 from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, SolutionColumns
 from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
 from insdvl_replay.logs.columns.solutions import no_covariances

@@ -15,7 +15,7 @@ from results import machine, table, write_part
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.runtime import each
+from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.evaluation.ensemble import RunErrors
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.studies.simulated_run import make_setup, run_seed, simulated_run
@@ -45,7 +45,7 @@ def runs_through(preset: str, length_s: float) -> list[RunErrors]:
         outages=outages,
     )
     setup = replace(make_setup(SCENARIO, config, "matched", 10.0), exact=exact)
-    return [run for (run,) in each(lambda k: simulated_run(setup, run_seed(SEED, k)), range(1, RUNS + 1))]
+    return [run for (run,) in parallel_map(lambda k: simulated_run(setup, run_seed(SEED, k)), range(1, RUNS + 1))]
 
 
 def nees_at(runs: Sequence[RunErrors], times_s: Sequence[float]) -> Floats:

@@ -24,7 +24,7 @@ from results import machine, table, write_part
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
-from insdvl_replay.core.runtime import collect_rarely, use_small_pages
+from insdvl_replay.core.runtime import prepare_process
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container.recording import open_recording
 
@@ -118,7 +118,7 @@ def peak_mb() -> float:
 
 def with_insdvl_replay(path: Path) -> dict[str, float]:
     """Read and decode all of it, check it, and make clean columns, as the program does."""
-    collect_rarely()
+    prepare_process()
     warm = path.with_name("warm.mcap")
     read_dive(warm, Config())
     before_mb, start_s = peak_mb(), time.perf_counter()
@@ -174,7 +174,7 @@ READERS: dict[str, Callable[[Path], dict[str, float]]] = {
 
 def measured(path: Path, reader: str) -> dict[str, float] | None:
     """Run a reader in a process of its own; None if it cannot read the log."""
-    use_small_pages()  # as the program does, before it loads numpy
+    prepare_process()  # as the program does, before it loads numpy
     command = [sys.executable, __file__, "--reader", reader, str(path)]
     result = subprocess.run(command, capture_output=True, text=True)
     return json.loads(result.stdout) if result.returncode == 0 else None

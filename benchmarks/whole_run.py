@@ -177,16 +177,17 @@ def run_by_stages(arguments: list[str]) -> None:
     """Run the program here, and print what each stage took of processor time, and the whole of time and memory."""
     begin_s, spent, current = time.perf_counter(), dict[str, float](), ["start", 0.0]
 
-    def end_stage(following: str) -> None:
+    def end_stage(following: str, _done: int, total: int) -> None:
+        if total:
+            return
         stage, since_s = current
         now_s = time.process_time()
         spent[STAGES.get(stage, stage)] = now_s - since_s
         current[:] = [following, now_s]
 
-    from insdvl_replay.core.runtime import collect_rarely, use_small_pages
+    from insdvl_replay.core.runtime import prepare_process
 
-    collect_rarely()
-    use_small_pages()
+    prepare_process()
     from insdvl_replay.cli import run_command_line
     from insdvl_replay.core.runtime import progress_listener
 

@@ -201,7 +201,7 @@ class Result:
         """All filters once a second: states, standard deviations and errors, with columns filter and time_s."""
         import pandas as pd
 
-        from insdvl_replay.core.trajectory_columns import COLUMNS
+        from insdvl_replay.core.states import COLUMNS
         from insdvl_replay.results.trajectory import read_trajectory, trajectory_of
 
         if self._replay is not None:

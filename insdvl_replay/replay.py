@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from insdvl_replay.checks.sensors import contradiction_of_filter
-from insdvl_replay.core.config import Config
-from insdvl_replay.core.config_navigation import Reference
+from insdvl_replay.core.config import Config, Reference
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
-from insdvl_replay.core.runtime import begin, return_freed_memory
+from insdvl_replay.core.runtime import report_stage, return_freed_memory
 from insdvl_replay.core.tables import Candidate, Tables
 from insdvl_replay.evaluation.consistency import constants_notes, settings_hints, update_notes
 from insdvl_replay.evaluation.drift import jump_table
@@ -145,7 +144,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     drawn = with_solutions(drawn, histories, dive)
     dive = replace(dive, imu=dive.imu.times_only())
     return_freed_memory()
-    begin("judging the filters")
+    report_stage("judging the filters")
     jumps = jump_table(dive.name, histories, motions)
     del motions
     bridged_gaps, independent = len(prepared.gaps.start_ns) > 0, config.reference.independent

@@ -18,7 +18,7 @@ from insdvl_replay.batch.workers import WorkerLostError, Workers, do_each
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError
-from insdvl_replay.core.runtime import each, sources_digest
+from insdvl_replay.core.runtime import parallel_map, sources_digest
 from insdvl_replay.results.folder import COMPLETE, result_digest, result_folder
 from insdvl_replay.results.json_report import Report, decode_report, encode_report
 
@@ -87,7 +87,7 @@ def replay_jobs(
     """
     todo = [job for job in jobs if job.target not in known]
     done: dict[Path, Outcome] = {}
-    sent = list(each(_for_elsewhere, todo)) if workers.are_elsewhere else todo
+    sent = list(parallel_map(_for_elsewhere, todo)) if workers.are_elsewhere else todo
     with closing(do_each(replay_into, sent, workers)) as replays:
         for job in jobs:
             if job.target in known:

@@ -13,7 +13,7 @@ import msgspec
 
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
-from insdvl_replay.core.runtime import each
+from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.words import Severity
 from insdvl_replay.results.folder import (
     COMPLETE,
@@ -46,7 +46,7 @@ def known_reports(
         clear_leftovers(folder)
     known = {}
     # Where all is replaced anyway, no log needs to be digested.
-    found = [None] * len(jobs) if force and rerun else each(_known_report, jobs)
+    found = [None] * len(jobs) if force and rerun else parallel_map(_known_report, jobs)
     for job, report in zip(jobs, found, strict=True):
         if isinstance(report, Report):
             if not rerun and not job.options.config.code:  # no digest is kept of all that code reads

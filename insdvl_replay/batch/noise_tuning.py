@@ -15,7 +15,7 @@ import numpy as np
 from insdvl_replay.core.config import Config, Filter
 from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns
 from insdvl_replay.core.errors import ConfigError, Note
-from insdvl_replay.core.runtime import begin
+from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.consistency import (
     CLASSES,
@@ -128,7 +128,7 @@ def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, befor
 
     from scipy.optimize import minimize  # a third of a second, which a replay without it must not wait
 
-    begin("running the filters")
+    report_stage("running the filters")
     timeline = prepared_timeline(dive, start)
 
     def negative_log_likelihood(logarithms: Floats) -> float:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.core.runtime import collect_rarely
+from insdvl_replay.core.runtime import prepare_process
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -169,7 +169,7 @@ def _begin() -> None:
     """Prepare a new process for its work, before numpy is imported."""
     for name in _THREADS_OF_LIBRARIES:
         os.environ.setdefault(name, "1")  # the other cores belong to the other processes
-    collect_rarely()
+    prepare_process()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # what is half written is removed on the way out
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 

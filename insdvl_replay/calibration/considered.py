@@ -16,7 +16,7 @@ import numpy as np
 from insdvl_replay.calibration.fit import Fit, Linearised
 from insdvl_replay.calibration.innovations import DiveInnovations
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.runtime import each
+from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.geometry.beams import beam_vectors
 
 OFFSET_SD_MPS: Final = 0.001
@@ -40,7 +40,7 @@ def effects_of_errors(fit: Fit, dives: Sequence[DiveInnovations]) -> list[Floats
     found = []
     for i, (dive, near) in enumerate(zip(dives, fit.dives, strict=True)):
         change = fit.of_dive(i)
-        shaken = each(partial(DiveInnovations.residuals, change=change), [*_with_beams(dive), *_with_imu(dive)])
+        shaken = parallel_map(partial(DiveInnovations.residuals, change=change), [*_with_beams(dive), *_with_imu(dive)])
         found.append(np.stack([(one - near.residuals) / (STEP * near.scatter) for one in shaken], axis=-1))
     return found
 

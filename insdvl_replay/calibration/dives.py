@@ -16,7 +16,7 @@ from insdvl_replay.calibration.parameters import NAMES, PARAMETERS, DvlGeometry,
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ReferenceColumns
-from insdvl_replay.core.runtime import steps
+from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.outage_test import outage_test_table
 from insdvl_replay.geometry.beams import look_down
@@ -120,11 +120,11 @@ def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
     what is configured, are tried with arm and delay fitted; these stand before all others.
     """
     configured = dives[0].config.dvl.mounting_rpy_deg
-    possible = steps("trying mountings", possible_axes(dives[0].dive.dvl))
+    possible = track_progress("trying mountings", possible_axes(dives[0].dive.dvl))
     first = sorted((_tried(dives, turn) for turn in possible), key=lambda one: one.cost)
     near = [one for one in first if one.cost < NOT_FAR_OFF * first[0].cost][:MOST_FITTED]
     near += [one for one in first if one.rpy_deg == configured and one not in near]
-    fitted = [_fitted(dives, one) for one in steps("trying mountings with arm and delay", near)]
+    fitted = [_fitted(dives, one) for one in track_progress("trying mountings with arm and delay", near)]
     return sorted(fitted, key=lambda one: one.cost) + [one for one in first if one not in near]
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
 from insdvl_replay.calibration.parameters import DELAY, NAMES, PRIOR_SD
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.runtime import each, steps
+from insdvl_replay.core.runtime import parallel_map, track_progress
 
 SOFT: Final = 2.0
 """Residuals, in what the axis scatters by, beyond which they count less and less."""
@@ -183,7 +183,7 @@ def fit(
     values = _with_delays(unknowns, dives) if start is None else np.where(unknowns.is_free, start, 0.0)
     damping = 1e-3
     linearised = _linearised(unknowns, dives, values)
-    for _ in steps("fitting the innovations", range(MOST_ROUNDS)):
+    for _ in track_progress("fitting the innovations", range(MOST_ROUNDS)):
         information = _total(unknowns, [near.information for near in linearised])
         gradient = _gradient(unknowns, linearised, values)
         before = _cost(unknowns, values, [near.scaled for near in linearised])
@@ -220,7 +220,9 @@ def _with_delays(unknowns: Unknowns, dives: Sequence[DiveInnovations]) -> Floats
     if not unknowns.free[DELAY]:
         return values
     grid = np.arange(-LATEST_S, LATEST_S + DELAY_STEP_S / 2.0, DELAY_STEP_S)
-    costs = np.array([delay_profile(dive, np.zeros(OWN), grid) for dive in steps("looking for the delay", dives)])
+    costs = np.array(
+        [delay_profile(dive, np.zeros(OWN), grid) for dive in track_progress("looking for the delay", dives)]
+    )
     if unknowns.one_delay:
         costs = costs.sum(axis=0, keepdims=True)
     values[OWN - 1 :] = grid[np.argmin(costs, axis=1)]
@@ -233,7 +235,7 @@ def delay_profile(dive: DiveInnovations, change: Floats, delays_s: Floats) -> Fl
     Each axis is weighed by what it scatters by where that is least, so that no axis hides the others.
     """
     at = [change + (delay_s - change[DELAY]) * (np.arange(OWN) == DELAY) for delay_s in delays_s]
-    residuals = list(each(dive.residuals, at))
+    residuals = list(parallel_map(dive.residuals, at))
     scatter = np.min([scatter_of(of_one) for of_one in residuals], axis=0)
     return np.array([robust_cost(of_one / scatter) for of_one in residuals])
 

@@ -15,7 +15,7 @@ from insdvl_replay.calibration.parameters import DELAY, NAMES, SCALE, STEPS, mov
 from insdvl_replay.core.dive_columns import Dive, Floats, nanoseconds
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.runtime import each
+from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import DV
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.timeline import Timeline, build_timeline
@@ -122,7 +122,7 @@ class DiveInnovations:
         """Differentiate the residuals by the free parameters, central differences, shape (count, 3, 8)."""
         columns, chosen = np.zeros((self.count, 3, len(NAMES))), np.flatnonzero(free)
         steps = [sign * STEPS[i] * np.eye(len(NAMES))[i] for i in chosen for sign in (1.0, -1.0)]
-        found = list(each(self.residuals, [change + step for step in steps]))
+        found = list(parallel_map(self.residuals, [change + step for step in steps]))
         for i, after, before in zip(chosen, found[::2], found[1::2], strict=True):
             columns[:, :, i] = (after - before) / (2.0 * STEPS[i])
         return columns

@@ -20,7 +20,7 @@ from insdvl_replay.calibration.rows import NoiseRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import Innovations
-from insdvl_replay.core.runtime import each
+from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.consistency import CLASSES, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import DvlNoise, ResolvedFilter
@@ -237,12 +237,12 @@ class _Search:
 
     def innovations(self, logarithms: Floats) -> list[Innovations]:
         tried = _with_noise(self.filter, self.noise(logarithms))
-        return list(each(lambda run: run(tried), self.runs))
+        return list(parallel_map(lambda run: run(tried), self.runs))
 
     def likelihood(self, noise: Mapping[str, float]) -> float:
         """Return minus twice the log-likelihood, but for a constant."""
         tried = _with_noise(self.filter, noise)
-        total = sum(float(np.sum(_costs(of_dive))) for of_dive in each(lambda run: run(tried), self.runs))
+        total = sum(float(np.sum(_costs(of_dive))) for of_dive in parallel_map(lambda run: run(tried), self.runs))
         return total if np.isfinite(total) else np.finfo(float).max
 
     def cost(self, logarithms: Floats) -> float:

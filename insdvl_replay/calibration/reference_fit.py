@@ -15,7 +15,7 @@ from insdvl_replay.calibration.fit import Mask, scatter_of, weights_of
 from insdvl_replay.calibration.reference_parameters import CLOCK, LATEST_CLOCK_S, SHARED, SHARED_SD
 from insdvl_replay.calibration.with_reference import LEVEL, LOST_HEADING_SD, OWN, ReferenceDive
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.runtime import steps
+from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.evaluation.series import samples_in_mean
 
 ROUNDS: Final = 5
@@ -137,7 +137,7 @@ def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats)
     prior_sd = np.concatenate([shared_sd, np.full(OWN * len(dives), LOST_HEADING_SD)])
     values = np.zeros(len(prior_sd))
     near = tuple(_near(dive, values[rows_of(i)], free) for i, dive in enumerate(dives))
-    for _ in steps("fitting the reference", range(ROUNDS)):
+    for _ in track_progress("fitting the reference", range(ROUNDS)):
         gradient = -values / prior_sd**2
         for i, of_dive in enumerate(near):
             gradient[rows_of(i)] += of_dive.scores.sum(axis=0)

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.calibration.parameters import ALL_GROUPS, MOUNTING, PARAMETERS, Parameter
-from insdvl_replay.core.config_navigation import Reference
+from insdvl_replay.core.config import Reference
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, rpy_from_mat

@@ -33,7 +33,7 @@ from insdvl_replay.calibration.reference_parameters import (
 )
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, at_time, nanoseconds, seconds
 from insdvl_replay.core.history import History
-from insdvl_replay.core.runtime import each
+from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import DEG, PHI
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
@@ -161,7 +161,7 @@ class ReferenceDive:
             is_of_filter = step[: CLOCK + 1].any()
             return self.compared(shared + step, None if is_of_filter else base).values
 
-        found = list(each(at, steps))
+        found = list(parallel_map(at, steps))
         compared = self.compared(shared, base)
         columns = np.zeros((*compared.values.shape, len(SHARED)))
         for i, after, before in zip(chosen, found[::2], found[1::2], strict=True):

@@ -110,7 +110,7 @@ def calibrate(
     from insdvl_replay.cli.screen import compiling, in_format, steps_bar
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import LogError
-    from insdvl_replay.core.runtime import steps
+    from insdvl_replay.core.runtime import track_progress
     from insdvl_replay.report.page import page
     from insdvl_replay.results.folder import require_replaceable_file
 
@@ -133,7 +133,7 @@ def calibrate(
         found = with_reference(found, kept, asked, groups) if reference else found
         found = found.from_mounting(known, ways) if mounting is Mounting.UNKNOWN else found
         noise = found.noise if found.proposes_noise else None
-        others = [held_out_row(dive, found.change, noise) for dive in steps("trying it on other dives", held)]
+        others = [held_out_row(dive, found.change, noise) for dive in track_progress("trying it on other dives", held)]
         found = found.with_held_out(others)
     for read, of_one in zip(kept, asked, strict=True):
         log_notes(_of_dive(read.dive, of_one.prepared), verbose=verbose > 0)
@@ -204,10 +204,10 @@ def _read(
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.calibration.dives import read_dive
     from insdvl_replay.cli.messages import log_failure
-    from insdvl_replay.core.runtime import steps
+    from insdvl_replay.core.runtime import track_progress
 
     paths, dives, code = find_dives(logs), [], 0
-    for path in steps("reading", [paths] if one_dive else [[path] for path in paths]):
+    for path in track_progress("reading", [paths] if one_dive else [[path] for path in paths]):
         try:
             read = read_dive(path, config, allow_damaged=allow_damaged)
             read.innovations()

@@ -10,8 +10,7 @@ from typing import Literal
 from rich.console import Console, RenderableType
 
 from insdvl_replay.cli.messages import log_to_stderr
-from insdvl_replay.core.compiled import is_warm, kept_nowhere
-from insdvl_replay.core.runtime import progress_listener, step_listener
+from insdvl_replay.core.runtime import cache_problem, is_warm, progress_listener
 from insdvl_replay.report.document import Document
 from insdvl_replay.report.latex import as_latex
 from insdvl_replay.report.markdown import as_markdown
@@ -76,7 +75,7 @@ def spinner(text: str) -> Iterator[None]:
         return
     with (
         console.status(spoken(text)) as status,
-        progress_listener(lambda stage: status.update(spoken(f"{text}: {stage}"))),
+        progress_listener(lambda stage, *_: status.update(spoken(f"{text}: {stage}"))),
     ):
         yield
 
@@ -95,9 +94,10 @@ def steps_bar(text: str) -> Iterator[None]:
         task = bar.add_task(text, total=None)
 
         def show(stage: str, done: int, total: int) -> None:
-            bar.update(task, description=f"{text}: {stage}", completed=done, total=total)
+            if total:
+                bar.update(task, description=f"{text}: {stage}", completed=done, total=total)
 
-        with step_listener(show):
+        with progress_listener(show):
             yield
 
 
@@ -106,7 +106,7 @@ def compiling() -> str:
 
     Where compiled code cannot be kept, each run waits for it, and a warning says why.
     """
-    if reason := kept_nowhere():
+    if reason := cache_problem():
         text = f"warning: compiled code cannot be kept: {reason}. Each run compiles the filter, for some 20 s"
         log_to_stderr(f"{text}; hint: INSDVL_REPLAY_CACHE=/a/folder/of/yours")
     return "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"

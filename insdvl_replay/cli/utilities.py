@@ -12,7 +12,7 @@ from insdvl_replay.cli.messages import log_to_stderr, write_stdout
 from insdvl_replay.cli.options import Force, Outages, Preset, Scenario, Settings, Verbose, grade_names, outage_spans
 from insdvl_replay.core.errors import ConfigError, require_known
 from insdvl_replay.core.plain_text import visible
-from insdvl_replay.core.sensors import SENSORS
+from insdvl_replay.core.states import SENSORS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -218,13 +218,12 @@ def compile_(verbose: Verbose = 0) -> None:
       insdvl-replay compile
       INSDVL_REPLAY_CACHE=/opt/insdvl-replay insdvl-replay compile
     """
-    from insdvl_replay.core.compiled import cache_folder, is_warm, kept_nowhere
+    from insdvl_replay.core.runtime import cache_folder, cache_problem, is_warm
 
     folder, start_s = cache_folder(), time.perf_counter()
-    if folder is None:
+    if problem := cache_problem():
         raise ConfigError(
-            f"compiled code cannot be kept: {kept_nowhere()}",
-            "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile",
+            f"compiled code cannot be kept: {problem}", "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile"
         )
     was_warm = is_warm()
     with TemporaryDirectory() as name:

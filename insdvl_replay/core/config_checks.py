@@ -4,11 +4,9 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, Final
 
-from insdvl_replay.core.config import Config, Filter
-from insdvl_replay.core.config_navigation import TOPIC_KEYS, spelled_out
+from insdvl_replay.core.config import TOPIC_KEYS, Config, Filter, spelled_out
 from insdvl_replay.core.errors import ConfigError, error_context, require_known
-from insdvl_replay.core.sensors import AIDING, DVL_AIDING, SENSORS
-from insdvl_replay.core.states import MORE_STATES
+from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
 from insdvl_replay.core.strict_toml import KeyPath, TomlSource
 
 LARGEST = 1e30

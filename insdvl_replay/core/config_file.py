@@ -14,9 +14,8 @@ from typing import Annotated, Any, Final, get_origin, get_type_hints
 import msgspec
 from msgspec import Struct
 
-from insdvl_replay.core.config import Config, Filter, Topic
+from insdvl_replay.core.config import MOST_BYTES, Config, Filter, Solution, Topic, key_of, spelled_out
 from insdvl_replay.core.config_checks import check_filters, check_finite, refuse_code
-from insdvl_replay.core.config_navigation import MOST_BYTES, Solution, key_of, spelled_out
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.plain_text import is_writable, read_regular, visible
 from insdvl_replay.core.strict_toml import TomlSource, parse_toml, read_toml

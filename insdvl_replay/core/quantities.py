@@ -2,8 +2,7 @@
 
 from typing import Final
 
-from insdvl_replay.core.sensors import AIDING, AXES_N, SENSORS
-from insdvl_replay.core.states import BA, BG, DV, PHI, POSITION, STATES
+from insdvl_replay.core.states import AIDING, AXES_N, BA, BG, DV, PHI, POSITION, SENSORS, STATES
 from insdvl_replay.core.words import Consistency
 
 VERDICTS_BEST_FIRST: Final = (

@@ -1,120 +1,66 @@
-"""What the program runs on, and what it is made of: cores, memory, whoever listens to its progress, its own sources.
+"""What the program runs on: compiled code and its cache, threads, memory, and who listens to its progress.
 
-Nothing here is slow to import; what starts the program needs some of it.
+numba notices a change in the file of a function, but not in the files of the functions that it calls. The cache
+therefore is in a folder named after the digest of all compiled sources: other sources, other folder.
+
+Environment
+-----------
+INSDVL_REPLAY_CACHE : folder for compiled code; default ``~/.cache/insdvl-replay``. It is read where it cannot be
+    written, as in a container. The files are code: who can write them runs code in every process that loads them.
+NUMBA_DISABLE_JIT=1 : run the same functions as plain Python, to step through them with a debugger.
 """
 
 import gc
 import os
-import signal
 import sys
-import threading
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, ParamSpec, TypeVar, cast
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+Listener = Callable[[str, int, int], None]
+"""Gets a stage, such as ``reading``, how many of its steps are done, and how many there are; 0 of 0 as it begins."""
 
-_AGAIN_S: Final = 0.2
-"""After this a signal comes again that Python has told and not obeyed: telling it has ended by then."""
 _MANY_OBJECTS: Final = 200_000
-_LARGEST_LIBRARY: Final = 256 << 20
-"""Address space that a library may ask for at once as it is loaded, and more."""
-EVERYTHING: Final = ("**/*",)
-
-_listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
-_step_listener: ContextVar[Callable[[str, int, int], None] | None] = ContextVar("step_listener", default=None)
+_COMPILED_SOURCES: Final = ("nav/*.py", "geometry/*.py", "logs/**/*.py", "core/runtime.py", "core/states.py")
+# Nobody calls the compiled functions from C; the compiler need not make entries for it.
+_NUMBA_OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+_listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
-class Interruption(KeyboardInterrupt):
-    """The user, or the system, wants the work to end.
+def prepare_process() -> None:
+    """Set up a process that will replay dives, before numpy is imported.
 
-    A type of its own: where Python's passes through ``exec`` or ``eval``, as in the making of a dataclass, the
-    interpreter remembers it, and ends by SIGINT although it was caught.
-    """
-
-    came = False
-
-
-def coming_again(ending: type[BaseException]) -> "Callable[[sys.UnraisableHookArgs], None]":
-    """Make a hook by which SIGTERM comes again where its exception did not end what runs.
-
-    While Python lets an object go, it only tells an exception.
-    """
-
-    def hook(unraisable: "sys.UnraisableHookArgs") -> None:
-        if issubclass(unraisable.exc_type, ending):
-            again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), signal.SIGTERM))
-            again.daemon = True
-            again.start()
-        else:
-            sys.__unraisablehook__(unraisable)
-
-    return hook
-
-
-def collect_rarely() -> None:
-    """Let Python look for objects that hold each other only after many new ones.
-
-    The packages make some hundred thousand objects as they load, and all of them stay: to look through them at each
-    thousandth would take a tenth of a short run.
+    The packages make some hundred thousand objects as they load, and all of them stay: to look for garbage at each
+    thousandth would take a tenth of a short run. Huge pages are asked for only if the user does: a virtual machine
+    waits long to have one from its host, and small pages come from what it still has.
     """
     gc.set_threshold(_MANY_OBJECTS)
-
-
-def use_small_pages() -> None:
-    """Keep numpy, which must not be loaded yet, from asking for huge pages, unless the user does.
-
-    A virtual machine gives its large free pieces of memory back to its host, and waits long to have one again; small
-    pages come from what it still has. Where memory is not shared so, the columns of an hour take milliseconds more.
-    """
     os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
 
 
 def return_freed_memory() -> None:
-    """Return to the system what was freed but is kept by the C library, some 80 MB after the reading of a long dive.
-
-    glibc keeps freed blocks below others that are still in use; where there is no glibc, nothing is done.
-    """
+    """Return to the system what was freed but is kept by glibc, some 80 MB after the reading of a long dive."""
     if sys.platform == "linux":
         import ctypes  # not when the program starts, which needs none of it
 
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        if trim is not None:
+        if (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
             trim(0)
 
 
-def is_nearly_used_up() -> bool:
-    """Return whether the limit of the address space, as `ulimit -v` sets it, has left too little to load a library.
+def parallel_map(work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None = None) -> Iterator[Result]:
+    """Do the work on each item in threads, and yield the results in the order of the items.
 
-    Then any failure may be one of memory: not all libraries say so.
-    """
-    try:
-        import resource
-    except ImportError:  # for want of the little that it takes itself, where the system has it at all
-        return sys.platform != "win32"
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return limit != resource.RLIM_INFINITY and limit - _most_mapped() < _LARGEST_LIBRARY
-
-
-def _most_mapped() -> int:
-    """Return the most bytes of address space that this process has had; 0 where the system does not tell."""
-    try:
-        lines = Path("/proc/self/status").read_text("ascii").splitlines()
-    except (OSError, UnicodeDecodeError):
-        return 0
-    return next((int(line.split()[1]) << 10 for line in lines if line.startswith("VmPeak:")), 0)
-
-
-def each(work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None = None) -> Iterator[Result]:
-    """Do the work on each item, in threads, and yield the results in the order of the items.
-
-    The compiled filter and numpy's long loops leave the interpreter to other threads while they run: nothing is copied
-    to another process, and the filter is compiled once. An exception, an interruption included, ends it: what runs is
-    finished, and nothing more is begun. At the same time run as many as there are cores, unless told otherwise.
+    The compiled filter and numpy's long loops leave the interpreter to other threads while they run. An exception or
+    an interruption ends it: what runs is finished, and nothing more is begun. As many run at a time as there are cores.
     """
     from concurrent.futures import ThreadPoolExecutor  # which brings logging
 
@@ -125,36 +71,23 @@ def each(work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None
         executor.shutdown(cancel_futures=True)
 
 
-def begin(stage: str) -> None:
-    """Report what begins, such as ``reading``, to whoever listens: all rooms can, without knowing of any terminal."""
+def report_stage(stage: str) -> None:
+    """Report what begins, such as ``reading``, to whoever listens."""
     if (listener := _listener.get()) is not None:
-        listener(stage)
+        listener(stage, 0, 0)
 
 
-def steps(stage: str, items: Sequence[Item]) -> Iterator[Item]:
-    """Yield items, and report before each how many of them are done to whoever counts them.
-
-    Work that converges may end before its last step.
-    """
+def track_progress(stage: str, items: Sequence[Item]) -> Iterator[Item]:
+    """Yield items, and report before each how many of them are done; work that converges may end before its last."""
     for done, item in enumerate(items):
-        if (listener := _step_listener.get()) is not None:
+        if (listener := _listener.get()) is not None:
             listener(stage, done, len(items))
         yield item
 
 
 @contextmanager
-def step_listener(listener: Callable[[str, int, int], None]) -> Iterator[None]:
-    """Call a listener with the stage, the steps done and all steps of what goes through `steps` inside the block."""
-    token = _step_listener.set(listener)
-    try:
-        yield
-    finally:
-        _step_listener.reset(token)
-
-
-@contextmanager
-def progress_listener(listener: Callable[[str], None]) -> Iterator[None]:
-    """Call a listener with the stages of all work inside the block. Work in other processes is reported to nobody."""
+def progress_listener(listener: Listener) -> Iterator[None]:
+    """Call a listener with the progress of all work inside the block. Other processes report to nobody."""
     token = _listener.set(listener)
     try:
         yield
@@ -163,12 +96,8 @@ def progress_listener(listener: Callable[[str], None]) -> Iterator[None]:
 
 
 @cache
-def sources_digest(patterns: tuple[str, ...] = EVERYTHING) -> str:
-    """Digest files of the package, by name and content: a development installation changes without its version.
-
-    The patterns are seen from the package's folder; what Python compiles does not count. Of SHA-256 16 digits are
-    returned.
-    """
+def sources_digest(patterns: tuple[str, ...] = ("**/*",)) -> str:
+    """Return 16 digits of the SHA-256 of the package's files, which change in development without its version."""
     import hashlib
 
     package = Path(__file__).parents[1]
@@ -178,3 +107,102 @@ def sources_digest(patterns: tuple[str, ...] = EVERYTHING) -> str:
             digest.update(f"{path.relative_to(package).as_posix()}\0{path.stat().st_size}\0".encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def cache_folder() -> Path:
+    """Return the folder of the code that is compiled from these sources."""
+    base = os.environ.get("INSDVL_REPLAY_CACHE") or Path.home() / ".cache" / "insdvl-replay"
+    return Path(base) / f"compiled-{sources_digest(_COMPILED_SOURCES)}-numba-{version('numba')}"
+
+
+def cache_problem() -> str:
+    """Return why each run has to compile the filter; empty where compiled code is there or can be kept."""
+    folder = cache_folder()
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return "" if is_warm() else f"{folder.parent} cannot be written"
+    return ""
+
+
+def is_warm() -> bool:
+    """Return whether the compiled filter is on disk already."""
+    return any(cache_folder().rglob("filter._run-*.nbc"))
+
+
+@cache
+def _cache_class() -> Any:
+    """Return numba's cache in our folder. What it cannot read is compiled again; what it cannot write is not kept."""
+    from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
+
+    class Locator(UserProvidedCacheLocator):
+        def __init__(self, function: Any, file: str) -> None:
+            self._py_file, self._lineno = file, function.__code__.co_firstlineno
+            self._cache_path = str(cache_folder() / self.get_suitable_cache_subpath(file))  # type: ignore[no-untyped-call]
+
+        @classmethod
+        def from_function(cls, function: Any, file: str) -> Any:
+            return cls(function, file)
+
+        def ensure_cache_path(self) -> None:
+            Path(self._cache_path).mkdir(parents=True, exist_ok=True)
+
+    class Implementation(CompileResultCacheImpl):
+        _locator_classes = [Locator]  # noqa: RUF012
+
+    class CodeCache(FunctionCache):
+        _impl_class = Implementation
+
+        def load_overload(self: Any, sig: Any, target_context: Any) -> Any:
+            try:
+                return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            except Exception:  # a damaged pickle raises anything; without its index it is written again
+                with suppress(OSError):
+                    self.flush()
+                return None
+
+        def save_overload(self: Any, sig: Any, data: Any) -> None:
+            with suppress(OSError):
+                super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+
+    return CodeCache
+
+
+def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Compile a function that Python calls, on its first call, and keep the machine code on disk."""
+    import numba  # half a second, which nobody must wait for who only asks whether the cache is warm
+    from numba.core import config
+
+    dispatcher: Any = numba.njit(**_NUMBA_OPTIONS)(function)
+    if not getattr(config, "DISABLE_JIT", False):
+        dispatcher._cache = _cache_class()(function)  # what `cache=True` does
+    return cast(Callable[_P, _T], dispatcher)
+
+
+def inlined(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Let a function become a part of the compiled ones that call it; where Python calls it, it is plain Python.
+
+    As calls, many of them would hand dozens of numbers over in memory, and the filter would take a quarter longer; with
+    entries for Python, it would take twice as long to compile.
+    """
+    from numba.extending import register_jitable
+
+    return register_jitable(forceinline=True, **_NUMBA_OPTIONS)(function)
+
+
+def plain(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Return the Python function of a compiled one."""
+    return cast(Callable[_P, _T], getattr(function, "py_func", function))
+
+
+def is_compiled(function: Callable[..., Any]) -> bool:
+    """Return whether compiled code can call a function of the user's."""
+    return hasattr(function, "address")
+
+
+def is_loaded() -> bool:
+    """Return whether the compiler is loaded and switched on; else few numbers are read sooner without it."""
+    settings = sys.modules.get("numba.core.config")
+    return settings is not None and not getattr(settings, "DISABLE_JIT", True)

@@ -1,51 +1,38 @@
-"""The error states, once, with names and units; also the units that logs may use, and what no vehicle exceeds.
+"""What filters estimate and what aids them: the error states, the sensors, the columns of a trajectory, and units.
 
-Twelve are the paper's, and every filter has them. More can be added to a filter, see `MORE_STATES`.
+Twelve states are the paper's, and every filter has them. More can be added to a filter, see `MORE_STATES`.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
-DEG: Final = 0.017453292519943295
-"""One degree in rad."""
-MRAD: Final = 1e-3
-"""One milliradian in rad."""
+# Units in SI. Inside everything is SI; what is shown is divided by these.
+DEG: Final = 0.017453292519943295  # rad
+MRAD: Final = 1e-3  # rad
+MG: Final = 9.80665e-3  # m/s^2, a thousandth of standard gravity
 STANDARD_GRAVITY_MPS2: Final = 9.80665
-"""What g stands for as a unit."""
-MG: Final = 9.80665e-3
-"""One thousandth of standard gravity in m/s^2."""
-DEG_PER_HOUR: Final = DEG / 3600.0
-"""One degree per hour in rad/s."""
+DEG_PER_HOUR: Final = DEG / 3600.0  # rad/s
+SPECIFIC_FORCE_UNITS: Final = {"m/s2": 1.0, "g": 1000.0 * MG, "mg": MG}  # m/s^2
+ANGULAR_RATE_UNITS: Final = {"rad/s": 1.0, "deg/s": DEG}  # rad/s
+VELOCITY_UNITS: Final = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}  # m/s
+
+# What no vehicle with a DVL exceeds.
+LARGEST_FORCE_MPS2: Final = 500.0  # 50 g
+LARGEST_RATE_RADPS: Final = 35.0  # 2000 deg/s, the range of the quickest gyros on vehicles
+FASTEST_MPS: Final = 20.0  # over ground
+GRAVITY_MPS2: Final = 9.81  # near enough to tell a unit by
 
 
 @dataclass(frozen=True)
 class State:
-    """One error state.
+    """One error state."""
 
-    Attributes
-    ----------
-    index : int
-        Row in the error state vector.
-    id : str
-        Name in tables, columns and gates.
-    label : str
-        Name in words.
-    symbol : str
-        The paper's symbol.
-    si_unit, unit : str
-        Unit inside, and unit shown.
-    factor : float
-        One shown unit in SI: ``shown = si / factor``.
-    """
-
-    index: int
-    id: str
-    label: str
-    symbol: str
-    si_unit: str
-    unit: str
-    factor: float
+    index: int  # row in the error state vector
+    id: str  # name in tables, columns and gates
+    label: str  # name in words
+    unit: str  # that is shown
+    factor: float  # one shown unit in SI: shown = si / factor
 
 
 DV: Final = slice(0, 3)
@@ -60,29 +47,25 @@ POSITION: Final = slice(12, 15)
 """Position error, in n, of a filter that estimates it: the first of `MORE_STATES`."""
 
 
-def _triplet(
-    first: int, id_: str, label: str, symbol: str, axes: str, si_unit: str, unit: str, factor: float
-) -> list[State]:
+def _triplet(first: int, id_: str, label: str, axes: str, unit: str, factor: float) -> list[State]:
     words = {"n": "north", "e": "east", "d": "down", "x": "x", "y": "y", "z": "z"}
-    return [
-        State(first + i, f"{id_}_{axis}", f"{label}, {words[axis]}", f"{symbol}_{axis}", si_unit, unit, factor)
-        for i, axis in enumerate(axes)
-    ]
+    return [State(first + i, f"{id_}_{axis}", f"{label}, {words[axis]}", unit, factor) for i, axis in enumerate(axes)]
 
 
 STATES: Final[tuple[State, ...]] = (
-    *_triplet(0, "dv", "velocity error", "δv", "ned", "m/s", "m/s", 1.0),
-    *_triplet(3, "phi", "misalignment", "φ", "ned", "rad", "mrad", MRAD),
-    *_triplet(6, "ba", "accelerometer bias", "b_a", "xyz", "m/s^2", "mg", MG),
-    *_triplet(9, "bg", "gyro bias", "b_g", "xyz", "rad/s", "deg/h", DEG_PER_HOUR),
+    *_triplet(0, "dv", "velocity error", "ned", "m/s", 1.0),
+    *_triplet(3, "phi", "misalignment", "ned", "mrad", MRAD),
+    *_triplet(6, "ba", "accelerometer bias", "xyz", "mg", MG),
+    *_triplet(9, "bg", "gyro bias", "xyz", "deg/h", DEG_PER_HOUR),
 )
-
+NINE: Final[tuple[State, ...]] = STATES[3:]
+"""The nine states whose mean the paper reports: all but the velocity errors, which the DVL measures directly."""
 MORE_STATES: Final[dict[str, tuple[State, ...]]] = {
-    "position": tuple(_triplet(0, "dp", "position error", "δp", "ned", "m", "m", 1.0)),
-    "dvl_scale": (State(0, "dvl_scale", "scale error of the DVL", "κ", "1", "%", 0.01),),
-    "dvl_yaw": (State(0, "dvl_yaw", "yaw of the DVL's mounting", "ψ", "rad", "deg", DEG),),
-    "depth_zero": (State(0, "depth_zero", "zero of the depth gauge", "d_0", "m", "m", 1.0),),
-    "heading_bias": (State(0, "heading_bias", "bias of the heading sensor", "b_ψ", "rad", "deg", DEG),),
+    "position": tuple(_triplet(0, "dp", "position error", "ned", "m", 1.0)),
+    "dvl_scale": (State(0, "dvl_scale", "scale error of the DVL", "%", 0.01),),
+    "dvl_yaw": (State(0, "dvl_yaw", "yaw of the DVL's mounting", "deg", DEG),),
+    "depth_zero": (State(0, "depth_zero", "zero of the depth gauge", "m", 1.0),),
+    "heading_bias": (State(0, "heading_bias", "bias of the heading sensor", "deg", DEG),),
 }
 """Blocks of states that a filter can have beside the twelve, in the order in which they follow them."""
 
@@ -93,22 +76,73 @@ def states_with(more: Collection[str]) -> tuple[State, ...]:
     return tuple(replace(state, index=row) for row, state in enumerate(states))
 
 
-NINE: Final[tuple[State, ...]] = STATES[3:]
-"""The nine states whose mean the paper reports: all but the velocity errors, which the DVL measures directly."""
+@dataclass(frozen=True)
+class Sensor:
+    """A sensor beside the IMU and the DVL.
+
+    Its name is a word in a filter's ``aiding``, its section of the settings, its role among the topics of a log, and
+    the name of its measurement in the tables.
+    """
+
+    unit: str  # of its measurement in the tables
+    components: tuple[str, ...]  # of a reading; none of a sensor that reads one number
+    states: tuple[str, ...]  # of MORE_STATES, that a filter needs to be aided by it
+    quantities: tuple[str, ...]  # keys of its section that hold field paths
+    enough: tuple[frozenset[str], ...]  # the quantities of one of these sets make a reading
+    together: frozenset[str] = frozenset()  # quantities that are of no use without each other
 
 
-SPECIFIC_FORCE_UNITS: Final = {"m/s2": 1.0, "g": 1000.0 * MG, "mg": MG}
-"""m/s^2 of one unit."""
-ANGULAR_RATE_UNITS: Final = {"rad/s": 1.0, "deg/s": DEG}
-"""rad/s of one unit."""
-VELOCITY_UNITS: Final = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}
-"""m/s of one unit."""
+AXES_N: Final = ("n", "e", "d")
+SENSORS: Final[dict[str, Sensor]] = {
+    "depth": Sensor(
+        unit="m",
+        components=(),
+        states=("position", "depth_zero"),
+        quantities=("depth", "height", "pressure"),
+        enough=(frozenset({"depth"}), frozenset({"height"}), frozenset({"pressure"})),
+    ),
+    "heading": Sensor(
+        unit="rad",
+        components=(),
+        states=(),
+        quantities=("quaternion", "heading", "roll", "pitch"),
+        enough=(frozenset({"quaternion"}), frozenset({"heading"})),
+        together=frozenset({"roll", "pitch"}),
+    ),
+    "position": Sensor(
+        unit="m",
+        components=AXES_N,
+        states=("position",),
+        quantities=("latitude", "longitude", "height"),
+        enough=(frozenset({"latitude", "longitude"}),),
+    ),
+}
+DVL_AIDING: Final = ("velocity", "acceleration", "beams")
+AIDING: Final = (*DVL_AIDING, *SENSORS)
+"""Words for what can aid a filter."""
+BY_SENSOR: Final = "sensor"
+"""In place of the heading at the start, and as what the start comes from."""
 
-LARGEST_FORCE_MPS2: Final = 500.0
-"""50 g; no vehicle that carries a DVL feels it."""
-LARGEST_RATE_RADPS: Final = 35.0
-"""2000 deg/s, the range of the quickest gyros on vehicles."""
-FASTEST_MPS: Final = 20.0
-"""No vehicle with a DVL is faster over ground."""
-GRAVITY_MPS2: Final = 9.81
-"""Near enough to tell a unit by."""
+
+def states_for(aiding: Iterable[str]) -> tuple[str, ...]:
+    """Return the blocks of states beside the twelve that a filter with this aiding needs."""
+    return tuple(dict.fromkeys(block for word in aiding if word in SENSORS for block in SENSORS[word].states))
+
+
+GROUPS: Final = {
+    "position": ("position_n_m", "position_e_m", "position_d_m"),
+    "velocity": ("velocity_n_mps", "velocity_e_mps", "velocity_d_mps"),
+    "attitude": ("roll_deg", "pitch_deg", "heading_deg"),
+    "accelerometer_bias": ("ba_x_mg", "ba_y_mg", "ba_z_mg"),
+    "gyro_bias": ("bg_x_degph", "bg_y_degph", "bg_z_degph"),
+    "velocity_sd": tuple(f"{state.id}_sd" for state in STATES[DV]),
+    "misalignment_sd": tuple(f"{state.id}_sd" for state in STATES[PHI]),
+    "accelerometer_bias_sd": tuple(f"{state.id}_sd" for state in STATES[BA]),
+    "gyro_bias_sd": tuple(f"{state.id}_sd" for state in STATES[BG]),
+    "nis": ("nis_velocity", "nis_acceleration"),
+    "error": ("position_error_m", "depth_error_m", "velocity_error_mps", "level_error_deg", "heading_error_deg"),
+}
+"""Columns of a trajectory by groups: a difference is small if it is small compared with the largest of its group."""
+COLUMNS: Final = tuple(column for group in GROUPS.values() for column in group)
+ANGLES: Final = ("roll_deg", "pitch_deg", "heading_deg", "heading_error_deg")
+"""Columns that wrap around at 360 deg."""

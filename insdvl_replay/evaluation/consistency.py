@@ -17,8 +17,7 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import AXES, WITHHELD, axis_of, is_reserved
-from insdvl_replay.core.sensors import SENSORS
-from insdvl_replay.core.states import DEG, MORE_STATES, PHI
+from insdvl_replay.core.states import DEG, MORE_STATES, PHI, SENSORS
 from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import ConsistencyRow, Tables
 from insdvl_replay.core.words import Consistency, Reason, Severity, Whiteness

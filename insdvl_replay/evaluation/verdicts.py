@@ -20,8 +20,7 @@ from insdvl_replay.core.quantities import (
     is_used,
     label,
 )
-from insdvl_replay.core.sensors import DVL_AIDING
-from insdvl_replay.core.states import NINE
+from insdvl_replay.core.states import DVL_AIDING, NINE
 from insdvl_replay.core.table import Number, finite
 from insdvl_replay.core.tables import Candidate, ConsistencyRow, CredibilityRow, EvidenceRow, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.trajectory_columns import ANGLES, GROUPS
+from insdvl_replay.core.states import ANGLES, GROUPS
 from insdvl_replay.gates.model import ANY, Finding, Gate
 from insdvl_replay.gates.trajectory_keys import is_over_time
 from insdvl_replay.results.trajectory import Trajectory

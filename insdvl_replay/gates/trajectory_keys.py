@@ -3,7 +3,7 @@
 from typing import Final
 
 from insdvl_replay.core.errors import ConfigError, require_known
-from insdvl_replay.core.trajectory_columns import COLUMNS, GROUPS
+from insdvl_replay.core.states import COLUMNS, GROUPS
 from insdvl_replay.gates.model import ANY, Gate
 
 OF_TIME: Final = ("within", "share_pct", "longest_outside_s", "at_s")

@@ -14,7 +14,7 @@ from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed
-from insdvl_replay.core.sensors import BY_SENSOR
+from insdvl_replay.core.states import BY_SENSOR
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, measured_dvl
 from insdvl_replay.inspection.imu_proposal import corrected_rates, imu_settings, imu_topic, measured_imu, measured_scale

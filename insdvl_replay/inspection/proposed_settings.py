@@ -19,7 +19,7 @@ from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.plain_text import visible
-from insdvl_replay.core.sensors import SENSORS
+from insdvl_replay.core.states import SENSORS
 from insdvl_replay.inspection.topic_probe import Candidate, ProbedTopic, time_paths
 from insdvl_replay.logs.columns.table_reading import read_sample
 from insdvl_replay.logs.columns.tables import LARGEST_JITTER_S, Table, stamp_path, stamp_unit

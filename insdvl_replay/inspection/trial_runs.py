@@ -17,8 +17,7 @@ from insdvl_replay.core.config import Config, Dvl, Initial, Noise
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.errors import UserError
-from insdvl_replay.core.sensors import BY_SENSOR
-from insdvl_replay.core.states import DEG
+from insdvl_replay.core.states import BY_SENSOR, DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.consistency import CLASSES, readings_scatter, sensor_class
 from insdvl_replay.evaluation.drift import UNKNOWN, TrackFit, filter_track_fit

@@ -12,7 +12,7 @@ from insdvl_replay.core.dive_columns import Dive, ImuColumns
 from insdvl_replay.core.dive_record import Channel, dive_name
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.quantities import IS_REFERENCE
-from insdvl_replay.core.runtime import begin
+from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.roles import RoleColumns, find_roles
 from insdvl_replay.logs.columns.solutions import solution_name
@@ -51,7 +51,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
     ConfigError
         The axes or the beam geometry of the configuration cannot be.
     """
-    begin("reading the log")
+    report_stage("reading the log")
     import insdvl_replay.logs.container.record_loops  # noqa: F401  all records are walked here: with the compiled loops
 
     log = open_recording(path, allow_damaged=allow_damaged)

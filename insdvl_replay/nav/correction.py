@@ -18,8 +18,8 @@ equations/kalman_filter.md.
 import math
 from typing import Final
 
-from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.runtime import inlined
 from insdvl_replay.nav.local_earth import Place
 from insdvl_replay.nav.position_error import without_error
 from insdvl_replay.nav.state_layout import TWELVE, StateLayout

@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.runtime import inlined
 from insdvl_replay.nav.local_earth import transport_rate_n
 from insdvl_replay.nav.state_layout import TWELVE
 from insdvl_replay.nav.strapdown import Motion

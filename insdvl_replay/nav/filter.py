@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.compiled import compiled, inlined, is_compiled, plain
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.history import History
+from insdvl_replay.core.runtime import compiled, inlined, is_compiled, plain
 from insdvl_replay.core.states import states_with
 from insdvl_replay.nav.correction import correct, note_used
 from insdvl_replay.nav.error_model import add_noise, fade, propagate_cov

@@ -22,8 +22,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.runtime import inlined
 from insdvl_replay.nav.local_earth import Place
 from insdvl_replay.nav.measurements import BEAM, PUBLISHED, VELOCITY, WINDOWED, Stack
 from insdvl_replay.nav.own_measurement import INS_SIZE, Predicts

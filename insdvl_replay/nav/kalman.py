@@ -7,8 +7,8 @@ Applications to Tracking and Navigation", chapter 5.
 
 import math
 
-from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.runtime import inlined
 
 
 @inlined

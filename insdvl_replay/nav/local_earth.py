@@ -8,7 +8,7 @@ south, or `REACH_M` of height. Until then these are off by at most 7e-9 m/s^2 (g
 import math
 from typing import Final, NamedTuple
 
-from insdvl_replay.core.compiled import inlined
+from insdvl_replay.core.runtime import inlined
 from insdvl_replay.geometry import earth
 from insdvl_replay.nav.vector_algebra import Vector
 

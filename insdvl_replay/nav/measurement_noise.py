@@ -15,8 +15,8 @@ to 6 % more; with them, by less than 1 %, see `benchmarks/noise.py`.
 import math
 from typing import Final
 
-from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.runtime import inlined
 
 FIXED: Final = 0
 ADAPTIVE: Final = 1

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.compiled import compiled, inlined
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History
+from insdvl_replay.core.runtime import compiled, inlined
 from insdvl_replay.nav.error_model import add_noise, propagate_cov, propagate_errors
 from insdvl_replay.nav.kalman import multiply
 from insdvl_replay.nav.local_earth import gravity_at, normal_gravity, place_about, place_at

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.compiled import compiled, inlined
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.runtime import compiled, inlined
 from insdvl_replay.nav.innovation import InsAtPing, linearise
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, multiply, transposed_gain, update_cov
 from insdvl_replay.nav.local_earth import place_at

@@ -26,9 +26,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from insdvl_replay.core.compiled import plain
 from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
 from insdvl_replay.core.quantities import is_reserved, is_whole
+from insdvl_replay.core.runtime import plain
 
 Predict = Callable[[Floats, Floats, Floats], None]
 Predicts = Callable[[int, Floats, Floats, Floats], None]

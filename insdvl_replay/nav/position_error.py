@@ -10,8 +10,8 @@ states, see `error_model`. Derivation: equations/error_model.md.
 
 from typing import NamedTuple
 
-from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.runtime import inlined
 from insdvl_replay.nav.local_earth import Place, curvatures
 from insdvl_replay.nav.strapdown import Motion, NavState
 from insdvl_replay.nav.vector_algebra import (

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.runtime import inlined
 from insdvl_replay.core.states import State
 from insdvl_replay.geometry.rotation import wrap_angle
 from insdvl_replay.nav.measurements import Measurement

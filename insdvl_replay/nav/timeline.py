@@ -12,8 +12,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats, ImuColumns, Scalar, TimeNs, distinct, seconds
+from insdvl_replay.core.runtime import inlined
 from insdvl_replay.core.states import STATES
 from insdvl_replay.nav.vector_algebra import Vector, add, row_vector, scale, subtract
 

@@ -8,8 +8,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.runtime import inlined
 from insdvl_replay.nav.correction import locks_out, note_used, open_state
 from insdvl_replay.nav.initial_state import Start
 from insdvl_replay.nav.innovation import InsAtPing, linearise

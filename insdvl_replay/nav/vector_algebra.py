@@ -6,8 +6,8 @@ go through memory.
 
 import math
 
-from insdvl_replay.core.compiled import inlined
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.runtime import inlined
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]

@@ -13,8 +13,7 @@ from insdvl_replay.core.config import Acceleration, Config, Filter, Noise
 from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.quantities import WITHHELD
-from insdvl_replay.core.sensors import states_for
-from insdvl_replay.core.states import DEG, MORE_STATES
+from insdvl_replay.core.states import DEG, MORE_STATES, states_for
 from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities
 from insdvl_replay.nav.dvl_measurements import (

@@ -10,9 +10,9 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from insdvl_replay.core.compiled import plain
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import ConfigError, Note, UserError, listed
+from insdvl_replay.core.runtime import plain
 from insdvl_replay.core.states import states_with
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import moved_position

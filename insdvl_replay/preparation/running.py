@@ -15,7 +15,7 @@ import numpy as np
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, TimeNs
 from insdvl_replay.core.history import History
-from insdvl_replay.core.runtime import begin, each, return_freed_memory
+from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
 from insdvl_replay.evaluation.errors import DrawnErrors, RunFromStart, drawn_errors, run_from_start
 from insdvl_replay.evaluation.outage_test import (
     OutagePlan,
@@ -50,7 +50,7 @@ MOST_DRAWN_TIMES = 5_000
 
 def run_filters(prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
     """Run every filter of a dive, in the order of the configuration; histories keep all of P at times, shape (c,)."""
-    begin("running the filters")
+    report_stage("running the filters")
     return_freed_memory()
     run = partial(run_one, prepared=prepared, timeline=timeline, cov_ns=cov_ns)
     return _side_by_side(timeline, run, prepared.filters)
@@ -121,7 +121,7 @@ def coasting_of(
 
     User code is given the dive without the pings of each window.
     """
-    begin("coasting without velocities")
+    report_stage("coasting without velocities")
     groups = list[_Group]()
     for outages, sensors in in_outages(dive, config, prepared.sensors, tuple(plan.windows_ns)):
         is_whole = sensors is prepared.sensors
@@ -160,12 +160,12 @@ def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int 
     errors end where the runs together have `MOST_DRAWN_SAMPLES`, and are of evenly chosen times of a reference that has
     more than `MOST_DRAWN_TIMES`.
     """
-    begin("running the filters from drawn starts")
+    report_stage("running the filters from drawn starts")
     starts = drawn_starts(prepared.alignment.start, count, (*_sizes(dive, prepared), seed))
     dive, prepared = _first_part(dive, prepared, MOST_DRAWN_SAMPLES // (count * len(prepared.filters)))
     timeline = prepared_timeline(dive, prepared)
     run = partial(_run_from, dive=dive, prepared=prepared, timeline=timeline)
-    runs = list(each(run, [(filter_, begun) for filter_ in prepared.filters for begun in starts]))
+    runs = list(parallel_map(run, [(filter_, begun) for filter_ in prepared.filters for begun in starts]))
     return tuple(drawn_errors(runs[row : row + count]) for row in range(0, len(runs), count))
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from insdvl_replay.core.config import Config, Depth, Heading, Position
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns, TimeNs
 from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.sensors import SENSORS
-from insdvl_replay.core.states import DEG, FASTEST_MPS
+from insdvl_replay.core.states import DEG, FASTEST_MPS, SENSORS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.nav.initial_state import Start

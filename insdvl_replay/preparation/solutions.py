@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.config_navigation import Solution
+from insdvl_replay.core.config import Solution
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Floats,

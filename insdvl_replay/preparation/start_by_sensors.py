@@ -9,8 +9,7 @@ import numpy as np
 from insdvl_replay.core.config import Config, Heading, Initial
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, SensorColumns
 from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.sensors import BY_SENSOR
-from insdvl_replay.core.states import DEG
+from insdvl_replay.core.states import BY_SENSOR, DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat

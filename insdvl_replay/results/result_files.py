@@ -11,8 +11,8 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.quantities import WITHHELD, is_whole
-from insdvl_replay.core.runtime import begin
-from insdvl_replay.core.sensors import DVL_AIDING
+from insdvl_replay.core.runtime import report_stage
+from insdvl_replay.core.states import DVL_AIDING
 from insdvl_replay.core.tables import ConsistencyRow, each_table
 from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
 from insdvl_replay.replay import Replay
@@ -96,7 +96,7 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     histories : bool
         Whether to write replay.mcap, by far the largest file, and the layouts for its viewers.
     """
-    begin("writing the results")
+    report_stage("writing the results")
     settings = render_toml(replay.config)
     report = build_report(
         replay.dive,
@@ -127,7 +127,7 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     write_trajectory(folder / TRAJECTORY_FILE, trajectory_of(replay))
     (folder / "config.toml").write_text(settings, "utf-8")
     (folder / "run.log").write_text(run_log(report), "utf-8")
-    begin("drawing the report")
+    report_stage("drawing the report")
     strips = replay_coverage(replay)  # before the figures, which hold much until they are drawn
     (folder / PAGE).write_bytes(
         dive_page(report, replay_first_panels(replay), replay_figures(replay), strips, settings)

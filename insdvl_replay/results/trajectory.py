@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
-from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG, STATES
-from insdvl_replay.core.trajectory_columns import COLUMNS, GROUPS
+from insdvl_replay.core.states import COLUMNS, DEG, DEG_PER_HOUR, GROUPS, MG, STATES
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.results.folder import read_file

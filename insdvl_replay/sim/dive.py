@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config_section import Vector
+from insdvl_replay.core.config import Vector
 from insdvl_replay.core.dive_columns import (
     Dive,
     DvlColumns,
@@ -82,7 +82,7 @@ def simulate_dive(
     duration_s, imu_rate_hz, dvl_rate_hz, reference_rate_hz, outages, lost_beams, lever_arm_m, mounting_rpy_deg
         As in `exact_dive`.
     sensors : mapping of str to SensorErrors
-        Those that the vehicle has beside IMU and DVL, by their names in `core.sensors.SENSORS`.
+        Those that the vehicle has beside IMU and DVL, by their names in `core.states.SENSORS`.
     dvl_delay_s, dvl_scale : float
         As in `late_and_long`.
 

@@ -54,7 +54,7 @@ SIMULATED: Final[Mapping[str, SimulatedSensor]] = {
     "heading": SimulatedSensor("deg", DEG, _heading_rad),
     "position": SimulatedSensor("m", 1.0, lambda motion: motion.position),
 }
-"""By the names of `core.sensors.SENSORS`; at the IMU's place."""
+"""By the names of `core.states.SENSORS`; at the IMU's place."""
 
 
 def add_sensor_errors(name: str, exact: SensorColumns, errors: SensorErrors, rng: np.random.Generator) -> SensorColumns:

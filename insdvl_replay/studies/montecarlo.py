@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.runtime import each
+from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import STATES
 from insdvl_replay.evaluation.ensemble import (
     Ensemble,
@@ -80,7 +80,7 @@ def study_montecarlo(
     setup = make_setup(scenario, config, imu, duration_s, outages)
     seeds = [run_seed(seed, run) for run in range(1, runs + 1)]
     tallies: dict[str, Tally] = {}
-    for errors in each(partial(simulated_run, setup), seeds, jobs):
+    for errors in parallel_map(partial(simulated_run, setup), seeds, jobs):
         for run in errors:
             tallies.setdefault(run.filter, Tally(run)).add(run)
         after_run()

@@ -13,7 +13,7 @@ from insdvl_replay.core.config import Acceleration, Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.dive_record import dive_name
 from insdvl_replay.core.errors import ConfigError, LogError, Note
-from insdvl_replay.core.runtime import each
+from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.errors import acceleration_at, differentiated_over_s, reference_acceleration, vector_rmse
 from insdvl_replay.geometry.beams import DvlMounting
@@ -139,7 +139,7 @@ def _studied(
         except LogError as error:
             return error
 
-    found = list(each(study, paths, jobs))
+    found = list(parallel_map(study, paths, jobs))
     studied = [one for one in found if not isinstance(one, LogError)]
     refused = [one for one in found if isinstance(one, LogError)]
     if not studied:

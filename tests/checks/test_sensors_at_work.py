@@ -8,8 +8,7 @@ import pytest
 
 from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes
 from insdvl_replay.checks.solutions import solution_notes
-from insdvl_replay.core.config import Config, Depth, Filter, Position
-from insdvl_replay.core.config_navigation import Reference, Solution
+from insdvl_replay.core.config import Config, Depth, Filter, Position, Reference, Solution
 from insdvl_replay.core.dive_columns import ReferenceColumns, SensorColumns, SolutionColumns
 from insdvl_replay.sim.dive import simulate_dive
 

@@ -285,40 +285,14 @@ def test_wrong_uses_end_with_a_code_a_reason_and_a_hint(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-INTERRUPTED_AS_AN_OBJECT_GOES = """
-import signal, sys, time
-from insdvl_replay.cli import app, main
-
-class Going:
-    def __del__(self):
-        signal.raise_signal(signal.SIGTERM)
-
-def work(*_, **__):
-    Going()
-    time.sleep(30.0)
-
-app.app = work
-main()
-"""
-
-
-def test_an_interruption_is_not_lost_where_python_cannot_be_interrupted() -> None:
-    command = [sys.executable, "-c", INTERRUPTED_AS_AN_OBJECT_GOES]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=20.0)
-    assert (result.returncode, result.stderr) == (130, "error: interrupted\n")
-
-
 INTERRUPTED_AS_IT_IS_IMPORTED = """
 import signal, sys
 from insdvl_replay.cli import main
 
 class Finder:
     def find_spec(self, name, path, target=None):
-        if name == "insdvl_replay.SOMETHING":
-            try:
-                exec("signal.raise_signal(signal.SIGNAL)")
-            except KeyboardInterrupt:
-                RAISED
+        if name == "insdvl_replay.nav.filter":
+            signal.raise_signal(signal.SIGNAL)
 
 sys.meta_path.insert(0, Finder())
 sys.argv = ["insdvl-replay", "run", "LOG"]
@@ -327,39 +301,11 @@ main()
 
 
 @pytest.mark.parametrize("signal_", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("module", ["cli.app", pytest.param("cli.dives", marks=pytest.mark.nightly), "nav.filter"])
-@pytest.mark.parametrize("raised", ['raise SyntaxError("from inside the compiler")', "raise"])
-def test_an_import_that_fails_since_it_is_interrupted_is_an_interruption(
-    module: str, signal_: str, raised: str, dive: Path, tmp_path: Path
-) -> None:
-    script = INTERRUPTED_AS_IT_IS_IMPORTED.replace("SOMETHING", module).replace("LOG", str(dive))
-    script = script.replace("SIGNAL", signal_).replace("RAISED", raised)
+def test_an_interruption_during_an_import_is_an_interruption(signal_: str, dive: Path, tmp_path: Path) -> None:
+    script = INTERRUPTED_AS_IT_IS_IMPORTED.replace("LOG", str(dive)).replace("SIGNAL", signal_)
     command = [sys.executable, "-c", script]
     result = subprocess.run(command, capture_output=True, text=True, timeout=20.0, check=False, cwd=tmp_path)
     assert (result.returncode, result.stderr) == (130, "error: interrupted\n")
-
-
-INTERRUPTED_AT_THE_END = """
-import atexit, os, signal, sys
-from insdvl_replay.cli import main
-
-class Last:
-    def __del__(self, kill=os.kill, pid=os.getpid()):
-        kill(pid, signal.SIGNAL)
-
-signal.last = Last()
-atexit.register(os.kill, os.getpid(), signal.SIGNAL)
-sys.argv = ["insdvl-replay", "--version"]
-main()
-"""
-
-
-@pytest.mark.parametrize("signal_", ["SIGINT", "SIGTERM"])
-def test_an_interruption_after_all_is_done_changes_nothing(signal_: str) -> None:
-    script = INTERRUPTED_AT_THE_END.replace("signal.SIGNAL", str(int(getattr(signal, signal_))))
-    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=20.0, check=False)
-    assert (result.returncode, result.stderr) == (0, "")
-    assert result.stdout == f"insdvl-replay {__version__}\n"
 
 
 @pytest.mark.parametrize("signal_", [pytest.param(signal.SIGINT, marks=pytest.mark.nightly), signal.SIGTERM])
@@ -428,10 +374,7 @@ def test_schema_prints_message_definitions(capsys: pytest.CaptureFixture[str]) -
     ("redirection", "reason"),
     [
         (">/dev/full", "error: stdout: "),
-        (">&-", "error: stdout: "),
-        ("<&- >&-", "error: stdout: "),
         ("2>/dev/full", ""),
-        ("2>&-", ""),
         (">/dev/full 2>/dev/full", ""),
         (">&- 2>&-", ""),
     ],
@@ -440,14 +383,14 @@ def test_schema_prints_message_definitions(capsys: pytest.CaptureFixture[str]) -
     "command",
     ["--help", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("config", "run {log} -o {out}"))],
 )
-def test_streams_that_are_full_or_closed_end_the_speaking_but_not_the_work(
+def test_streams_that_are_full_or_closed_end_the_printing_but_not_the_work(
     command: str, redirection: str, reason: str, tmp_path: Path
 ) -> None:
     log = SAMPLE.parents[1] / "examples" / "archive" / "dives" / "lost_beam.mcap"
     words = f"{sys.executable} -m insdvl_replay {command.format(log=log, out=tmp_path)} {redirection}"
     done = subprocess.run(words, shell=True, capture_output=True, text=True, timeout=120, check=False)
-    is_heard = redirection.startswith("2>") and not command.startswith("run")
-    assert done.returncode == (0 if is_heard else 2)
+    is_lost = "/dev/full" in redirection and (command.startswith("run") or not redirection.startswith("2"))
+    assert done.returncode == (2 if is_lost else 0)
     assert "Traceback" not in done.stderr
     assert (done.stderr.splitlines() or [""])[-1].startswith(reason)
     assert bool(done.stdout) == redirection.startswith("2>")

@@ -8,7 +8,7 @@ import pytest
 from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_into
 from insdvl_replay.cli.screen import spinner
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.runtime import begin, progress_listener
+from insdvl_replay.core.runtime import progress_listener, report_stage
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -27,10 +27,10 @@ def test_a_replay_tells_each_of_its_stages(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=20.0, seed=1))
     [task] = plan_jobs([tmp_path / "dive.mcap"], tmp_path / "out", ReplayOptions(load_config()))
     told: list[str] = []
-    with progress_listener(told.append):
+    with progress_listener(lambda stage, *_: told.append(stage)):
         replay_into(task)
     assert told == STAGES
-    begin("nobody listens any more")
+    report_stage("nobody listens any more")
     assert told == STAGES
 
 
@@ -41,6 +41,6 @@ def test_a_terminal_shows_the_stage_and_a_pipe_nothing(
         monkeypatch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
         monkeypatch.setenv("TERM", "xterm")
         with spinner("dive.mcap"):
-            begin("writing")
+            report_stage("writing")
         shown = capsys.readouterr().err
         assert (expected in shown) if terminal else shown == ""

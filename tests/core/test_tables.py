@@ -7,7 +7,7 @@ import pytest
 from row_messages import message_definition
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.sensors import SENSORS
+from insdvl_replay.core.states import SENSORS
 from insdvl_replay.core.table import TableLayout
 from insdvl_replay.core.tables import LAYOUTS, TABLES, each_table
 from insdvl_replay.core.words import Judgement

@@ -12,7 +12,7 @@ from processors import PROCESSORS
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.trajectory_columns import COLUMNS, GROUPS
+from insdvl_replay.core.states import COLUMNS, GROUPS
 from insdvl_replay.gates.gate_file import load_gates
 from insdvl_replay.gates.model import Gate
 from insdvl_replay.gates.trajectory_gate import trajectory_findings

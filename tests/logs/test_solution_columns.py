@@ -10,9 +10,8 @@ from rosbag_messages import START_NS, header, imu_messages, write_log, xyz
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core import config_file
-from insdvl_replay.core.config import Clocks, Config, Filter
+from insdvl_replay.core.config import Clocks, Config, Filter, Solution
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.config_navigation import Solution
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs import read_dive

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from own_sensors import Deep, Speed, WrongSign
 
-from insdvl_replay.core.config import Config, Evaluation, Filter
+from insdvl_replay.core.config import Config, Evaluation, Filter, Solution
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.config_navigation import Solution
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.nav.own_measurement import OwnReadings, checked_readings, load_own_measurement

@@ -10,13 +10,13 @@ import pytest
 from mcap_ros2.writer import Writer
 from own_sensors import BEACON, RANGE_SD_M
 
-from insdvl_replay.core.compiled import plain
 from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Heading, Position, Span, Topic
 from insdvl_replay.core.config_file import load_config, render_toml
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import is_used
+from insdvl_replay.core.runtime import plain
 from insdvl_replay.core.words import Consistency, Whiteness
 from insdvl_replay.logs.writing.dive_log import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive

@@ -24,7 +24,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TruthColumns
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
-from insdvl_replay.core.runtime import each
+from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import BA, BG, DEG, DV, MG, PHI, STATES
 from insdvl_replay.evaluation.credibility import nees
 from insdvl_replay.evaluation.ensemble import (
@@ -310,7 +310,9 @@ def test_unknown_names_are_told_with_the_nearest() -> None:
 
 
 def test_work_is_given_back_in_order_and_ends_at_the_first_error() -> None:
-    assert list(each(lambda number: number * number, range(50), jobs=4)) == [number * number for number in range(50)]
+    assert list(parallel_map(lambda number: number * number, range(50), jobs=4)) == [
+        number * number for number in range(50)
+    ]
     done = []
 
     def work(number: int) -> int:
@@ -321,7 +323,7 @@ def test_work_is_given_back_in_order_and_ends_at_the_first_error() -> None:
         return number
 
     with pytest.raises(ValueError, match="three"):
-        list(each(work, range(1000), jobs=2))
+        list(parallel_map(work, range(1000), jobs=2))
     assert len(done) < 100
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from as_text import Cases, refusal, spoken
 from small_results import content, write
 
+from insdvl_replay.core.states import COLUMNS
 from insdvl_replay.core.stored_report import StoredReport
-from insdvl_replay.core.trajectory_columns import COLUMNS
 from insdvl_replay.gates.gate_file import load_gates, require_known_names
 from insdvl_replay.gates.judged_cells import gate_findings
 from insdvl_replay.gates.model import Finding, Gate

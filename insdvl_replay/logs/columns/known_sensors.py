@@ -25,7 +25,7 @@ TYPES: Final[Mapping[str, Sequence[Types]]] = {
     ],
     "position": [FIX, EXTENDED_FIX],
 }
-"""Of the sensors of `core.sensors`; of several groups of types, the first that a log has is taken."""
+"""Of the sensors of `core.states`; of several groups of types, the first that a log has is taken."""
 TYPES_IF_NAMED: Final[Mapping[str, Types]] = {
     "depth": {
         name: KnownType({"height": "pose.pose.position.z"}, about="if `depth.topic` names it; metres upwards")

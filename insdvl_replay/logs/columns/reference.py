@@ -6,8 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Heading, Initial
-from insdvl_replay.core.config_navigation import Navigation, Reference
+from insdvl_replay.core.config import Heading, Initial, Navigation, Reference
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, distinct, in_blocks, nothing
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG

@@ -9,8 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Config
-from insdvl_replay.core.config_navigation import Solution, key_of
+from insdvl_replay.core.config import Config, Solution, key_of
 from insdvl_replay.core.dive_columns import (
     DvlColumns,
     ImuColumns,
@@ -21,7 +20,7 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, error_context, listed, nearest
-from insdvl_replay.core.sensors import SENSORS, asked_sensors
+from insdvl_replay.core.states import SENSORS
 from insdvl_replay.logs.columns.dvl import decode_dvl
 from insdvl_replay.logs.columns.imu import decode_imu, decode_truth
 from insdvl_replay.logs.columns.reference import decode_reference
@@ -144,7 +143,7 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     named = ((name, own) for name, own in config.solutions.items() if own.topic is not None)
     solutions = [_solution(topics, own, solution_role(name), reference.sources) for name, own in named]
     truth = _explained(topics, TRUTH_REQUIREMENT, lambda: tuple(filter(None, [topics.find(TRUTH_REQUIREMENT)])))
-    sensors = [_needed(topics, sensor_requirement(name, config)) for name in asked_sensors(config)]
+    sensors = [_needed(topics, sensor_requirement(name, config)) for name in config.sensors]
     sensors += [_needed(topics, own_requirement(name, config)) for name in config.topics]
     return (imu, dvl, reference, *sensors, *solutions, *([truth] if truth.sources or truth.error else []))
 

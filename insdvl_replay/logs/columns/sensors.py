@@ -8,8 +8,7 @@ import numpy as np
 from insdvl_replay.core.config import Config, Depth, Heading, Position
 from insdvl_replay.core.dive_columns import Floats, SensorColumns
 from insdvl_replay.core.errors import ConfigError, LogError, Note
-from insdvl_replay.core.sensors import BY_SENSOR
-from insdvl_replay.core.states import DEG, STANDARD_GRAVITY_MPS2
+from insdvl_replay.core.states import BY_SENSOR, DEG, STANDARD_GRAVITY_MPS2
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.logs.columns.cleaning import Cleaner
 from insdvl_replay.logs.columns.reference import ANGLE_UNITS, attitude, is_by_quaternion, of_receiver
@@ -23,7 +22,7 @@ _Readings = tuple[Floats, Floats | None]
 
 
 def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumns, list[Note]]:
-    """Make the columns of a sensor of `core.sensors`.
+    """Make the columns of a sensor of `core.states`.
 
     Raises
     ------

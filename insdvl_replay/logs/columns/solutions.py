@@ -10,8 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Initial
-from insdvl_replay.core.config_navigation import Solution
+from insdvl_replay.core.config import Initial, Solution
 from insdvl_replay.core.dive_columns import Floats, SolutionColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DV, PHI

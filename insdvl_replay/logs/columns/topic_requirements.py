@@ -8,10 +8,9 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
-from insdvl_replay.core.config import Config
-from insdvl_replay.core.config_navigation import TOPIC_KEYS, Navigation, Solution
+from insdvl_replay.core.config import TOPIC_KEYS, Config, Navigation, Solution
 from insdvl_replay.core.errors import LogError, error_context
-from insdvl_replay.core.sensors import SENSORS
+from insdvl_replay.core.states import SENSORS
 from insdvl_replay.logs.columns import known_dvls, known_sensors, known_types
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
 from insdvl_replay.logs.container.records import LogChannel
@@ -236,7 +235,7 @@ def own_solution_requirement(settings: Solution, role: str) -> TopicRequirement:
 
 
 def sensor_requirement(name: str, config: Config) -> TopicRequirement:
-    """State what one of the sensors of `core.sensors` needs."""
+    """State what one of the sensors of `core.states` needs."""
     return _required(
         getattr(config, name),
         name,

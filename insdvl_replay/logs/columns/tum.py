@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config_navigation import MOST_BYTES, Solution
+from insdvl_replay.core.config import MOST_BYTES, Solution
 from insdvl_replay.core.dive_columns import NS_PER_S, ReferenceColumns, SolutionColumns, TimeNs, is_new
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.plain_text import read_regular

@@ -6,7 +6,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from insdvl_replay.core.compiled import compiled, inlined
+from insdvl_replay.core.runtime import compiled, inlined
 from insdvl_replay.logs.container.records import LAST_KNOWN, RECORD_HEADER_SIZE, can_be_record
 
 _DATA_END: Final = int(Opcode.DATA_END)

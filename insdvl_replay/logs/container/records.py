@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
-from insdvl_replay.core.compiled import is_loaded
+from insdvl_replay.core.runtime import is_loaded
 
 Span = tuple[int, int]
 """First and last log time, ns."""

@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.compiled import is_loaded
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.runtime import is_loaded
 from insdvl_replay.logs.container.blocks import Block, gather
 from insdvl_replay.logs.encoding.fields import Columns, check_path
 from insdvl_replay.logs.encoding.layout import CDR, ENCAPSULATION, ROS1, Layout, Wire, dynamic_lengths, layout_of

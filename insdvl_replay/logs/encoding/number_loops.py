@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.compiled import compiled, inlined
+from insdvl_replay.core.runtime import compiled, inlined
 
 
 @compiled

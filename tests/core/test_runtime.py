@@ -13,7 +13,7 @@ import numba
 import pytest
 
 from insdvl_replay.cli.screen import compiling
-from insdvl_replay.core import compiled
+from insdvl_replay.core import runtime
 
 PROCESSES = 4
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_logs"
@@ -26,7 +26,7 @@ def started(cache: Path, *arguments: str) -> subprocess.Popen[str]:
 
 
 def test_what_is_inlined_divides_as_numpy_does_and_is_python_where_python_calls_it() -> None:
-    @compiled.inlined
+    @runtime.inlined
     def ratio(one: float, other: float) -> float:
         return one / other
 
@@ -74,7 +74,6 @@ def test_where_code_cannot_be_kept_a_run_warns(
     assert compiling() == "" or "warning" not in capsys.readouterr().err
     (tmp_path / "file").touch()
     monkeypatch.setenv("INSDVL_REPLAY_CACHE", str(tmp_path / "file"))
-    monkeypatch.setattr(compiled, "_FOLDER", compiled._cache_folder())
     compiling()
     said = capsys.readouterr().err
     assert said.startswith("warning: ")
@@ -82,26 +81,11 @@ def test_where_code_cannot_be_kept_a_run_warns(
     assert "INSDVL_REPLAY_CACHE=" in said
 
 
-def test_code_in_a_folder_that_cannot_be_written_is_used_from_a_copy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("INSDVL_REPLAY_CACHE", str(tmp_path))
-    monkeypatch.setattr(compiled, "can_write", lambda _: False)
-    assert compiled._cache_folder() is None
-    folder = compiled.usual_folder()
-    folder.mkdir()
-    (folder / "filter.nbc").write_bytes(b"code")
-    copy = compiled._cache_folder()
-    assert copy is not None
-    assert copy != folder
-    assert (copy / "filter.nbc").read_bytes() == b"code"
-
-
 # Code on a disk that is not to be relied on
 
 SQUARES = """
 import sys
-from insdvl_replay.core.compiled import cache_folder, compiled
+from insdvl_replay.core.runtime import cache_folder, compiled
 
 @compiled
 def square(number):
@@ -161,28 +145,21 @@ def test_a_full_disk_costs_the_time_to_compile(tmp_path: Path) -> None:
     assert files_in(tmp_path / "cache") == []
 
 
-@pytest.mark.parametrize("mode", [0o777, 0o770])
-def test_a_folder_in_which_others_can_write_is_not_used(
-    mode: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("INSDVL_REPLAY_CACHE", str(tmp_path))
-    folder = compiled._cache_folder()
-    assert folder is not None
-    assert folder.stat().st_mode & 0o777 == 0o700
-    monkeypatch.setattr(os, "getegid", lambda: 12345)
-    os.chown(folder, -1, os.getgid() if os.getuid() else 4242)
-    folder.chmod(mode)
-    assert compiled._cache_folder() is None
-    folder.chmod(0o755)
-    assert compiled._cache_folder() == folder
-    monkeypatch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
-    assert (compiled._cache_folder() is None) == (folder.stat().st_uid != 0)
+def test_code_in_a_folder_that_cannot_be_written_is_used(tmp_path: Path) -> None:
+    cache, script = tmp_path / "cache", tmp_path / "script.py"
+    squares(cache, script)
+    folders = [cache, *(path for path in cache.rglob("*") if path.is_dir())]
+    for folder in folders:
+        folder.chmod(0o555)
+    assert squares(cache, script)[0] == 1
+    for folder in folders:
+        folder.chmod(0o755)
 
 
 def test_machine_code_is_known_by_all_that_it_is_made_of() -> None:
     """What compiled functions use of other modules has to be among the sources that name their folder."""
-    package = Path(compiled.__file__).parents[1]
-    covered = {path for pattern in compiled._SOURCES for path in package.glob(pattern)}
+    package = Path(runtime.__file__).parents[1]
+    covered = {path for pattern in runtime._COMPILED_SOURCES for path in package.glob(pattern)}
     for path in package.rglob("*.py"):
         tree = ast.parse(path.read_text("utf-8"))
         functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and _is_compiled(node)]
