@@ -24,7 +24,7 @@ nightly: .venv/test.stamp tests/node/node_modules
 	$(BIN)/insdvl-replay compile
 	$(PYTEST) -m nightly
 	$(MAKE) judge calibration
-	$(BIN)/python attacks/attack.py all --short --count 60
+	$(BIN)/python tests/attacks/attack.py all --short --count 60
 
 # What the commands say of twelve dives, stored anew; git tells what has moved.
 net: .venv/test.stamp
@@ -82,11 +82,11 @@ judge: .venv/test.stamp
 
 # Damaged logs, bombs, hostile names, kills, swaps; takes some hour, and fails if there is a defect.
 attack: .venv/test.stamp
-	$(BIN)/python attacks/attack.py all --write
+	$(BIN)/python tests/attacks/attack.py all --write
 
 # The wheels of constraints.txt, with their digests.
 lock: .venv/run.stamp
-	$(BIN)/python pages/lock.py
+	$(BIN)/python docs/generate/lock.py
 
 # Made anew only when the simulation or the writer changes; tests hold them to SHA256SUMS.
 samples: .venv/run.stamp
@@ -101,27 +101,27 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema comparison > schemas/comparison.schema.json
 	$(BIN)/insdvl-replay schema calibration > schemas/calibration.schema.json
 	$(BIN)/insdvl-replay schema check > schemas/check.schema.json
-	$(BIN)/python pages/row_messages.py
+	$(BIN)/python docs/generate/row_messages.py
 
 pictures: .venv/run.stamp
-	$(BIN)/python pages/pictures.py
+	$(BIN)/python docs/generate/pictures.py
 
 readme: .venv/run.stamp
-	$(BIN)/python pages/readme.py
+	$(BIN)/python docs/generate/readme.py
 
 # The pages as a site, in build/site; a link that leads nowhere is an error.
 docs: .venv/test.stamp
-	$(BIN)/python pages/site_pages.py build/pages
+	$(BIN)/python docs/generate/site_pages.py build/pages
 	$(BIN)/python -m mkdocs build --strict --quiet
 
 # The page of the logs that can be used, by the tables of the types that are known.
 inputs: .venv/run.stamp
-	$(BIN)/python pages/inputs.py
+	$(BIN)/python docs/generate/inputs.py
 
 # Needs the eight dives of the AUV Snapir, in ../shared/data/snapir or where DIVES says.
 DIVES ?= ../shared/data/snapir
 reproduce: .venv/run.stamp
-	$(BIN)/python pages/reproduction.py $(DIVES)
+	$(BIN)/python docs/generate/reproduction.py $(DIVES)
 
 # How the DVLs of the three examples are built in, found from nothing; git tells what moved. The examples have these values: copy what
 # moved. Dives 09 and 11 of the Snapir, whose DVL is noisy, are left out, and confirm it. Needs the logs of ../shared/data, or of DATA.

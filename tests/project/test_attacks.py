@@ -17,7 +17,7 @@ from content import content_of, file_of
 from mcap.reader import make_reader
 from small_logs import small_log, true_messages
 
-ATTACK = Path(__file__).parents[2] / "attacks" / "attack.py"
+ATTACK = Path(__file__).parents[1] / "attacks" / "attack.py"
 MUTANTS = 300
 
 

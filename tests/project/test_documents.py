@@ -23,7 +23,7 @@ from insdvl_replay import __version__, nav, preparation
 from insdvl_replay.cli.app import app
 
 PROJECT = Path(__file__).resolve().parents[2]
-CHAPTERS = sorted(f"equations/{path.name}" for path in (PROJECT / "equations").glob("*.md"))
+CHAPTERS = sorted(f"docs/equations/{path.name}" for path in (PROJECT / "docs" / "equations").glob("*.md"))
 PAGES = sorted(f"docs/{path.name}" for path in (PROJECT / "docs").glob("*.md"))
 DOCUMENTS = ("README.md", *PAGES, *CHAPTERS, "CONTRIBUTING.md", "CHANGELOG.md")
 WIDTH = 140
@@ -41,7 +41,7 @@ def project_files() -> Iterator[Path]:
         yield from (Path(folder, name) for name in files if name != ".git")  # a file in a worktree
 
 
-# --- The chapters of equations/.
+# --- The chapters of docs/equations/.
 
 
 class Entry(NamedTuple):
@@ -181,7 +181,7 @@ def test_headings_of_a_chapter_have_anchors_of_their_own(chapter: str) -> None:
 
 
 def test_every_chapter_stands_in_the_table_of_contents() -> None:
-    linked = re.findall(r"^\| \[.+\]\((.+)\) \|", text_of("equations/README.md"), re.MULTILINE)
+    linked = re.findall(r"^\| \[.+\]\((.+)\) \|", text_of("docs/equations/README.md"), re.MULTILINE)
     assert sorted(["README.md", *linked]) == [Path(chapter).name for chapter in CHAPTERS]
 
 

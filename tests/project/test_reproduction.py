@@ -1,4 +1,4 @@
-"""REPRODUCTION.md is what the program gives."""
+"""docs/reproduction.md is what the program gives."""
 
 import re
 from pathlib import Path
@@ -29,7 +29,7 @@ def test_page_is_what_the_program_gives(found: reproduction.Findings) -> None:
 
 @pytest.mark.nightly
 def test_page_shows_every_picture_and_each_is_there(found: reproduction.Findings) -> None:
-    shown = set(re.findall(r"\]\((docs/\w+\.svg)\)", reproduction.PAGE.read_text("utf-8")))
+    shown = {f"docs/{name}" for name in re.findall(r"\]\((\w+\.svg)\)", reproduction.PAGE.read_text("utf-8"))}
     assert shown == {*pictures.PICTURES, *reproduction.drawn(found)}
     assert all((reproduction.PROJECT / name).is_file() for name in shown)
 

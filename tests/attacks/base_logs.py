@@ -16,7 +16,7 @@ from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 RECORDED = ROOT.parent / "shared" / "data" / "ros1"
 SHORT_S = 8.0
 ANSWERS = {"initial.heading_deg": "30.0", "initial.latitude_deg": "32.8", "imu.angular_rate_unit": '"rad/s"'}

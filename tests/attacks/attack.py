@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # before numpy is imported; each attacker has one core
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 sys.path[1:1] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 
 from results import machine, table, write_part  # noqa: E402

@@ -13,8 +13,7 @@ from written import PROJECT
 
 SOURCES = {
     **{path: path.name for path in sorted((PROJECT / "docs").glob("*.md"))},
-    **{path: f"equations/{path.name}" for path in sorted((PROJECT / "equations").glob("*.md"))},
-    PROJECT / "REPRODUCTION.md": "reproduction.md",
+    **{path: f"equations/{path.name}" for path in sorted((PROJECT / "docs" / "equations").glob("*.md"))},
     PROJECT / "CHANGELOG.md": "changes.md",
 }
 """Place in the site by file."""

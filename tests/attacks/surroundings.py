@@ -33,7 +33,7 @@ def attack(folder: Path, clean: bytes) -> Iterator[Outcome]:
 
 def _ended(folder: Path, *arguments: str, limit: Callable[[], None] | None = None) -> tuple[int, float, str]:
     """Run a command; its exit code, processor seconds and last line on stderr. -1 where it hangs."""
-    environment = os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{Path(__file__).parents[1]}"}
+    environment = os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{Path(__file__).parents[2]}"}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     command = [sys.executable, "-m", "insdvl_replay", *arguments]
     try:

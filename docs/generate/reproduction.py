@@ -1,4 +1,4 @@
-"""The parts of REPRODUCTION.md that the program writes: every table, figure and claim of the paper beside ours.
+"""The parts of docs/reproduction.md that the program writes: every table, figure and claim of the paper beside ours.
 
     python pages/reproduction.py [FOLDER]
 
@@ -32,8 +32,8 @@ from insdvl_replay.studies.observability import study_observability
 from insdvl_replay.studies.study_report import StudyReport
 from insdvl_replay.studies.window import study_window
 
-PAGE = PROJECT / "REPRODUCTION.md"
-PUBLISHED = PROJECT / "pages" / "levy_klein_straight.csv"
+PAGE = PROJECT / "docs" / "reproduction.md"
+PUBLISHED = PROJECT / "docs" / "generate" / "levy_klein_straight.csv"
 """Levy and Klein, both tables of the straight line."""
 SNAPIR = PROJECT / "examples" / "snapir.toml"
 PAPER_NOISE = SNAPIR.with_name("paper_noise.toml")
@@ -115,7 +115,7 @@ def sample(name: str, config: Config) -> Replay:
 
 
 def written(found: Findings) -> str:
-    """REPRODUCTION.md as it should be."""
+    """docs/reproduction.md as it should be."""
     parts: dict[str, Callable[[], str]] = {
         name: partial(part, found)
         for name, part in {
@@ -139,7 +139,7 @@ def limits(_: Findings) -> str:
     """Say what counts as agreement."""
     return (
         f"What agrees: a sigma within {SD_WITHIN:.0%}, a time within {REACHED_WITHIN_S:.0f} s, a mean within "
-        f"{MEAN_WITHIN_PCT:.0f} %; a claim in words by the rule that [claims.py](pages/claims.py) states for it."
+        f"{MEAN_WITHIN_PCT:.0f} %; a claim in words by the rule that [claims.py](generate/claims.py) states for it."
     )
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from insdvl_replay.core.table import TableLayout
 from insdvl_replay.core.tables import TABLES
 
-FOLDER = Path(__file__).resolve().parents[1] / "schemas" / "insdvl_msgs" / "msg"
+FOLDER = Path(__file__).resolve().parents[2] / "schemas" / "insdvl_msgs" / "msg"
 TYPES = {"text": "string", "count": "uint32", "number": "float64"}
 
 
