@@ -24,7 +24,7 @@ from results import machine, table, write_part
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.initial_state import with_more_states
+from insdvl_replay.nav.levelling import with_more_states
 from insdvl_replay.studies import simulated_run
 from insdvl_replay.studies.montecarlo import study_montecarlo
 

@@ -18,7 +18,7 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.earth import EARTH_RATE, normal_gravity
 from insdvl_replay.geometry.rotation import skew
-from insdvl_replay.nav.initial_state import Start
+from insdvl_replay.nav.levelling import Start
 
 POSITION_SD_M = 1e-3
 """The origin is where the vehicle starts."""

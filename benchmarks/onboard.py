@@ -19,7 +19,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, SolutionColumns
 from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
 from insdvl_replay.logs.columns.solutions import no_covariances
-from insdvl_replay.nav.drawn_starts import drawn_starts
+from insdvl_replay.nav.levelling import drawn_starts
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_one
 from insdvl_replay.replay import replay_dive

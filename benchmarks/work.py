@@ -23,9 +23,9 @@ from results import machine, table, write_part
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.nav.earth_model import Place, place_at
 from insdvl_replay.nav.error_model import propagate_cov
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.local_earth import Place, place_at
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import Timeline, first_node, is_last, next_node
 from insdvl_replay.replay import replay_dive

@@ -14,7 +14,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import ConfigError, ResultError, hint_for
-from insdvl_replay.nav.own_measurement import OwnMeasurement, OwnReadings
+from insdvl_replay.nav.user_measurement import OwnMeasurement, OwnReadings
 from insdvl_replay.results.dive_screen import dive_screen
 from insdvl_replay.results.folder import PAGE, TRAJECTORY_FILE, result_folder
 from insdvl_replay.results.json_report import Report, build_report, this_tool

@@ -12,7 +12,7 @@ from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.geometry.rotation import skew
-from insdvl_replay.nav.initial_state import Start
+from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.preparation.prepared import prepare_dive

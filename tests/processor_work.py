@@ -13,8 +13,7 @@ import numpy as np
 from numpy._core._multiarray_umath import __cpu_features__
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.sim.motion import Trajectory
-from insdvl_replay.sim.trajectories import SCENARIOS
+from insdvl_replay.sim.trajectories import SCENARIOS, Trajectory
 
 
 def motion_digest() -> str:

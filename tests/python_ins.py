@@ -26,8 +26,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, MG, POSITION
 from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.sim.dive import START_NS, simulate_dive
-from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, LostBeam
-from insdvl_replay.sim.sensors import SensorErrors
+from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, LostBeam, SensorErrors
 
 START_S, END_S = 93.0, 153.0  # level at the start, so that roll, pitch and heading are as sure as phi; two turns
 BEAM_SD_MPS = 0.0042

@@ -17,7 +17,7 @@ from insdvl_replay.calibration.fit import Fit, Linearised
 from insdvl_replay.calibration.innovations import DiveInnovations
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.runtime import parallel_map
-from insdvl_replay.geometry.beams import beam_vectors
+from insdvl_replay.geometry.frames import beam_vectors
 
 OFFSET_SD_MPS: Final = 0.001
 """Of a beam's constant offset. Makers of DVLs give 1 mm/s and 0.2 % or more."""

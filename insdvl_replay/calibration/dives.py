@@ -19,7 +19,7 @@ from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ReferenceC
 from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.outage_test import outage_test_table
-from insdvl_replay.geometry.beams import look_down
+from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive

@@ -17,7 +17,7 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import DV
-from insdvl_replay.nav.initial_state import Start
+from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.prepared import Prepared

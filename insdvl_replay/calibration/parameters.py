@@ -12,7 +12,7 @@ import numpy as np
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats, nanoseconds
 from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry.beams import DvlMounting
+from insdvl_replay.geometry.frames import DvlMounting
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, rpy_from_mat
 from insdvl_replay.nav.dvl import DvlVelocities
 

@@ -16,9 +16,8 @@ from insdvl_replay.core.dive_columns import DvlColumns, Floats, ReferenceColumns
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, FASTEST_MPS
 from insdvl_replay.core.words import Severity
-from insdvl_replay.geometry.beams import DvlMounting, solve_beams
+from insdvl_replay.geometry.frames import Complex, DvlMounting, horizontal, solve_beams
 from insdvl_replay.geometry.rotation import wrap_angle
-from insdvl_replay.geometry.steps import Complex, horizontal
 
 _LEAST_SPEED_MPS: Final = 0.2  # above a DVL's noise and a lever arm's swing
 _LEAST_EXCURSION_MPS: Final = 0.015  # below it a DVL shows its noise

@@ -47,9 +47,8 @@ from insdvl_replay.core.dive_columns import (
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR
 from insdvl_replay.core.words import Severity
-from insdvl_replay.geometry.frames import north_east_m
+from insdvl_replay.geometry.frames import Complex, horizontal, north_east_m
 from insdvl_replay.geometry.rotation import wrap_angle
-from insdvl_replay.geometry.steps import Complex, horizontal
 
 _TRACK_WINDOW_S: Final = 10.0
 _LEAST_WINDOW_M: Final = 3.0  # above the noise of a satellite fix

@@ -11,8 +11,8 @@ from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, Refe
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
+from insdvl_replay.geometry.frames import AROUND, Complex, Steps, find_jumps, least_difference, steps_of, unexplained_m
 from insdvl_replay.geometry.rotation import vector_from_mat
-from insdvl_replay.geometry.steps import AROUND, Complex, Steps, find_jumps, least_difference, steps_of, unexplained_m
 
 _LEG_S: Final = 10.0
 """Over so long a leg, single positions of a receiver are good enough to give a direction."""

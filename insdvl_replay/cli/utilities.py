@@ -17,8 +17,7 @@ from insdvl_replay.core.states import SENSORS
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from insdvl_replay.sim.sensor_errors import LostBeam
-    from insdvl_replay.sim.sensors import SensorErrors
+    from insdvl_replay.sim.sensor_errors import LostBeam, SensorErrors
 
 _SHORT_S = 10.0
 
@@ -129,7 +128,7 @@ def _sensors(texts: "Sequence[str]") -> "dict[str, SensorErrors]":
 
 
 def _sensor(text: str) -> "tuple[str, SensorErrors]":
-    from insdvl_replay.sim.sensors import SIMULATED, SensorErrors
+    from insdvl_replay.sim.sensor_errors import SIMULATED, SensorErrors
 
     name, _, size = text.partition("=")
     require_known("--sensor", name, SIMULATED)

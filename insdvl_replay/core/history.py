@@ -47,7 +47,7 @@ class Innovations:
     noise_factor : float
         By how much R is larger at the end than it is said to be, by the innovations; 1 but for adaptive noise.
     holds_height : bool
-        It measures the velocity down, see `nav.local_earth.GravityHeight`.
+        It measures the velocity down, see `nav.earth_model.GravityHeight`.
     """
 
     measurement: str

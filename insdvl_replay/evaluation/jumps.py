@@ -1,6 +1,6 @@
 """How often a filter's position jumps: steps that neither its own velocity nor the steps around explain.
 
-A reference is looked at in the same way, see `geometry.steps`.
+A reference is looked at in the same way, see `geometry.frames`.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,7 +12,7 @@ import numpy as np
 from insdvl_replay.core.dive_columns import ReferenceColumns
 from insdvl_replay.core.history import History
 from insdvl_replay.core.tables import JumpRow
-from insdvl_replay.geometry.steps import find_jumps, steps_of, unexplained_m
+from insdvl_replay.geometry.frames import find_jumps, steps_of, unexplained_m
 
 SMALLEST_M: Final = 0.5
 """Less is no jump: in turns velocities and positions of a few hertz differ by some centimetres."""

@@ -1,6 +1,6 @@
 """The WGS-84 Earth: rotation, gravity, radii of curvature.
 
-Written with numpy functions that take numbers and arrays alike; `nav.local_earth` compiles the same text for the
+Written with numpy functions that take numbers and arrays alike; `nav.earth_model` compiles the same text for the
 filter's loop. What ends in ``_of`` takes sines and cosines of the latitude, which the simulation computes its own way.
 Source: NIMA TR8350.2, "Department of Defense World Geodetic System 1984", third edition, chapters 3 and 4.
 """

@@ -7,15 +7,24 @@ to b at the start, so that a vehicle that turns or changes its speed is levelled
 
 A straight line through the left side, known at each ping, has gravity as its slope. Coriolis' acceleration is left out,
 0.002 deg at 2 m/s, as is the gyros' white noise.
+
+What a filter starts from, and how its errors hang together.
+
+Starts that err as much as a filter is told they may.
+
+A replay starts on its reference, without the errors that P0 allows for and that aiding exists to find. From one such
+start nothing can be learnt of how fast a filter finds them; from several that are drawn, its true errors can be seen to
+fall.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, distinct, nanoseconds, seconds
+from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, skew
 from insdvl_replay.nav.dvl import DvlVelocities
@@ -261,4 +270,144 @@ def _level(
         velocity_cov + white * np.eye(3),
         float(time_s[-1]),
         pings,
+    )
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a filter starts and how sure it is.
+
+    Attributes
+    ----------
+    position : ndarray, shape (3,)
+        Latitude rad, longitude rad, height m.
+    velocity_n : ndarray, shape (3,)
+        m/s
+    mat_nb : ndarray, shape (3, 3)
+        Attitude.
+    cov : ndarray, shape (12, 12)
+        Covariance of the error states, SI units.
+    accel_bias_b, gyro_bias_b : ndarray, shape (3,)
+        Biases that are known beforehand, m/s^2 and rad/s; zero unless given.
+    constants : ndarray, shape (c,)
+        Of the sensors, that have states of their own.
+    is_heading_sensed : bool
+        The heading is that of the sensor, and has its bias.
+    """
+
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    cov: Floats
+    accel_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
+    gyro_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
+    constants: Floats = field(default_factory=lambda: np.zeros(0))
+    is_heading_sensed: bool = False
+
+    @property
+    def sd(self) -> Floats:
+        """Standard deviations of the error states, shape (12,)."""
+        return np.sqrt(np.diagonal(self.cov))
+
+
+def with_more_states(start: Start, more_sd: Floats, constants: int, *, heading_bias: bool = False) -> Start:
+    """Let a start be of more states, independent of all others but for the bias of a heading that was the sensor's.
+
+    Parameters
+    ----------
+    more_sd : ndarray, shape (n - 12,)
+        Their standard deviations.
+    constants : int
+        How many of them are constants of the sensors, which are taken to be zero.
+    heading_bias : bool
+        Whether the last of them is that bias.
+    """
+    if not len(more_sd):
+        return start
+    n, cov = len(start.cov), np.diag(np.concatenate([start.sd, more_sd]) ** 2)
+    cov[:n, :n] = start.cov
+    if heading_bias and start.is_heading_sensed:
+        by_heading = np.append(start.cov[:, PHI.stop - 1] / start.cov[PHI.stop - 1, PHI.stop - 1], 1.0)
+        rows = [*range(n), len(cov) - 1]
+        cov[len(cov) - 1, len(cov) - 1] = 0.0
+        cov[np.ix_(rows, rows)] += more_sd[-1] ** 2 * np.outer(by_heading, by_heading)
+    return replace(start, cov=cov, constants=np.zeros(constants))
+
+
+def start_cov(sd: Floats, mat_nb: Floats, level: Level | None, velocity_by_dvl_n: Floats | None) -> Floats:
+    """Return the covariance of a start from the errors that do not depend on each other.
+
+    Accelerometers that are biased tilt the level by exactly ``phi = (-b_e, b_n) / g``, and a velocity that the DVL
+    measures in b is off by ``phi x v`` in n: what the filter finds of one it finds of the other.
+
+    Parameters
+    ----------
+    sd : ndarray, shape (12,)
+        Of the error states where each is known by itself.
+    mat_nb : ndarray, shape (3, 3)
+        Attitude at the start.
+    level : Level or None
+        Where it made roll and pitch, whose standard deviations then follow from it.
+    velocity_by_dvl_n : ndarray, shape (3,), or None
+        The velocity, where the DVL's was turned to n.
+
+    Returns
+    -------
+    ndarray, shape (12, 12)
+    """
+    effect, own = np.eye(len(sd)), np.diag(sd**2)
+    if level is not None:
+        tilt = slice(PHI.start, PHI.start + 2)
+        # C_hat' e_d is gravity's direction in b, so that phi x e_d = -C times its error.
+        per_gravity = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]) @ mat_nb / np.linalg.norm(level.gravity_b)
+        effect[tilt, BA] = per_gravity @ level.per_accel_bias
+        effect[tilt, BG] = per_gravity @ level.per_gyro_bias
+        own[tilt, tilt] = per_gravity @ level.noise_cov_b @ per_gravity.T
+    if velocity_by_dvl_n is not None:
+        effect[DV] += -skew(velocity_by_dvl_n) @ effect[PHI]
+    cov: Floats = effect @ own @ effect.T
+    return 0.5 * (cov + cov.T)
+
+
+def drawn_starts(start: Start, count: int, seed: int | tuple[int, ...]) -> tuple[Start, ...]:
+    """Return a start, and others beside it that err by what is drawn from its covariance.
+
+    Parameters
+    ----------
+    count : int
+        How many, the start itself among them. Of two counts, the smaller gives the first of the larger.
+    seed : int
+        Of the draws. Filters that start alike meet the same errors.
+
+    Returns
+    -------
+    tuple of Start
+        The first is the start itself. All have its position, which no error state is of, and its covariance.
+    """
+    # By a triangular factor, which is the same on every processor; eigenvectors of equal variances would not be. The
+    # states are scaled by their standard deviations first: in SI units P0 spans some ten decades.
+    factor = np.linalg.cholesky(start.cov / np.outer(start.sd, start.sd))
+    normal = np.random.default_rng(seed).standard_normal((max(count - 1, 0), len(start.cov)))
+    return (start, *(erring(start, start.sd * (factor @ draw)) for draw in normal))
+
+
+def erring(start: Start, error: Floats) -> Start:
+    """Let a start err: the inverse of `correction.correct`, which takes the same errors out.
+
+    The velocity follows from the error that is exact for misalignments of any size, ``dv + v_hat x phi``, which is
+    ``v_hat - exp([phi x]) v``: ``(I + [phi x]) v_hat = exp([phi x]) v + dv``.
+
+    Parameters
+    ----------
+    error : ndarray, shape (12,)
+        Estimated minus true, of a bias true minus estimated, in the order of `states.STATES`, SI units.
+    """
+    turn = mat_from_vector(error[PHI])
+    velocity_n = np.linalg.solve(np.eye(3) + skew(error[PHI]), turn @ start.velocity_n + error[DV])
+    return replace(
+        start,
+        velocity_n=np.asarray(velocity_n, dtype=np.float64),
+        mat_nb=turn @ start.mat_nb,
+        accel_bias_b=start.accel_bias_b - error[BA],
+        gyro_bias_b=start.gyro_bias_b - error[BG],
     )

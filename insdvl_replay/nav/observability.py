@@ -1,27 +1,204 @@
-"""Observability: which errors at the start of a span its measurements can tell apart.
+"""The motion around which errors are linearised, at the pings, and how those at the start have grown until then.
+
+Observability: which errors at the start of a span its measurements can tell apart.
 
 The rows ``H(t) Phi(t, t0)`` of all pings are stacked. Each is divided by its measurement's noise, so that velocities
 and accelerations can stand in one stack, and each state is counted in units of its prior standard deviation. A singular
 value s is then a ratio of signal to noise: were there no process noise, the measurements would leave
 ``1 / sqrt(1 + s^2)`` of the prior uncertainty along its direction. What they leave with it, see `remaining_cov`.
+
+Directions of error that have a name, since straight and level motion hides them.
+
+A misalignment tilts gravity, and an accelerometer bias can level it out again: the pair stays as it is. So does a
+heading error with the velocity error that turns the way as a whole. On the turning Earth each also needs the gyro bias
+that takes the Earth's rate out.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import compiled, inlined
-from insdvl_replay.nav.innovation import InsAtPing, linearise
+from insdvl_replay.core.states import BA, BG, DV, PHI
+from insdvl_replay.nav.algebra import (
+    Vector,
+    add,
+    cross,
+    rotate_back,
+    row_matrix,
+    row_vector,
+    subtract,
+    vector,
+    write_row_matrix,
+    write_row_vector,
+)
+from insdvl_replay.nav.earth_model import (
+    gravity_at,
+    normal_gravity,
+    place_about,
+    place_at,
+    transport_curvature,
+    transport_rate_n,
+)
+from insdvl_replay.nav.error_model import TWELVE, TWELVE_ALONE, add_noise, propagate_cov, propagate_errors
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, multiply, transposed_gain, update_cov
-from insdvl_replay.nav.local_earth import place_at
-from insdvl_replay.nav.measurements import Measurement, Stack, stacked
-from insdvl_replay.nav.nominal_motion import NominalPings
-from insdvl_replay.nav.state_layout import TWELVE, TWELVE_ALONE
-from insdvl_replay.nav.vector_algebra import Vector, row_matrix, row_vector, vector
+from insdvl_replay.nav.measurements import InsAtPing, Measurement, Stack, linearise, stacked
+from insdvl_replay.nav.strapdown import Motion, NavState, propagate
+from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, mean, next_node
+
+
+class NominalPings(NamedTuple):
+    """The motion around which the errors are linearised, where it is measured.
+
+    Attributes
+    ----------
+    velocity_n : ndarray, shape (m, 3)
+        m/s
+    mat_nb : ndarray, shape (m, 3, 3)
+        Attitude.
+    rate_nb_b : ndarray, shape (m, 3)
+        Angular rate of the body against n, rad/s.
+    gravity : ndarray, shape (m,)
+        m/s^2
+    transition : ndarray, shape (m, 12, 12)
+        Phi(t, t0), from the errors at the start to those at the ping.
+    step : ndarray, shape (m, 12, 12)
+        Phi from the ping before, of the first from the start.
+    noise : ndarray, shape (m, 12, 12)
+        Covariance of what process noise has added meanwhile.
+    """
+
+    velocity_n: Floats
+    mat_nb: Floats
+    rate_nb_b: Floats
+    gravity: Floats
+    transition: Floats
+    step: Floats
+    noise: Floats
+
+
+def nominal_pings(
+    timeline: Timeline, nominal: History, noise_density: Floats, *, earth_rate: bool = True
+) -> NominalPings:
+    """Carry the errors at the start to each ping along a nominal motion.
+
+    Equations (48) and (49) of Levy and Klein, as the product of ``I + F dt`` along the way; see
+    equations/observability.md.
+
+    Parameters
+    ----------
+    timeline : Timeline
+        Nodes with readings and pings.
+    nominal : History
+        A row at each recorded event of the time line; from one to the next the motion is mechanised.
+    noise_density : ndarray, shape (12,)
+        From `error_model.noise_density`; long gaps of the IMU add theirs.
+    earth_rate : bool
+        False: let the Earth be flat and at rest, and take the Coriolis acceleration out of the readings.
+
+    Raises
+    ------
+    ValueError
+        The history was recorded on another time line.
+    """
+    if not np.array_equal(nominal.time_ns, timeline.event_ns[timeline.record >= 0]):
+        raise ValueError("the nominal motion has other times than the time line records")
+    pings = int(timeline.ping.max()) + 1
+    found = NominalPings(
+        np.empty((pings, 3)),
+        np.empty((pings, 3, 3)),
+        np.empty((pings, 3)),
+        np.empty(pings),
+        *np.empty((3, pings, TWELVE, TWELVE)),
+    )
+    states = _States(
+        nominal.position,
+        nominal.velocity_n,
+        np.ascontiguousarray(nominal.mat_nb),
+        nominal.accel_bias_b,
+        nominal.gyro_bias_b,
+    )
+    _walk_motion(timeline, states, tuple(noise_density.tolist()), earth_rate, found)
+    return found
+
+
+class _States(NamedTuple):
+    """Columns of navigation states."""
+
+    position: Floats
+    velocity_n: Floats
+    mat_nb: Floats
+    accel_bias_b: Floats
+    gyro_bias_b: Floats
+
+
+@inlined
+def _row_state(states: _States, row: int) -> NavState:
+    return NavState(
+        row_vector(states.position, row),
+        row_vector(states.velocity_n, row),
+        row_matrix(states.mat_nb, row),
+        row_vector(states.accel_bias_b, row),
+        row_vector(states.gyro_bias_b, row),
+    )
+
+
+@compiled
+def _walk_motion(
+    timeline: Timeline, nominal: _States, noise_density: tuple[float, ...], earth_rate: bool, found: NominalPings
+) -> None:
+    """Mechanise from one recorded event to the next, and let errors grow and noise gather from ping to ping."""
+    transition, step, noise = np.eye(TWELVE), np.eye(TWELVE), np.zeros((TWELVE, TWELVE))
+    step_by_row, noise_by_row = step.ravel(), noise.ravel()
+    state = _row_state(nominal, timeline.record[0])
+    place = place_at(state.position[0], state.position[2])
+    before = first_node(timeline)
+    while not is_last(timeline, before):
+        now = next_node(timeline, before)
+        dt = now.time_s - before.time_s
+        before_n = state.velocity_n
+        place = place_about(state.position, place)
+        force_b = mean(before.specific_force_b, now.specific_force_b)
+        rate_b = mean(before.angular_rate_b, now.angular_rate_b)
+        state, motion = propagate(state, force_b, rate_b, dt, place, gravity_at(place, state.position[2]))
+        errors_motion = motion if earth_rate else _on_a_resting_earth(motion, before_n)
+        propagate_errors(step_by_row, errors_motion, dt)
+        propagate_cov(noise_by_row, errors_motion, noise_density, dt)
+        gap = timeline.gap[before.event]
+        if gap >= 0:
+            add_noise(noise_by_row, TWELVE, timeline.gap_noise_density[gap], dt)
+        before = now
+        if not is_event(timeline, now):
+            continue
+
+        ping, row = timeline.rows[PINGS, now.event], timeline.record[now.event]
+        if row >= 0:
+            state = _row_state(nominal, row)
+        if ping >= 0:
+            write_row_vector(state.velocity_n, found.velocity_n, ping)
+            write_row_matrix(state.mat_nb, found.mat_nb, ping)
+            rate_ib_b = subtract(now.angular_rate_b, state.gyro_bias_b)
+            rate_in_b = rotate_back(motion.mat_nb, motion.rate_in_n)
+            write_row_vector(subtract(rate_ib_b, rate_in_b), found.rate_nb_b, ping)
+            found.gravity[ping] = normal_gravity(state.position[0], state.position[2])
+            multiply(step, transition, found.transition[ping])
+            found.step[ping], found.noise[ping] = step, noise
+            transition = found.transition[ping]
+            step[:], noise[:] = np.eye(TWELVE), 0.0
+
+
+@inlined
+def _on_a_resting_earth(motion: Motion, velocity_n: Vector) -> Motion:
+    """Return the motion with the specific force that the same way would take on an Earth that is flat and at rest."""
+    coriolis_n = cross(add(motion.rate_ie_n, motion.rate_in_n), velocity_n)
+    still = (0.0, 0.0, 0.0)
+    return Motion(still, still, subtract(motion.force_n, coriolis_n), motion.mat_nb, still)
+
 
 TOLERANCE: Final = 3e-6
 """Rounding leaves about 1e-8 of the largest singular value; the weakest effect, of the Earth's rate, is about 1e-5."""
@@ -215,12 +392,12 @@ def remaining_cov(
     H = np.stack([jacobians(pings, measurement, lever_arm_b) for measurement in measurements])
     cov_b = np.stack([measurement.cov for measurement in measurements])
     available = np.stack([measurement.available for measurement in measurements])
-    _walk(pings.step, pings.noise, H, cov_b, available, P)
+    _walk_cov(pings.step, pings.noise, H, cov_b, available, P)
     return P
 
 
 @compiled
-def _walk(steps: Floats, noises: Floats, H: Floats, cov_b: Floats, available: NDArray[np.bool_], P: Floats) -> None:
+def _walk_cov(steps: Floats, noises: Floats, H: Floats, cov_b: Floats, available: NDArray[np.bool_], P: Floats) -> None:
     """Take P from ping to ping, in place."""
     (HP, KT, rest), grown = np.empty((3, 3, TWELVE)), np.empty((TWELVE, TWELVE))
     S, L = np.empty((2, 3, 3))
@@ -244,3 +421,136 @@ def _advance(P: Floats, step: Floats, noise: Floats, grown: Floats) -> None:
             for k in range(TWELVE):
                 total += grown[i, k] * step[j, k]
             P[i, j] = P[j, i] = total
+
+
+_AXES: Final = ("north", "east", "down")
+_ACROSS: Final = {"north": "east", "east": "north"}
+
+
+@dataclass(frozen=True)
+class ErrorDirection:
+    """A direction in the space of the 12 error states.
+
+    Attributes
+    ----------
+    id : str
+        Name in tables.
+    label : str
+        Name in words.
+    error : ndarray, shape (12,)
+        SI units; the leading state is 1.
+    """
+
+    id: str
+    label: str
+    error: Floats
+
+    def scaled(self, prior_sd: Floats) -> Floats:
+        """Return the direction in prior standard deviations, of unit length."""
+        scaled = self.error / prior_sd
+        unit: Floats = scaled / np.linalg.norm(scaled)
+        return unit
+
+
+def named_directions(
+    position: Floats, velocity_n: Floats, mat_nb: Floats, *, earth_rate: bool = True
+) -> tuple[ErrorDirection, ...]:
+    """Make the directions that steady motion hides from velocities, or from accelerations.
+
+    Equations (50) to (54) of Levy and Klein, and what they leave out; see equations/observability.md.
+
+    Parameters
+    ----------
+    position, velocity_n : ndarray, shape (3,)
+        At the start; latitude rad, longitude rad, height m, and m/s.
+    mat_nb : ndarray, shape (3, 3)
+        Attitude at the start.
+    earth_rate : bool
+        False: on an Earth that is flat and at rest.
+
+    Returns
+    -------
+    tuple of ErrorDirection
+        In an order in which each is simpler than those after it.
+    """
+    still = np.zeros(3)
+    rate_ie_n, rate_en_n = _rates_n(position, velocity_n) if earth_rate else (still, still)
+    rate_in_n = rate_ie_n + rate_en_n
+    gravity_n = np.array([0.0, 0.0, normal_gravity(position[0], position[2])])
+    coriolis_n = rate_ie_n + rate_in_n
+    force_n = np.cross(coriolis_n, velocity_n) - gravity_n
+    axes_n = np.eye(3)
+    velocities = [
+        ErrorDirection(f"dv_{axis[0]}", f"velocity error {axis}", _error(dv=axis_n))
+        for axis, axis_n in zip(_AXES, axes_n, strict=True)
+    ]
+    tilts = []
+    for axis, phi in zip(_AXES, axes_n, strict=True):
+        dv = -np.cross(velocity_n, phi)
+        ba = mat_nb.T @ (np.cross(force_n, phi) + np.cross(coriolis_n, dv))
+        transport_error_n = _rates_n(position, dv)[1] if earth_rate else still
+        bg = mat_nb.T @ (np.cross(rate_in_n, phi) + transport_error_n)
+        tilts.append(
+            ErrorDirection(f"phi_{axis[0]} held", _tilt_label(axis, earth_rate), _error(dv=dv, phi=phi, ba=ba, bg=bg))
+        )
+    down_b = mat_nb.T @ axes_n[2]
+    across_b = -mat_nb.T @ np.cross(velocity_n, axes_n[2])
+    gyro = ErrorDirection("bg_d", "gyro bias about down", _error(bg=down_b))
+    # A heading that drifts by the one bends the way as steadily as the other does.
+    centripetal = "gyro bias about down with accelerometer bias across"
+    bent = ErrorDirection("bg_d held", centripetal, _error(ba=across_b, bg=down_b))
+    return (*velocities, *tilts, gyro, bent)
+
+
+def name_unobservable(
+    observability: Observability, directions: tuple[ErrorDirection, ...], prior_sd: Floats
+) -> tuple[ErrorDirection, ...]:
+    """Find the named directions that make up what is not observable.
+
+    The least seen come first. A direction is taken if more than half of it lies in what is unobservable and not yet
+    named.
+
+    Parameters
+    ----------
+    directions : tuple of ErrorDirection
+        From `named_directions`.
+    prior_sd : ndarray, shape (12,)
+        Standard deviations of the states at the start, SI units.
+
+    Returns
+    -------
+    tuple of ErrorDirection
+        At most 12 less the rank; in the order of ``directions``.
+    """
+    unnamed, found = observability.unobservable, set()
+    for direction in sorted(directions, key=lambda each: observability.response(each.scaled(prior_sd))):
+        part = unnamed.T @ (unnamed @ direction.scaled(prior_sd))
+        if part @ part > 0.5:
+            found.add(direction.id)
+            # What remains is at right angles to the part just named.
+            _, _, basis = np.linalg.svd(unnamed @ (np.eye(TWELVE) - np.outer(part, part) / (part @ part)))
+            unnamed = basis[: len(unnamed) - 1]
+    return tuple(direction for direction in directions if direction.id in found)
+
+
+def _tilt_label(axis: str, earth_rate: bool) -> str:
+    label = "heading with velocity error across"
+    if axis in _ACROSS:
+        label = f"misalignment about {axis} with accelerometer bias {_ACROSS[axis]}"
+    return f"{label} and gyro bias" if earth_rate else label
+
+
+def _error(**parts: Floats) -> Floats:
+    places = {"dv": DV, "phi": PHI, "ba": BA, "bg": BG}
+    error = np.zeros(TWELVE)
+    for name, part in parts.items():
+        error[places[name]] = part
+    return error
+
+
+def _rates_n(position: Floats, velocity_n: Floats) -> tuple[Floats, Floats]:
+    """Return the rates of the Earth, and of n against the Earth at a velocity."""
+    latitude, height_m = float(position[0]), float(position[2])
+    place = place_at(latitude, height_m)
+    rate_en_n = transport_rate_n(transport_curvature(place, height_m), vector(velocity_n))
+    return np.array(place.rate_ie_n), np.array(rate_en_n)

@@ -6,18 +6,8 @@ Source: equations (24) and (25) of Levy and Klein; Groves, chapter 5.
 from typing import NamedTuple
 
 from insdvl_replay.core.runtime import inlined
-from insdvl_replay.nav.local_earth import Place, curvatures, transport_curvature, transport_rate_n
-from insdvl_replay.nav.vector_algebra import (
-    Matrix,
-    Vector,
-    add,
-    compose,
-    cross,
-    rotate,
-    rotation_from_vector,
-    scale,
-    subtract,
-)
+from insdvl_replay.nav.algebra import Matrix, Vector, add, compose, cross, rotate, rotation_from_vector, scale, subtract
+from insdvl_replay.nav.earth_model import Place, curvatures, transport_curvature, transport_rate_n
 
 
 class NavState(NamedTuple):

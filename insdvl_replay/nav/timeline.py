@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import Floats, ImuColumns, Scalar, TimeNs, distinct, seconds
 from insdvl_replay.core.runtime import inlined
 from insdvl_replay.core.states import STATES
-from insdvl_replay.nav.vector_algebra import Vector, add, row_vector, scale, subtract
+from insdvl_replay.nav.algebra import Vector, add, row_vector, scale, subtract
 
 PINGS: Final = 0
 """The sensor whose readings are the DVL's pings: its row in the time line."""

@@ -12,14 +12,15 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
 from insdvl_replay.nav.dvl import DvlVelocities
-from insdvl_replay.nav.initial_state import Start, start_cov
 from insdvl_replay.nav.levelling import (
     FEWEST_SAMPLES,
     LEVELLING_S,
     Level,
     SensorNoise,
+    Start,
     find_level,
     levelling_samples,
+    start_cov,
 )
 from insdvl_replay.preparation.start_position import FAR_S, configured_latitude_deg, idle_note, start_position
 

@@ -14,23 +14,19 @@ from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.quantities import WITHHELD
 from insdvl_replay.core.states import DEG, MORE_STATES, states_for
-from insdvl_replay.geometry.beams import DvlMounting
-from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities
-from insdvl_replay.nav.dvl_measurements import (
+from insdvl_replay.geometry.frames import DvlMounting
+from insdvl_replay.nav.dvl import (
+    DvlBeams,
+    DvlVelocities,
     acceleration_measurement,
     beam_measurements,
     velocity_cov,
     velocity_measurement,
 )
 from insdvl_replay.nav.error_model import noise_density
+from insdvl_replay.nav.kalman import ADAPTIVE, FIXED, STUDENT_T
 from insdvl_replay.nav.levelling import SensorNoise
-from insdvl_replay.nav.measurement_noise import ADAPTIVE, FIXED, STUDENT_T
-from insdvl_replay.nav.measurements import (
-    PUBLISHED,
-    WINDOWED,
-    Measurement,
-    withheld,
-)
+from insdvl_replay.nav.measurements import PUBLISHED, WINDOWED, Measurement, withheld
 from insdvl_replay.nav.timeline import NO_GAPS, Gaps
 from insdvl_replay.preparation.long_gaps import lever_arm_velocity_cov
 
@@ -63,7 +59,7 @@ class ResolvedFilter:
     withheld : tuple of str
         Sensors of whose readings it is not told, but by which it is judged.
     measurement_noise : int
-        How R of velocity and beams is taken, see `nav.measurement_noise`.
+        How R of velocity and beams is taken, see `nav.kalman`.
     more_sd, more_density : ndarray, shape (n - 12,)
         Standard deviations of these states at the start, and the density of their process noise, SI units.
     heading_bias_rate_hz : float

@@ -14,7 +14,7 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, DV, PHI, STATES
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.rotation import skew
-from insdvl_replay.nav.local_earth import HOLD_AFTER_S
+from insdvl_replay.nav.earth_model import HOLD_AFTER_S
 from insdvl_replay.nav.timeline import Gaps
 
 LONGEST_BRIDGE_S: Final = 3600.0

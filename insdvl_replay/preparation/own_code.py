@@ -17,8 +17,8 @@ from insdvl_replay.core.states import states_with
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import skew
-from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.own_measurement import INS_SIZE, OwnMeasurement, OwnReadings, Predict
+from insdvl_replay.nav.levelling import Start
+from insdvl_replay.nav.user_measurement import INS_SIZE, OwnMeasurement, OwnReadings, Predict
 from insdvl_replay.preparation.filters import ResolvedFilter
 
 SHOWN: Final = "docs/own_measurement.md shows one"

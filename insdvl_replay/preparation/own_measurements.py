@@ -17,10 +17,10 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Dive, TimeNs
 from insdvl_replay.core.errors import ConfigError, Note, error_context
 from insdvl_replay.core.quantities import COMPONENTS
 from insdvl_replay.core.words import Severity
-from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.innovation import OWN
-from insdvl_replay.nav.measurements import Measurement, sensor_measurement
-from insdvl_replay.nav.own_measurement import (
+from insdvl_replay.nav.levelling import Start
+from insdvl_replay.nav.measurements import OWN, Measurement, sensor_measurement
+from insdvl_replay.nav.timeline import FIRST_OTHER
+from insdvl_replay.nav.user_measurement import (
     OwnMeasurement,
     OwnReadings,
     Predict,
@@ -29,7 +29,6 @@ from insdvl_replay.nav.own_measurement import (
     joined,
     load_own_measurement,
 )
-from insdvl_replay.nav.timeline import FIRST_OTHER
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.own_code import SHOWN, asked_readings, tried_prediction, uncompiled_prediction
 from insdvl_replay.preparation.sensors import silence_notes

@@ -20,9 +20,8 @@ from insdvl_replay.core.dive_columns import (
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
-from insdvl_replay.geometry.beams import DvlMounting
 from insdvl_replay.geometry.earth import earth_rate_n
-from insdvl_replay.geometry.frames import moved_position
+from insdvl_replay.geometry.frames import DvlMounting, moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities, dvl_beams, dvl_velocities
 from insdvl_replay.nav.measurements import Measurement

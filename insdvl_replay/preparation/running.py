@@ -25,12 +25,11 @@ from insdvl_replay.evaluation.outage_test import (
     outage_run,
     plan_outages,
 )
-from insdvl_replay.nav.beam_parity import parity_innovations
-from insdvl_replay.nav.coasting import coast
-from insdvl_replay.nav.drawn_starts import drawn_starts
+from insdvl_replay.nav.dvl import parity_innovations
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.initial_state import Start, with_more_states
+from insdvl_replay.nav.levelling import Start, drawn_starts, with_more_states
 from insdvl_replay.nav.measurements import Measurement
+from insdvl_replay.nav.outage import coast
 from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.own_measurements import Outage, in_outages

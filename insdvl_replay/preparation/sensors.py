@@ -13,9 +13,8 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, FASTEST_MPS, SENSORS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import north_east_m
-from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.innovation import DEPTH, FIX, HEADING
-from insdvl_replay.nav.measurements import Measurement, sensor_measurement
+from insdvl_replay.nav.levelling import Start
+from insdvl_replay.nav.measurements import DEPTH, FIX, HEADING, Measurement, sensor_measurement
 from insdvl_replay.nav.timeline import FIRST_OTHER
 
 FAR_M: Final = 1000.0

@@ -13,7 +13,7 @@ from insdvl_replay.core.states import BY_SENSOR, DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
-from insdvl_replay.nav.initial_state import Start
+from insdvl_replay.nav.levelling import Start
 from insdvl_replay.preparation.start_position import FAR_S, configured_height_note
 
 

@@ -1,9 +1,12 @@
-"""A simulated dive: the exact one, and the one that sensors report of it."""
+"""What a simulation can be asked for, and what it says to anything else.
+
+A simulated dive: the exact one, and the one that sensors report of it.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -19,23 +22,85 @@ from insdvl_replay.core.dive_columns import (
     nanoseconds,
     seconds,
 )
-from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.errors import ConfigError, require_known
 from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry.beams import AZIMUTH_DEG
+from insdvl_replay.geometry.frames import AZIMUTH_DEG
 from insdvl_replay.geometry.rotation import mat_from_sines, turned
-from insdvl_replay.sim.checked_options import LONGEST_S, check_duration, check_positive, check_spans, named
-from insdvl_replay.sim.motion import Trajectory
 from insdvl_replay.sim.sensor_errors import (
     GRADES,
+    SIMULATED,
     DvlErrors,
     ImuErrors,
     LostBeam,
+    SensorErrors,
     add_dvl_errors,
     add_imu_errors,
+    add_sensor_errors,
     beam_vectors_d,
 )
-from insdvl_replay.sim.sensors import SIMULATED, SensorErrors, add_sensor_errors
-from insdvl_replay.sim.trajectories import SCENARIOS, Scenario, sine_and_cosine
+from insdvl_replay.sim.trajectories import SCENARIOS, Scenario, Trajectory, sine_and_cosine
+
+LONGEST_S: Final = 7 * 86400.0
+"""No simulated dive is longer: a week at 100 Hz already fills 10 GB."""
+
+T = TypeVar("T")
+
+
+def named(kind: str, name: str, known: Mapping[str, T]) -> T:
+    """Look a name up, or say which one was meant.
+
+    Parameters
+    ----------
+    kind : str
+        What it names, for the error.
+
+    Returns
+    -------
+    anything
+        What the name stands for.
+
+    Raises
+    ------
+    ConfigError
+        The name is not known.
+    """
+    require_known(kind, name, known)
+    return known[name]
+
+
+def check_duration(duration_s: float) -> None:
+    """Require a duration above 0 that memory holds; a `ConfigError` else."""
+    check_positive("duration", "s", duration_s)
+    if duration_s > LONGEST_S:
+        raise ConfigError(
+            f"duration is {duration_s:g} s, and may be {LONGEST_S:g} s at most", f"--duration {LONGEST_S:g}"
+        )
+
+
+def check_positive(what: str, unit: str, value: float) -> None:
+    """Require a number above 0; a `ConfigError` else."""
+    if not 0.0 < value < np.inf:
+        raise ConfigError(f"{what} is {value:g} {unit}, and must be above 0", f"give the {what} in {unit}")
+
+
+def check_spans(spans: Sequence[LostBeam], duration_s: float) -> None:
+    """Require beams that there are, lost inside the dive until after they were; a `ConfigError` else."""
+    beams = len(AZIMUTH_DEG)
+    for span in spans:
+        if not span.start_s < span.end_s:
+            raise ConfigError(
+                f"an outage from {span.start_s:g} s to {span.end_s:g} s does not end after its start",
+                "give its start first, then its end, in seconds from the start of the dive",
+            )
+        if span.start_s >= duration_s or span.end_s <= 0.0:
+            raise ConfigError(
+                f"an outage from {span.start_s:g} s to {span.end_s:g} s lies outside the dive, which lasts "
+                f"{duration_s:g} s",
+                "give its start and its end in seconds from the start of the dive, or a longer --duration",
+            )
+        if not 0 <= span.beam < beams:
+            raise ConfigError(f"beam {span.beam} cannot be lost", f"beams are counted from 0 to {beams - 1}")
+
 
 START_NS: Final = 1_704_067_200_000_000_000
 """Time of the first IMU sample of every dive, 2024-01-01T00:00:00Z."""

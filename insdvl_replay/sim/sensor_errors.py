@@ -1,20 +1,23 @@
 """How sensors err: inertial ones by a bias that wanders, white noise and the steps of their digits, a DVL by its beams.
 
 White noise and random walk as IEEE Std 952, annex C, defines them by their Allan variance.
+
+What the sensors beside IMU and DVL read along a trajectory, and how they err.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, TruthColumns
+from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, SensorColumns, TruthColumns
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
-from insdvl_replay.geometry.beams import beam_vectors
-from insdvl_replay.geometry.rotation import turned
+from insdvl_replay.geometry.frames import beam_vectors, moved_position
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, turned
+from insdvl_replay.sim.trajectories import Motion
 
 DEG_PER_RT_HOUR: Final = DEG / 60.0
 """One deg/sqrt(h), the unit of angular random walk on data sheets, in rad/sqrt(s)."""
@@ -199,3 +202,58 @@ def add_dvl_errors(exact: DvlColumns, errors: DvlErrors, rng: np.random.Generato
     noise += turned(exact.beam_vectors_d, errors.velocity_sd_mps * rng.standard_normal((pings, 3)))
     reading = exact.beam_velocity_mps * (1.0 + scale) + bias + noise
     return replace(exact, beam_velocity_mps=quantise(reading, errors.beam_quantum_mps))
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """How often a sensor reads, and how large its white noise is in the unit of its kind, see `UNITS`."""
+
+    sd: float
+    rate_hz: float = 1.0
+
+
+@dataclass(frozen=True)
+class SimulatedSensor:
+    """One kind of sensor.
+
+    Attributes
+    ----------
+    unit : str
+        Of its noise, for the user.
+    si : float
+        One of it in the unit of the readings.
+    reading : callable
+        From the motion to exact readings, shape (k, s).
+    """
+
+    unit: str
+    si: float
+    reading: Callable[[Motion], Floats]
+
+
+def _depth_m(motion: Motion) -> Floats:
+    return np.asarray(-motion.position[:, 2:])
+
+
+def _heading_rad(motion: Motion) -> Floats:
+    """Return the headings to twelve digits: no two processors' arcs agree beyond."""
+    return np.asarray(np.round(rpy_from_mat(motion.mat_nb)[:, 2:], 12))
+
+
+SIMULATED: Final[Mapping[str, SimulatedSensor]] = {
+    "depth": SimulatedSensor("m", 1.0, _depth_m),
+    "heading": SimulatedSensor("deg", DEG, _heading_rad),
+    "position": SimulatedSensor("m", 1.0, lambda motion: motion.position),
+}
+"""By the names of `core.states.SENSORS`; at the IMU's place."""
+
+
+def add_sensor_errors(name: str, exact: SensorColumns, errors: SensorErrors, rng: np.random.Generator) -> SensorColumns:
+    """Add white noise to exact readings; of an attitude to each of its angles."""
+    sd = SIMULATED[name].si * errors.sd
+    noise = sd * rng.standard_normal(exact.values.shape)
+    values = moved_position(exact.values, noise) if name == "position" else exact.values + noise
+    if exact.mat_nb is None:
+        return SensorColumns(exact.time_ns, values)
+    roll_pitch = rpy_from_mat(exact.mat_nb)[:, :2] + sd * rng.standard_normal((len(values), 2))
+    return SensorColumns(exact.time_ns, values, mat_from_rpy(np.concatenate([roll_pitch, values], axis=1)))

@@ -16,10 +16,19 @@ from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import DirectionStatus
-from insdvl_replay.nav.error_directions import ErrorDirection, name_unobservable, named_directions
 from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.nominal_motion import NominalPings, nominal_pings
-from insdvl_replay.nav.observability import TOLERANCE, Observability, analyse, remaining_cov, whitened_rows
+from insdvl_replay.nav.observability import (
+    TOLERANCE,
+    ErrorDirection,
+    NominalPings,
+    Observability,
+    analyse,
+    name_unobservable,
+    named_directions,
+    nominal_pings,
+    remaining_cov,
+    whitened_rows,
+)
 from insdvl_replay.preparation.filters import resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
 from insdvl_replay.preparation.reading import read_checked_dive

@@ -11,17 +11,16 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.evaluation.ensemble import RunErrors, run_errors
+from insdvl_replay.nav.algebra import rotation_from_vector, vector
 from insdvl_replay.nav.dvl import dvl_velocities
-from insdvl_replay.nav.initial_state import Start
+from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.timeline import NO_GAPS
-from insdvl_replay.nav.vector_algebra import rotation_from_vector, vector
 from insdvl_replay.preparation.alignment import Alignment, initial_sd
 from insdvl_replay.preparation.filters import dvl_mounting, resolve_filters
 from insdvl_replay.preparation.prepared import Prepared
 from insdvl_replay.preparation.running import prepared_timeline, run_one
 from insdvl_replay.preparation.sensors import prepare_sensors
-from insdvl_replay.sim.checked_options import named
-from insdvl_replay.sim.dive import add_errors, exact_dive
+from insdvl_replay.sim.dive import add_errors, exact_dive, named
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 
 MATCHED: Final = "matched"

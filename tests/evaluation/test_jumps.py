@@ -9,8 +9,7 @@ from test_consistency import history
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.tables import JumpRow
 from insdvl_replay.evaluation.jumps import jump_table
-from insdvl_replay.geometry.frames import moved_position
-from insdvl_replay.geometry.steps import least_difference
+from insdvl_replay.geometry.frames import least_difference, moved_position
 
 RATE_HZ = 5
 TIME_S = np.arange(600) / RATE_HZ

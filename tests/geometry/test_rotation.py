@@ -16,7 +16,7 @@ from insdvl_replay.geometry.rotation import (
     vector_from_mat,
     wrap_angle,
 )
-from insdvl_replay.nav.vector_algebra import rotation_from_vector, vector
+from insdvl_replay.nav.algebra import rotation_from_vector, vector
 
 
 @pytest.fixture

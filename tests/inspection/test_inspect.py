@@ -30,7 +30,7 @@ from insdvl_replay.replay import replay_log
 from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.json_report import as_json
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.sensors import SensorErrors
+from insdvl_replay.sim.sensor_errors import SensorErrors
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 BLUEYE = "blueye.protocol."

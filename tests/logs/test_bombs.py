@@ -28,7 +28,7 @@ from insdvl_replay.cli.messages import log_failure
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import ImuColumns
 from insdvl_replay.core.errors import LogError, Note, most_like
-from insdvl_replay.geometry.steps import Steps
+from insdvl_replay.geometry.frames import Steps
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.container.chunks import LARGEST_CHUNK, Chunk, most_opened, open_chunk

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.core.config import Config, Dvl
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.geometry import beams
+from insdvl_replay.geometry import frames
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.known_dvls import DVL_BEAMS, DVL_IF_NAMED, DVL_VELOCITY
 from insdvl_replay.logs.encoding.ros2msg import definition_text
@@ -24,8 +24,8 @@ from insdvl_replay.logs.encoding.ros2msg import definition_text
 TIMES = 0.1 * np.arange(20)
 TRUE_D = np.stack([1.0 + 0.1 * np.sin(TIMES), 0.1 * np.cos(2.0 * TIMES) + 0.2, 0.05 * np.cos(TIMES)], axis=1)
 """Velocities forward-starboard-down at the times of the pings."""
-JANUS = beams.beam_vectors(30.0, (45.0, 135.0, 225.0, 315.0))
-A50 = beams.beam_vectors(22.5, (135.0, 225.0, 315.0, 45.0))
+JANUS = frames.beam_vectors(30.0, (45.0, 135.0, 225.0, 315.0))
+A50 = frames.beam_vectors(22.5, (135.0, 225.0, 315.0, 45.0))
 FLU = np.array([1.0, -1.0, -1.0])
 Ping = Callable[[int], dict[str, Any]]
 
@@ -50,7 +50,7 @@ def by_velocity(dive: Dive) -> Any:
 def by_beams(dive: Dive) -> Any:
     assert dive.dvl.beam_velocity_mps is not None
     assert dive.dvl.beam_vectors_d is not None
-    return beams.solve_beams(dive.dvl.beam_velocity_mps, dive.dvl.beam_vectors_d)[0]
+    return frames.solve_beams(dive.dvl.beam_velocity_mps, dive.dvl.beam_vectors_d)[0]
 
 
 def codes(dive: Dive) -> dict[str, int]:
@@ -156,7 +156,7 @@ def test_family_has_its_names() -> None:
 @pytest.mark.parametrize("name", [name for name in UUV if not name.startswith("dvl1000")])
 def test_beams_of_the_family_point_where_their_poses_say(name: str, read: Any) -> None:
     """Beams are unlike any default: tilted by 30, 25, 20 and 30 deg at odd azimuths, so that only poses can tell."""
-    vectors = np.concatenate([beams.beam_vectors(30.0 - 5.0 * n, (10.0 + 90.0 * n,)) for n in range(3)] + [JANUS[3:]])
+    vectors = np.concatenate([frames.beam_vectors(30.0 - 5.0 * n, (10.0 + 90.0 * n,)) for n in range(3)] + [JANUS[3:]])
     dive = read(name, lambda i: uuv(i, vectors))
     np.testing.assert_allclose(dive.dvl.beam_vectors_d, vectors, atol=1e-12)
     np.testing.assert_allclose(by_beams(dive), np.delete(TRUE_D, [5, 6], axis=0), atol=1e-12)

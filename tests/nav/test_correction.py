@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.rotation import skew
-from insdvl_replay.nav.correction import correct, keep_invariant_error
-from insdvl_replay.nav.local_earth import place_at
-from insdvl_replay.nav.state_layout import layout_of
+from insdvl_replay.nav.algebra import matrix, vector
+from insdvl_replay.nav.earth_model import place_at
+from insdvl_replay.nav.error_model import layout_of
+from insdvl_replay.nav.kalman import correct, keep_invariant_error
 from insdvl_replay.nav.strapdown import NavState
-from insdvl_replay.nav.vector_algebra import matrix, vector
 
 VELOCITY_N = np.array([1.2, -0.7, 0.3])
 CHANGE_N = np.array([0.2, 0.3, -0.1])  # taken off the velocity

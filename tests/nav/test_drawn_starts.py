@@ -8,13 +8,12 @@ from scipy.stats import chi2
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.evaluation.errors import motion_error
-from insdvl_replay.nav.correction import correct
-from insdvl_replay.nav.drawn_starts import drawn_starts, erring
-from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.local_earth import place_at
-from insdvl_replay.nav.state_layout import layout_of
+from insdvl_replay.nav.algebra import matrix, vector
+from insdvl_replay.nav.earth_model import place_at
+from insdvl_replay.nav.error_model import layout_of
+from insdvl_replay.nav.kalman import correct
+from insdvl_replay.nav.levelling import Start, drawn_starts, erring
 from insdvl_replay.nav.strapdown import NavState
-from insdvl_replay.nav.vector_algebra import matrix, vector
 
 SD = np.repeat([0.1, 0.01, 0.05, 5e-5], 3)
 DRAWS = 500

@@ -8,14 +8,8 @@ from numpy.polynomial import Polynomial
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import DvlColumns, Floats
-from insdvl_replay.geometry.beams import DvlMounting, beam_vectors, solve_beams
-from insdvl_replay.nav.dvl import (
-    derivative_weights,
-    dvl_velocities,
-    slope_windows,
-    taylor_fit,
-    windowed_sum,
-)
+from insdvl_replay.geometry.frames import DvlMounting, beam_vectors, solve_beams
+from insdvl_replay.nav.dvl import derivative_weights, dvl_velocities, slope_windows, taylor_fit, windowed_sum
 
 REPEATABLE = settings(derandomize=True, deadline=None)
 SEEDS = st.integers(0, 10_000)

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.geometry.rotation import skew
+from insdvl_replay.nav.algebra import matrix, vector
 from insdvl_replay.nav.error_model import error_rate, noise_density, propagate_cov, propagate_errors
 from insdvl_replay.nav.strapdown import Motion
-from insdvl_replay.nav.vector_algebra import matrix, vector
 
 LATITUDE, HEIGHT_M = 0.57, -20.0
 VELOCITY_N = np.array([1.2, -0.7, 0.3])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
-from insdvl_replay.nav.local_earth import (
+from insdvl_replay.nav.earth_model import (
     REACH_M,
     REACH_RAD,
     curvatures,

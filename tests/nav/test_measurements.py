@@ -8,27 +8,23 @@ from jacobian import assert_jacobian
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.geometry.beams import beam_vectors, solve_beams
+from insdvl_replay.geometry.frames import beam_vectors, solve_beams
 from insdvl_replay.geometry.rotation import skew
-from insdvl_replay.nav.dvl import DvlVelocities
-from insdvl_replay.nav.dvl_measurements import (
-    acceleration_measurement,
-    velocity_cov,
-    velocity_measurement,
-)
-from insdvl_replay.nav.innovation import InsAtPing, linearise
-from insdvl_replay.nav.local_earth import place_at
+from insdvl_replay.nav.algebra import matrix, rotate_back, vector
+from insdvl_replay.nav.dvl import DvlVelocities, acceleration_measurement, velocity_cov, velocity_measurement
+from insdvl_replay.nav.earth_model import place_at
+from insdvl_replay.nav.error_model import layout_of
 from insdvl_replay.nav.measurements import (
     NEVER_REOPENED,
     PUBLISHED,
     VELOCITY,
     WINDOWED,
+    InsAtPing,
     Measurement,
+    linearise,
     stacked,
 )
-from insdvl_replay.nav.state_layout import layout_of
 from insdvl_replay.nav.strapdown import NavState, propagate
-from insdvl_replay.nav.vector_algebra import matrix, rotate_back, vector
 
 VELOCITY_N = np.array([0.9, -0.4, 0.1])
 MAT_NB = Rotation.from_euler("ZYX", [2.0, -0.1, 0.15]).as_matrix()

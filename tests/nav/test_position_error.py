@@ -7,10 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.earth import meridian_radius_m, normal_gravity
-from insdvl_replay.nav.local_earth import gravity_at, place_at
-from insdvl_replay.nav.position_error import offset_n, position_growth, propagate_position_cov, without_error
+from insdvl_replay.nav.algebra import matrix, vector
+from insdvl_replay.nav.earth_model import gravity_at, place_at
+from insdvl_replay.nav.error_model import offset_n, position_growth, propagate_position_cov, without_error
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
-from insdvl_replay.nav.vector_algebra import matrix, vector
 
 POSITION = (0.9, 0.6, -300.0)
 VELOCITY_N = np.array([12.0, -7.0, 3.0])  # fast, so that what goes with the velocity shows

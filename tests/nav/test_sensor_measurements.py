@@ -8,12 +8,21 @@ from jacobian import assert_jacobian
 from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.nav.innovation import DEPTH, FIX, HEADING, InsAtPing, linearise
-from insdvl_replay.nav.local_earth import place_at
-from insdvl_replay.nav.measurements import BEAM, VELOCITY, Measurement, sensor_measurement, stacked
-from insdvl_replay.nav.position_error import without_error
-from insdvl_replay.nav.state_layout import layout_of
-from insdvl_replay.nav.vector_algebra import matrix, vector
+from insdvl_replay.nav.algebra import matrix, vector
+from insdvl_replay.nav.earth_model import place_at
+from insdvl_replay.nav.error_model import layout_of, without_error
+from insdvl_replay.nav.measurements import (
+    BEAM,
+    DEPTH,
+    FIX,
+    HEADING,
+    VELOCITY,
+    InsAtPing,
+    Measurement,
+    linearise,
+    sensor_measurement,
+    stacked,
+)
 
 POSITION = (0.57, 0.6, -20.0)
 VELOCITY_N = np.array([0.9, -0.4, 0.1])

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
-from insdvl_replay.nav.local_earth import gravity_at, place_about, place_at
+from insdvl_replay.nav.algebra import add, matrix, vector
+from insdvl_replay.nav.earth_model import gravity_at, place_about, place_at
 from insdvl_replay.nav.strapdown import NavState, propagate
-from insdvl_replay.nav.vector_algebra import add, matrix, vector
 
 START = np.array([0.57, 0.61, -20.0, 1.1, -0.4, 0.2])
 NOTHING = (0.0, 0.0, 0.0)

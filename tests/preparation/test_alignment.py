@@ -21,8 +21,7 @@ from insdvl_replay.preparation.alignment import Alignment, align, initial_sd
 from insdvl_replay.preparation.filters import resolve_filters
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import FIRST_PING_S, START_NS, exact_dive
-from insdvl_replay.sim.motion import Trajectory
-from insdvl_replay.sim.trajectories import SCENARIOS
+from insdvl_replay.sim.trajectories import SCENARIOS, Trajectory
 
 SECOND = 1_000_000_000
 LEVEL = Initial(source="level", heading_deg=30.0, latitude_deg=32.8, longitude_deg=34.9, height_m=-20.0)

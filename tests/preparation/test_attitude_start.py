@@ -19,7 +19,7 @@ from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.sensors import SensorErrors
+from insdvl_replay.sim.sensor_errors import SensorErrors
 
 SD_DEG = 1.0
 AHRS = Heading(sd_deg=SD_DEG, level_sd_deg=SD_DEG)

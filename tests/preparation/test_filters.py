@@ -10,7 +10,7 @@ from insdvl_replay.batch.noise_tuning import with_tuned_baseline
 from insdvl_replay.core.config import Config, Dvl, Filter, Noise
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry.beams import DvlMounting, beam_vectors
+from insdvl_replay.geometry.frames import DvlMounting, beam_vectors
 from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
 from insdvl_replay.replay import replay_dive

@@ -153,16 +153,12 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
         "preparation.own_measurements",
         "preparation.sensors",
         "preparation.solutions",
-        "nav.measurements",
         "preparation.start_by_sensors",
         "preparation.start_position",
-        "nav.own_measurement",
-        "nav.state_layout",
+        "nav.user_measurement",
         "preparation.filters",
         "preparation.running",
         "preparation.reading",
-        "nav.gaps",
-        "nav.state_log",
     }
     named = {".".join(function.split(".")[:2]) for entry in equations() for function in entry.functions}
     assert modules - without == {name for name in named if name.startswith(("nav.", "preparation."))}

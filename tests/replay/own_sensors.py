@@ -7,7 +7,7 @@ import numba
 import numpy as np
 
 from insdvl_replay.core.dive_columns import Dive, Floats
-from insdvl_replay.nav.own_measurement import OwnMeasurement, OwnReadings
+from insdvl_replay.nav.user_measurement import OwnMeasurement, OwnReadings
 
 SD_MPS = 0.02
 NORTH_M, EAST_M = 6_354_134.0, 5_366_506.0

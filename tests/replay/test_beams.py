@@ -19,8 +19,7 @@ from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_filters
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, LostBeam
-from insdvl_replay.sim.sensors import SensorErrors
+from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, LostBeam, SensorErrors
 
 BEAM_SD_MPS = 0.01
 IMU = ImuErrors(5e-4, 4.4e-5, 0.01, 0.0, 2e-5, 8e-8)

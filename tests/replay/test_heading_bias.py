@@ -10,10 +10,10 @@ from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG, PHI
 from insdvl_replay.core.words import Consistency, Reason, Severity
-from insdvl_replay.nav.initial_state import Start, with_more_states
+from insdvl_replay.nav.levelling import Start, with_more_states
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.sensors import SensorErrors
+from insdvl_replay.sim.sensor_errors import SensorErrors
 
 SLOW_SD_DEG, SLOW_S, WHITE_SD_DEG = 2.0, 200.0, 0.3
 AIDED = 'aiding = ["velocity", "heading"]'

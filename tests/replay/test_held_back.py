@@ -15,15 +15,14 @@ from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.words import Judgement
 from insdvl_replay.logs.writing.dive_log import write_dive
-from insdvl_replay.nav.innovation import OWN
-from insdvl_replay.nav.measurements import Measurement, sensor_measurement
-from insdvl_replay.nav.own_measurement import OwnMeasurement, OwnReadings
+from insdvl_replay.nav.measurements import OWN, Measurement, sensor_measurement
+from insdvl_replay.nav.user_measurement import OwnMeasurement, OwnReadings
 from insdvl_replay.preparation.own_measurements import given_dive, in_outages
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.sensors import SensorErrors
+from insdvl_replay.sim.sensor_errors import SensorErrors
 
 HERE = __name__
 SD_MPS = 0.1

@@ -11,14 +11,7 @@ from contaminated_dives import CANDIDATES, clean_dive, competitors, contaminated
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, seconds
 from insdvl_replay.core.words import Judgement
-from insdvl_replay.nav.measurement_noise import (
-    CEILING,
-    FLOOR,
-    believed_factor,
-    chance_var,
-    found_factor,
-    outlier_factor,
-)
+from insdvl_replay.nav.kalman import CEILING, FLOOR, believed_factor, chance_var, found_factor, outlier_factor
 from insdvl_replay.replay import replay_dive
 
 DIVES, LENGTH_S, STARTS = 5, 600.0, 8

@@ -15,11 +15,11 @@ from insdvl_replay.core.config import Config, Evaluation, Filter, Solution
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.nav.own_measurement import OwnReadings, checked_readings, load_own_measurement
+from insdvl_replay.nav.user_measurement import OwnReadings, checked_readings, load_own_measurement
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.sensors import SensorErrors
+from insdvl_replay.sim.sensor_errors import SensorErrors
 
 HERE = __name__
 

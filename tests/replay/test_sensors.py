@@ -27,8 +27,7 @@ from insdvl_replay.preparation.running import prepared_timeline, run_one
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.results.filter_figures import Clock, nis_figure
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
-from insdvl_replay.sim.sensors import SensorErrors
+from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, SensorErrors
 
 MATCHED_IMU = ImuErrors(5e-3, 4.4e-5, 0.01, 0.0, 2e-5, 8e-8)
 MATCHED_DVL = DvlErrors(

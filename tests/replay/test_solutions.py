@@ -22,7 +22,7 @@ from insdvl_replay.evaluation.verdicts import credibility_of
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.solutions import no_covariances
 from insdvl_replay.logs.writing.dive_log import write_dive
-from insdvl_replay.nav.drawn_starts import drawn_starts
+from insdvl_replay.nav.levelling import drawn_starts
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_one

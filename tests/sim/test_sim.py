@@ -20,9 +20,8 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive, simulate_dive
-from insdvl_replay.sim.motion import START, Trajectory
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors, LostBeam, beam_vectors_d, quantise
-from insdvl_replay.sim.trajectories import RAMP_S, SCENARIOS, Segment, Wave, sine_and_cosine, turn
+from insdvl_replay.sim.trajectories import RAMP_S, SCENARIOS, START, Segment, Trajectory, Wave, sine_and_cosine, turn
 
 WHITE = ImuErrors(accel_white_mps_rts=0.02, gyro_white_rad_rts=3e-4)
 REPEATABLE = settings(derandomize=True, deadline=None)

@@ -20,16 +20,21 @@ from insdvl_replay.core.states import BA, BG, DV, PHI, STATES
 from insdvl_replay.geometry.earth import normal_gravity
 from insdvl_replay.geometry.rotation import mat_from_rpy, skew
 from insdvl_replay.logs.writing.dive_log import write_dive
-from insdvl_replay.nav.error_directions import named_directions
 from insdvl_replay.nav.measurements import NEVER_REOPENED, PUBLISHED, VELOCITY, Measurement
-from insdvl_replay.nav.nominal_motion import NominalPings, nominal_pings
-from insdvl_replay.nav.observability import analyse, jacobians, remaining_cov, whitened_rows
+from insdvl_replay.nav.observability import (
+    NominalPings,
+    analyse,
+    jacobians,
+    named_directions,
+    nominal_pings,
+    remaining_cov,
+    whitened_rows,
+)
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
-from insdvl_replay.sim.motion import START
-from insdvl_replay.sim.trajectories import SCENARIOS, Scenario, Segment, Wave
+from insdvl_replay.sim.trajectories import SCENARIOS, START, Scenario, Segment, Wave
 from insdvl_replay.studies import observability
 from insdvl_replay.studies.observability import study_observability
 from insdvl_replay.studies.study_report import StudyReport

@@ -16,7 +16,7 @@ from insdvl_replay.logs.encoding.fields import check_path
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
-from insdvl_replay.sim.sensors import SensorErrors
+from insdvl_replay.sim.sensor_errors import SensorErrors
 from insdvl_replay.studies.window import dive_windows
 
 IMU_TYPE = "sensor_msgs/msg/Imu"

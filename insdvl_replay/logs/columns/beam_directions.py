@@ -12,7 +12,7 @@ from insdvl_replay.core.config import Dvl
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.words import Severity
-from insdvl_replay.geometry import beams
+from insdvl_replay.geometry import frames
 from insdvl_replay.geometry.rotation import mat_from_quat
 from insdvl_replay.logs.columns.cleaning import Cleaner
 from insdvl_replay.logs.columns.imu import FRD, in_frd
@@ -107,8 +107,8 @@ def beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[Floats,
         return vectors, _look(cleaner, vectors)
     cleaner.note(
         "beam_geometry",
-        f"pings have beam vectors that cannot be true ({doubt}); a tilt of {beams.TILT_DEG:g} deg and azimuths of "
-        f"{', '.join(f'{azimuth:g}' for azimuth in beams.AZIMUTH_DEG)} deg are assumed",
+        f"pings have beam vectors that cannot be true ({doubt}); a tilt of {frames.TILT_DEG:g} deg and azimuths of "
+        f"{', '.join(f'{azimuth:g}' for azimuth in frames.AZIMUTH_DEG)} deg are assumed",
         cleaner.rows.size,
         Severity.WARNING,
         _HINT,
@@ -134,7 +134,7 @@ def beams_of_velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[
 def _look(cleaner: Cleaner, vectors_d: Floats) -> Floats:
     """Average beams, shape (beams, 3); note it if they do not look down, so that d is not forward-starboard-down."""
     mean: Floats = vectors_d.mean(axis=0)
-    if beams.look_down(mean):
+    if frames.look_down(mean):
         return mean
     text = "pings have beams that do not look down but along ({:.2f}, {:.2f}, {:.2f}) in the axes in use".format(*mean)
     hint = 'dvl.axes says which of its axes look forward, starboard and down, as "flu" or "+z-y+x"'
@@ -147,7 +147,7 @@ def note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: F
     moving = np.isfinite(beam_velocity_mps).all(axis=1) & (np.linalg.norm(velocity_d, axis=1) > _MOVING_MPS)
     if not moving.any() or np.linalg.matrix_rank(vectors_d) < vectors_d.shape[1]:
         return
-    by_beams_d = beams.solve_beams(beam_velocity_mps[moving], vectors_d)[0]
+    by_beams_d = frames.solve_beams(beam_velocity_mps[moving], vectors_d)[0]
     apart_mps = np.linalg.norm(by_beams_d - velocity_d[moving], axis=1)
     part = float(np.median(apart_mps / np.linalg.norm(velocity_d[moving], axis=1)))
     if part > _CONTRADICTION:
@@ -163,8 +163,8 @@ def _is_configured(settings: Dvl) -> bool:
 def _geometry(settings: Dvl) -> Floats:
     """Make the configured geometry, or a Janus's where nothing is configured."""
     tilt_deg, azimuth_deg = settings.beam_tilt_deg, settings.beam_azimuth_deg
-    return beams.beam_vectors(
-        beams.TILT_DEG if tilt_deg is None else tilt_deg, beams.AZIMUTH_DEG if azimuth_deg is None else azimuth_deg
+    return frames.beam_vectors(
+        frames.TILT_DEG if tilt_deg is None else tilt_deg, frames.AZIMUTH_DEG if azimuth_deg is None else azimuth_deg
     )
 
 

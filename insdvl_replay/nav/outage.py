@@ -11,11 +11,11 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.history import History
+from insdvl_replay.nav.earth_model import HOLD_AFTER_S
+from insdvl_replay.nav.error_model import TWELVE
 from insdvl_replay.nav.filter import run_filter
-from insdvl_replay.nav.initial_state import Start
-from insdvl_replay.nav.local_earth import HOLD_AFTER_S
+from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.measurements import Measurement, withheld
-from insdvl_replay.nav.state_layout import TWELVE
 from insdvl_replay.nav.timeline import PINGS, Timeline
 
 

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from insdvl_replay.core.runtime import inlined
 from insdvl_replay.geometry import earth
-from insdvl_replay.nav.vector_algebra import Vector
+from insdvl_replay.nav.algebra import Vector
 
 REACH_RAD: Final = 1e-7
 REACH_M: Final = 30.0
