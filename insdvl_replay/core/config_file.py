@@ -1,28 +1,247 @@
-"""Settings from TOML and back: strict, so that a mistyped key is an error that names the nearest known one.
+"""Settings from TOML and back: layers, what a mistake is told, checks across keys, and commented TOML.
 
 Precedence: defaults, then preset, then files in their order, then command line.
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+import math
+import re
+import tomllib
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from enum import EnumMeta
+from functools import reduce
 from importlib import resources
 from pathlib import Path
-from tomllib import TOMLDecodeError
-from typing import Annotated, Any, Final, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import Struct
 
-from insdvl_replay.core.config import MOST_BYTES, Config, Filter, Solution, Topic, key_of, spelled_out
-from insdvl_replay.core.config_checks import check_filters, check_finite, refuse_code
-from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.plain_text import is_writable, read_regular, visible
-from insdvl_replay.core.strict_toml import TomlSource, parse_toml, read_toml
+from insdvl_replay.core.config import MOST_BYTES, TOPIC_KEYS, Config, Filter, Topic, key_of, spelled_out
+from insdvl_replay.core.errors import LISTED, ConfigError, error_context, listed, most_like, nearest, require_known
+from insdvl_replay.core.plain_text import is_writable, read_regular, read_text, visible
+from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
 
+KeyPath = tuple[str | int, ...]
+"""Names of tables and keys from the top, and places in arrays among them."""
+Table = TypeVar("Table", bound=Struct)
+
+PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
+LARGEST: Final = 1e30
+"""Nothing that is measured is larger, and powers of what is smaller are still numbers."""
 _HINT: Final = "`insdvl-replay config` prints every key with its kind and unit"
 _OVERRIDE: Final = "for example --set dvl.scale=1.01"
-PRESETS = ("levy-klein", "fog", "tactical", "mems")
+_MISSPELLED: Final = 0.85
+"""Share of letters of a name that was meant beyond doubt, whatever other names share words with it."""
+_ALSO_CALLED: Final[Mapping[str, str]] = {
+    "noise": "sd white", "std": "sd", "stddev": "sd", "sigma": "sd", "delay": "latency", "lag": "latency",
+    "offset": "lever arm", "mount": "mounting", "misalignment": "mounting", "gps": "position", "gnss": "position",
+    "usbl": "position", "compass": "heading", "ahrs": "heading", "pressure": "depth",
+}  # fmt: skip
+_UNITS: Final = frozenset(["m", "s", "deg", "rad", "pct", "hz", "mg", "mps", "mps2", "radps", "degph", "degps", "rts"])
+_KINDS: Final = {
+    "float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "array": "a list",
+    "object": "a section",
+}  # fmt: skip
+_BOUNDS: Final = {">=": "of at least", ">": "above", "<=": "of at most", "<": "below"}
+_EXPECTED: Final = re.compile(
+    r"Expected `(?P<kinds>[\w |]+)`(?: (?P<sign>[<>]=?) (?P<bound>\S+?))?(?: of length (?P<length>.+?))?(?:, got .*)?"
+)
+_MEASURED_BY: Final = {
+    "dvl_scale": DVL_AIDING,
+    "dvl_yaw": DVL_AIDING,
+    "depth_zero": ("depth",),
+    "heading_bias": ("heading",),
+}
+"""States that need one of these measurements among the aiding or the held-out sensors."""
+
+
+@dataclass(frozen=True)
+class TomlSource:
+    """A file, preset or option that holds TOML, and how messages name what is in it."""
+
+    name: str  # with which every message begins
+    hint: str = _HINT  # what to do about a wrong value
+    content: dict[str, Any] = field(default_factory=dict)
+    assigned: str = "{} = {}"  # how a key gets its value there, with ``{}`` for both
+    text: str = ""  # of a file
+
+    def has(self, *keys: str) -> bool:
+        """Return whether a key, from the top, is in it."""
+        inner: Any = self.content
+        for key in keys:
+            if not isinstance(inner, Mapping) or key not in inner:
+                return False
+            inner = inner[key]
+        return True
+
+
+# --- Reading and converting
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parse TOML; all that can be wrong with it is a TOMLDecodeError, more digits or brackets than Python reads too."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError as error:
+        raise tomllib.TOMLDecodeError("Too many brackets inside each other") from error
+    except ValueError as error:
+        raise tomllib.TOMLDecodeError("A number has too many digits") from error
+
+
+def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> TomlSource:
+    """Read a file of the user's, with a hint what to do about wrong values in it."""
+    try:
+        text = read_text(path)
+        return TomlSource(str(path), hint, parse_toml(text), text=text)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}", if_unreadable) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})", "it has to be a TOML file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: is not valid TOML: {error}", if_invalid) from error
+
+
+def converted(table: object, kind: type[Table], source: TomlSource, *at: str, label: str = "") -> Table:
+    """Convert a table to its structure; a ConfigError tells a mistake with its key, value and what was meant.
+
+    The label names the table, which is otherwise named by its path from the top.
+    """
+    try:
+        return msgspec.convert(table, kind)
+    except msgspec.ValidationError as error:
+        with error_context(f"{source.name}: {label}" if label else source.name):
+            raise _explained(error, table, kind, source, () if label else at) from error
+
+
+def _explained(
+    error: msgspec.ValidationError, table: Any, kind: type[Struct], source: TomlSource, at: KeyPath
+) -> ConfigError:
+    """Return the sentence on a mistake in a table."""
+    for *above, key, known in _unknown_keys(table, kind):
+        within = f"{_dotted(*at, *above)}.".removeprefix(".")
+        meant = [within + name for name in _likely_names(key, known)]
+        if not meant:
+            outside = [f"{_dotted(*at)}.{path}".removeprefix(".") for path in _known_paths(kind)]
+            meant = [path for path in outside if path.rpartition(".")[2] == key][:3] or _with_words(key, outside, 2)
+        hint = f"known: {listed(known)}{f'; {source.hint}' if len(known) > LISTED else ''}"
+        if meant:
+            hint = f"did you mean {', '.join(meant[:-1])}{' or ' if meant[1:] else ''}{meant[-1]}?"
+        return ConfigError(f"key '{within}{key}' is not known", hint)
+    reason, _, place = str(error).partition(" - at `$.")
+    keys = tuple(int(part) if part.isdigit() else part for part in re.findall(r"\w+", place))
+    value, wanted = table, kind
+    for key in keys:
+        value = value[key]
+        if isinstance(key, str) and (structure := _structure(wanted)) is not None:
+            wanted = get_type_hints(structure)[key]
+    name = _dotted(*at, *keys)
+    if isinstance(value, str) and (words := tuple(_words(wanted))) and value not in words:
+        require_known(name, value, words)
+    shown = repr(value) if len(repr(value)) <= 80 else f"{repr(value)[:80]}..."
+    if reason.startswith("Expected `object`") and name and not name.endswith("]"):
+        return ConfigError(f"{name} is a section, found {shown}", f"write [{name}]")
+    example = _list_meant(value, wanted) if reason.startswith("Expected `array`") else ""
+    return ConfigError(
+        f"{f'{name}: ' if name else ''}{value_wanted(reason)}{f', found {shown}' if keys else ''}",
+        f"a list is written so: {source.assigned.format(name, example)}" if example else source.hint,
+    )
+
+
+def value_wanted(reason: str) -> str:
+    """Say what msgspec says of a value, such as ``Expected `array` of length 3, got 2``, without names of types."""
+    if lacking := re.fullmatch(r"Object missing required field `(\w+)`", reason):
+        return f"lacks {lacking[1]}"
+    found = _EXPECTED.fullmatch(reason)
+    if found is None:
+        return reason[:1].lower() + reason[1:]
+    kinds = [_KINDS.get(kind.strip(), kind.strip()) for kind in found["kinds"].split("|") if kind.strip() != "null"]
+    if "a number" in kinds and "a whole number" in kinds:
+        kinds.remove("a whole number")
+    bound = f" {_BOUNDS[found['sign']]} {float(found['bound']):g}" if found["sign"] else ""
+    length = f" of {found['length']} values" if found["length"] else ""
+    return f"needs {' or '.join(kinds)}{bound}{length}"
+
+
+def _list_meant(value: object, kind: Any) -> str:
+    """Write as TOML the list that was meant by what is none, such as ``"[depth, position]"``; empty if unclear."""
+    parts: list[Any] = [part.strip() for part in value.strip(" []").split(",")] if isinstance(value, str) else [value]
+    with suppress(ValueError):
+        parts = [float(part) if isinstance(part, str) else part for part in parts]
+    for entries in (parts, [0.0, 0.0, 0.0]):
+        with suppress(msgspec.ValidationError):
+            msgspec.convert(entries, kind)
+            return toml_value(entries)
+    return ""
+
+
+def _dotted(*keys: str | int) -> str:
+    """Write the path of a key as in TOML, with places in arrays in brackets."""
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).removeprefix(".")
+
+
+def _structure(hint: object) -> type[Struct] | None:
+    """Return the structure that a field holds, if it is one."""
+    kinds = () if get_origin(hint) in (dict, tuple) else (hint, *get_args(hint))
+    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Struct)), None)
+
+
+def _unknown_keys(table: object, kind: type[Struct]) -> Iterator[tuple[Any, ...]]:
+    """Yield the tables above each key that is not known, the key, and the known ones."""
+    hints = get_type_hints(kind)
+    for key, value in table.items() if isinstance(table, Mapping) else ():
+        if key not in kind.__struct_fields__:
+            yield key, kind.__struct_fields__
+        elif (inner := _structure(hints[key])) is not None:
+            for found in _unknown_keys(value, inner):
+                yield key, *found
+
+
+def _known_paths(kind: type[Struct], above: str = "") -> Iterator[str]:
+    """Yield the dotted path of every key of a structure and of those inside it."""
+    for name, hint in get_type_hints(kind).items():
+        if (inner := _structure(hint)) is not None:
+            yield from _known_paths(inner, f"{above}{name}.")
+        elif name in kind.__struct_fields__:
+            yield above + name
+
+
+def _words(hint: object) -> Iterator[str]:
+    """Yield the words that a value may be."""
+    if isinstance(hint, EnumMeta):
+        yield from hint.__members__.values()
+    for inner in get_args(hint):
+        if get_origin(hint) is Literal:
+            yield inner
+        else:
+            yield from _words(inner)
+
+
+def _likely_names(name: str, known: Collection[str]) -> list[str]:
+    """Return the known names of which another may be a slip: the most likely, or several that are as likely."""
+    near = nearest(name, known)
+    misspelled = most_like(name, known, most=1, least=_MISSPELLED)
+    return misspelled or _with_words(name, known, 1) or ([near] if near else [])
+
+
+def _with_words(name: str, known: Collection[str], least: int) -> list[str]:
+    """Return those that share the most words with a name; units do not count, and some words go by other names."""
+
+    def words_of(text: str) -> set[str]:
+        return {word for word in re.split(r"[_.]", text.lower()) if word and word not in _UNITS}
+
+    wanted = {word for part in words_of(name) for word in (part, *_ALSO_CALLED.get(part, "").split())}
+    shared = {other: len(wanted & words_of(other)) for other in known}
+    most = max(shared.values(), default=0)
+    alike = [other for other, count in shared.items() if count == most]
+    return most_like(name, alike, most=3) if most >= least else []
+
+
+# --- Layers
 
 
 def load_config(
@@ -52,96 +271,37 @@ def load_config(
         Unknown preset, unreadable file, unknown key (with the nearest known one), value of the wrong kind or range,
         code that is not allowed.
     """
-    layers = [_read_preset(preset or PRESETS[0])]
-    settings = _overlaid(msgspec.to_builtins(Config()), layers[0])
+    preset = preset or PRESETS[0]
+    require_known_preset(preset)
+    text = resources.files("insdvl_replay").joinpath("presets", f"{preset}.toml").read_text("utf-8")
+    layers = [TomlSource(f"preset {preset}", content=parse_toml(text))]
     for path in [file] if isinstance(file, Path) else file or ():
-        laid = read_toml(
-            path,
-            _HINT,
-            if_unreadable="check the path given to -c",
-            if_invalid="`insdvl-replay config` prints a valid one",
-        )
-        laid = replace(laid, content=_with_whole_paths(laid.content, path.parent))
-        settings = _overlaid(settings, laid)
-        layers.append(laid)
-    set_alone = [_parse_override(text) for text in overrides]
-    config = _with_overrides(settings, set_alone)
-    check_filters(config, [*layers, *set_alone])
-    if not allow_code:
-        refuse_code(config, [*layers, *set_alone])
+        invalid = "`insdvl-replay config` prints a valid one"
+        source = read_toml(path, _HINT, if_unreadable="check the path given to -c", if_invalid=invalid)
+        layers.append(replace(source, content=_with_whole_paths(source.content, path.parent)))
+    settings = msgspec.to_builtins(Config())
+    for layer in layers:
+        if "filters" in layer.content:
+            del settings["filters"]
+        settings = _merged(settings, layer.content)
+        _resolved(settings, layer)
+    changes = [_parse_override(override) for override in overrides]
+    try:  # two of them may make a filter that neither makes alone
+        whole = reduce(_merged, (change.content for change in changes), settings)
+        config = _resolved(whole, TomlSource("the configuration"))
+    except ConfigError:
+        for change in changes:  # finds which one it was
+            settings = _merged(settings, change.content)
+            _resolved(settings, change)
+        raise
+    _check_across_keys(config, [*layers, *changes], allow_code=allow_code)
     return _with_digests(config)
 
 
-def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Let the files that filters name be found from wherever the settings are read again."""
-    filters = content.get("filters")
-    if not isinstance(filters, Mapping):
-        return content
-    return {**content, "filters": {name: _with_whole_path(entry, folder) for name, entry in filters.items()}}
-
-
-def _with_whole_path(entry: Any, folder: Path) -> Any:
-    solution = entry.get("solution") if isinstance(entry, Mapping) else None
-    if isinstance(solution, str) and key_of(solution) == "file":
-        return {**entry, "solution": str((folder / solution).absolute())}
-    if isinstance(solution, Mapping) and isinstance(file := solution.get("file"), str):
-        return {**entry, "solution": {**solution, "file": str((folder / file).absolute())}}
-    return entry
-
-
-def _with_digests(config: Config) -> Config:
-    """Hold fast which files are meant: settings that name another one are others."""
-    filters = {}
-    for name, filter_ in config.filters.items():
-        if filter_.solution is not None and (solution := spelled_out(filter_.solution)).file is not None:
-            solution = _with_digest(solution, f"filters.{name}.solution")
-            filter_ = msgspec.structs.replace(filter_, solution=solution)
-        filters[name] = filter_
-    return msgspec.structs.replace(config, filters=filters)
-
-
-def _with_digest(solution: Solution, key: str) -> Solution:
-    try:
-        sha256 = hashlib.sha256(read_regular(Path(solution.file or ""), MOST_BYTES)).hexdigest()
-    except OSError as error:
-        raise ConfigError(
-            f"{key}: {solution.file}: cannot be read: {error.strerror}", "a path counts from the settings' own folder"
-        ) from error
-    if solution.sha256 not in (None, sha256):
-        raise ConfigError(
-            f"{key}: {solution.file} is not the file that was meant: its SHA-256 is {sha256}",
-            f"leave {key}.sha256 out, and it is taken as it is",
-        )
-    return msgspec.structs.replace(solution, file=str(Path(solution.file or "").absolute()), sha256=sha256)
-
-
-def _overlaid(settings: Mapping[str, Any], source: TomlSource) -> dict[str, Any]:
-    """Lay a file over the settings; if it names filters, they are all there are."""
-    kept = {key: value for key, value in settings.items() if key != "filters" or "filters" not in source.content}
-    merged = _merged(kept, source.content)
-    _converted(merged, source)
-    return merged
-
-
-def _with_overrides(settings: Mapping[str, Any], overrides: Sequence[TomlSource]) -> Config:
-    """Apply all overrides, then convert: two of them may make a filter that neither makes alone."""
-    changed = dict(settings)
-    for override in overrides:
-        changed = _merged(changed, override.content)
-    try:
-        return _converted(changed, TomlSource("the configuration", _HINT))
-    except ConfigError:
-        for override in overrides:  # says which one it was
-            settings = _merged(settings, override.content)
-            _converted(settings, override)
-        raise
-
-
-def _read_preset(name: str) -> TomlSource:
+def require_known_preset(name: str) -> None:
+    """Raise a ConfigError if there is no such preset."""
     if name not in PRESETS:
         raise ConfigError(f"preset '{name}' is not known", f"use one of: {', '.join(PRESETS)}")
-    text = resources.files("insdvl_replay").joinpath("presets", f"{name}.toml").read_text("utf-8")
-    return TomlSource(f"preset {name}", _HINT, parse_toml(text))
 
 
 def _parse_override(text: str) -> TomlSource:
@@ -153,11 +313,11 @@ def _parse_override(text: str) -> TomlSource:
         raise ConfigError(f"--set {text}: is not UTF-8 text", _OVERRIDE)
     try:
         parsed: Any = parse_toml(f"value = {value.strip()}")["value"]
-    except TOMLDecodeError:
+    except tomllib.TOMLDecodeError:
         parsed = value.strip()
     for key in reversed(keys):
         parsed = {key: parsed}
-    return TomlSource(f"--set {text}", _HINT, parsed, assigned="--set '{}={}'")
+    return TomlSource(f"--set {text}", content=parsed, assigned="--set '{}={}'")
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -170,16 +330,180 @@ def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     return merged
 
 
-def _converted(settings: Mapping[str, Any], source: TomlSource) -> Config:
+def _resolved(settings: Mapping[str, Any], source: TomlSource) -> Config:
     """Check kinds and ranges. Filters and topics are converted one by one, so that a message can name its own."""
     for section, kind in (("filters", Filter), ("topics", Topic)):
-        entries = settings.get(section)
-        if isinstance(entries, Mapping):
-            of_each = {name: source.inside(section, name).converted(entry, kind) for name, entry in entries.items()}
+        if isinstance(entries := settings.get(section), Mapping):
+            of_each = {name: converted(entry, kind, source, section, name) for name, entry in entries.items()}
             settings = {**settings, section: of_each}
-    config = source.converted(settings, Config)
-    check_finite(msgspec.to_builtins(config), source, ())
+    config = converted(settings, Config, source)
+    for path, number in _numbers(msgspec.to_builtins(config)):
+        if not math.isfinite(number):
+            what, hint = f"must be a finite number, found {number}", "leave out what is not limited"
+        elif abs(number) > LARGEST:
+            what, hint = f"must be at most {LARGEST:.0e}, found {number}", "`insdvl-replay config` prints its unit"
+        else:
+            continue
+        raise ConfigError(f"{source.name}: {_dotted(*path)} {what}", hint)
     return config
+
+
+def _numbers(value: object, *path: Any) -> Iterator[tuple[KeyPath, float]]:
+    if isinstance(value, float | int):
+        yield path, value
+    elif isinstance(value, Mapping | list | tuple):
+        for key, inner in value.items() if isinstance(value, Mapping) else enumerate(value):
+            yield from _numbers(inner, *path, key)
+
+
+def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Let the files that filters name be found from wherever the settings are read again."""
+
+    def whole(entry: Any) -> Any:
+        solution = entry.get("solution") if isinstance(entry, Mapping) else None
+        if isinstance(solution, str) and key_of(solution) == "file":
+            return {**entry, "solution": str((folder / solution).absolute())}
+        if isinstance(solution, Mapping) and isinstance(file := solution.get("file"), str):
+            return {**entry, "solution": {**solution, "file": str((folder / file).absolute())}}
+        return entry
+
+    filters = content.get("filters")
+    if not isinstance(filters, Mapping):
+        return content
+    return {**content, "filters": {name: whole(entry) for name, entry in filters.items()}}
+
+
+def _with_digests(config: Config) -> Config:
+    """Hold fast which files are meant: settings that name another one are others."""
+    filters = dict(config.filters)
+    for name, solution in config.solutions.items():
+        if solution.file is None:
+            continue
+        key = f"filters.{name}.solution"
+        try:
+            sha256 = hashlib.sha256(read_regular(Path(solution.file), MOST_BYTES)).hexdigest()
+        except OSError as error:
+            raise ConfigError(
+                f"{key}: {solution.file}: cannot be read: {error.strerror}",
+                "a path counts from the settings' own folder",
+            ) from error
+        if solution.sha256 not in (None, sha256):
+            raise ConfigError(
+                f"{key}: {solution.file} is not the file that was meant: its SHA-256 is {sha256}",
+                f"leave {key}.sha256 out, and it is taken as it is",
+            )
+        whole = msgspec.structs.replace(solution, file=str(Path(solution.file).absolute()), sha256=sha256)
+        filters[name] = msgspec.structs.replace(filters[name], solution=whole)
+    return msgspec.structs.replace(config, filters=filters)
+
+
+# --- Checks across keys
+
+
+def _check_across_keys(config: Config, layers: Sequence[TomlSource], *, allow_code: bool) -> None:
+    """Require known words, names that can be part of topics, filters that make sense, and no code unless allowed.
+
+    A message names the last layer that has what is wrong.
+    """
+
+    def where(*path: str) -> str:
+        return next((layer.name for layer in reversed(layers) if layer.has(*path)), "the configuration")
+
+    def check_words(words: Sequence[str], known: Collection[str], *path: str) -> None:
+        for place, word in enumerate(words):
+            key = _dotted(*path, place)
+            with error_context(where(*path)):
+                require_known(key, word, known)
+                if word in words[:place]:
+                    raise ConfigError(f"{key} '{word}' stands there already", "leave one of them out")
+
+    withheld = config.evaluation.withheld
+    check_words(withheld, SENSORS, "evaluation", "withheld")
+    if not config.filters:
+        raise ConfigError(
+            f"{where('filters')}: no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
+        )
+    for name in config.topics:
+        if not (name.isascii() and name.isidentifier()):
+            raise ConfigError(
+                f"the topic's name '{name}' is not a letter followed by letters, digits and _",
+                '[topics.range] topic = "/range", values = "range"',
+            )
+    for name, filter_ in config.filters.items():
+        with error_context(where("filters", name)):
+            if not (name.isascii() and name.isidentifier()):
+                raise ConfigError(
+                    f"filter name '{name}' is not a letter followed by letters, digits and _",
+                    "the name becomes part of topics and rows",
+                )
+        own = [word for word in filter_.aiding if ":" in word]
+        check_words(filter_.aiding, (*AIDING, "module:Class", *own), "filters", name, "aiding")
+        check_words(filter_.states, MORE_STATES, "filters", name, "states")
+        with error_context(where("filters", name)):
+            if filter_.solution is None:
+                _check_filter(filter_, withheld, f"filters.{name}")
+            else:
+                _check_solution(filter_, f"filters.{name}", is_baseline=name == config.baseline)
+    for name, filter_ in config.filters.items():
+        for place, word in enumerate(filter_.aiding):
+            if ":" in word and not allow_code:
+                path = ("filters", name, "aiding")
+                raise ConfigError(
+                    f"{where(*path)}: {_dotted(*path, place)} names code: {word}",
+                    "`run`, `check` and `calibrate` take --allow-code, which runs it with your rights",
+                )
+
+
+def _check_solution(filter_: Filter, key: str, *, is_baseline: bool) -> None:
+    """Require that a solution that is read has a filter that is run before it, and has no keys of one itself."""
+    if is_baseline:
+        raise ConfigError(
+            f"{key}.solution is read, and cannot be the baseline: from its start all others begin",
+            'name a filter first that is run, such as [filters.baseline] with aiding = ["velocity"]',
+        )
+    default = Filter()
+    others = [name for name in Filter.__struct_fields__ if getattr(filter_, name) != getattr(default, name)]
+    if len(others) > 1:
+        names = " and ".join(f"{key}.{name}" for name in others if name != "solution")
+        raise ConfigError(f"{key}.solution is read and not run, and {names} says how", "leave one of them out")
+    solution = spelled_out(filter_.solution or "")
+    if (solution.topic is None) == (solution.file is None):
+        found = "names nothing" if solution.topic is None else "names a topic and a file"
+        raise ConfigError(f"{key}.solution {found}", 'solution = "/odometry", or solution = "onboard.tum"')
+    read_from_topic = [name for name in ("fix", *TOPIC_KEYS) if getattr(solution, name) is not None]
+    if solution.file is not None and read_from_topic:
+        raise ConfigError(
+            f"{key}.solution is a file, of which {key}.solution.{read_from_topic[0]} says nothing",
+            "time x y z qx qy qz qw stand in each line, and solution.axes says in which axes",
+        )
+
+
+def _check_filter(filter_: Filter, withheld: Sequence[str], key: str) -> None:
+    if not filter_.aiding:
+        raise ConfigError(f"{key}.aiding names nothing", 'aiding = ["velocity"]')
+    if {"velocity", "beams"} <= set(filter_.aiding):
+        raise ConfigError(f"{key} is told of every ping twice, by its velocity and its beams", 'aiding = ["beams"]')
+    acceleration = filter_.acceleration
+    if "acceleration" in filter_.aiding and acceleration is None:
+        raise ConfigError(
+            f"{key} is aided by acceleration but does not say how",
+            f'[{key}] acceleration = {{ model = "windowed", window = 3 }}',
+        )
+    for state in filter_.states:
+        if not set(_MEASURED_BY.get(state, filter_.aiding)) & {*filter_.aiding, *withheld}:
+            raise ConfigError(
+                f"{key} estimates {state}, and is aided by nothing that tells it",
+                f"{key}.aiding with {' or '.join(_MEASURED_BY[state])}, or {key}.states without {state}",
+            )
+    if acceleration is not None and acceleration.order >= acceleration.window:
+        order, window = acceleration.order, acceleration.window
+        raise ConfigError(
+            f"{key}.acceleration.order = {order} needs a window above {order}, found {window}",
+            f"window = {order + 1}",
+        )
+
+
+# --- Writing
 
 
 def render_toml(config: Config) -> str:
@@ -197,16 +521,12 @@ def _toml_lines(section: Struct, path: str) -> Iterator[str]:
             tables.append((f"{path}{name}", value))
         elif isinstance(value, dict):
             tables += [(f"{path}{name}.{key}", entry) for key, entry in value.items()]
-        elif name in hints and get_origin(hints[name]) is Annotated:
-            yield _toml_key(name, value, hints[name].__metadata__[-1].description)
+        elif get_origin(hints[name]) is Annotated:
+            text = f"# {name} =" if value is None else f"{name} = {toml_value(value)}"
+            yield f"{text:<40}  # {hints[name].__metadata__[-1].description}"
     for table_path, table in tables:
         yield f"\n[{table_path}]"
         yield from _toml_lines(table, f"{table_path}.")
-
-
-def _toml_key(name: str, value: object, comment: str) -> str:
-    text = f"# {name} =" if value is None else f"{name} = {toml_value(value)}"
-    return f"{text:<40}  # {comment}"
 
 
 def toml_value(value: object) -> str:

@@ -1,4 +1,4 @@
-"""Gates from TOML: strict, so that a slip is an error with its line, its key and the nearest known name."""
+"""Gates from TOML: strict, so that a slip is an error with its gate, its key and the nearest known name."""
 
 import math
 import re
@@ -10,9 +10,9 @@ from typing import Final
 
 from msgspec.structs import replace
 
+from insdvl_replay.core.config_file import converted, read_toml
 from insdvl_replay.core.errors import ConfigError, error_context, listed, require_known
 from insdvl_replay.core.plain_text import is_writable
-from insdvl_replay.core.strict_toml import TomlSource, read_toml
 from insdvl_replay.core.table import TableLayout
 from insdvl_replay.core.tables import CANDIDATES
 from insdvl_replay.core.words import GateLevel
@@ -51,15 +51,16 @@ def load_gates(path: Path) -> Gates:
     source = read_toml(
         path, f"for example {EXAMPLE}", if_unreadable="name a file of gates", if_invalid=f"[[gate]] {EXAMPLE}"
     )
-    places = [source.inside("gate", number, label=f"gate {number + 1}") for number in range(_count(source))]
-    for place in places:
-        gate = place.converted(source.content["gate"][place.at[-1]], Gate)
-        with error_context(place.where()):
+    gates = source.content.get("gate")
+    for number, table in enumerate(gates if isinstance(gates, list) else [], 1):
+        gate = converted(table, Gate, source, label=f"gate {number}")
+        with error_context(f"{path}: gate {number}"):
             _check_gate(gate)
-    content = source.converted(source.content, GateFile)
+    content = converted(source.content, GateFile, source)
     with error_context(source.name):
         _check_all(content)
-    return Gates(path, content, tuple(place.line() for place in places))
+    lines = [number for number, line in enumerate(source.text.split("\n"), 1) if line.lstrip().startswith("[[gate]]")]
+    return Gates(path, content, tuple(lines if len(lines) == len(content.gate) else [0] * len(content.gate)))
 
 
 def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gates:
@@ -84,12 +85,6 @@ def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gate
         raise ConfigError(f"{gates.path}: no gate is left", "leave out --skip, or widen --only")
     chosen, lines = zip(*kept, strict=True)
     return Gates(gates.path, replace(gates.content, gate=chosen), lines)
-
-
-def _count(source: TomlSource) -> int:
-    """Count the gates; what is no array of them is refused when all is converted."""
-    gates = source.content.get("gate")
-    return len(gates) if isinstance(gates, list) else 0
 
 
 def _check_gate(gate: Gate) -> None:

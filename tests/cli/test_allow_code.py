@@ -56,7 +56,7 @@ def test_what_runs_filters_refuses_code_before_it_is_imported(
 ) -> None:
     assert run_command_line([*command, "-c", str(vehicle)]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"error: {vehicle}:5: filters.mine.aiding[1] ")
+    assert said.startswith(f"error: {vehicle}: filters.mine.aiding[1] ")
     assert "told_code:Down; hint: " in said
     assert "--allow-code" in said
     assert sorted(path.name for path in vehicle.parent.iterdir()) == ["gates.toml", "told_code.py", "vehicle.toml"]

